@@ -1,0 +1,41 @@
+# make        the environment, then every figure, number, notebook and page of the default dataset
+# make test   the environment, then every test
+
+PYTHON ?= python3
+CORES  ?= 2
+BIN    := .venv/bin
+READY  := .venv/.ready
+
+.PHONY: all test lint bench lock clean
+
+all: $(READY)
+	$(BIN)/snakemake --cores $(CORES)
+	@$(BIN)/spotcheck where results/virtual-rig
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+# The environment is complete when .ready is there: a stopped installation starts again.
+$(READY): requirements.lock pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/snakefmt --check Snakefile workflow/rules
+	$(BIN)/mypy
+	$(BIN)/snakemake --lint
+
+bench: $(READY)
+	$(BIN)/python tests/benchmarks/run.py
+
+# Needs `uv` on PATH; writes hashes, no host and no path.
+lock:
+	uv pip compile pyproject.toml --extra dev --universal --generate-hashes --no-header --no-annotate \
+	    --python-version 3.11 --output-file requirements.lock
+
+clean:
+	rm -rf results .snakemake data/virtual-rig/frames data/virtual-rig/truth.json
