@@ -1,0 +1,167 @@
+"""The paper's printed numbers, each with the range in which it counts as met, and how far a rig is from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig import measure, papersim
+from rig.settings import Settings
+
+# Axes of every table below: angle, exposure, repeat.
+QUANTITIES = ("maximum", "amplitude", "sigma_px", "contrast", "psnr_db", "sum", "peak_share")
+
+
+@dataclass(frozen=True)
+class Score:
+    """One number: its value here and the range that counts as met (both ends included)."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def held(self) -> bool:
+        return self.low <= self.value <= self.high
+
+    @property
+    def miss(self) -> float:
+        """Distance outside the range in units of its width; with one end open, of 5 % of the other (at least 1)."""
+        if self.held:
+            return 0.0
+        if not math.isfinite(self.value):
+            return 10.0
+        width = self.high - self.low
+        if not math.isfinite(width):
+            width = max(1.0, 0.05 * abs(self.low if math.isfinite(self.low) else self.high))
+        return min(10.0, (max(self.low - self.value, 0.0) + max(self.value - self.high, 0.0)) / width)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What was measured on a whole set: tables [angle, exposure, repeat], and the simulation made from them."""
+
+    angles_deg: list[float]
+    exposures_s: list[float]
+    tables: dict[str, np.ndarray]
+    p1: np.ndarray
+    p2: np.ndarray
+    simulated: dict[str, np.ndarray]
+    simulated_sigma_px: np.ndarray
+
+
+def observe(
+    settings: Settings, crops: np.ndarray, angles_deg: list[float], exposures_s: list[float], seed: int
+) -> Observation:
+    """Measure `crops` [angle, exposure, repeat, y, x] and the paper's simulation calibrated on them."""
+    grid = crops.shape[:3]
+    tables = {name: np.empty(grid) for name in QUANTITIES}
+    for cell in np.ndindex(*grid):
+        _measure_into(tables, cell, crops[cell])
+    laser_sigma = papersim.laser_sigma_px(settings)
+    logs = np.log(exposures_s)
+    widths = tables["sigma_px"].transpose(1, 0, 2).reshape(len(exposures_s), -1) - laser_sigma
+    p1, p2 = np.polyfit(logs, widths, 1).reshape(2, grid[0], grid[2])
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    longer = [i for i in range(len(exposures_s)) if i > 0]
+    law = papersim.calibrated_scale(
+        settings,
+        papersim.Law(float(p1.mean()), float(p2.mean()), laser_sigma, 1000.0),
+        [exposures_s[i] for i in longer],
+        float(tables["maximum"][:, longer].mean()),
+        rng,
+    )
+    repeats = grid[2]
+    simulated = {name: np.empty((len(exposures_s), repeats)) for name in QUANTITIES}
+    for i, exposure in enumerate(exposures_s):
+        for k in range(repeats):
+            crop = papersim.simulate(settings, law, exposure, rng)
+            # One simulated image serves every angle: the model knows no angle.
+            _measure_into(simulated, (i, k), crop)
+            for j in range(grid[0]):
+                tables["psnr_db"][j, i, k] = measure.psnr_db(crops[j, i, k], crop)
+    return Observation(
+        angles_deg, exposures_s, tables, p1, p2, simulated, simulated["sigma_px"].mean(axis=1)
+    )
+
+
+def _measure_into(tables: dict[str, np.ndarray], cell: tuple[int, ...], crop: np.ndarray) -> None:
+    fit = measure.fit_gaussian(crop)
+    tables["maximum"][cell] = crop.max()
+    tables["amplitude"][cell] = fit.amplitude
+    tables["sigma_px"][cell] = fit.sigma_px
+    tables["contrast"][cell] = measure.contrast(crop)
+    tables["sum"][cell] = crop.sum()
+    tables["peak_share"][cell] = measure.peak_share(crop)
+
+
+def score(seen: Observation) -> list[Score]:
+    """Every printed number of the measured side, and those of the simulated side that hang on it."""
+    mean = {name: table.mean(axis=2) for name, table in seen.tables.items()}
+    sd = {name: table.std(axis=2, ddof=1) for name, table in seen.tables.items()}
+    model = {name: table.mean(axis=1) for name, table in seen.simulated.items()}
+    inf = math.inf
+    width_off = mean["sigma_px"] - seen.simulated_sigma_px
+    at = {angle: i for i, angle in enumerate(seen.angles_deg)}
+    first_three = [at[a] for a in (0.0, 45.0, 90.0)]
+    rise = np.min(mean["sigma_px"][at[90.0]] - mean["sigma_px"][at[45.0]])
+    drop = np.min(mean["sigma_px"][at[90.0]] - mean["sigma_px"][at[135.0]])
+    inside = np.abs(model["sum"] - mean["sum"]) <= sd["sum"]
+    plateau_off = np.abs(model["maximum"] - mean["maximum"])
+    contrast_ratio = sd["contrast"][:, 0].mean() / sd["contrast"][:, 1:].mean()
+    highest = np.min(mean["psnr_db"][:, 0] - mean["psnr_db"][:, 1:].max(axis=1))
+    model_sigma = seen.simulated_sigma_px
+    rows = [
+        ("p1 mean [px]", seen.p1.mean(), 2.16, 2.80),
+        ("p2 mean [px]", seen.p2.mean(), 33.35, 35.75),
+        ("PSNR mean, smallest [dB]", mean["psnr_db"].min(), 50.5, 55.5),
+        ("PSNR mean, largest [dB]", mean["psnr_db"].max(), 55.5, 60.5),
+        ("PSNR sd, smallest [dB]", sd["psnr_db"].min(), -0.65, 2.05),
+        ("PSNR sd, largest [dB]", sd["psnr_db"].max(), 2.05, 4.75),
+        ("PSNR at 100 us above the others, least [dB]", highest, 0.0, inf),
+        ("C_s mean, smallest", mean["contrast"].min(), 1.85, 6.95),
+        ("C_s mean, largest", mean["contrast"].max(), 6.95, 12.05),
+        ("C_s sd, smallest", sd["contrast"].min(), -0.375, 1.075),
+        ("C_s sd, largest", sd["contrast"].max(), 1.075, 2.525),
+        ("C_s sd at 100 us over the others' (about 2)", contrast_ratio, 1.5, 2.7),
+        ("plateau, least of all frames [DN]", mean["maximum"].min(), 800.0, inf),
+        ("plateau means, spread [DN]", np.ptp(mean["maximum"]), 0.0, 6.0),
+        ("plateau sd, largest [DN]", sd["maximum"].max(), 0.0, 10.0),
+        ("amplitude mean 100 us, smallest [DN]", mean["amplitude"][:, 0].min(), 796.5, 881.5),
+        ("amplitude mean 100 us, largest [DN]", mean["amplitude"][:, 0].max(), 881.5, 966.5),
+        ("amplitude mean 500/900 us, smallest [DN]", mean["amplitude"][:, 1:].min(), 957.0, 1027.0),
+        ("amplitude mean 500/900 us, largest [DN]", mean["amplitude"][:, 1:].max(), 1027.0, 1097.0),
+        ("amplitude sd 100 us, largest [DN]", sd["amplitude"][:, 0].max(), 113.5, 227.0),
+        ("amplitude sd 500/900 us, largest [DN]", sd["amplitude"][:, 1:].max(), 0.0, 51.0),
+        ("width sd, smallest [px]", sd["sigma_px"].min(), -0.5, 2.5),
+        ("width sd, largest [px]", sd["sigma_px"].max(), 2.5, 5.5),
+        ("width against simulation 0-90 deg, largest [px]", np.abs(width_off[first_three]).max(), 0.0, 2.0),
+        ("width against simulation 135 deg 100 us [px]", abs(width_off[at[135.0], 0]), 2.25, 4.5),
+        ("width rise 45 to 90 deg, least [px]", rise, 0.0, inf),
+        ("width drop 90 to 135 deg, least [px]", drop, 0.0, inf),
+        ("simulated sums inside the measured spread [of 12]", float(inside.sum()), 11.0, inf),
+        ("peak pixels of the plateau, smallest", mean["peak_share"].min(), -0.01, 0.03),
+        ("peak pixels of the plateau, largest", mean["peak_share"].max(), 0.03, 0.07),
+        ("simulated plateau off, largest [DN]", plateau_off.max(), 21.5, 43.0),
+        ("simulated plateau off 500/900 us, largest [DN]", plateau_off[:, 1:].max(), 0.0, 8.0),
+        ("simulated C_s, smallest", model["contrast"].min(), 2.65, 4.35),
+        ("simulated C_s, largest", model["contrast"].max(), 4.35, 6.05),
+        ("simulated width steps, short less long [px]", 2 * model_sigma[1] - model_sigma[0] - model_sigma[2], 0.0, inf),
+    ]
+    return [Score(name, float(value), low, high) for name, value, low, high in rows]
+
+
+def extras(seen: Observation) -> dict[str, float]:
+    """Clues that are not counted: how p1 hangs on the width, and the scatter of p1 and p2."""
+    width = seen.tables["sigma_px"].mean(axis=1).ravel()
+    return {
+        "corr(p1, mean width)": float(np.corrcoef(seen.p1.ravel(), width)[0, 1]),
+        "sd(p1) over sites [px]": float(seen.p1.std(ddof=1)),
+        "sd(p2) over sites [px]": float(seen.p2.std(ddof=1)),
+        "sd(p1) over angle means [px]": float(seen.p1.mean(axis=1).std(ddof=1)),
+        "sd(p2) over angle means [px]": float(seen.p2.mean(axis=1).std(ddof=1)),
+        "sum sd, largest [DN]": float(seen.tables["sum"].std(axis=2, ddof=1).max()),
+    }

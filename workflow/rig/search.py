@@ -1,0 +1,140 @@
+"""The search for the default rig's settings: screen many, try the best in full, then refine the winner.
+
+Deterministic for a seed. Every full trial is a row of the table, so that the choice can be checked.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from rig import imagefile, plan, screen, scores, settings, trial
+from rig.errors import RigError
+from rig.plan import Site
+from rig.settings import Settings
+
+# What is searched: dotted key -> lowest value, highest value, step. All else comes from the settings file.
+SPACE: dict[str, tuple[float, float, float]] = {
+    "seed": (1, 100_000, 1),
+    "sensor.clip_level_e": (6600, 7100, 10),
+    "sensor.clip_pixel_scatter": (0.008, 0.014, 0.0005),
+    "sensor.clip_row_scatter": (0.002, 0.006, 0.0005),
+    "sensor.clip_row_step": (0.02, 0.06, 0.001),
+    "speckle.patterns": (2, 4, 1),
+    "laser.polarisation_deg": (0, 175, 5),
+    "material.directional_factor": (0.4, 1.5, 0.01),
+    "material.spread_along_m": (270e-6, 350e-6, 2e-6),
+    "material.spread_across_m": (230e-6, 290e-6, 2e-6),
+    "material.spread_polarisation": (0.0, 0.25, 0.01),
+    "material.reflectance_polarisation": (0.0, 0.5, 0.01),
+    "material.site_reflectance_scatter": (0.2, 1.2, 0.01),
+    "material.site_spread_scatter": (0.0, 0.15, 0.01),
+    "material.site_spread_exponent": (-0.3, 0.2, 0.01),
+}
+POLISHING_STEPS = 300
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A point of the space with its scores."""
+
+    stage: str
+    point: dict[str, Any]
+    scores: list[scores.Score]
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Numbers held, then the smallest summed miss: larger is better."""
+        return sum(score.held for score in self.scores), -sum(score.miss for score in self.scores)
+
+
+def search(
+    base: Settings, sites: list[Site], seed: int, draws: int, trials: int, refinements: int
+) -> list[Trial]:
+    """All full trials in order; the best is `max(..., key=rank)`."""
+    rng = np.random.default_rng(seed)
+    points = [{key: _draw(rng, *SPACE[key]) for key in SPACE} for _ in range(draws)]
+    forecasts = [screen.forecast(settings.replace(base, point), sites) for point in points]
+    order = np.argsort(forecasts, kind="stable")[:trials]
+    done = []
+    for index in order:
+        point = _polish(rng, base, sites, points[index], forecasts[index])
+        done.append(_try("screened", base, sites, point))
+    for _ in range(refinements):
+        best = max(done, key=lambda one: one.rank)
+        done.append(_try("refined", base, sites, _neighbour(rng, best.point)))
+    return done
+
+
+def _polish(
+    rng: np.random.Generator, base: Settings, sites: list[Site], point: dict[str, Any], forecast: float
+) -> dict[str, Any]:
+    """Walk downhill on the forecast, which costs a thousandth of a trial."""
+    for _ in range(POLISHING_STEPS):
+        moved = _neighbour(rng, point)
+        if rng.random() < 0.2:
+            moved["seed"] = _draw(rng, *SPACE["seed"])
+        tried = screen.forecast(settings.replace(base, moved), sites)
+        if tried <= forecast:
+            point, forecast = moved, tried
+    return point
+
+
+def run(folder: Path, base: Settings, table: Path, best: Path, **effort: int) -> Trial:
+    """Search for a dataset's plan; writes the table of trials (CSV) and the best settings (YAML)."""
+    sites = plan.sites(plan.read_plan(folder))
+    if base.source != "fibres" or base.sensor.clip_level_e is None:
+        raise RigError("the search is for a rig with source: fibres and a sensor.clip_level_e")
+    done = search(base, sites, **effort)
+    winner = max(done, key=lambda one: one.rank)
+    imagefile.write_whole(table, _csv(done).encode())
+    tree = settings.to_dict(settings.replace(base, winner.point))
+    imagefile.write_whole(best, yaml.safe_dump(tree, sort_keys=False).encode())
+    return winner
+
+
+def _try(stage: str, base: Settings, sites: list[Site], point: dict[str, Any]) -> Trial:
+    seen = trial.run(settings.replace(base, point), sites)
+    return Trial(stage, point, scores.score(seen))
+
+
+def _draw(rng: np.random.Generator, low: float, high: float, step: float) -> float:
+    return _on_grid(rng.uniform(low, high), low, high, step)
+
+
+def _neighbour(rng: np.random.Generator, point: dict[str, Any]) -> dict[str, Any]:
+    """Two keys moved by about a tenth of their range. The seed stays: another one is another material."""
+    keys = [key for key in SPACE if key != "seed"]
+    moved = dict(point)
+    for index in rng.choice(len(keys), size=2, replace=False):
+        low, high, step = SPACE[keys[index]]
+        shift = max(0.1 * (high - low), step) * rng.standard_normal()
+        moved[keys[index]] = _on_grid(point[keys[index]] + shift, low, high, step)
+    return moved
+
+
+def _on_grid(value: float, low: float, high: float, step: float) -> float:
+    # Rounded, so that the winner can be written down with few digits and is the same rig.
+    value = min(max(low + step * round((value - low) / step), low), high)
+    digits = max(0, 1 - math.floor(math.log10(step)))
+    rounded = round(value, digits)
+    return int(rounded) if step >= 1 else rounded
+
+
+def _csv(done: list[Trial]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    names = [score.name for score in done[0].scores]
+    writer.writerow(["stage", "held", "miss", *SPACE, *names])
+    for one in done:
+        held, miss = one.rank
+        values = [f"{score.value:.5g}" for score in one.scores]
+        writer.writerow([one.stage, held, f"{-miss:.4f}", *(one.point[key] for key in SPACE), *values])
+    return stream.getvalue()

@@ -1,0 +1,265 @@
+"""The true physical settings of a rig, read from `rig.yaml`: SI units, checked, unknown keys refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from rig.errors import RigError
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The frame as it is read out; `window_px` is the side of the square in which light is followed."""
+
+    width_px: int = 4096
+    height_px: int = 3072
+    window_px: int = 320
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Chip and converter. The clip level is given in electrons and as relative scatter (rms)."""
+
+    pixel_pitch_m: float = 5.5e-6
+    bit_depth: int = 10
+    gain_dn_per_e: float = 0.11
+    quantum_efficiency: float = 0.38
+    read_noise_e: float = 13.0
+    dark_current_e_per_s: float = 70.0
+    black_level_dn: float = 0.0
+    clip_level_e: float | None = None
+    clip_pixel_scatter: float = 0.0
+    clip_row_scatter: float = 0.0
+    clip_row_step: float = 0.0
+    clip_row_period_px: int = 2
+    clip_screen_sigma: float = 3.0
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Lens and filter in front of the chip."""
+
+    focal_length_m: float = 0.0502
+    working_distance_m: float = 0.25
+    f_number: float = 11.0
+    filter_transmission: float = 0.9193
+    lens_transmission: float = 1.0
+
+
+@dataclass(frozen=True)
+class Laser:
+    """The spot laser; the polarisation's direction is counted like the fibre angle."""
+
+    power_w: float = 1e-3
+    wavelength_m: float = 650e-9
+    fwhm_x_m: float = 72.8e-6
+    fwhm_y_m: float = 80.4e-6
+    polarisation_deg: float = 0.0
+
+
+@dataclass(frozen=True)
+class Material:
+    """The composite: how much light comes back towards the lens, and how far it spreads before."""
+
+    reflectance: float = 0.02
+    directional_factor: float = 1.0
+    spread_along_m: float = 280e-6
+    spread_across_m: float = 280e-6
+    spread_polarisation: float = 0.0
+    reflectance_polarisation: float = 0.0
+    fibre_zero_deg: float = 0.0
+    site_reflectance_scatter: float = 0.0
+    site_spread_scatter: float = 0.0
+    site_spread_exponent: float = 0.0
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """Where the spot lies: mean offset from the frame's centre, its walk from site to site, nearest border."""
+
+    offset_x_px: float = 0.0
+    offset_y_px: float = 0.0
+    wander_px: float = 0.0
+    border_px: float = 200.0
+
+
+@dataclass(frozen=True)
+class Speckle:
+    """Independent patterns that add in intensity (0: no speckle), samples a pixel (per axis), side of the field."""
+
+    patterns: int = 0
+    field_px: int = 160
+    oversampling: int = 2
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A plain beam falling on the camera: caustic w(z) for each axis, brightness by a target peak."""
+
+    waist_x_m: float = 60e-6
+    waist_y_m: float = 60e-6
+    focus_x_m: float = 0.0
+    focus_y_m: float = 0.0
+    m2: float = 1.0
+    axis_deg: float = 0.0
+    peak_fraction: float = 0.7
+    peak_scatter: float = 0.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that is true of one rig. `source` is `fibres` (reflected spot) or `beam` (plain beam)."""
+
+    seed: int = 0
+    source: str = "fibres"
+    unrecorded_exposure_s: float = 1e-3
+    frame: Frame = field(default_factory=Frame)
+    sensor: Sensor = field(default_factory=Sensor)
+    optics: Optics = field(default_factory=Optics)
+    laser: Laser = field(default_factory=Laser)
+    material: Material = field(default_factory=Material)
+    pointing: Pointing = field(default_factory=Pointing)
+    speckle: Speckle = field(default_factory=Speckle)
+    beam: Beam = field(default_factory=Beam)
+
+
+# Lowest and highest value allowed, both included; anything not listed must only be finite.
+_BOUNDS: dict[str, tuple[float, float]] = {
+    "seed": (0, 2**63),
+    "unrecorded_exposure_s": (0, math.inf),
+    "frame.width_px": (16, 65536),
+    "frame.height_px": (16, 65536),
+    "frame.window_px": (16, 4096),
+    "sensor.pixel_pitch_m": (1e-9, 1),
+    "sensor.bit_depth": (8, 16),
+    "sensor.gain_dn_per_e": (1e-9, 1e6),
+    "sensor.quantum_efficiency": (0, 1),
+    "sensor.read_noise_e": (0, 1e6),
+    "sensor.dark_current_e_per_s": (0, 1e12),
+    "sensor.clip_level_e": (0, 1e9),
+    "sensor.clip_pixel_scatter": (0, 0.2),
+    "sensor.clip_row_scatter": (0, 0.2),
+    "sensor.clip_row_step": (-0.5, 0.5),
+    "sensor.clip_row_period_px": (2, 4096),
+    "sensor.clip_screen_sigma": (0.5, 8),
+    "optics.focal_length_m": (1e-6, 1e3),
+    "optics.working_distance_m": (1e-6, 1e6),
+    "optics.f_number": (0.1, 1e3),
+    "optics.filter_transmission": (0, 1),
+    "optics.lens_transmission": (0, 1),
+    "laser.power_w": (0, 1e6),
+    "laser.wavelength_m": (1e-8, 1e-3),
+    "laser.fwhm_x_m": (0, 1),
+    "laser.fwhm_y_m": (0, 1),
+    "material.reflectance": (0, 1),
+    "material.directional_factor": (0, 1e6),
+    "material.spread_along_m": (0, 1),
+    "material.spread_across_m": (0, 1),
+    "material.spread_polarisation": (-0.9, 0.9),
+    "material.reflectance_polarisation": (-0.99, 0.99),
+    "material.site_reflectance_scatter": (0, 3),
+    "material.site_spread_scatter": (0, 3),
+    "material.site_spread_exponent": (-3, 3),
+    "pointing.wander_px": (0, 1e5),
+    "pointing.border_px": (0, 1e5),
+    "speckle.patterns": (0, 10_000),
+    "speckle.field_px": (16, 4096),
+    "speckle.oversampling": (1, 8),
+    "beam.waist_x_m": (1e-7, 1),
+    "beam.waist_y_m": (1e-7, 1),
+    "beam.m2": (1, 1e3),
+    "beam.peak_fraction": (0, 100),
+    "beam.peak_scatter": (0, 1),
+}
+
+
+def load(path: Path) -> Settings:
+    """Settings from a YAML file; every fault is a `RigError` that names file and key."""
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror})") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise RigError(f"{path}: is not YAML ({str(error).splitlines()[0]})") from error
+    try:
+        return from_dict(tree if tree is not None else {})
+    except RigError as error:
+        raise RigError(f"{path}: {error}") from error
+
+
+def from_dict(tree: Any) -> Settings:
+    """Settings from a plain tree, as YAML or JSON gives it."""
+    settings = _build(Settings, tree, "")
+    if settings.source not in ("fibres", "beam"):
+        raise RigError(f"source: must be fibres or beam, not {settings.source!r}")
+    return settings
+
+
+def to_dict(settings: Settings) -> dict[str, Any]:
+    """The plain tree of the settings, for the truth file."""
+    return dataclasses.asdict(settings)
+
+
+def replace(settings: Settings, changes: dict[str, Any]) -> Settings:
+    """A copy with some dotted keys changed, e.g. `{"material.reflectance": 0.03}`."""
+    tree = to_dict(settings)
+    for key, value in changes.items():
+        *branches, leaf = key.split(".")
+        node = tree
+        for branch in branches:
+            node = node[branch]
+        if leaf not in node:
+            raise RigError(f"{key}: unknown key")
+        node[leaf] = value
+    return from_dict(tree)
+
+
+def _build(cls: Any, tree: Any, where: str) -> Any:
+    if not isinstance(tree, dict):
+        raise RigError(f"{where.rstrip('.') or 'settings'}: must be a mapping of keys to values")
+    hints = typing.get_type_hints(cls)
+    unknown = [str(key) for key in tree if key not in hints]
+    if unknown:
+        raise RigError(f"{where}{unknown[0]}: unknown key")
+    values = {}
+    for key, value in tree.items():
+        kind = hints[key]
+        if dataclasses.is_dataclass(kind):
+            values[key] = _build(kind, value, f"{where}{key}.")
+        else:
+            values[key] = _leaf(kind, value, f"{where}{key}")
+    return cls(**values)
+
+
+def _leaf(kind: Any, value: Any, name: str) -> Any:
+    optional = isinstance(kind, types.UnionType)
+    if optional and value is None:
+        return None
+    wanted = typing.get_args(kind)[0] if optional else kind
+    if wanted is str:
+        if not isinstance(value, str):
+            raise RigError(f"{name}: must be text, not {value!r}")
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise RigError(f"{name}: must be a number, not {value!r}")
+    try:
+        # YAML 1.1 reads 1e-3 (no point) as text.
+        number = float(value)
+    except ValueError:
+        raise RigError(f"{name}: must be a number, not {value!r}") from None
+    low, high = _BOUNDS.get(name, (-math.inf, math.inf))
+    if not math.isfinite(number) or not low <= number <= high:
+        raise RigError(f"{name}: must be a finite number from {low:g} to {high:g}, not {value!r}")
+    if wanted is int:
+        if number != int(number):
+            raise RigError(f"{name}: must be a whole number, not {value!r}")
+        return int(value)
+    return number

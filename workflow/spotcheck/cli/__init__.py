@@ -1,0 +1,62 @@
+"""The command line: one subcommand a stage, each in a module of its name.
+
+A subcommand module has `arguments(parser)` and `run(args)`. It parses, calls the library and writes; only the module that is
+asked for is imported, because imports are most of a short job's time.
+"""
+
+import argparse
+import importlib
+import sys
+
+COMMANDS = {
+    "check": "check a dataset folder against the contract, without decoding a pixel",
+    "ingest": "record digest, shape and extremes of every frame",
+    "crop": "crop every spot and reduce the frame around it",
+    "sensor": "settle the sensor: data sheet where it speaks, frames where they allow",
+    "fit": "fit a 2D Gaussian to every crop",
+    "calibrate": "p1, p2 and the peak from fits and frames",
+    "simulate": "the paper's model at the calibrated parameters, as a dataset folder",
+    "compare": "metrics of measured and simulated frames side by side",
+    "bounds": "Cramér-Rao bounds over exposure and photons",
+    "figures": "every figure that the results support",
+    "chain": "draw the rule graph of the workflow",
+    "paper": "compare the paper's numbers with what the workflow computed",
+    "equations": "tables of equations and symbols from the docstrings",
+    "report": "one self-contained page of figures, tables and what was skipped",
+    "new-dataset": "write a commented manifest and instrument file to fill in",
+    "where": "say where the results of a dataset lie",
+}
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Entry point. What the user can mend ends in one sentence and status 2."""
+    parser = argparse.ArgumentParser(
+        prog="spotcheck", description="How a camera sees a laser spot on a composite."
+    )
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    words = sys.argv[1:] if argv is None else argv
+    asked = next((word for word in words if word in COMMANDS), None)
+    for name, text in COMMANDS.items():
+        own = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        if name == asked:
+            module = importlib.import_module(f"spotcheck.cli.{name.replace('-', '_')}")
+            module.arguments(own)
+            own.set_defaults(run=module.run)
+    args = parser.parse_args(words)
+    from spotcheck.dataset import InputError
+
+    try:
+        args.run(args)
+    except InputError as error:
+        sys.exit(_say(str(error)))
+    except PermissionError as error:
+        sys.exit(
+            _say(
+                f"{error.filename}: cannot be written or read; give yourself the rights, or name another folder"
+            )
+        )
+
+
+def _say(sentence: str) -> int:
+    print(f"spotcheck: {sentence}", file=sys.stderr)
+    return 2

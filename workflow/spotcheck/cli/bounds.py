@@ -1,0 +1,31 @@
+"""`spotcheck bounds`: bounds.nc."""
+
+import argparse
+
+import numpy as np
+
+from spotcheck import dataset, provenance, store
+from spotcheck.estimate.bounds import bounds_of
+from spotcheck.estimate.sensor import model_of
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--calibration", required=True, help="calibration.nc")
+    parser.add_argument("--sensor", required=True, help="sensor.nc")
+    parser.add_argument("--output", required=True, help="bounds.nc to write")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Bounds of the peak's photons and of σ_g."""
+    found = dataset.load(args.dataset)
+    exposures = np.array(next(axis for axis in found.axes if axis.name == "exposure").values or [])
+    with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
+        result = bounds_of(
+            calibration, found.instrument, exposures, model_of(sensor), found.instrument.crop_px
+        )
+    store.write(
+        result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor]
+    )
+    print(result.attrs.get("skipped", f"bounds at {result.sizes.get('fine_exposure', 0)} exposures"))

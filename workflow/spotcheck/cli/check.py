@@ -1,0 +1,21 @@
+"""`spotcheck check`: the contract, without decoding a pixel."""
+
+import argparse
+
+from spotcheck import dataset
+from spotcheck.crops import check_dataset
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dataset", help="dataset folder")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Say how many frames of which kind there are, or raise `InputError`."""
+    found = dataset.load(args.dataset)
+    probe = check_dataset(found)
+    kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in dataset.KINDS)
+    print(
+        f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order"
+    )

@@ -1,0 +1,23 @@
+"""`spotcheck crop`: crops.nc."""
+
+import argparse
+from pathlib import Path
+
+from spotcheck import crops, dataset, provenance, store
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
+    parser.add_argument("--output", required=True, help="crops.nc to write")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Crop frame by frame."""
+    found = dataset.load(args.dataset)
+    with store.read(args.frames) as table:
+        crops.crop(
+            found, table, Path(args.output), code=provenance.code_digest(__name__), inputs=[args.frames]
+        )
+    print(f"{found.name}: {len(found.spots)} spots cropped to {found.instrument.crop_px} px")

@@ -1,0 +1,20 @@
+"""`spotcheck ingest`: frames.nc."""
+
+import argparse
+
+from spotcheck import crops, dataset, provenance, store
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--output", required=True, help="frames.nc to write")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Check the dataset, decode every frame once, record what it is."""
+    found = dataset.load(args.dataset)
+    table = crops.ingest(found)
+    inputs = [found.folder / "manifest.csv", found.folder / "instrument.yaml"]
+    store.write(table, args.output, code=provenance.code_digest(__name__), inputs=inputs)
+    print(f"{found.name}: {table.sizes['frame']} frames recorded")

@@ -1,0 +1,110 @@
+"""The metrics stage: measured and simulated frames side by side, by the same functions."""
+
+import numpy as np
+import xarray as xr
+
+from spotcheck import metrics, store
+from spotcheck.crops import cells, usable
+
+SOURCES = ("measured", "simulated")
+PER_IMAGE = {
+    "maximum": ("DN", "largest reading of the crop", lambda image: float(np.nanmax(image))),
+    "sum": ("DN", "sum of all readings of the crop", lambda image: float(np.nansum(image, dtype=np.float64))),
+    "speckle_contrast": ("1", "standard deviation over mean of the crop", metrics.speckle_contrast),
+    "peak_ratio": ("1", "pixels within 2 % of the maximum over pixels above half of it", metrics.peak_ratio),
+}
+FROM_FIT = {"amplitude": "DN", "sigma_mean": "pixel"}
+REGISTRATIONS = ("maximum", "fitted")
+RANGES = ("container", "sensor")
+
+
+def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scale: float) -> xr.Dataset:
+    """Metrics of both sources on the grid, PSNR between them, and means and standard deviations (n − 1) over repeats."""
+    measured = crops["measured"]
+    grid = store.grid_dims(measured)
+    dims = ("source", *grid, "centring")
+    shape = (2, *(measured.sizes[d] for d in dims[1:]))
+    values = {name: np.full(shape, np.nan) for name in (*PER_IMAGE, *FROM_FIT)}
+    for s, source in enumerate(SOURCES):
+        for name in FROM_FIT:
+            values[name][s] = fits[source][name].transpose(*dims[1:]).values
+        status = crops[source]["status"].values
+        for index in cells(crops[source], dims[1:]):
+            at = tuple(index.values())
+            if usable(status[at]):
+                image = crops[source]["image"].isel(index).values
+                for name, (_, _, function) in PER_IMAGE.items():
+                    values[name][(s, *at)] = function(image)
+    coords = {d: measured[d] for d in dims[1:] if d in measured.coords}
+    ds = xr.Dataset(coords=coords, attrs={n: measured.attrs[n] for n in ("title", "dataset", "not_recorded")})
+    for name, labels, long_name in (
+        ("source", SOURCES, "where the frames come from"),
+        ("registration", REGISTRATIONS, "how the two crops are laid over each other"),
+        ("data_range", RANGES, "range that PSNR is scaled to: 65535 of the container, or the sensor's own"),
+    ):
+        ds[name] = (name, np.array(labels, dtype=object), {"units": "1", "long_name": long_name})
+    for name, (units, long_name, _) in PER_IMAGE.items():
+        ds[name] = (dims, values[name], {"units": units, "long_name": long_name})
+    for name, units in FROM_FIT.items():
+        ds[name] = (
+            dims,
+            values[name],
+            {"units": units, "long_name": str(fits["measured"][name].attrs["long_name"])},
+        )
+    ds["psnr"] = (
+        (*grid, "registration", "data_range"),
+        _psnr(crops, fits, grid, full_scale),
+        {"units": "dB", "long_name": "peak signal-to-noise ratio of measured against simulated"},
+    )
+    ds["status"] = (
+        dims,
+        np.stack([fits[s]["status"].transpose(*dims[1:]).values for s in SOURCES]),
+        store.status_attributes(),
+    )
+    return _with_averages(ds)
+
+
+def _psnr(crops: dict, fits: dict, grid: tuple[str, ...], full_scale: float) -> np.ndarray:
+    measured, simulated = crops["measured"], crops["simulated"]
+    out = np.full((*(measured.sizes[d] for d in grid), 2, 2), np.nan)
+    ranges = (metrics.CONTAINER_RANGE, full_scale)
+    for index in cells(measured, grid):
+        at = tuple(index.values())
+        states = [c["status"].isel(index).values for c in (measured, simulated)]
+        if not all(usable(s) for state in states for s in state):
+            continue
+        images = [c["image"].sel(centring="maximum").isel(index).values for c in (measured, simulated)]
+        out[(*at, 0)] = [metrics.psnr(*images[::-1], data_range=r) for r in ranges]
+        registered = _registered(crops, fits, index)
+        if registered is not None:
+            out[(*at, 1)] = [metrics.psnr(*registered[::-1], data_range=r) for r in ranges]
+    return out
+
+
+def _registered(crops: dict, fits: dict, index: dict[str, int]) -> list[np.ndarray] | None:
+    """Measured crop, and the simulated one moved so that both fitted centres coincide."""
+    images, centres = [], []
+    for source in SOURCES:
+        own, fit = (d[source].sel(centring="light").isel(index) for d in (crops, fits))
+        images.append(own["image"].values)
+        centres.append(
+            [float(fit["y_centre"]) - float(own["top"]), float(fit["x_centre"]) - float(own["left"])]
+        )
+    rows, columns = np.subtract(*centres)
+    if not np.isfinite(rows + columns):
+        return None
+    return [images[0], metrics.shifted(images[1], rows, columns)]
+
+
+def _with_averages(ds: xr.Dataset) -> xr.Dataset:
+    for name in (*PER_IMAGE, *FROM_FIT, "psnr"):
+        attrs = ds[name].attrs
+        finite = ds[name].where(np.isfinite(ds[name]))
+        for suffix, text, result in (
+            ("mean", "mean over repeats", finite.mean("repeat")),
+            ("sd", "standard deviation (n - 1) over repeats", finite.std("repeat", ddof=1)),
+        ):
+            ds[f"{name}_{suffix}"] = result.assign_attrs(
+                units=attrs["units"], long_name=f"{attrs['long_name']}, {text}"
+            )
+    return ds

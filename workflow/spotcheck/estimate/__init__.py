@@ -1,0 +1,1 @@
+"""From frames to numbers: spot fit, p1 and p2, sensor noise, Fisher information and bounds."""

@@ -1,0 +1,73 @@
+"""Gain and noise floor from the differences of neighbouring pixels, for frames without a data sheet.
+
+One frame is enough. The variance of second differences along a row follows, over the grey level L above black,
+floor + K L + (c L)²: read noise and rounding, shot noise, and texture such as speckle, whose contrast c is fitted as well.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+BINS = 24
+# Fewest differences in a bin: the variance of a bin is then known to 10 %.
+FEWEST = 200
+
+
+class NoiseCurve(NamedTuple):
+    """Variance [DN²] of single pixels against grey level [DN], with the standard error of each variance."""
+
+    level: np.ndarray
+    variance: np.ndarray
+    stderr: np.ndarray
+
+
+class Gain(NamedTuple):
+    """K [DN/e-] and noise floor [DN²] (read noise and rounding) with standard errors."""
+
+    gain: float
+    gain_stderr: float
+    floor: float
+    floor_stderr: float
+
+
+def noise_curve(image: np.ndarray, full_scale: float) -> NoiseCurve:
+    """Noise against level of one image [rows, columns]; triples that touch a clip or a gap are left out."""
+    left, middle, right = image[:, :-2], image[:, 1:-1], image[:, 2:]
+    level = (left + middle + right) / 3
+    # A second difference kills offset and slope of the spot; its variance is 6 times a pixel's.
+    difference = (left - 2 * middle + right) / np.sqrt(6)
+    highest, lowest = np.maximum(np.maximum(left, middle), right), np.minimum(np.minimum(left, middle), right)
+    use = np.isfinite(difference) & (highest < full_scale) & (lowest > 0)
+    level, difference = level[use], difference[use]
+    if level.size < 2 * FEWEST:
+        return NoiseCurve(*(np.empty(0) for _ in range(3)))
+    edges = np.unique(np.quantile(level, np.linspace(0, 1, BINS + 1)))
+    place = np.clip(np.searchsorted(edges, level, side="right") - 1, 0, len(edges) - 2)
+    rows = []
+    for k in range(len(edges) - 1):
+        own = difference[place == k]
+        if own.size >= FEWEST:
+            variance = float(np.var(own))
+            # Neighbouring second differences overlap: a third of them is independent.
+            rows.append((float(level[place == k].mean()), variance, variance * np.sqrt(6 / own.size) + 1e-3))
+    return NoiseCurve(*np.array(rows).reshape(-1, 3).T)
+
+
+def gain_from_curve(curve: NoiseCurve, black_level: float) -> Gain | None:
+    """Fit floor + K L + (c L)² to a curve; None where K is not seen at three standard errors."""
+    if curve.level.size < 5:
+        return None
+    level = curve.level - black_level
+    design = np.stack([np.ones_like(level), level, level**2], axis=1)
+    for terms in (3, 2):
+        weighted = design[:, :terms] / curve.stderr[:, None]
+        solution, *_ = np.linalg.lstsq(weighted, curve.variance / curve.stderr, rcond=None)
+        if terms == 2 or solution[2] >= 0:  # a negative texture variance is none
+            break
+    residual = weighted @ solution - curve.variance / curve.stderr
+    inflation = max(1.0, float(residual @ residual) / max(level.size - terms, 1))
+    covariance = np.linalg.pinv(weighted.T @ weighted) * inflation
+    gain, gain_error = float(solution[1]), float(np.sqrt(covariance[1, 1]))
+    if not gain > 3 * gain_error:
+        return None
+    return Gain(gain, gain_error, float(solution[0]), float(np.sqrt(covariance[0, 0])))

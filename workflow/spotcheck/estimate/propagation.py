@@ -1,0 +1,80 @@
+"""p1 and p2: regression of fitted widths on ln t (Section 3.3), and the peak that makes the maxima agree."""
+
+import numpy as np
+from scipy.optimize import brentq
+
+from spotcheck.estimate.spotfit import fit_spot
+from spotcheck.model.baseline import Baseline
+from spotcheck.model.sensor import SensorModel
+from spotcheck.model.simulate import expected_maximum
+
+
+def regress(width_px: np.ndarray, exposure_s: np.ndarray, laser_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """p1, p2 [px] of each site by a straight line of σ̄ − M σ_la/s_px on ln(t / 1 s), as the paper's polyfit (Section 3.3).
+
+    `width_px` [..., exposure]; sites with fewer than two widths give NaN.
+    """
+    flat = width_px.reshape(-1, len(exposure_s))
+    out = np.full((len(flat), 2), np.nan)
+    for k, widths in enumerate(flat):
+        known = np.isfinite(widths)
+        if known.sum() >= 2:
+            out[k] = np.polyfit(np.log(exposure_s[known]), widths[known] - laser_px, 1)
+    shape = width_px.shape[:-1]
+    return out[:, 0].reshape(shape), out[:, 1].reshape(shape)
+
+
+def peak_from_maxima(
+    baseline: Baseline,
+    p1: float,
+    p2: float,
+    exposure_s,
+    maximum,
+    stderr,
+    sensor: SensorModel | None,
+    side: int,
+) -> float:
+    """Peak [DN] of the Gaussian at the longest exposure for which simulated and measured maxima agree in the weighted mean.
+
+    `maximum` [exposure] in DN are means over frames, `stderr` their errors: exposures whose maxima scatter weigh less.
+    Exposures that read full scale say nothing and are left out. NaN when none is left.
+    """
+    exposure_s, maximum, stderr = (np.asarray(a, float) for a in (exposure_s, maximum, stderr))
+    ceiling = sensor.full_scale_dn if sensor else np.inf
+    use = np.isfinite(maximum) & (maximum < 0.995 * ceiling)
+    if not use.any():
+        return np.nan
+    known = use & np.isfinite(stderr) & (stderr > 0)
+    weight = np.where(known, 1 / np.where(known, stderr, 1.0) ** 2, 0.0) if known.all() else use.astype(float)
+    weight = weight * use
+    pixel = np.arange(side, dtype=float)
+
+    def excess(peak: float) -> float:
+        total = 0.0
+        for t, measured, w in zip(exposure_s, maximum, weight, strict=True):
+            if w:
+                light = baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2)
+                simulated = expected_maximum(light, t, sensor) if sensor else float(light.max())
+                total += w * (simulated - measured)
+        return total
+
+    guess = float(np.average(maximum[use]))
+    low, high = guess / 8, guess * 8
+    if not excess(low) < 0 < excess(high):
+        return np.nan
+    return float(brentq(excess, low, high, xtol=1e-3))
+
+
+def simulate_and_fit(
+    baseline: Baseline, p1: float, p2: float, peak: float, exposure_s, side: int
+) -> np.ndarray:
+    """σ̄ [px] that the spot fit finds in the model's own mean image at each exposure.
+
+    A Gaussian fitted to a top hat is some 4 % wider than the Gaussian under it: simulate → fit misses its own input.
+    """
+    pixel = np.arange(side, dtype=float)
+    widths = []
+    for t in exposure_s:
+        light = baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2)
+        widths.append(fit_spot(light, t, None).value[7])
+    return np.array(widths)

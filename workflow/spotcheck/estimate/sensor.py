@@ -1,0 +1,83 @@
+"""The sensor that the chain runs on: data sheet where it speaks, frames where they allow, else unknown with the reason."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import xarray as xr
+
+from spotcheck import store
+from spotcheck.dataset import Dataset
+from spotcheck.estimate.noise import gain_from_curve, noise_curve
+from spotcheck.frames import full_scale
+from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+
+QUANTITIES = {
+    "gain_dn_per_e": ("DN/e-", "overall gain K"),
+    "read_noise_e": ("e-", "read noise, rms"),
+    "dark_current_e_per_s": ("e-/s", "dark current"),
+    "quantum_efficiency": ("1", "quantum efficiency"),
+    "full_well_e": ("e-", "full well; infinite when not given"),
+    "black_level_dn": ("DN", "reading without light"),
+    "full_scale_dn": ("DN", "largest reading of the converter"),
+}
+
+
+def resolve(dataset: Dataset, container_bits: int, crops: Iterable[np.ndarray]) -> xr.Dataset:
+    """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown."""
+    given = dataset.instrument.sensor
+    highest = full_scale(dataset.instrument, container_bits)
+    value = {name: getattr(given, name, None) for name in QUANTITIES}
+    source = {name: "instrument.yaml" for name in QUANTITIES}
+    stderr = dict.fromkeys(QUANTITIES, np.nan)
+    value["full_scale_dn"] = float(highest)
+    if given.bit_depth is None:
+        source["full_scale_dn"] = f"container of {container_bits} bit (sensor.bit_depth is missing)"
+    if value["full_well_e"] is None:
+        value["full_well_e"], source["full_well_e"] = np.inf, "none given"
+    if value["gain_dn_per_e"] is None or value["read_noise_e"] is None:
+        _from_frames(value, stderr, source, crops, highest)
+    ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
+    for name, (units, long_name) in QUANTITIES.items():
+        number = np.nan if value[name] is None else float(value[name])
+        ds[name] = ((), number, {"units": units, "long_name": long_name, "source": source[name]})
+        ds[f"{name}_stderr"] = (
+            (),
+            stderr[name],
+            {"units": units, "long_name": f"standard error of {long_name}"},
+        )
+    return ds
+
+
+def _from_frames(
+    value: dict, stderr: dict, source: dict, crops: Iterable[np.ndarray], highest: float
+) -> None:
+    """Fill gain and read noise from neighbour differences: the median over frames, its error from their scatter."""
+    found = [
+        g for g in (gain_from_curve(noise_curve(c, highest), value["black_level_dn"]) for c in crops) if g
+    ]
+    if not found:
+        for name in ("gain_dn_per_e", "read_noise_e"):
+            if value[name] is None:
+                source[name] = (
+                    "unknown: not in instrument.yaml, and no frame shows noise that grows with its light"
+                )
+        return
+    gains, floors = np.array([g.gain for g in found]), np.array([g.floor for g in found])
+    own = np.array([g.gain_stderr for g in found])
+    count = len(found)
+    how = f"differences of neighbouring pixels in {count} frame{'s' if count > 1 else ''}"
+    if value["gain_dn_per_e"] is None:
+        value["gain_dn_per_e"], source["gain_dn_per_e"] = float(np.median(gains)), how
+        scatter = 1.2533 * np.std(gains, ddof=1) / np.sqrt(count) if count > 1 else 0.0
+        stderr["gain_dn_per_e"] = float(np.hypot(scatter, np.median(own) / np.sqrt(count)))
+    if value["read_noise_e"] is None:
+        floor = max(float(np.median(floors)) - ROUNDING_VARIANCE, 0.0)
+        value["read_noise_e"], source["read_noise_e"] = np.sqrt(floor) / value["gain_dn_per_e"], how
+
+
+def model_of(ds: xr.Dataset) -> SensorModel | None:
+    """Sensor model of a sensor file; None where gain or read noise is unknown."""
+    numbers = {name: float(ds[name]) for name in QUANTITIES}
+    if not np.isfinite(numbers["gain_dn_per_e"]) or not np.isfinite(numbers["read_noise_e"]):
+        return None
+    return SensorModel(**numbers)

@@ -1,0 +1,231 @@
+"""Reading frames, finding the spot, cropping, and reducing what lies around it."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import tifffile
+from PIL import Image, UnidentifiedImageError
+from scipy import ndimage
+from skimage.measure import label
+
+from spotcheck.dataset import Dataset, Frame, InputError, Instrument
+
+# Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
+BLOCK_PX = 64
+# Side of the blocks in which the light is first looked for [px]: about the diameter of the smallest spot of interest.
+SEARCH_PX = 16
+# A spot must stand out of the noise of single pixels by this factor; the largest of 1e5 medians of nine reaches 1.9.
+SPOT_OVER_NOISE = 5.0
+
+
+class Probe(NamedTuple):
+    """What a file's header says of one page."""
+
+    shape: tuple[int, int]
+    bits: int
+
+
+def probe(path: Path, page: int, name: str) -> Probe:
+    """Shape [rows, columns] and container bits (8 or 16) of a page, from the header alone.
+
+    Raises `InputError` for a file that is cut short, is no image, or holds anything but one unsigned channel.
+    """
+    wanted = "it must be one channel of 8 or 16 bit unsigned integers"
+    if path.suffix.lower() in (".tif", ".tiff"):
+        try:
+            with tifffile.TiffFile(path) as tiff:
+                if page >= len(tiff.pages):
+                    raise InputError(
+                        f"{name}: has {len(tiff.pages)} pages; page must be below that (it counts from 0)"
+                    )
+                found = tiff.pages[page]
+                shape, dtype = found.shape, found.dtype
+                ends = [o + n for o, n in zip(found.dataoffsets, found.databytecounts, strict=True)]
+        except (tifffile.TiffFileError, ValueError, KeyError, IndexError, TypeError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{name}: cannot be read as TIFF, perhaps cut short; copy the file again"
+            ) from None
+        if not ends or max(ends) > path.stat().st_size:
+            raise InputError(f"{name}: the TIFF is cut short; copy the file again")
+        if len(shape) != 2:
+            raise InputError(f"{name}: has {shape[-1]} channels; {wanted}")
+        if dtype not in (np.uint8, np.uint16):
+            raise InputError(f"{name}: holds {dtype} pixels; {wanted}")
+        return Probe(shape, dtype.itemsize * 8)
+    if page:
+        raise InputError(f"{name}: only TIFF has pages; page must be 0 or blank")
+    try:
+        with Image.open(path) as image:
+            mode, (columns, rows) = image.mode, image.size
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
+        raise InputError(
+            f"{name}: cannot be read as an image, perhaps cut short; copy the file again"
+        ) from None
+    if mode not in ("L", "I;16", "I;16B", "I"):
+        raise InputError(f"{name}: has pixels of kind {mode}; {wanted}")
+    return Probe((rows, columns), 8 if mode == "L" else 16)
+
+
+def probe_all(dataset: Dataset) -> Probe:
+    """Probe of every frame of a dataset; they must agree, and hold a crop. Raises `InputError`."""
+    first: Probe | None = None
+    for frame in dataset.frames:
+        found = probe(dataset.folder / frame.file, frame.page, frame.label)
+        if first is None:
+            first = found
+        elif found.shape != first.shape:
+            raise InputError(
+                f"{frame.label}: {found.shape[1]} × {found.shape[0]} px, but {dataset.frames[0].label} has"
+                f" {first.shape[1]} × {first.shape[0]} px; all frames of a dataset must have one size"
+            )
+        elif found.bits != first.bits:
+            raise InputError(
+                f"{frame.label}: {found.bits} bit, but {dataset.frames[0].label} has {first.bits} bit;"
+                f" all frames of a dataset must have one depth"
+            )
+    assert first is not None  # read_manifest refuses an empty one
+    crop = dataset.instrument.crop_px
+    if dataset.spots and crop > min(first.shape):
+        raise InputError(
+            f"instrument.yaml: crop_px is {crop}, but the frames have {first.shape[1]} × {first.shape[0]} px;"
+            f" it must be at most {min(first.shape)}"
+        )
+    return first
+
+
+def read(dataset: Dataset, frame: Frame) -> np.ndarray:
+    """Pixels [rows, columns] of a frame in DN (unsigned), shifted out of a left-aligned container.
+
+    Raises `InputError` for a file that cannot be decoded or holds values above the bit depth.
+    """
+    path = dataset.folder / frame.file
+    try:
+        if path.suffix.lower() in (".tif", ".tiff"):
+            pixels = tifffile.imread(path, key=frame.page)
+        else:
+            with Image.open(path) as image:
+                pixels = np.asarray(image)
+    except (OSError, ValueError, SyntaxError, tifffile.TiffFileError, RuntimeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{frame.label}: cannot be decoded ({reason}); copy the file again") from None
+    if pixels.dtype not in (np.uint8, np.uint16):  # Pillow widens 16-bit PGM to int32
+        pixels = pixels.astype(np.uint16)
+    sensor = dataset.instrument.sensor
+    if sensor.value_shift_bits:
+        pixels = pixels >> sensor.value_shift_bits
+    highest = int(pixels.max())
+    if sensor.bit_depth is not None and highest > full_scale(dataset.instrument, 16):
+        raise InputError(
+            f"{frame.label}: holds the value {highest}, above the {full_scale(dataset.instrument, 16)} of"
+            f" sensor.bit_depth {sensor.bit_depth}; correct the bit depth, or set sensor.value_shift_bits"
+        )
+    return pixels
+
+
+def full_scale(instrument: Instrument, container_bits: int) -> int:
+    """Largest reading [DN]: of the converter where its depth is given, else of the container."""
+    return 2 ** (instrument.sensor.bit_depth or container_bits) - 1
+
+
+class Spot(NamedTuple):
+    """Where the spot is on the frame: pixel [row, column], and whether there is one."""
+
+    row: int
+    column: int
+    found: bool
+
+
+def brightest_pixel(pixels: np.ndarray) -> Spot:
+    """The maximum of the frame; of several equal ones the left-most, then the top-most (Section 3.1.1)."""
+    rows, columns = np.nonzero(pixels == pixels.max())
+    first = np.lexsort((rows, columns))[0]
+    return Spot(int(rows[first]), int(columns[first]), True)
+
+
+def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
+    """Centroid of the light above half a robust maximum, indifferent to isolated hot pixels.
+
+    The 2 × 2 minimum removes isolated pixels of any brightness before the brightest block is looked for; within a window
+    around it the 3 × 3 median does. Background is the median of the frame, sampled. `found` is False when nothing stands out
+    of the noise: then the place is the brightest block's.
+    """
+    eroded = np.minimum(pixels[:-1, :], pixels[1:, :])
+    eroded = np.minimum(eroded[:, :-1], eroded[:, 1:])
+    side = min(SEARCH_PX, *eroded.shape)
+    sums = _block_mean(eroded, side)
+    sums = ndimage.uniform_filter(sums, 3, mode="nearest") if min(sums.shape) > 3 else sums
+    block_row, block_column = np.unravel_index(np.argmax(sums), sums.shape)
+    row, column = int(block_row) * side + side // 2, int(block_column) * side + side // 2
+
+    sample = pixels[::8, ::8]
+    background = float(np.median(sample))
+    noise = 1.4826 * float(np.median(np.abs(sample - background)))
+    # Twice: a first window may cut a spot that is wider than the block that found it.
+    for _ in range(2):
+        top, left = max(row - window_px // 2, 0), max(column - window_px // 2, 0)
+        window = ndimage.median_filter(
+            pixels[top : top + window_px, left : left + window_px].astype(np.float32), 3, mode="nearest"
+        )
+        signal = window - background
+        peak = float(signal.max())
+        found = peak > max(SPOT_OVER_NOISE * noise, 1.0)
+        if not found:
+            break
+        regions = label(signal > peak / 2, connectivity=2)
+        light = ndimage.sum_labels(signal, regions, np.arange(1, regions.max() + 1))
+        rows, columns = np.nonzero(regions == 1 + int(np.argmax(light)))
+        weight = signal[rows, columns]
+        row = top + round(float(np.average(rows, weights=weight)))
+        column = left + round(float(np.average(columns, weights=weight)))
+    return Spot(row, column, found)
+
+
+def cut(pixels: np.ndarray, spot: Spot, side: int) -> np.ndarray:
+    """Crop [side, side] as float32 with the spot at pixel (side//2, side//2); NaN beyond the frame's border."""
+    crop = np.full((side, side), np.nan, np.float32)
+    top, left = spot.row - side // 2, spot.column - side // 2
+    rows = slice(max(top, 0), min(top + side, pixels.shape[0]))
+    columns = slice(max(left, 0), min(left + side, pixels.shape[1]))
+    crop[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[
+        rows, columns
+    ]
+    return crop
+
+
+class Surround(NamedTuple):
+    """Reduced copy of a whole frame [DN]: block means [block_row, block_column], row and column means."""
+
+    block_mean: np.ndarray
+    row_mean: np.ndarray
+    column_mean: np.ndarray
+
+
+def reduce_frame(pixels: np.ndarray) -> Surround:
+    """Block means (sides of `BLOCK_PX`, the remainder at the right and lower border left out), row and column means."""
+    side = min(BLOCK_PX, *pixels.shape)
+    return Surround(
+        _block_mean(pixels, side),
+        pixels.mean(axis=1, dtype=np.float64),
+        pixels.mean(axis=0, dtype=np.float64),
+    )
+
+
+def blocks_along(length: int, shape: tuple[int, int]) -> int:
+    """Number of blocks of the reduced copy along a side of a frame of `shape`."""
+    return length // min(BLOCK_PX, *shape)
+
+
+def _block_mean(pixels: np.ndarray, side: int) -> np.ndarray:
+    rows, columns = pixels.shape[0] // side, pixels.shape[1] // side
+    trimmed = pixels[: rows * side, : columns * side]
+    return trimmed.reshape(rows, side, columns, side).sum(axis=(1, 3), dtype=np.uint32) / side**2
+
+
+def spots(dataset: Dataset) -> Iterator[tuple[tuple[int, ...], Frame, np.ndarray]]:
+    """Index on the grid, frame and pixels of every spot, one at a time."""
+    for index, frame in dataset.cells():
+        yield index, frame, read(dataset, frame)

@@ -1,0 +1,109 @@
+"""From light to readings: photons → electrons → DN, with mean *and* variance (EMVA 1288 linear model; Eqs. 15, 16, 23–25).
+
+Order of the chain: Poisson electrons (light and dark current) → full well → read noise → gain K → black level → one
+rounding to nearest → 0 … full scale. `light_dn` is always K times the photo-electrons: the signal that a linear sensor
+without noise would add to its black level.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+# Variance of rounding to whole DN (Section 4.1.1): σ_q² = 1/12 DN².
+ROUNDING_VARIANCE = 1 / 12
+
+
+class SensorModel(NamedTuple):
+    """All that the chain needs, every value known: gain K [DN/e-], read noise [e-], dark current µ_I [e-/s], full well [e-],
+    black level [DN], full scale [DN], quantum efficiency [1]."""
+
+    gain_dn_per_e: float
+    read_noise_e: float
+    dark_current_e_per_s: float = 0.0
+    full_well_e: float = np.inf
+    black_level_dn: float = 0.0
+    full_scale_dn: float = np.inf
+    quantum_efficiency: float = 1.0
+
+
+class Reading(NamedTuple):
+    """Moments of a pixel's reading: mean [DN], variance [DN²], and d mean / d light_dn [1]."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+    response: np.ndarray
+
+
+def photo_electrons(photons, quantum_efficiency: float):
+    """µ_e [e-], mean electrons of a mean number of photons (Eq. 15)."""
+    return quantum_efficiency * photons
+
+
+def dark_signal(dark_e, gain_dn_per_e: float):
+    """β = µ_y,dark = K µ_d [DN], for a mean number of dark electrons (Eqs. 16 and 25)."""
+    return gain_dn_per_e * dark_e
+
+
+def mean_signal(photons, dark_e, gain_dn_per_e: float, quantum_efficiency: float):
+    """µ_y [DN] of the linear sensor (Eqs. 16, 24 and 29): K (η_qe µ_p + µ_d)."""
+    return gain_dn_per_e * photo_electrons(photons, quantum_efficiency) + dark_signal(dark_e, gain_dn_per_e)
+
+
+def reading(light_dn, exposure_s: float, sensor: SensorModel) -> Reading:
+    """Moments of the reading of each pixel under `light_dn`, both clips and the rounding included.
+
+    Electrons and read noise enter as one normal distribution, which the well and the converter clip; at fewer than about ten
+    electrons and no read noise the true distribution is skewed and this is an approximation.
+    """
+    gain = sensor.gain_dn_per_e
+    electrons = light_dn / gain + sensor.dark_current_e_per_s * exposure_s
+    well = _clipped_normal(electrons, electrons, 1.0, -np.inf, sensor.full_well_e, rounding=0.0)
+    mean = gain * well.mean + sensor.black_level_dn
+    noise = gain**2 * (well.variance + sensor.read_noise_e**2)
+    # Below the well a DN of mean brings K DN² of variance. Near it the variance falls again, which is left out: there the
+    # converter's own clip is far away.
+    out = _clipped_normal(mean, noise, gain, 0.0, sensor.full_scale_dn, rounding=ROUNDING_VARIANCE)
+    return Reading(out.mean, out.variance, out.response * well.response)
+
+
+def _clipped_normal(mean, variance, variance_slope, low: float, high: float, rounding: float) -> Reading:
+    """Moments of clip(z, low, high) for normal z; response is d/d mean, with d variance / d mean = variance_slope.
+
+    With `rounding` = 1/12, z is rounded to whole numbers before the clip. A sum over whole numbers is the midpoint rule of
+    the integral without rounding, so that Euler–Maclaurin gives what is added: inside/12 to the second moment, and half of
+    density/12 off the mean's distance to an edge.
+    """
+    if np.isneginf(low) and np.isposinf(high):
+        return Reading(mean, variance + rounding, np.ones_like(mean))
+    sd = np.sqrt(np.maximum(variance, 1e-300))
+    # Edges in units of sd; one that is 40 sd away never acts, and kept finite it makes no 0 · ∞.
+    a, b = np.maximum((low - mean) / sd, -40.0), np.minimum((high - mean) / sd, 40.0)
+    below, above = ndtr(a), ndtr(-b)
+    inside = 1 - below - above
+    pdf_a, pdf_b = _normal_pdf(a), _normal_pdf(b)
+    first = a * below + b * above + pdf_a - pdf_b
+    second = a * a * below + b * b * above + inside + a * pdf_a - b * pdf_b
+    at_low, at_high = rounding * pdf_a / (2 * sd), rounding * pdf_b / (2 * sd)
+    spread = sd**2 * np.maximum(second - first**2, 0.0) + rounding * inside
+    spread = spread + 2 * sd * ((first - a) * at_low + (b - first) * at_high)
+    response = inside + (pdf_a - pdf_b) * variance_slope / (2 * sd)
+    response = response - rounding * (a * pdf_a - b * pdf_b) / (2 * sd**2)
+    return Reading(mean + sd * first - at_low + at_high, spread, response)
+
+
+def _normal_pdf(z):
+    return np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
+
+
+def draw(light_dn, exposure_s: float, sensor: SensorModel, rng: np.random.Generator) -> np.ndarray:
+    """Random readings [DN, uint16] under `light_dn`, the whole chain (Eq. 23: H = S + B + W).
+
+    # ASSUME: µ_d of Eq. 16 is a count (dark current times exposure); the paper gives it in e-/s.
+    """
+    electrons = rng.poisson(light_dn / sensor.gain_dn_per_e + sensor.dark_current_e_per_s * exposure_s)
+    signal = np.minimum(electrons, sensor.full_well_e) + rng.normal(
+        0.0, sensor.read_noise_e, np.shape(light_dn)
+    )
+    dn = np.rint(sensor.gain_dn_per_e * signal + sensor.black_level_dn)
+    return np.clip(dn, 0, min(sensor.full_scale_dn, 65535)).astype(np.uint16)

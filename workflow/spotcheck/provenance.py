@@ -1,0 +1,90 @@
+"""Where a result comes from: digests of code and inputs, and the sidecar for what changes from run to run.
+
+The digest of a module covers every module of this package that it imports, directly or not. It is a rule parameter, so
+that an edit re-runs just the stages that it touches, and the code version in the files' attributes.
+"""
+
+import ast
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import sys
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+
+PACKAGE = Path(__file__).parent
+ROOT = PACKAGE.parent
+
+
+def module_file(module: str, root: Path = ROOT) -> Path | None:
+    """Source of a dotted module below `root`, None when it is not ours."""
+    path = root.joinpath(*module.split("."))
+    if path.with_suffix(".py").is_file():
+        return path.with_suffix(".py")
+    return path / "__init__.py" if (path / "__init__.py").is_file() else None
+
+
+def imported_modules(path: Path, root: Path = ROOT) -> set[str]:
+    """Dotted names of our own modules that the file at `path` imports anywhere, also inside functions."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        found.update(name for name in names if module_file(name, root))
+    return found
+
+
+def sources(module: str, root: Path = ROOT) -> list[Path]:
+    """Files that a module is made of: itself and all that it imports of ours, sorted."""
+    start = module_file(module, root)
+    if start is None:
+        raise ModuleNotFoundError(f"{module}: no module below {root.name}/")
+    seen, todo = {start}, [start]
+    while todo:
+        for name in imported_modules(todo.pop(), root):
+            file = module_file(name, root)
+            if file and file not in seen:
+                seen.add(file)
+                todo.append(file)
+    return sorted(seen)
+
+
+@cache
+def code_digest(*modules: str, root: Path = ROOT) -> str:
+    """Digest (12 hex digits) of the sources of one or more modules, e.g. "spotcheck.cli.fit"."""
+    digest = hashlib.sha256()
+    for path in sorted({path for module in modules for path in sources(module, root)}):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0")
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of a file, in hex."""
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def write_sidecar(path: Path) -> None:
+    """Beside `path`: when, where and with which versions it was made; kept out of the file so that it stays equal."""
+    packages = ("numpy", "scipy", "xarray", "netCDF4", "scikit-image", "matplotlib", "snakemake")
+    record = {
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "host": platform.node(),
+        "command": sys.argv,
+        "python": platform.python_version(),
+        "packages": {name: importlib.metadata.version(name) for name in packages},
+    }
+    folder = path.parent / ".runs"
+    folder.mkdir(exist_ok=True)
+    target = folder / f"{path.name}.json"
+    scratch = target.with_suffix(f".{os.getpid()}.part")
+    scratch.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    scratch.replace(target)

@@ -1,0 +1,187 @@
+"""The netCDF contract of every intermediate result, checked by one function on write and on read.
+
+Every variable and coordinate carries `units` and `long_name`; dimensions bear the names of the dataset contract; a file
+appears whole or not at all; equal inputs and equal code give equal files.
+"""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import netCDF4
+import numpy as np
+import xarray as xr
+
+from spotcheck import provenance
+from spotcheck.dataset import Dataset
+
+STATUS = {
+    1: ("missing", "no frame in this cell of the grid"),
+    2: ("black", "no light above the noise"),
+    4: ("saturated", "every pixel of the crop reads full scale"),
+    8: ("masked", "the crop reaches beyond the frame"),
+    16: ("clipped", "some pixels read full scale"),
+    32: ("not_converged", "the fit stopped before its minimum"),
+    64: ("at_limit", "the fit left the range in which a width can be trusted"),
+}
+UNUSABLE = 1 | 2 | 4
+
+
+class ContractError(ValueError):
+    """A result breaks the netCDF contract: a defect of the program, not of the user's input."""
+
+
+class Variable(NamedTuple):
+    """A variable to be filled frame by frame: dimensions beyond the grid, type, unit, meaning."""
+
+    dims: tuple[str, ...]
+    dtype: str
+    units: str
+    long_name: str
+
+
+def status_attributes() -> dict[str, Any]:
+    """CF attributes of a `status` variable, from the one table of flags."""
+    return {
+        "units": "1",
+        "long_name": "status flags; 0 is usable without remark",
+        "flag_masks": np.array(list(STATUS), dtype="i4"),
+        "flag_meanings": " ".join(name for name, _ in STATUS.values()),
+    }
+
+
+def flag(name: str) -> int:
+    """Bit of a status flag."""
+    return next(bit for bit, (own, _) in STATUS.items() if own == name)
+
+
+def check(ds: xr.Dataset, what: str) -> xr.Dataset:
+    """Raise `ContractError` unless every variable has units and long_name and float grids say their status."""
+    for name, variable in ds.variables.items():
+        for attribute in ("units", "long_name"):
+            if not str(variable.attrs.get(attribute, "")).strip():
+                raise ContractError(f"{what}: variable {name} has no {attribute}")
+    for attribute in ("title", "dataset"):
+        if attribute not in ds.attrs:
+            raise ContractError(f"{what}: attribute {attribute} is missing")
+    return ds
+
+
+def grid(dataset: Dataset) -> xr.Dataset:
+    """Empty dataset over the grid of spots: coordinates of the recorded axes, attribute for the others."""
+    coords = {
+        axis.name: (axis.name, np.array(axis.values), {"units": axis.units, "long_name": axis.long_name})
+        for axis in dataset.axes
+        if axis.values is not None
+    }
+    unrecorded = [axis.name for axis in dataset.axes if axis.values is None]
+    attrs = {"title": dataset.title, "dataset": dataset.name, "not_recorded": " ".join(unrecorded)}
+    return xr.Dataset(coords=coords, attrs=attrs)
+
+
+def grid_dims(ds: xr.Dataset) -> tuple[str, ...]:
+    """The dimensions of the grid of spots in a file that has a `status` on it."""
+    return tuple(str(d) for d in ds["status"].dims if d not in ("centring", "source"))
+
+
+def recorded(ds: xr.Dataset, axis: str) -> bool:
+    """Whether an axis of the grid has values."""
+    return axis in ds.coords
+
+
+def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str | Path] = ()) -> None:
+    """Write a result with its provenance. `code` is a digest (see `provenance`), `inputs` the files it was made from."""
+    path = Path(path)
+    ds = ds.assign_attrs(_provenance_attributes(code, inputs))
+    check(ds, path.name)
+    encoding: dict[str, dict] = {}
+    for name, variable in ds.variables.items():
+        numeric = variable.dtype.kind in "fiu"
+        encoding[str(name)] = {"zlib": True, "complevel": 1} if numeric and variable.ndim else {}
+        if variable.dtype.kind == "f":
+            encoding[str(name)]["_FillValue"] = np.nan
+    with _appearing_whole(path) as scratch:
+        ds.to_netcdf(scratch, engine="netcdf4", encoding=encoding)
+
+
+@contextmanager
+def frame_writer(
+    path: str | Path,
+    dataset: Dataset,
+    extra: xr.Dataset,
+    variables: Mapping[str, Variable],
+    *,
+    code: str,
+    inputs: Sequence[str | Path] = (),
+) -> Iterator["FrameWriter"]:
+    """A file over the grid of spots whose `variables` are filled frame by frame, so that no stack is ever held.
+
+    `extra` holds the coordinates of the dimensions beyond the grid.
+    """
+    path = Path(path)
+    template = xr.merge([grid(dataset), extra], combine_attrs="drop_conflicts")
+    template = check(template.assign_attrs(_provenance_attributes(code, inputs)), path.name)
+    with _appearing_whole(path) as scratch:
+        template.to_netcdf(scratch, engine="netcdf4")
+        with netCDF4.Dataset(scratch, "a") as nc:
+            for axis in dataset.axes:
+                if axis.values is None:
+                    nc.createDimension(axis.name, 1)
+            yield FrameWriter(nc, tuple(axis.name for axis in dataset.axes), variables)
+
+
+class FrameWriter:
+    """Fills the cells of a grid one by one; cells that are never written stay NaN with status `missing`."""
+
+    def __init__(self, nc: netCDF4.Dataset, grid_dims: tuple[str, ...], variables: Mapping[str, Variable]):
+        self._nc = nc
+        for name, spec in variables.items():
+            dims = (*grid_dims, *spec.dims)
+            shape = tuple(nc.dimensions[d].size for d in dims)
+            chunks = (1,) * len(grid_dims) + shape[len(grid_dims) :]
+            # Integers get no fill value: xarray would turn them into floats on reading.
+            fill = np.nan if spec.dtype.startswith("f") else None
+            variable = nc.createVariable(
+                name, spec.dtype, dims, zlib=True, complevel=1, chunksizes=chunks, fill_value=fill
+            )
+            variable.setncatts({"units": spec.units, "long_name": spec.long_name})
+            if name == "status":
+                variable.setncatts(status_attributes())
+            if fill is None:
+                variable[:] = np.full(shape, flag("missing") if name == "status" else -1, spec.dtype)
+
+    def put(self, index: tuple[int, ...], values: Mapping[str, Any]) -> None:
+        """Write the values of one frame at `index` on the grid."""
+        for name, value in values.items():
+            self._nc.variables[name][index] = value
+
+
+def read(path: str | Path) -> xr.Dataset:
+    """Open a result lazily and check the contract. The caller closes it or uses `with`."""
+    return check(xr.open_dataset(path, engine="netcdf4", decode_timedelta=False), Path(path).name)
+
+
+@contextmanager
+def _appearing_whole(path: Path) -> Iterator[Path]:
+    """A scratch name in the same folder that takes the final name only when all was written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        yield scratch
+        os.replace(scratch, path)
+    finally:
+        scratch.unlink(missing_ok=True)
+    provenance.write_sidecar(path)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    with _appearing_whole(Path(path)) as scratch:
+        scratch.write_text(text, encoding="utf-8")
+
+
+def _provenance_attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:
+    digests = [f"{Path(p).name} {provenance.file_digest(p)[:16]}" for p in inputs if Path(p).is_file()]
+    return {"code_version": code, "inputs": "; ".join(digests)}
