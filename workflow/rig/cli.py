@@ -22,18 +22,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _expose(options: argparse.Namespace) -> int:
-    truth = expose.expose_dataset(
-        options.dataset, settings.load(options.settings), options.truth, options.workers
-    )
+    truth = expose.expose_dataset(options.dataset, settings.load(options.settings), options.truth, options.workers)
     frames = sum(len(site["frames"]) for site in truth["sites"])
     print(f"{frames} frames of {len(truth['sites'])} sites in {options.dataset}")
     return 0
 
 
 def _search(options: argparse.Namespace) -> int:
-    from rig import search  # scipy's optimisers take a while to import; exposing does not need them
+    from rig import search  # scipy's special functions take a while to import; exposing does with fewer
 
-    return search.run(options)
+    effort = {name: getattr(options, name) for name in ("seed", "draws", "trials", "refinements")}
+    winner = search.run(options.dataset, settings.load(options.settings), options.table, options.best, **effort)
+    for one in winner.scores:
+        print(f"{'held' if one.held else 'MISS'}  {one.name:55s} {one.value:9.3f}  [{one.low:g}, {one.high:g}]")
+    print(f"{winner.rank[0]} of {len(winner.scores)} numbers held; best settings in {options.best}")
+    return 0
+
+
+def _score(options: argparse.Namespace) -> int:
+    from rig import search
+
+    scores, extras = search.score_settings(options.dataset, settings.load(options.settings), options.draws)
+    print("| number | value | range | held | held in other draws |\n|---|---|---|---|---|")
+    for one, share in scores:
+        row = f"| {one.name} | {one.value:.4g} | {one.low:g} … {one.high:g} | {'yes' if one.held else '**no**'}"
+        print(f"{row} | {share:.0%} |")
+    for name, value in extras.items():
+        print(f"| {name} | {value:.4g} | not counted | | |")
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -45,7 +61,29 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--truth", type=Path, required=True, help="where to write what was put in (JSON)")
     command.add_argument("--workers", type=int, default=1, help="processes; frames do not depend on it (default 1)")
     command.set_defaults(run=_expose)
+    command = commands.add_parser("search", help="search settings that meet the paper's printed numbers")
+    command.add_argument("dataset", type=Path, help="folder with manifest.csv: angle x exposure x repeat")
+    command.add_argument("--settings", type=Path, required=True, help="all that is not searched (rig.yaml)")
+    command.add_argument("--table", type=Path, required=True, help="where to write every full trial (CSV)")
+    command.add_argument("--best", type=Path, required=True, help="where to write the best settings (YAML)")
+    command.add_argument("--seed", type=int, default=5, help="seed of the search (default 5)")
+    command.add_argument("--draws", type=_count, default=6000, help="random points to screen (default 6000)")
+    command.add_argument("--trials", type=_count, default=30, help="screened points to try in full (default 30)")
+    command.add_argument("--refinements", type=int, default=120, help="steps around the best (default 120)")
+    command.set_defaults(run=_search)
+    command = commands.add_parser("score", help="how many of the paper's numbers a settings file meets")
+    command.add_argument("dataset", type=Path, help="folder with manifest.csv: angle x exposure x repeat")
+    command.add_argument("--settings", type=Path, required=True, help="the rig's settings (rig.yaml)")
+    command.add_argument("--draws", type=_count, default=5, help="simulations to compare with (default 5)")
+    command.set_defaults(run=_score)
     return parser
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"must be at least 1, not {text}")
+    return number
 
 
 if __name__ == "__main__":

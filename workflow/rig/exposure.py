@@ -101,9 +101,7 @@ def whole_frame(settings: Settings, lit: LitSite, shot: Shot) -> np.ndarray:
         if level is None or level < 0:
             raise RigError(f"manifest.csv: row {shot.index + 1}: a flat needs photons_per_px, 0 or more")
         levels = sensor.clip_levels_e(settings.sensor, settings.seed, range(shape[0]), range(shape[1]))
-        return sensor.expose(
-            settings.sensor, np.full(shape, level), exposure_s(settings, shot), levels, rng
-        )
+        return sensor.expose(settings.sensor, np.full(shape, level), exposure_s(settings, shot), levels, rng)
     frame = sensor.dark_frame(settings.sensor, shape, exposure_s(settings, shot), rng)
     if lit.spot is not None:
         frame[lit.window.slices] = window_frame(settings, lit, shot)

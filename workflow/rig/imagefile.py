@@ -19,7 +19,7 @@ def write_frame(path: Path, frame: np.ndarray, bit_depth: int) -> None:
         data = _tiff(frame.astype(np.uint16))
     else:
         narrow = frame.astype(np.uint8) if bit_depth <= 8 else frame.astype(">u2")
-        data = _png(narrow) if suffix == ".png" else _pgm(narrow, 2**bit_depth - 1)
+        data = _png(narrow) if suffix == ".png" else _pgm(narrow)
     write_whole(path, data)
 
 
@@ -51,7 +51,9 @@ def _tiff(frame: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-def _pgm(frame: np.ndarray, white: int) -> bytes:
+def _pgm(frame: np.ndarray) -> bytes:
+    # Pillow scales a PGM whose white is below 65535 up to it: 10-bit values come back unchanged only with 65535.
+    white = 255 if frame.itemsize == 1 else 65535
     return f"P5\n{frame.shape[1]} {frame.shape[0]}\n{white}\n".encode() + frame.tobytes()
 
 
@@ -62,7 +64,6 @@ def _png(frame: np.ndarray) -> bytes:
     header = struct.pack(">IIBBBBB", width, height, 8 * frame.itemsize, 0, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b""))
     body = b"".join(
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-        for name, data in chunks
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
     )
     return b"\x89PNG\r\n\x1a\n" + body

@@ -29,15 +29,14 @@ class Score:
 
     @property
     def miss(self) -> float:
-        """Distance outside the range in units of its width; with one end open, of 5 % of the other (at least 1)."""
-        if self.held:
-            return 0.0
+        """How far from safely inside: distance from the range less a tenth at each end, in units of its width."""
         if not math.isfinite(self.value):
             return 10.0
         width = self.high - self.low
-        if not math.isfinite(width):
+        if not math.isfinite(width):  # one end open: a twentieth of the other end, at least 1
             width = max(1.0, 0.05 * abs(self.low if math.isfinite(self.low) else self.high))
-        return min(10.0, (max(self.low - self.value, 0.0) + max(self.value - self.high, 0.0)) / width)
+        low, high = self.low + 0.1 * width, self.high - 0.1 * width
+        return min(10.0, max(low - self.value, self.value - high, 0.0) / width)
 
 
 @dataclass(frozen=True)
@@ -83,9 +82,7 @@ def observe(
             _measure_into(simulated, (i, k), crop)
             for j in range(grid[0]):
                 tables["psnr_db"][j, i, k] = measure.psnr_db(crops[j, i, k], crop)
-    return Observation(
-        angles_deg, exposures_s, tables, p1, p2, simulated, simulated["sigma_px"].mean(axis=1)
-    )
+    return Observation(angles_deg, exposures_s, tables, p1, p2, simulated, simulated["sigma_px"].mean(axis=1))
 
 
 def _measure_into(tables: dict[str, np.ndarray], cell: tuple[int, ...], crop: np.ndarray) -> None:

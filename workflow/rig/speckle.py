@@ -21,9 +21,7 @@ def grain_px(settings: Settings) -> float:
     return 0.6 / pupil_cutoff_per_px(settings)
 
 
-def pattern(
-    shape: tuple[int, int], cutoff_per_sample: float, patterns: int, rng: np.random.Generator
-) -> np.ndarray:
+def pattern(shape: tuple[int, int], cutoff_per_sample: float, patterns: int, rng: np.random.Generator) -> np.ndarray:
     """Intensity of `patterns` independent speckle fields added, mean 1, sampled at points (float32).
 
     The rough surface gives every point the same strength and a phase of its own; the pupil passes the frequencies

@@ -19,7 +19,8 @@ RANGES = ("container", "sensor")
 
 
 def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scale: float) -> xr.Dataset:
-    """Metrics of both sources on the grid, PSNR between them, and means and standard deviations (n − 1) over repeats."""
+    """Metrics of both sources on the grid, PSNR between them, and means and standard deviations (n − 1) over
+    repeats."""
     measured = crops["measured"]
     grid = store.grid_dims(measured)
     dims = ("source", *grid, "centring")
@@ -87,9 +88,7 @@ def _registered(crops: dict, fits: dict, index: dict[str, int]) -> list[np.ndarr
     for source in SOURCES:
         own, fit = (d[source].sel(centring="light").isel(index) for d in (crops, fits))
         images.append(own["image"].values)
-        centres.append(
-            [float(fit["y_centre"]) - float(own["top"]), float(fit["x_centre"]) - float(own["left"])]
-        )
+        centres.append([float(fit["y_centre"]) - float(own["top"]), float(fit["x_centre"]) - float(own["left"])])
     rows, columns = np.subtract(*centres)
     if not np.isfinite(rows + columns):
         return None

@@ -89,9 +89,7 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
     variables = {
         "image": store.Variable(("centring", "y", "x"), "f4", "DN", "crop; NaN beyond the frame"),
         "top": store.Variable(("centring",), "i4", "pixel", "row of the frame under row 0 of the crop"),
-        "left": store.Variable(
-            ("centring",), "i4", "pixel", "column of the frame under column 0 of the crop"
-        ),
+        "left": store.Variable(("centring",), "i4", "pixel", "column of the frame under column 0 of the crop"),
         "status": store.Variable(("centring",), "i4", "1", "status flags"),
         "block_mean": store.Variable(("block_y", "block_x"), "f4", "DN", "mean of each block of the frame"),
         "row_mean": store.Variable(("row",), "f4", "DN", "mean of each row of the frame"),

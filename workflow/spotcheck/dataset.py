@@ -214,7 +214,7 @@ def read_instrument(path: Path) -> Instrument:
     if not path.exists():
         return Instrument()
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _Loader) or {}
+        content = read_yaml(path) or {}
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" line {mark.line + 1}" if mark else ""
@@ -235,6 +235,11 @@ def read_instrument(path: Path) -> Instrument:
     return Instrument(**content, **sections)
 
 
+def read_yaml(path: Path) -> Any:
+    """Content of a YAML file, with numbers such as 5e-6 read as numbers and doubled keys refused."""
+    return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+
+
 class _Loader(yaml.SafeLoader):
     """YAML 1.2 numbers and no doubled keys: YAML 1.1 reads 5e-6 as text and keeps the last of two equal keys."""
 
@@ -243,9 +248,7 @@ class _Loader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=deep)
             if key in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"key {key} stands twice", problem_mark=key_node.start_mark
-                )
+                raise yaml.MarkedYAMLError(problem=f"key {key} stands twice", problem_mark=key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -279,9 +282,7 @@ def _explain(error: ValidationError) -> str:
         return f"key {key} is {error.instance!r}; it must be {kind[error.validator_value]}"
     if error.validator == "enum":
         return f"key {key} is {error.instance!r}; it must be one of {', '.join(error.validator_value)}"
-    bound = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most"}.get(
-        str(error.validator)
-    )
+    bound = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most"}.get(str(error.validator))
     if bound:
         return f"key {key} is {error.instance!r}; it must be {bound} {error.validator_value}"
     return f"key {key}: {error.message}"
@@ -344,9 +345,7 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
         raise InputError(f"{where}: exposure_s is {cell['exposure_s']}; it must be positive, in seconds")
     for condition in conditions:
         if spot and number(condition) is None:
-            raise InputError(
-                f"{where}: {condition} is blank; it is declared in conditions and needs a number"
-            )
+            raise InputError(f"{where}: {condition} is blank; it is declared in conditions and needs a number")
     file = cell["file"]
     folder = path.parent
     if not file or Path(file).is_absolute() or not (folder / file).resolve().is_relative_to(folder.resolve()):
@@ -378,7 +377,8 @@ def _check_rows(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ..
         ):
             if key in seen:
                 raise InputError(
-                    f"{path.name} lines {seen[key].line} and {frame.line} agree in {what}; every frame must be named once"
+                    f"{path.name} lines {seen[key].line} and {frame.line} agree in {what};"
+                    f" every frame must be named once"
                 )
             seen[key] = frame
     spots = [frame for frame in frames if frame.kind == "spot"]
@@ -395,9 +395,7 @@ def check_files(dataset: Dataset) -> None:
     """Every named frame is there, and every image in frames/ is named. Raises `InputError`."""
     for frame in dataset.frames:
         if not (dataset.folder / frame.file).is_file():
-            raise InputError(
-                f"manifest.csv line {frame.line}: {frame.file} is not there; add the file or drop the row"
-            )
+            raise InputError(f"manifest.csv line {frame.line}: {frame.file} is not there; add the file or drop the row")
     named = {(dataset.folder / frame.file).resolve() for frame in dataset.frames}
     for image in sorted((dataset.folder / "frames").rglob("*")):
         if image.suffix.lower() in IMAGE_SUFFIXES and image.resolve() not in named:
@@ -418,3 +416,11 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
+
+
+def find(name: str, shelf: Path) -> Path:
+    """Folder of a dataset given by path, or by its name on a shelf of datasets. Raises `InputError`."""
+    for folder in (Path(name), shelf / name):
+        if (folder / "manifest.csv").is_file():
+            return folder.resolve()
+    raise InputError(f"{name}: no folder with a manifest.csv, neither as a path nor as a name in {shelf.name}/")

@@ -37,18 +37,14 @@ def probe(path: Path, page: int, name: str) -> Probe:
         try:
             with tifffile.TiffFile(path) as tiff:
                 if page >= len(tiff.pages):
-                    raise InputError(
-                        f"{name}: has {len(tiff.pages)} pages; page must be below that (it counts from 0)"
-                    )
+                    raise InputError(f"{name}: has {len(tiff.pages)} pages; page must be below that (it counts from 0)")
                 found = tiff.pages[page]
                 shape, dtype = found.shape, found.dtype
                 ends = [o + n for o, n in zip(found.dataoffsets, found.databytecounts, strict=True)]
         except (tifffile.TiffFileError, ValueError, KeyError, IndexError, TypeError) as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(
-                f"{name}: cannot be read as TIFF, perhaps cut short; copy the file again"
-            ) from None
+            raise InputError(f"{name}: cannot be read as TIFF, perhaps cut short; copy the file again") from None
         if not ends or max(ends) > path.stat().st_size:
             raise InputError(f"{name}: the TIFF is cut short; copy the file again")
         if len(shape) != 2:
@@ -62,9 +58,7 @@ def probe(path: Path, page: int, name: str) -> Probe:
         with Image.open(path) as image:
             mode, (columns, rows) = image.mode, image.size
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
-        raise InputError(
-            f"{name}: cannot be read as an image, perhaps cut short; copy the file again"
-        ) from None
+        raise InputError(f"{name}: cannot be read as an image, perhaps cut short; copy the file again") from None
     if mode not in ("L", "I;16", "I;16B", "I"):
         raise InputError(f"{name}: has pixels of kind {mode}; {wanted}")
     return Probe((rows, columns), 8 if mode == "L" else 16)
@@ -149,9 +143,9 @@ def brightest_pixel(pixels: np.ndarray) -> Spot:
 def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
     """Centroid of the light above half a robust maximum, indifferent to isolated hot pixels.
 
-    The 2 × 2 minimum removes isolated pixels of any brightness before the brightest block is looked for; within a window
-    around it the 3 × 3 median does. Background is the median of the frame, sampled. `found` is False when nothing stands out
-    of the noise: then the place is the brightest block's.
+    The 2 × 2 minimum removes isolated pixels of any brightness before the brightest block is looked for; within a
+    window around it the 3 × 3 median does. Background is the median of the frame, sampled. `found` is False when
+    nothing stands out of the noise: then the place is the brightest block's.
     """
     eroded = np.minimum(pixels[:-1, :], pixels[1:, :])
     eroded = np.minimum(eroded[:, :-1], eroded[:, 1:])
@@ -190,9 +184,7 @@ def cut(pixels: np.ndarray, spot: Spot, side: int) -> np.ndarray:
     top, left = spot.row - side // 2, spot.column - side // 2
     rows = slice(max(top, 0), min(top + side, pixels.shape[0]))
     columns = slice(max(left, 0), min(left + side, pixels.shape[1]))
-    crop[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[
-        rows, columns
-    ]
+    crop[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[rows, columns]
     return crop
 
 

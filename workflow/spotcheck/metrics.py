@@ -1,10 +1,12 @@
-"""Quality metrics of a spot's image: PSNR, speckle contrast, maximum, sum, peak ratio (Sections 2.2.2, 4.1.2 and 6.2)."""
+"""Quality metrics of a spot's image: PSNR, speckle contrast, maximum, sum, peak ratio (Sections 2.2.2, 4.1.2 and
+6.2)."""
 
 import numpy as np
 from scipy import ndimage
 from skimage.metrics import peak_signal_noise_ratio
 
-# The paper scales PSNR to the container, although the sensor fills 10 bits of it: 36.1 dB more than the sensor's own range.
+# The paper scales PSNR to the container, although the sensor fills 10 bits of it: 36.1 dB more than the sensor's own
+# range.
 CONTAINER_RANGE = 65535.0
 # A peak pixel lies within this part of the image maximum, a plateau pixel above that one (Section 6.2).
 PEAK_WITHIN = 0.02
@@ -18,7 +20,8 @@ def speckle_contrast(image: np.ndarray) -> float:
 
 
 def mean_of_frames(frames: np.ndarray) -> float:
-    """µ_y [DN], the mean over all pixels of several frames [frame, rows, columns] (Eq. 17, with its sum rightly normalised)."""
+    """µ_y [DN], the mean over all pixels of several frames [frame, rows, columns] (Eq. 17, with its sum rightly
+    normalised)."""
     return float(np.mean(frames, dtype=np.float64))
 
 
@@ -48,9 +51,7 @@ def psnr(reference: np.ndarray, image: np.ndarray, data_range: float) -> float:
     if np.array_equal(reference[both], image[both]):
         return np.inf
     return float(
-        peak_signal_noise_ratio(
-            reference[both].astype(float), image[both].astype(float), data_range=data_range
-        )
+        peak_signal_noise_ratio(reference[both].astype(float), image[both].astype(float), data_range=data_range)
     )
 
 
@@ -58,7 +59,5 @@ def shifted(image: np.ndarray, rows: float, columns: float) -> np.ndarray:
     """The image moved by a fraction of pixels (cubic interpolation); NaN where nothing came from inside."""
     filled = np.where(np.isfinite(image), image, 0.0)
     moved = ndimage.shift(filled.astype(float), (rows, columns), order=3, mode="nearest")
-    outside = ndimage.shift(
-        (~np.isfinite(image)).astype(float), (rows, columns), order=0, mode="constant", cval=1.0
-    )
+    outside = ndimage.shift((~np.isfinite(image)).astype(float), (rows, columns), order=0, mode="constant", cval=1.0)
     return np.where(outside > 0.5, np.nan, moved)

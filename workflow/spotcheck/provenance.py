@@ -27,10 +27,22 @@ def module_file(module: str, root: Path = ROOT) -> Path | None:
     return path / "__init__.py" if (path / "__init__.py").is_file() else None
 
 
+@cache
 def imported_modules(path: Path, root: Path = ROOT) -> set[str]:
     """Dotted names of our own modules that the file at `path` imports anywhere, also inside functions."""
+    return _imports(path.read_text(encoding="utf-8"), root)
+
+
+def notebook_modules(path: Path, root: Path = ROOT) -> list[str]:
+    """Dotted names of our own modules that a notebook imports."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    return sorted(_imports(code, root))
+
+
+def _imports(source: str, root: Path) -> set[str]:
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
@@ -68,7 +80,7 @@ def code_digest(*modules: str, root: Path = ROOT) -> str:
 
 def file_digest(path: str | Path) -> str:
     """SHA-256 of a file, in hex."""
-    with open(path, "rb") as stream:
+    with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

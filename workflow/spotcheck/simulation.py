@@ -1,4 +1,5 @@
-"""The simulate stage: the paper's model at the calibrated parameters, as mean images and as a dataset folder of its own.
+"""The simulate stage: the paper's model at the calibrated parameters, as mean images and as a dataset folder of its
+own.
 
 The folder keeps the dataset contract, so that simulated frames pass the very stages that measured ones do.
 """
@@ -30,10 +31,9 @@ class SpotState(NamedTuple):
     sigma: float
 
 
-def spot_states(
-    dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset
-) -> dict[tuple[int, ...], SpotState]:
-    """Peak and width of every frame of the grid: by the law of the baseline, or each frame's own fit where no law was found."""
+def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> dict[tuple[int, ...], SpotState]:
+    """Peak and width of every frame of the grid: by the law of the baseline, or each frame's own fit where no law was
+    found."""
     baseline = of_instrument(dataset.instrument, _exposures(dataset))
     states = {}
     own = fits.sel(centring="light")

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import provenance
-from spotcheck.dataset import Dataset
+from spotcheck.dataset import Dataset, InputError
 
 STATUS = {
     1: ("missing", "no frame in this cell of the grid"),
@@ -92,7 +92,8 @@ def recorded(ds: xr.Dataset, axis: str) -> bool:
 
 
 def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str | Path] = ()) -> None:
-    """Write a result with its provenance. `code` is a digest (see `provenance`), `inputs` the files it was made from."""
+    """Write a result with its provenance. `code` is a digest (see `provenance`), `inputs` the files it was made
+    from."""
     path = Path(path)
     ds = ds.assign_attrs(_provenance_attributes(code, inputs))
     check(ds, path.name)
@@ -170,7 +171,7 @@ def _appearing_whole(path: Path) -> Iterator[Path]:
     scratch = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield scratch
-        os.replace(scratch, path)
+        scratch.replace(path)
     finally:
         scratch.unlink(missing_ok=True)
     provenance.write_sidecar(path)
@@ -180,6 +181,22 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text file whole or not at all."""
     with _appearing_whole(Path(path)) as scratch:
         scratch.write_text(text, encoding="utf-8")
+
+
+def claim(results: Path, folder: Path) -> None:
+    """Make a results folder and note whose it is. Raises `InputError` when it is another dataset's or cannot be written."""
+    note = results / ".dataset"
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        owner = note.read_text(encoding="utf-8").strip() if note.exists() else None
+        if owner is None:
+            note.write_text(f"{folder}\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{results}: cannot be written ({error.strerror}); name another folder in `results`") from None
+    if owner not in (None, str(folder)):
+        raise InputError(
+            f"{results}: holds the results of {owner}, another folder of the same name; name another folder in `results`"
+        )
 
 
 def _provenance_attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:

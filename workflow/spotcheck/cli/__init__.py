@@ -1,7 +1,7 @@
 """The command line: one subcommand a stage, each in a module of its name.
 
-A subcommand module has `arguments(parser)` and `run(args)`. It parses, calls the library and writes; only the module that is
-asked for is imported, because imports are most of a short job's time.
+A subcommand module has `arguments(parser)` and `run(args)`. It parses, calls the library and writes; only the module
+that is asked for is imported, because imports are most of a short job's time.
 """
 
 import argparse
@@ -30,9 +30,7 @@ COMMANDS = {
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point. What the user can mend ends in one sentence and status 2."""
-    parser = argparse.ArgumentParser(
-        prog="spotcheck", description="How a camera sees a laser spot on a composite."
-    )
+    parser = argparse.ArgumentParser(prog="spotcheck", description="How a camera sees a laser spot on a composite.")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     words = sys.argv[1:] if argv is None else argv
     asked = next((word for word in words if word in COMMANDS), None)
@@ -50,11 +48,7 @@ def main(argv: list[str] | None = None) -> None:
     except InputError as error:
         sys.exit(_say(str(error)))
     except PermissionError as error:
-        sys.exit(
-            _say(
-                f"{error.filename}: cannot be written or read; give yourself the rights, or name another folder"
-            )
-        )
+        sys.exit(_say(f"{error.filename}: cannot be written or read; give yourself the rights, or name another folder"))
 
 
 def _say(sentence: str) -> int:

@@ -22,10 +22,6 @@ def run(args: argparse.Namespace) -> None:
     found = dataset.load(args.dataset)
     exposures = np.array(next(axis for axis in found.axes if axis.name == "exposure").values or [])
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
-        result = bounds_of(
-            calibration, found.instrument, exposures, model_of(sensor), found.instrument.crop_px
-        )
-    store.write(
-        result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor]
-    )
+        result = bounds_of(calibration, found.instrument, exposures, model_of(sensor), found.instrument.crop_px)
+    store.write(result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor])
     print(result.attrs.get("skipped", f"bounds at {result.sizes.get('fine_exposure', 0)} exposures"))

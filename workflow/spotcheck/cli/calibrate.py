@@ -28,8 +28,5 @@ def run(args: argparse.Namespace) -> None:
     else:
         own = found.sel(estimator=USED)
         print(
-            ", ".join(
-                f"{p} = {float(own[f'{p}_mean']):.3f} ± {float(own[f'{p}_sd_all']):.3f} px"
-                for p in ("p1", "p2")
-            )
+            ", ".join(f"{p} = {float(own[f'{p}_mean']):.3f} ± {float(own[f'{p}_sd_all']):.3f} px" for p in ("p1", "p2"))
         )

@@ -16,6 +16,4 @@ def run(args: argparse.Namespace) -> None:
     found = dataset.load(args.dataset)
     probe = check_dataset(found)
     kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in dataset.KINDS)
-    print(
-        f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order"
-    )
+    print(f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order")

@@ -8,12 +8,8 @@ from spotcheck.comparison import compare
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
-    parser.add_argument(
-        "--crops", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="crops.nc of both"
-    )
-    parser.add_argument(
-        "--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both"
-    )
+    parser.add_argument("--crops", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="crops.nc of both")
+    parser.add_argument("--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
     parser.add_argument("--output", required=True, help="metrics.nc to write")
 

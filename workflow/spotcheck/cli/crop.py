@@ -17,7 +17,5 @@ def run(args: argparse.Namespace) -> None:
     """Crop frame by frame."""
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table:
-        crops.crop(
-            found, table, Path(args.output), code=provenance.code_digest(__name__), inputs=[args.frames]
-        )
+        crops.crop(found, table, Path(args.output), code=provenance.code_digest(__name__), inputs=[args.frames])
     print(f"{found.name}: {len(found.spots)} spots cropped to {found.instrument.crop_px} px")

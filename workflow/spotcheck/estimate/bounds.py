@@ -20,9 +20,7 @@ POINTS = 41
 BEYOND, DECADES = 4.0, 3.0
 
 
-def peak_bounds(
-    peak_photons: float, sigma_px: float, exposure_s: float, sensor: SensorModel, side: int
-) -> np.ndarray:
+def peak_bounds(peak_photons: float, sigma_px: float, exposure_s: float, sensor: SensorModel, side: int) -> np.ndarray:
     """Bounds [law, (Var µ_p,max, Var σ_g)] in photons² and px² for a centred Gaussian on side × side pixels."""
     pixel = np.arange(side, dtype=float) - side // 2
     dark_e = sensor.dark_current_e_per_s * exposure_s
@@ -73,9 +71,7 @@ def bounds_of(
     ds["fine_exposure"] = ("fine_exposure", fine, {"units": "s", "long_name": "exposure time"})
     ds["photons"] = ("photons", photons, {"units": "1", "long_name": "photons on the brightest pixel"})
     over_exposure = np.array([peak_bounds(*s, t, sensor, side) for s, t in zip(states, fine, strict=True)])
-    over_photons = np.array(
-        [peak_bounds(n, reference[1], float(np.median(exposures)), sensor, side) for n in photons]
-    )
+    over_photons = np.array([peak_bounds(n, reference[1], float(np.median(exposures)), sensor, side) for n in photons])
     for name, dim, values in (
         ("exposure", "fine_exposure", over_exposure),
         ("photons", "photons", over_photons),
@@ -97,11 +93,7 @@ def bounds_of(
     return ds.assign_attrs({f"law_{name}": text for name, text in LAWS.items()})
 
 
-def _state(
-    baseline: Baseline, t: float, p1: float, p2: float, peak: float, sensor: SensorModel
-) -> tuple[float, float]:
+def _state(baseline: Baseline, t: float, p1: float, p2: float, peak: float, sensor: SensorModel) -> tuple[float, float]:
     """Photons on the brightest pixel, and σ_g [px], at an exposure [s]."""
     amplitude = peak * baseline.relative_peak(t, p1, p2)
-    return float(amplitude / (sensor.gain_dn_per_e * sensor.quantum_efficiency)), float(
-        baseline.sigma(t, p1, p2)
-    )
+    return float(amplitude / (sensor.gain_dn_per_e * sensor.quantum_efficiency)), float(baseline.sigma(t, p1, p2))

@@ -20,19 +20,16 @@ ESTIMATORS = {
 USED = "regression"
 
 
-def calibrate(
-    crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, sensor: SensorModel | None
-) -> xr.Dataset:
-    """Calibration file; with `skipped` and its reason in the attributes where the design does not support a law in t."""
+def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, sensor: SensorModel | None) -> xr.Dataset:
+    """Calibration file; with `skipped` and its reason in the attributes where the design does not support a law in
+    t."""
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
     if not store.recorded(fits, "exposure"):
         return ds.assign_attrs(skipped="p1 and p2 need exposure times, and the manifest gives none")
     exposures = fits["exposure"].values
     baseline = of_instrument(instrument, exposures)
     if baseline.photon_budget == "free":
-        return ds.assign_attrs(
-            skipped="model.photon_budget is free: every frame has its own width, no law in t"
-        )
+        return ds.assign_attrs(skipped="model.photon_budget is free: every frame has its own width, no law in t")
     light, site_dims = _widths(fits)
     if np.isfinite(light.values).any(axis=tuple(range(light.ndim - 1))).sum() < 2:
         return ds.assign_attrs(skipped="p1 and p2 need usable spots at two exposures or more")
@@ -52,9 +49,7 @@ def calibrate(
         ds[name] = (("estimator", *site_dims), values, _attrs(f"{name} of each site"))
     _averages(ds, site_dims)
 
-    results = {
-        m: np.array([ds["p1_mean"].sel(estimator=m), ds["p2_mean"].sel(estimator=m)], float) for m in per_site
-    }
+    results = {m: np.array([ds["p1_mean"].sel(estimator=m), ds["p2_mean"].sel(estimator=m)], float) for m in per_site}
     maximum, maximum_stderr = _maxima(crops)
     side = crops.sizes["x"]
     peaks, converged = {}, False
@@ -96,7 +91,8 @@ def _attrs(long_name: str, units: str = "pixel") -> dict[str, str]:
 
 
 def _widths(fits: xr.Dataset) -> tuple[xr.DataArray, tuple[str, ...]]:
-    """σ̄ of usable fits [site dims..., exposure], and the site dims. The paper's centring is used: its fits are the paper's."""
+    """σ̄ of usable fits [site dims..., exposure], and the site dims. The paper's centring is used: its fits are the
+    paper's."""
     own = fits.sel(centring="light")
     good = (own["status"] & (store.UNUSABLE | store.flag("not_converged") | store.flag("at_limit"))) == 0
     width = own["sigma_mean"].where(good)
@@ -140,9 +136,7 @@ def _maxima(crops: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     by_exposure = np.moveaxis(maximum, dims.index("exposure"), 0).reshape(crops.sizes["exposure"], -1)
     count = np.isfinite(by_exposure).sum(axis=1)
     mean = np.array([np.nanmean(row) if n else np.nan for row, n in zip(by_exposure, count, strict=True)])
-    sd = np.array(
-        [np.nanstd(row, ddof=1) if n > 1 else np.nan for row, n in zip(by_exposure, count, strict=True)]
-    )
+    sd = np.array([np.nanstd(row, ddof=1) if n > 1 else np.nan for row, n in zip(by_exposure, count, strict=True)])
     return mean, sd / np.sqrt(np.maximum(count, 1))
 
 
@@ -170,9 +164,7 @@ def _likelihood(crops, fits, baseline: Baseline, sensor: SensorModel, start, sit
     return fit_baseline(frames, baseline, sensor, start, np.array(centres))
 
 
-def _misses(
-    ds: xr.Dataset, baseline: Baseline, results: dict, peaks: dict, exposures: np.ndarray, side: int
-) -> None:
+def _misses(ds: xr.Dataset, baseline: Baseline, results: dict, peaks: dict, exposures: np.ndarray, side: int) -> None:
     """Simulate at each estimator's p1 and p2, fit, regress in the same way: output less input."""
     miss = np.full((len(ESTIMATORS), 2), np.nan)
     for k, estimator in enumerate(ESTIMATORS):

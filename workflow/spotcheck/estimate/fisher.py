@@ -1,7 +1,7 @@
 """Fisher information and Cramér–Rao bounds (Eqs. 30–38), in electrons.
 
-A mean in DN has no Poisson law: the paper's own bounds, which put one in, come out smaller by K in the information and are
-offered by name only (`information_in_dn`).
+A mean in DN has no Poisson law: the paper's own bounds, which put one in, come out smaller by K in the information
+and are offered by name only (`information_in_dn`).
 """
 
 from functools import cache
@@ -42,15 +42,14 @@ def poisson_information(mean_e):
 def read_noise_information(mean_e, read_noise_e: float):
     """I(ν) [1/e-²] of a Poisson mean read with Gaussian noise: E[(∂ ln ρ/∂ν)²] over the density of Eq. 30.
 
-    Interpolated in the logarithm of ν between quadratures, `NODES_PER_DECADE` of them; between 1/ν (no noise) and 0, near
-    1/(ν + σ²). Below 1e-3 e- the value at 1e-3 holds.
+    Interpolated in the logarithm of ν between quadratures, `NODES_PER_DECADE` of them; between 1/ν (no noise) and 0,
+    near 1/(ν + σ²). Below 1e-3 e- the value at 1e-3 holds.
     """
     mean_e = np.maximum(np.asarray(mean_e, float), 1e-3)
     if read_noise_e == 0:
         return poisson_information(mean_e)
     first, last = (
-        int(edge(np.log10(v) * NODES_PER_DECADE))
-        for edge, v in ((np.floor, mean_e.min()), (np.ceil, mean_e.max()))
+        int(edge(np.log10(v) * NODES_PER_DECADE)) for edge, v in ((np.floor, mean_e.min()), (np.ceil, mean_e.max()))
     )
     nodes = 10 ** (np.arange(first, max(last, first + 1) + 1) / NODES_PER_DECADE)
     # Relative to 1/(ν + σ²) the information is smooth and close to 1.
@@ -84,7 +83,8 @@ def information(slopes: np.ndarray, pixel_information: np.ndarray) -> np.ndarray
 
 
 def information_from_scores(scores: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """I(θ) = E[(∂ ln ρ/∂θ)ᵀ (∂ ln ρ/∂θ)] of one pixel (Eq. 33), from scores [parameter, outcome] and their probability."""
+    """I(θ) = E[(∂ ln ρ/∂θ)ᵀ (∂ ln ρ/∂θ)] of one pixel (Eq. 33), from scores [parameter, outcome] and their
+    probability."""
     return (scores * probability) @ scores.T
 
 

@@ -1,7 +1,7 @@
 """Maximum likelihood of the baseline on all frames at once: p1, p2, the peak, and one centre a site.
 
-A reading in electrons plus the variance of read noise and rounding is taken as Poisson (the usual sCMOS approximation), with
-the mean of the full sensor model, clips included. Frames are read one at a time.
+A reading in electrons plus the variance of read noise and rounding is taken as Poisson (the usual sCMOS
+approximation), with the mean of the full sensor model, clips included. Frames are read one at a time.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,8 @@ STEP_TOLERANCE = 0.02
 
 
 class SiteFrame(NamedTuple):
-    """One frame for the joint fit: which site, exposure [s], position [px] of the crop on the sensor, and its pixels."""
+    """One frame for the joint fit: which site, exposure [s], position [px] of the crop on the sensor, and its
+    pixels."""
 
     site: int
     exposure_s: float
@@ -28,7 +29,8 @@ class SiteFrame(NamedTuple):
 
 
 class JointFit(NamedTuple):
-    """p1 [px], p2 [px], peak [DN] with standard errors, the centres [site, (x, y)] on the sensor, and whether it converged."""
+    """p1 [px], p2 [px], peak [DN] with standard errors, the centres [site, (x, y)] on the sensor, and whether it
+    converged."""
 
     value: np.ndarray
     stderr: np.ndarray
@@ -113,9 +115,7 @@ def _reduced(information, damping: float):
     inflate = 1 + damping
     local = i_local + damping * np.einsum("sij,ij->sij", i_local, np.eye(2)) + 1e-12 * np.eye(2)
     weight = np.einsum("sij,sjk->sik", i_between, np.linalg.inv(local))
-    schur = (
-        i_shared + (inflate - 1) * np.diag(np.diag(i_shared)) - np.einsum("sij,skj->ik", weight, i_between)
-    )
+    schur = i_shared + (inflate - 1) * np.diag(np.diag(i_shared)) - np.einsum("sij,skj->ik", weight, i_between)
     return schur, weight, local
 
 

@@ -1,7 +1,8 @@
 """Gain and noise floor from the differences of neighbouring pixels, for frames without a data sheet.
 
 One frame is enough. The variance of second differences along a row follows, over the grey level L above black,
-floor + K L + (c L)²: read noise and rounding, shot noise, and texture such as speckle, whose contrast c is fitted as well.
+floor + K L + (c L)²: read noise and rounding, shot noise, and texture such as speckle, whose contrast c is fitted as
+well.
 """
 
 from typing import NamedTuple

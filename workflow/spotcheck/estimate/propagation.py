@@ -10,7 +10,8 @@ from spotcheck.model.simulate import expected_maximum
 
 
 def regress(width_px: np.ndarray, exposure_s: np.ndarray, laser_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """p1, p2 [px] of each site by a straight line of σ̄ − M σ_la/s_px on ln(t / 1 s), as the paper's polyfit (Section 3.3).
+    """p1, p2 [px] of each site by a straight line of σ̄ − M σ_la/s_px on ln(t / 1 s), as the paper's polyfit (Section
+    3.3).
 
     `width_px` [..., exposure]; sites with fewer than two widths give NaN.
     """
@@ -34,7 +35,8 @@ def peak_from_maxima(
     sensor: SensorModel | None,
     side: int,
 ) -> float:
-    """Peak [DN] of the Gaussian at the longest exposure for which simulated and measured maxima agree in the weighted mean.
+    """Peak [DN] of the Gaussian at the longest exposure for which simulated and measured maxima agree in the weighted
+    mean.
 
     `maximum` [exposure] in DN are means over frames, `stderr` their errors: exposures whose maxima scatter weigh less.
     Exposures that read full scale say nothing and are left out. NaN when none is left.
@@ -65,9 +67,7 @@ def peak_from_maxima(
     return float(brentq(excess, low, high, xtol=1e-3))
 
 
-def simulate_and_fit(
-    baseline: Baseline, p1: float, p2: float, peak: float, exposure_s, side: int
-) -> np.ndarray:
+def simulate_and_fit(baseline: Baseline, p1: float, p2: float, peak: float, exposure_s, side: int) -> np.ndarray:
     """σ̄ [px] that the spot fit finds in the model's own mean image at each exposure.
 
     A Gaussian fitted to a top hat is some 4 % wider than the Gaussian under it: simulate → fit misses its own input.

@@ -1,4 +1,5 @@
-"""The sensor that the chain runs on: data sheet where it speaks, frames where they allow, else unknown with the reason."""
+"""The sensor that the chain runs on: data sheet where it speaks, frames where they allow, else unknown with the
+reason."""
 
 from collections.abc import Iterable
 
@@ -48,19 +49,13 @@ def resolve(dataset: Dataset, container_bits: int, crops: Iterable[np.ndarray]) 
     return ds
 
 
-def _from_frames(
-    value: dict, stderr: dict, source: dict, crops: Iterable[np.ndarray], highest: float
-) -> None:
+def _from_frames(value: dict, stderr: dict, source: dict, crops: Iterable[np.ndarray], highest: float) -> None:
     """Fill gain and read noise from neighbour differences: the median over frames, its error from their scatter."""
-    found = [
-        g for g in (gain_from_curve(noise_curve(c, highest), value["black_level_dn"]) for c in crops) if g
-    ]
+    found = [g for g in (gain_from_curve(noise_curve(c, highest), value["black_level_dn"]) for c in crops) if g]
     if not found:
         for name in ("gain_dn_per_e", "read_noise_e"):
             if value[name] is None:
-                source[name] = (
-                    "unknown: not in instrument.yaml, and no frame shows noise that grows with its light"
-                )
+                source[name] = "unknown: not in instrument.yaml, and no frame shows noise that grows with its light"
         return
     gains, floors = np.array([g.gain for g in found]), np.array([g.floor for g in found])
     own = np.array([g.gain_stderr for g in found])

@@ -1,8 +1,8 @@
 """Unweighted least-squares fit of a 2D Gaussian with free centre, two widths, orientation, amplitude and offset.
 
-The paper's estimator. Errors are those of this estimator under the sensor's noise (a sandwich), not the inverse Hessian,
-which would hold for white noise alone. The minimum is searched in the elements of the inverse covariance matrix, in which a
-round spot is no special point; widths and orientation follow from them.
+The paper's estimator. Errors are those of this estimator under the sensor's noise (a sandwich), not the inverse
+Hessian, which would hold for white noise alone. The minimum is searched in the elements of the inverse covariance
+matrix, in which a round spot is no special point; widths and orientation follow from them.
 """
 
 from typing import NamedTuple
@@ -29,7 +29,8 @@ STEP_TOLERANCE = 1e-6
 
 
 class SpotFit(NamedTuple):
-    """Values and standard errors in the order of `PARAMETERS` (centre relative to the crop), χ² per degree of freedom."""
+    """Values and standard errors in the order of `PARAMETERS` (centre relative to the crop), χ² per degree of
+    freedom."""
 
     value: np.ndarray
     stderr: np.ndarray
@@ -82,17 +83,14 @@ def _start(crop: np.ndarray) -> np.ndarray:
     filled = np.where(np.isfinite(crop), crop, np.nanmedian(crop))
     offset = float(np.median(filled))
     smooth = (
-        filled
-        + np.roll(filled, 1, 0)
-        + np.roll(filled, -1, 0)
-        + np.roll(filled, 1, 1)
-        + np.roll(filled, -1, 1)
+        filled + np.roll(filled, 1, 0) + np.roll(filled, -1, 0) + np.roll(filled, 1, 1) + np.roll(filled, -1, 1)
     ) / 5
     signal = smooth - offset
     rows, columns = np.nonzero(signal > signal.max() / 2)
     weight = signal[rows, columns]
     x, y = np.average(columns, weights=weight), np.average(rows, weights=weight)
-    # Half the area of the light above half maximum is σ² ln 2 · π: robust where second moments are cut by the threshold.
+    # Half the area of the light above half maximum is σ² ln 2 · π: robust where second moments are cut by the
+    # threshold.
     sigma = max(np.sqrt(rows.size / (2 * np.pi * np.log(2))), 0.5)
     return np.array([float(signal.max()), x, y, sigma**-2, 0.0, sigma**-2, offset])
 
@@ -165,7 +163,8 @@ def _natural(theta: np.ndarray) -> np.ndarray | None:
 
 
 def _natural_jacobian(theta: np.ndarray) -> np.ndarray:
-    """d natural / d θ [8, 7] by central differences; the orientation of a round spot has no derivative and gets infinity."""
+    """d natural / d θ [8, 7] by central differences; the orientation of a round spot has no derivative and gets
+    infinity."""
     out = np.zeros((8, 7))
     for k in range(7):
         step = 1e-6 * max(abs(theta[k]), np.sqrt(theta[3] * theta[5]) if 3 <= k <= 5 else 1e-3)

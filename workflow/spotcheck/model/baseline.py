@@ -1,7 +1,7 @@
 """The baseline: the paper's model before any effect is added, as the dataset contract states it.
 
-One definition serves simulation, likelihood and Fisher information; it accepts complex parameters, so that every derivative
-is a complex step through it.
+One definition serves simulation, likelihood and Fisher information; it accepts complex parameters, so that every
+derivative is a complex step through it.
 """
 
 from typing import NamedTuple
@@ -42,7 +42,8 @@ class Baseline(NamedTuple):
         return exposure_s / sigma**2
 
     def light(self, x, y, exposure_s, p1, p2, peak, x0, y0):
-        """Light [DN] at pixels (x, y): `peak` is the Gaussian's peak [DN] at the longest exposure, before the top hat."""
+        """Light [DN] at pixels (x, y): `peak` is the Gaussian's peak [DN] at the longest exposure, before the top
+        hat."""
         amplitude = peak * self.relative_peak(exposure_s, p1, p2)
         return self.shape(x, y, amplitude, x0, y0, self.sigma(exposure_s, p1, p2))
 

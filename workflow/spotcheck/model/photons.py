@@ -25,7 +25,8 @@ def beam_radius_of_fwhm(fwhm_m: float) -> float:
 
 
 def sensor_irradiance(irradiance, reflectance: float, scattering, f_number: float, transmission: float):
-    """E_px [W/m²] behind material, aperture and filter: E_la ϱ_m ϱ_s ϱ_a ϱ_f with ϱ_a = 1/f_a² (second line of Eq. 12)."""
+    """E_px [W/m²] behind material, aperture and filter: E_la ϱ_m ϱ_s ϱ_a ϱ_f with ϱ_a = 1/f_a² (second line of Eq.
+    12)."""
     return irradiance * reflectance * scattering * transmission / f_number**2
 
 

@@ -1,4 +1,5 @@
-"""From light to readings: photons → electrons → DN, with mean *and* variance (EMVA 1288 linear model; Eqs. 15, 16, 23–25).
+"""From light to readings: photons → electrons → DN, with mean *and* variance (EMVA 1288 linear model; Eqs. 15, 16,
+23–25).
 
 Order of the chain: Poisson electrons (light and dark current) → full well → read noise → gain K → black level → one
 rounding to nearest → 0 … full scale. `light_dn` is always K times the photo-electrons: the signal that a linear sensor
@@ -15,8 +16,8 @@ ROUNDING_VARIANCE = 1 / 12
 
 
 class SensorModel(NamedTuple):
-    """All that the chain needs, every value known: gain K [DN/e-], read noise [e-], dark current µ_I [e-/s], full well [e-],
-    black level [DN], full scale [DN], quantum efficiency [1]."""
+    """All that the chain needs, every value known: gain K [DN/e-], read noise [e-], dark current µ_I [e-/s], full
+    well [e-], black level [DN], full scale [DN], quantum efficiency [1]."""
 
     gain_dn_per_e: float
     read_noise_e: float
@@ -53,16 +54,16 @@ def mean_signal(photons, dark_e, gain_dn_per_e: float, quantum_efficiency: float
 def reading(light_dn, exposure_s: float, sensor: SensorModel) -> Reading:
     """Moments of the reading of each pixel under `light_dn`, both clips and the rounding included.
 
-    Electrons and read noise enter as one normal distribution, which the well and the converter clip; at fewer than about ten
-    electrons and no read noise the true distribution is skewed and this is an approximation.
+    Electrons and read noise enter as one normal distribution, which the well and the converter clip; at fewer than
+    about ten electrons and no read noise the true distribution is skewed and this is an approximation.
     """
     gain = sensor.gain_dn_per_e
     electrons = light_dn / gain + sensor.dark_current_e_per_s * exposure_s
     well = _clipped_normal(electrons, electrons, 1.0, -np.inf, sensor.full_well_e, rounding=0.0)
     mean = gain * well.mean + sensor.black_level_dn
     noise = gain**2 * (well.variance + sensor.read_noise_e**2)
-    # Below the well a DN of mean brings K DN² of variance. Near it the variance falls again, which is left out: there the
-    # converter's own clip is far away.
+    # Below the well a DN of mean brings K DN² of variance. Near it the variance falls again, which is left out: there
+    # the converter's own clip is far away.
     out = _clipped_normal(mean, noise, gain, 0.0, sensor.full_scale_dn, rounding=ROUNDING_VARIANCE)
     return Reading(out.mean, out.variance, out.response * well.response)
 
@@ -70,9 +71,9 @@ def reading(light_dn, exposure_s: float, sensor: SensorModel) -> Reading:
 def _clipped_normal(mean, variance, variance_slope, low: float, high: float, rounding: float) -> Reading:
     """Moments of clip(z, low, high) for normal z; response is d/d mean, with d variance / d mean = variance_slope.
 
-    With `rounding` = 1/12, z is rounded to whole numbers before the clip. A sum over whole numbers is the midpoint rule of
-    the integral without rounding, so that Euler–Maclaurin gives what is added: inside/12 to the second moment, and half of
-    density/12 off the mean's distance to an edge.
+    With `rounding` = 1/12, z is rounded to whole numbers before the clip. A sum over whole numbers is the midpoint
+    rule of the integral without rounding, so that Euler–Maclaurin gives what is added: inside/12 to the second
+    moment, and half of density/12 off the mean's distance to an edge.
     """
     if np.isneginf(low) and np.isposinf(high):
         return Reading(mean, variance + rounding, np.ones_like(mean))
@@ -102,8 +103,6 @@ def draw(light_dn, exposure_s: float, sensor: SensorModel, rng: np.random.Genera
     # ASSUME: µ_d of Eq. 16 is a count (dark current times exposure); the paper gives it in e-/s.
     """
     electrons = rng.poisson(light_dn / sensor.gain_dn_per_e + sensor.dark_current_e_per_s * exposure_s)
-    signal = np.minimum(electrons, sensor.full_well_e) + rng.normal(
-        0.0, sensor.read_noise_e, np.shape(light_dn)
-    )
+    signal = np.minimum(electrons, sensor.full_well_e) + rng.normal(0.0, sensor.read_noise_e, np.shape(light_dn))
     dn = np.rint(sensor.gain_dn_per_e * signal + sensor.black_level_dn)
     return np.clip(dn, 0, min(sensor.full_scale_dn, 65535)).astype(np.uint16)

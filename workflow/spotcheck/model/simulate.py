@@ -11,9 +11,7 @@ def frame_generators(seed: int, count: int) -> list[np.random.Generator]:
     return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(count)]
 
 
-def frame(
-    light_dn: np.ndarray, exposure_s: float, sensor: SensorModel, rng: np.random.Generator
-) -> np.ndarray:
+def frame(light_dn: np.ndarray, exposure_s: float, sensor: SensorModel, rng: np.random.Generator) -> np.ndarray:
     """One random frame [rows, columns] in DN under a mean light [DN]."""
     return draw(light_dn, exposure_s, sensor, rng)
 

@@ -1,8 +1,8 @@
 """The spot's shape on the sensor. The one place where coordinates and widths get their meaning:
 
-x is the column, to the right; y the row, downwards; pixel centres lie at integers; light is sampled at pixel centres, not
-integrated over them (the difference is a widening of 1/(24 σ) px). An amplitude is a peak. The orientation is the angle of
-the long axis from +x towards +y. All functions accept complex arguments: derivatives come by complex step.
+x is the column, to the right; y the row, downwards; pixel centres lie at integers; light is sampled at pixel centres,
+not integrated over them (the difference is a widening of 1/(24 σ) px). An amplitude is a peak. The orientation is the
+angle of the long axis from +x towards +y. All functions accept complex arguments: derivatives come by complex step.
 """
 
 import math

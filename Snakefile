@@ -1,0 +1,37 @@
+# What can be asked for, and the stages in the order in which the data flow.
+from snakemake.utils import min_version
+
+min_version("9.20")
+
+
+configfile: "config/config.yaml"
+
+
+include: "workflow/rules/common.smk"
+include: "workflow/rules/expose.smk"
+include: "workflow/rules/ingest.smk"
+include: "workflow/rules/crop.smk"
+include: "workflow/rules/sensor.smk"
+include: "workflow/rules/fit.smk"
+include: "workflow/rules/calibrate.smk"
+include: "workflow/rules/simulate.smk"
+include: "workflow/rules/evaluate.smk"
+include: "workflow/rules/compare.smk"
+include: "workflow/rules/bounds.smk"
+include: "workflow/rules/caustic.smk"
+include: "workflow/rules/figures.smk"
+include: "workflow/rules/paper.smk"
+include: "workflow/rules/notebooks.smk"
+include: "workflow/rules/report.smk"
+
+
+rule all:
+    default_target: True
+    input:
+        rules.report.output,
+        notebooks() if SPOTS else [],
+
+
+rule paper_numbers:
+    input:
+        rules.paper.output,

@@ -1,0 +1,25 @@
+rule calibrate:
+    message:
+        "Calibrating p1 and p2 of {DATASET.name}"
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        crops=rules.crop.output,
+        fits=rules.fit.output,
+        sensor=rules.sensor.output,
+    output:
+        f"{OUT}/calibration.nc",
+    params:
+        folder=str(DATASET.folder),
+        code=code("calibrate"),
+    log:
+        f"{OUT}/logs/calibrate.log",
+    benchmark:
+        f"{OUT}/benchmarks/calibrate.tsv"
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=10,
+    shell:
+        "spotcheck calibrate {params.folder:q} --crops {input.crops:q} --fits {input.fits:q} --sensor {input.sensor:q}"
+        " --output {output:q} 2>&1 | tee {log:q}"

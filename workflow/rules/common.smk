@@ -1,0 +1,59 @@
+# The dataset of this run, checked before any rule is planned, and the two functions that rules share.
+import os
+import sys
+from pathlib import Path
+
+from snakemake.utils import validate
+
+from spotcheck import dataset as contract
+from spotcheck import simulation, store
+from spotcheck.cli import COMMANDS
+from spotcheck.crops import check_dataset
+from spotcheck.provenance import code_digest, file_digest, notebook_modules
+
+# Rules call `spotcheck`, `rig` and `papermill` of the environment that runs this file, whether it is active or not.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+
+validate(config, "../schemas/config.schema.yaml")
+
+try:
+    DATASET = contract.load(contract.find(config["dataset"], Path(workflow.basedir) / "data"))
+    # A folder with rig.yaml holds a plan for the virtual rig, which makes the frames.
+    HAS_RIG = (DATASET.folder / "rig.yaml").exists()
+    if not HAS_RIG:
+        check_dataset(DATASET)
+    OUT = f"{config['results']}/{DATASET.name}"
+    store.claim(Path(OUT), DATASET.folder)
+except contract.InputError as error:
+    sys.exit(f"spotcheck: {error}")
+
+SPOTS = bool(DATASET.spots)
+FRAMES = sorted({str(DATASET.folder / frame.file) for frame in DATASET.frames})
+MANIFEST = str(DATASET.folder / "manifest.csv")
+INSTRUMENT = [str(path) for path in [DATASET.folder / "instrument.yaml"] if path.exists()]
+# The paper's numbers are compared on the data set that was made for it.
+IS_PAPER = DATASET.folder == Path(workflow.basedir) / "data" / "virtual-rig"
+NOTEBOOKS = sorted(path.stem for path in (Path(workflow.basedir) / "notebooks").glob("*.ipynb"))
+RULES = sorted(file_digest(path)[:12] for path in Path(workflow.basedir, "workflow", "rules").glob("*.smk"))
+
+# The files that pictures, tables, notebooks and the report are made from.
+RESULTS = [f"{OUT}/frames.nc"]
+if SPOTS:
+    stages = ("crops", "sensor", "fits", "calibration", "simulated", "metrics", "bounds")
+    RESULTS += [f"{OUT}/{name}.nc" for name in stages]
+    RESULTS += [f"{OUT}/caustic.nc"] if "z_m" in DATASET.instrument.conditions else []
+
+
+def code(*commands):
+    """Digest of all that the subcommands import: an edit re-runs just the stages that it touches."""
+    return code_digest(*(f"spotcheck.cli.{name}" for name in commands))
+
+
+def notebook_code(notebook):
+    """Digest of the library modules that a notebook imports."""
+    return code_digest(*notebook_modules(Path(workflow.basedir, "notebooks", f"{notebook}.ipynb")))
+
+
+def notebooks():
+    """The executed notebooks."""
+    return [f"{OUT}/notebooks/{name}.ipynb" for name in NOTEBOOKS]

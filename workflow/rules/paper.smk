@@ -1,0 +1,31 @@
+# The paper's numbers against ours: for the default dataset, which was made to be compared with it.
+rule paper:
+    message:
+        "Comparing the numbers of the paper"
+    input:
+        numbers="data/paper_numbers.yaml",
+        instrument=INSTRUMENT,
+        results=RESULTS,
+    output:
+        table=f"{OUT}/paper_numbers.csv",
+        page=report(
+            f"{OUT}/paper_numbers.html",
+            caption="../report/paper_numbers.rst",
+            category="Paper numbers",
+            labels={"table": "all numbers"},
+        ),
+    params:
+        folder=str(DATASET.folder),
+        results=OUT,
+        code=code("paper"),
+    log:
+        f"{OUT}/logs/paper.log",
+    benchmark:
+        f"{OUT}/benchmarks/paper.tsv"
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=10,
+    shell:
+        "spotcheck paper {input.numbers:q} --dataset {params.folder:q} --results {params.results:q}"
+        " --table {output.table:q} --page {output.page:q} 2>&1 | tee {log:q}"

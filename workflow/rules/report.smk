@@ -1,0 +1,63 @@
+# Equations and symbols from the docstrings: fails when one of the paper's equations has no function or no test.
+rule tables:
+    message:
+        "Tables of equations and symbols"
+    input:
+        "data/symbols.yaml",
+        tests=sorted(str(path) for path in Path("tests").rglob("test_*.py")),
+    output:
+        equations=report(
+            f"{OUT}/docs/equations.html",
+            caption="../report/equations.rst",
+            category="Tables",
+            labels={"table": "equations"},
+        ),
+        symbols=report(
+            f"{OUT}/docs/symbols.html",
+            caption="../report/symbols.rst",
+            category="Tables",
+            labels={"table": "symbols"},
+        ),
+    params:
+        folder=f"{OUT}/docs",
+        code=code(*COMMANDS),
+    log:
+        f"{OUT}/logs/tables.log",
+    benchmark:
+        f"{OUT}/benchmarks/tables.tsv"
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=10,
+    shell:
+        "spotcheck equations --symbols data/symbols.yaml --tests tests --output {params.folder:q} 2>&1 | tee {log:q}"
+
+
+rule report:
+    message:
+        "Writing the report of {DATASET.name}"
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        RESULTS,
+        rules.tables.output,
+        rules.paper.output if IS_PAPER else [],
+        figures=rules.figures.output,
+        chain=rules.chain.output,
+    output:
+        f"{OUT}/report.html",
+    params:
+        folder=str(DATASET.folder),
+        results=OUT,
+        code=code("report"),
+    log:
+        f"{OUT}/logs/report.log",
+    benchmark:
+        f"{OUT}/benchmarks/report.tsv"
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=10,
+    shell:
+        "spotcheck report --dataset {params.folder:q} --results {params.results:q} --output {output:q}"
+        " 2>&1 | tee {log:q}"

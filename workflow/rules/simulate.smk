@@ -1,0 +1,30 @@
+rule simulate:
+    message:
+        "Simulating every frame of {DATASET.name}"
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        calibration=rules.calibrate.output,
+        fits=rules.fit.output,
+        sensor=rules.sensor.output,
+    output:
+        images=f"{OUT}/simulated.nc",
+        contract=[f"{OUT}/simulated/manifest.csv", f"{OUT}/simulated/instrument.yaml"],
+        frames=[f"{OUT}/simulated/{simulation.frame_name(index)}" for index, _ in DATASET.cells()],
+    params:
+        folder=str(DATASET.folder),
+        simulated=f"{OUT}/simulated",
+        seed=config["seed"],
+        code=code("simulate"),
+    log:
+        f"{OUT}/logs/simulate.log",
+    benchmark:
+        f"{OUT}/benchmarks/simulate.tsv"
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=10,
+    shell:
+        "spotcheck simulate {params.folder:q} --calibration {input.calibration:q} --fits {input.fits:q}"
+        " --sensor {input.sensor:q} --seed {params.seed} --folder {params.simulated:q} --output {output.images:q}"
+        " 2>&1 | tee {log:q}"

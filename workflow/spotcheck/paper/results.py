@@ -1,0 +1,45 @@
+"""What the counterparts are computed from."""
+
+from functools import cached_property
+from pathlib import Path
+
+import xarray as xr
+
+from spotcheck import store
+from spotcheck.dataset import Dataset
+from spotcheck.model.baseline import Baseline, of_instrument
+
+# The paper crops at the maximum; so do its numbers here.
+CENTRING = "maximum"
+
+
+class Results:
+    """The results folder of a dataset, opened as it is asked for."""
+
+    def __init__(self, dataset: Dataset, folder: Path):
+        self.dataset = dataset
+        self.folder = folder
+
+    def file(self, name: str) -> xr.Dataset:
+        """A result by its name without suffix."""
+        return store.read(self.folder / f"{name}.nc")
+
+    @cached_property
+    def metrics(self) -> xr.Dataset:
+        """Metrics of both sources, from the crops at the maximum."""
+        return self.file("metrics").sel(centring=CENTRING).load()
+
+    @cached_property
+    def measured(self) -> xr.Dataset:
+        """Measured side of `metrics`."""
+        return self.metrics.sel(source="measured")
+
+    @cached_property
+    def simulated(self) -> xr.Dataset:
+        """Simulated side of `metrics`, averaged over angles: the model knows none."""
+        return self.metrics.sel(source="simulated").mean("angle")
+
+    @cached_property
+    def baseline(self) -> Baseline:
+        """The baseline that the simulation used."""
+        return of_instrument(self.dataset.instrument, self.metrics["exposure"].values)
