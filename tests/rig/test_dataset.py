@@ -1,4 +1,4 @@
-"""Whole datasets: equal seeds, workers, the truth file, plans of any shape, one-line errors, the wall to the library."""
+"""Whole datasets: equal seeds, workers, the truth file, plans of any shape, errors, the wall to the library."""
 
 import ast
 import json
@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import tifffile
 import yaml
+from skimage import io
+
 from rig import beam, cli, expose
 from rig import plan as plan_module
 from rig.errors import RigError
 from rig.settings import Settings, from_dict, load, replace, to_dict
-from skimage import io
 
 ROOT = Path(__file__).parents[2]
 SMALL = {
@@ -28,7 +29,10 @@ HEADER = "file,kind,angle_deg,exposure_s,repeat\n"
 ROWS = [f"frames/a{a:03d}_r{r}_t{t}.tif,spot,{a},{t}e-4,{r}\n" for r in (0, 1) for a in (0, 90) for t in (1, 5)]
 
 
-def dataset(folder, manifest=HEADER + "".join(ROWS), settings=SMALL):
+MANIFEST = HEADER + "".join(ROWS)
+
+
+def dataset(folder, manifest=MANIFEST, settings=SMALL):
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "manifest.csv").write_text(manifest, encoding="utf-8")
     (folder / "rig.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")

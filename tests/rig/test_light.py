@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+
 from rig import exposure, material, photons, plan, speckle
 from rig.settings import from_dict, replace
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from rig import exposure, plan, sensor
 from rig.settings import Sensor, from_dict
 

@@ -33,22 +33,24 @@ def _search(options: argparse.Namespace) -> int:
 
     effort = {name: getattr(options, name) for name in ("seed", "draws", "trials", "refinements")}
     winner = search.run(options.dataset, settings.load(options.settings), options.table, options.best, **effort)
-    for one in winner.scores:
-        print(f"{'held' if one.held else 'MISS'}  {one.name:55s} {one.value:9.3f}  [{one.low:g}, {one.high:g}]")
-    print(f"{winner.rank[0]} of {len(winner.scores)} numbers held; best settings in {options.best}")
+    print(f"{winner.rank[0]:.2f} of {len(winner.draws[0])} numbers held; best settings in {options.best}")
     return 0
 
 
 def _score(options: argparse.Namespace) -> int:
     from rig import search
 
-    scores, extras = search.score_settings(options.dataset, settings.load(options.settings), options.draws)
-    print("| number | value | range | held | held in other draws |\n|---|---|---|---|---|")
-    for one, share in scores:
-        row = f"| {one.name} | {one.value:.4g} | {one.low:g} … {one.high:g} | {'yes' if one.held else '**no**'}"
-        print(f"{row} | {share:.0%} |")
+    draws, extras = search.score_settings(options.dataset, settings.load(options.settings), options.draws)
+    print("| number | here | counts as met | held |\n|---|---|---|---|")
+    for same in zip(*draws, strict=True):
+        values = [one.value for one in same]
+        low, high, held = min(values), max(values), sum(one.held for one in same)
+        here = f"{low:.4g}" if low == high else f"{low:.4g} … {high:.4g}"
+        print(f"| {same[0].name} | {here} | {same[0].low:g} … {same[0].high:g} | {held} of {len(draws)} |")
     for name, value in extras.items():
-        print(f"| {name} | {value:.4g} | not counted | | |")
+        print(f"| {name} | {value:.4g} | not counted | |")
+    totals = ", ".join(str(sum(one.held for one in draw)) for draw in draws)
+    print(f"\nHeld of {len(draws[0])}, draw by draw: {totals}")
     return 0
 
 
@@ -66,9 +68,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--settings", type=Path, required=True, help="all that is not searched (rig.yaml)")
     command.add_argument("--table", type=Path, required=True, help="where to write every full trial (CSV)")
     command.add_argument("--best", type=Path, required=True, help="where to write the best settings (YAML)")
-    command.add_argument("--seed", type=int, default=5, help="seed of the search (default 5)")
-    command.add_argument("--draws", type=_count, default=6000, help="random points to screen (default 6000)")
-    command.add_argument("--trials", type=_count, default=30, help="screened points to try in full (default 30)")
+    command.add_argument("--seed", type=int, default=1, help="seed of the search (default 1)")
+    command.add_argument("--draws", type=_count, default=8000, help="random points to screen (default 8000)")
+    command.add_argument("--trials", type=_count, default=40, help="screened points to try in full (default 40)")
     command.add_argument("--refinements", type=int, default=120, help="steps around the best (default 120)")
     command.set_defaults(run=_search)
     command = commands.add_parser("score", help="how many of the paper's numbers a settings file meets")

@@ -114,5 +114,5 @@ def _around(centre_px: float, side_px: int, size_px: int) -> range:
 
 
 def generator(settings: Settings, *key: int) -> np.random.Generator:
-    """The random numbers of one purpose: keys (0, ...) belong to the chip, (SITE, n) to a site, (FRAME, n) to a frame."""
+    """The random numbers of one purpose: keys (0, ...) are the chip's, (SITE, n) a site's, (FRAME, n) a frame's."""
     return np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))

@@ -13,7 +13,7 @@ import tifffile
 
 
 def write_frame(path: Path, frame: np.ndarray, bit_depth: int) -> None:
-    """Write a frame [DN] as TIFF, PNG or PGM, by the name's ending; TIFF holds 16 bits, the others as many as needed."""
+    """Write a frame [DN] as TIFF, PNG or PGM, by the name's ending; TIFF always in 16 bits, the others in 8 or 16."""
     suffix = path.suffix.lower()
     if suffix in (".tif", ".tiff"):
         data = _tiff(frame.astype(np.uint16))

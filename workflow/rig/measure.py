@@ -94,7 +94,7 @@ def _start(x: np.ndarray, y: np.ndarray, data: np.ndarray) -> np.ndarray:
     weight = bright * (data - offset)
     x0, y0 = np.average(x, weights=weight), np.average(y, weights=weight)
     # The area above 30 % of a Gaussian's peak is 2 π σ² ln(1/0.3).
-    inverse = 2.0 * math.pi * math.log(1.0 / 0.3) / max(np.count_nonzero(bright), 4)
+    inverse = 2.0 * math.pi * math.log(1.0 / 0.3) / max(int(np.count_nonzero(bright)), 4)
     return np.array([data.max() - offset, x0, y0, inverse, 0.0, inverse, offset])
 
 

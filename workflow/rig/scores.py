@@ -11,7 +11,7 @@ from rig import measure, papersim
 from rig.settings import Settings
 
 # Axes of every table below: angle, exposure, repeat.
-QUANTITIES = ("maximum", "amplitude", "sigma_px", "contrast", "psnr_db", "sum", "peak_share")
+QUANTITIES = ("maximum", "amplitude", "sigma_px", "contrast", "sum", "peak_share")
 
 
 @dataclass(frozen=True)
@@ -40,68 +40,71 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Observation:
-    """What was measured on a whole set: tables [angle, exposure, repeat], and the simulation made from them."""
+class Measured:
+    """What was measured on a whole set of crops [angle, exposure, repeat, y, x], and p1, p2 of each site [px]."""
 
     angles_deg: list[float]
     exposures_s: list[float]
+    crops: np.ndarray
     tables: dict[str, np.ndarray]
     p1: np.ndarray
     p2: np.ndarray
-    simulated: dict[str, np.ndarray]
-    simulated_sigma_px: np.ndarray
 
 
-def observe(
-    settings: Settings, crops: np.ndarray, angles_deg: list[float], exposures_s: list[float], seed: int
-) -> Observation:
-    """Measure `crops` [angle, exposure, repeat, y, x] and the paper's simulation calibrated on them."""
-    grid = crops.shape[:3]
-    tables = {name: np.empty(grid) for name in QUANTITIES}
-    for cell in np.ndindex(*grid):
-        _measure_into(tables, cell, crops[cell])
-    laser_sigma = papersim.laser_sigma_px(settings)
-    logs = np.log(exposures_s)
-    widths = tables["sigma_px"].transpose(1, 0, 2).reshape(len(exposures_s), -1) - laser_sigma
-    p1, p2 = np.polyfit(logs, widths, 1).reshape(2, grid[0], grid[2])
+@dataclass(frozen=True)
+class Simulated:
+    """The paper's simulation calibrated on a set: tables [exposure, repeat], and the PSNR of every crop against it."""
+
+    tables: dict[str, np.ndarray]
+    psnr_db: np.ndarray
+
+
+def measure_set(settings: Settings, crops: np.ndarray, angles_deg: list[float], exposures_s: list[float]) -> Measured:
+    """Measure every crop, and fit p1 ln(t / 1 s) + p2 to the widths of every site."""
+    tables = _measure_all(crops)
+    widths = tables["sigma_px"] - papersim.laser_sigma_px(settings)
+    per_exposure = widths.transpose(1, 0, 2).reshape(len(exposures_s), -1)
+    p1, p2 = np.polyfit(np.log(exposures_s), per_exposure, 1).reshape(2, crops.shape[0], crops.shape[2])
+    return Measured(angles_deg, exposures_s, crops, tables, p1, p2)
+
+
+def simulate_set(settings: Settings, seen: Measured, seed: int) -> Simulated:
+    """One simulated image for each exposure and repeat; it serves every angle, for the model knows none."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
-    longer = [i for i in range(len(exposures_s)) if i > 0]
-    law = papersim.calibrated_scale(
-        settings,
-        papersim.Law(float(p1.mean()), float(p2.mean()), laser_sigma, 1000.0),
-        [exposures_s[i] for i in longer],
-        float(tables["maximum"][:, longer].mean()),
-        rng,
-    )
-    repeats = grid[2]
-    simulated = {name: np.empty((len(exposures_s), repeats)) for name in QUANTITIES}
-    for i, exposure in enumerate(exposures_s):
-        for k in range(repeats):
-            crop = papersim.simulate(settings, law, exposure, rng)
-            # One simulated image serves every angle: the model knows no angle.
-            _measure_into(simulated, (i, k), crop)
-            for j in range(grid[0]):
-                tables["psnr_db"][j, i, k] = measure.psnr_db(crops[j, i, k], crop)
-    return Observation(angles_deg, exposures_s, tables, p1, p2, simulated, simulated["sigma_px"].mean(axis=1))
+    exposures, repeats = seen.exposures_s, seen.crops.shape[2]
+    law = papersim.Law(float(seen.p1.mean()), float(seen.p2.mean()), papersim.laser_sigma_px(settings), scale_dn=1000.0)
+    wanted = float(seen.tables["maximum"][:, 1:].mean())
+    law = papersim.calibrated_scale(settings, law, exposures[1:], wanted, rng)
+    images = np.array([[papersim.simulate(settings, law, t, rng) for _ in range(repeats)] for t in exposures])
+    psnr = np.empty(seen.crops.shape[:3])
+    for angle, exposure, repeat in np.ndindex(*psnr.shape):
+        psnr[angle, exposure, repeat] = measure.psnr_db(seen.crops[angle, exposure, repeat], images[exposure, repeat])
+    return Simulated(_measure_all(images), psnr)
 
 
-def _measure_into(tables: dict[str, np.ndarray], cell: tuple[int, ...], crop: np.ndarray) -> None:
-    fit = measure.fit_gaussian(crop)
-    tables["maximum"][cell] = crop.max()
-    tables["amplitude"][cell] = fit.amplitude
-    tables["sigma_px"][cell] = fit.sigma_px
-    tables["contrast"][cell] = measure.contrast(crop)
-    tables["sum"][cell] = crop.sum()
-    tables["peak_share"][cell] = measure.peak_share(crop)
+def _measure_all(crops: np.ndarray) -> dict[str, np.ndarray]:
+    tables = {name: np.empty(crops.shape[:-2]) for name in QUANTITIES}
+    for cell in np.ndindex(*crops.shape[:-2]):
+        crop = crops[cell].astype(float)
+        fit = measure.fit_gaussian(crop)
+        tables["maximum"][cell] = crop.max()
+        tables["amplitude"][cell] = fit.amplitude
+        tables["sigma_px"][cell] = fit.sigma_px
+        tables["contrast"][cell] = measure.contrast(crop)
+        tables["sum"][cell] = crop.sum()
+        tables["peak_share"][cell] = measure.peak_share(crop)
+    return tables
 
 
-def score(seen: Observation) -> list[Score]:
+def score(seen: Measured, simulated: Simulated) -> list[Score]:
     """Every printed number of the measured side, and those of the simulated side that hang on it."""
-    mean = {name: table.mean(axis=2) for name, table in seen.tables.items()}
-    sd = {name: table.std(axis=2, ddof=1) for name, table in seen.tables.items()}
-    model = {name: table.mean(axis=1) for name, table in seen.simulated.items()}
+    tables = seen.tables | {"psnr_db": simulated.psnr_db}
+    mean = {name: table.mean(axis=2) for name, table in tables.items()}
+    sd = {name: table.std(axis=2, ddof=1) for name, table in tables.items()}
+    model = {name: table.mean(axis=1) for name, table in simulated.tables.items()}
     inf = math.inf
-    width_off = mean["sigma_px"] - seen.simulated_sigma_px
+    model_sigma = model["sigma_px"]
+    width_off = mean["sigma_px"] - model_sigma
     at = {angle: i for i, angle in enumerate(seen.angles_deg)}
     first_three = [at[a] for a in (0.0, 45.0, 90.0)]
     rise = np.min(mean["sigma_px"][at[90.0]] - mean["sigma_px"][at[45.0]])
@@ -110,7 +113,6 @@ def score(seen: Observation) -> list[Score]:
     plateau_off = np.abs(model["maximum"] - mean["maximum"])
     contrast_ratio = sd["contrast"][:, 0].mean() / sd["contrast"][:, 1:].mean()
     highest = np.min(mean["psnr_db"][:, 0] - mean["psnr_db"][:, 1:].max(axis=1))
-    model_sigma = seen.simulated_sigma_px
     rows = [
         ("p1 mean [px]", seen.p1.mean(), 2.16, 2.80),
         ("p2 mean [px]", seen.p2.mean(), 33.35, 35.75),
@@ -151,7 +153,7 @@ def score(seen: Observation) -> list[Score]:
     return [Score(name, float(value), low, high) for name, value, low, high in rows]
 
 
-def extras(seen: Observation) -> dict[str, float]:
+def extras(seen: Measured) -> dict[str, float]:
     """Clues that are not counted: how p1 hangs on the width, and the scatter of p1 and p2."""
     width = seen.tables["sigma_px"].mean(axis=1).ravel()
     return {

@@ -10,8 +10,8 @@ from rig.plan import Shot, Site
 from rig.settings import Settings
 
 
-def run(settings: Settings, sites: list[Site], simulation: int | None = None) -> scores.Observation:
-    """Expose and measure a full grid of angle x exposure x repeat; `simulation` seeds the paper's model's noise.
+def measured(settings: Settings, sites: list[Site]) -> scores.Measured:
+    """Expose and measure a full grid of angle x exposure x repeat.
 
     Only the lit windows are made. They hold just the pixels that the whole frames hold there, so that a trial
     measures what the written dataset will show, unless a crop reaches beyond the window (`window_px` of 320 leaves
@@ -30,7 +30,7 @@ def run(settings: Settings, sites: list[Site], simulation: int | None = None) ->
         for shot in site.shots:
             cell = _cell(shot, angles, exposures, repeats)
             crops[cell] = measure.crop_at_maximum(exposure.window_frame(settings, lit, shot))
-    return scores.observe(settings, crops, angles, exposures, settings.seed if simulation is None else simulation)
+    return scores.measure_set(settings, crops, angles, exposures)
 
 
 def _cell(shot: Shot, angles: list[float], exposures: list[float], repeats: list[str]) -> tuple[int, int, int]:

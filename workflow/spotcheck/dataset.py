@@ -293,10 +293,12 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
     if not path.exists():
         raise InputError(f"{path.name}: not there; a dataset needs it ({', '.join(REQUIRED_COLUMNS)})")
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.DictReader(stream, skipinitialspace=True)
-            rows = [(reader.line_num, row) for row in reader]
-            columns = [name.strip() for name in reader.fieldnames or ()]
+        lines = list(enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1))
+        # Lines that start with # are comments, as `new-dataset` writes them.
+        lines = [(number, line) for number, line in lines if line.strip() and not line.startswith("#")]
+        reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
+        rows = [(lines[reader.line_num - 1][0], row) for row in reader]
+        columns = [name.strip() for name in reader.fieldnames or ()]
     except UnicodeDecodeError:
         raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8 CSV") from None
     for column in REQUIRED_COLUMNS:

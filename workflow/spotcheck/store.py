@@ -184,7 +184,8 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def claim(results: Path, folder: Path) -> None:
-    """Make a results folder and note whose it is. Raises `InputError` when it is another dataset's or cannot be written."""
+    """Make a results folder and note whose it is. Raises `InputError` when it is another dataset's or cannot be
+    written."""
     note = results / ".dataset"
     try:
         results.mkdir(parents=True, exist_ok=True)
@@ -195,7 +196,8 @@ def claim(results: Path, folder: Path) -> None:
         raise InputError(f"{results}: cannot be written ({error.strerror}); name another folder in `results`") from None
     if owner not in (None, str(folder)):
         raise InputError(
-            f"{results}: holds the results of {owner}, another folder of the same name; name another folder in `results`"
+            f"{results}: holds the results of {owner}, another folder of the same name;"
+            f" name another folder in `results`"
         )
 
 

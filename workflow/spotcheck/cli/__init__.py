@@ -18,6 +18,7 @@ COMMANDS = {
     "simulate": "the paper's model at the calibrated parameters, as a dataset folder",
     "compare": "metrics of measured and simulated frames side by side",
     "bounds": "Cramér-Rao bounds over exposure and photons",
+    "caustic": "waist, divergence and M² of a scan along z",
     "figures": "every figure that the results support",
     "chain": "draw the rule graph of the workflow",
     "paper": "compare the paper's numbers with what the workflow computed",

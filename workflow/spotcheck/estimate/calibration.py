@@ -50,12 +50,12 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     _averages(ds, site_dims)
 
     results = {m: np.array([ds["p1_mean"].sel(estimator=m), ds["p2_mean"].sel(estimator=m)], float) for m in per_site}
-    maximum, maximum_stderr = _maxima(crops)
+    maximum = _maxima(crops)
     side = crops.sizes["x"]
     peaks, converged = {}, False
     for estimator, (p1, p2) in results.items():
         model = baseline if estimator == USED else baseline._replace(laser_px=0.0)
-        peaks[estimator] = peak_from_maxima(model, p1, p2, exposures, maximum, maximum_stderr, sensor, side)
+        peaks[estimator] = peak_from_maxima(model, p1, p2, exposures, maximum, sensor, side)
     if sensor is not None and np.isfinite(peaks[USED]):
         start = np.array([*results[USED], peaks[USED]])
         joint = _likelihood(crops, fits, baseline, sensor, start, site_dims)
@@ -125,19 +125,15 @@ def _averages(ds: xr.Dataset, site_dims: tuple[str, ...]) -> None:
         )
 
 
-def _maxima(crops: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the crops' maxima at each exposure [DN], and its standard error."""
+def _maxima(crops: xr.Dataset) -> np.ndarray:
+    """Mean of the crops' maxima at each exposure [DN]."""
     dims = store.grid_dims(crops)
     own = crops.sel(centring="maximum")
-    maximum = np.full([crops.sizes[d] for d in dims], np.nan)
+    maxima: list[list[float]] = [[] for _ in range(crops.sizes["exposure"])]
     for index in cells(crops, dims):
         if usable(own["status"].isel(index)):
-            maximum[tuple(index.values())] = np.nanmax(own["image"].isel(index).values)
-    by_exposure = np.moveaxis(maximum, dims.index("exposure"), 0).reshape(crops.sizes["exposure"], -1)
-    count = np.isfinite(by_exposure).sum(axis=1)
-    mean = np.array([np.nanmean(row) if n else np.nan for row, n in zip(by_exposure, count, strict=True)])
-    sd = np.array([np.nanstd(row, ddof=1) if n > 1 else np.nan for row, n in zip(by_exposure, count, strict=True)])
-    return mean, sd / np.sqrt(np.maximum(count, 1))
+            maxima[index["exposure"]].append(float(np.nanmax(own["image"].isel(index).values)))
+    return np.array([np.mean(values) if values else np.nan for values in maxima])
 
 
 def _likelihood(crops, fits, baseline: Baseline, sensor: SensorModel, start, site_dims):

@@ -26,38 +26,28 @@ def regress(width_px: np.ndarray, exposure_s: np.ndarray, laser_px: float) -> tu
 
 
 def peak_from_maxima(
-    baseline: Baseline,
-    p1: float,
-    p2: float,
-    exposure_s,
-    maximum,
-    stderr,
-    sensor: SensorModel | None,
-    side: int,
+    baseline: Baseline, p1: float, p2: float, exposure_s, maximum, sensor: SensorModel | None, side: int
 ) -> float:
-    """Peak [DN] of the Gaussian at the longest exposure for which simulated and measured maxima agree in the weighted
-    mean.
+    """Peak [DN] of the Gaussian at the longest exposure for which simulated and measured maxima agree on average.
 
-    `maximum` [exposure] in DN are means over frames, `stderr` their errors: exposures whose maxima scatter weigh less.
-    Exposures that read full scale say nothing and are left out. NaN when none is left.
+    `maximum` [exposure] in DN are means over frames. The longer half of the exposures decides (those from the median
+    on): at short ones faint sites reach no plateau, and the paper calls its shortest insufficient. Exposures that
+    read full scale say nothing and are left out. NaN when none is left.
     """
-    exposure_s, maximum, stderr = (np.asarray(a, float) for a in (exposure_s, maximum, stderr))
+    exposure_s, maximum = np.asarray(exposure_s, float), np.asarray(maximum, float)
     ceiling = sensor.full_scale_dn if sensor else np.inf
     use = np.isfinite(maximum) & (maximum < 0.995 * ceiling)
     if not use.any():
         return np.nan
-    known = use & np.isfinite(stderr) & (stderr > 0)
-    weight = np.where(known, 1 / np.where(known, stderr, 1.0) ** 2, 0.0) if known.all() else use.astype(float)
-    weight = weight * use
+    use &= exposure_s >= np.median(exposure_s[use])
     pixel = np.arange(side, dtype=float)
 
     def excess(peak: float) -> float:
         total = 0.0
-        for t, measured, w in zip(exposure_s, maximum, weight, strict=True):
-            if w:
-                light = baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2)
-                simulated = expected_maximum(light, t, sensor) if sensor else float(light.max())
-                total += w * (simulated - measured)
+        for t, measured in zip(exposure_s[use], maximum[use], strict=True):
+            light = baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2)
+            simulated = expected_maximum(light, t, sensor) if sensor else float(light.max())
+            total += simulated - measured
         return total
 
     guess = float(np.average(maximum[use]))

@@ -104,9 +104,7 @@ def contrast_increase(results: Results) -> float:
 def fraunhofer(results: Results) -> float:
     """d_f²/(d_w λ) [1] (Eq. 6)."""
     instrument = results.dataset.instrument
-    return optics.fraunhofer_number(
-        FILAMENT_GAP_M, instrument.optics.working_distance_m, instrument.laser.wavelength_m
-    )
+    return optics.fraunhofer_number(FILAMENT_GAP_M, instrument.optics.working_distance_m, instrument.laser.wavelength_m)
 
 
 def rounding_variance(results: Results) -> float:

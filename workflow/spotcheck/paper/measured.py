@@ -61,7 +61,7 @@ def psnr_sd_largest(results: Results) -> float:
 
 def psnr_highest_at_shortest(results: Results) -> float:
     """1 if the mean PSNR over angles is highest at the shortest exposure."""
-    return float(_psnr(results, "mean").mean("angle").argmax() == 0)
+    return float(np.argmax(_psnr(results, "mean").mean("angle").values) == 0)
 
 
 def contrast_smallest(results: Results) -> float:

@@ -17,7 +17,11 @@ def simulated_contrast_largest(results: Results) -> float:
 
 def _plateau_gap(results: Results) -> np.ndarray:
     """|Measured − simulated| mean maximum [angle, exposure] in DN."""
-    return np.abs(results.measured["maximum_mean"] - results.simulated["maximum_mean"]).transpose("angle", "exposure").values
+    return (
+        np.abs(results.measured["maximum_mean"] - results.simulated["maximum_mean"])
+        .transpose("angle", "exposure")
+        .values
+    )
 
 
 def plateau_gap_worst(results: Results) -> float:

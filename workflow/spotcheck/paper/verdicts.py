@@ -9,7 +9,21 @@ from spotcheck.dataset import read_yaml
 from spotcheck.paper import derived, measured, simulated
 from spotcheck.paper.results import Results
 
-COLUMNS = ("id", "kind", "section", "printed", "low", "high", "ours", "unit", "holds", "expected", "counted", "because", "remark")
+COLUMNS = (
+    "id",
+    "kind",
+    "section",
+    "printed",
+    "low",
+    "high",
+    "ours",
+    "unit",
+    "holds",
+    "expected",
+    "counted",
+    "because",
+    "remark",
+)
 
 
 class Verdict(NamedTuple):
@@ -50,7 +64,9 @@ def read_numbers(path: Path) -> list[dict]:
 
 def judge(entries: list[dict], results: Results) -> list[Verdict]:
     """A verdict for every entry; its `id` names the function that computes ours."""
-    functions = {name: f for module in (derived, simulated, measured) for name, f in vars(module).items() if callable(f)}
+    functions = {
+        name: f for module in (derived, simulated, measured) for name, f in vars(module).items() if callable(f)
+    }
     return [Verdict(entry, float(functions[entry["id"]](results)), *interval(entry)) for entry in entries]
 
 

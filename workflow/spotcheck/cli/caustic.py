@@ -1,0 +1,26 @@
+"""`spotcheck caustic`: caustic.nc."""
+
+import argparse
+
+from spotcheck import dataset, provenance, store
+from spotcheck.estimate.caustic import caustic_of
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--fits", required=True, help="fits.nc")
+    parser.add_argument("--output", required=True, help="caustic.nc to write")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Fit the hyperbola and say M², or why not."""
+    instrument = dataset.load(args.dataset).instrument
+    with store.read(args.fits) as fits:
+        found = caustic_of(fits, instrument)
+    store.write(found, args.output, code=provenance.code_digest(__name__), inputs=[args.fits])
+    if "skipped" in found.attrs:
+        print(f"skipped: {found.attrs['skipped']}")
+    else:
+        own = found.sel(axis="mean")
+        print(f"M² = {float(own['m2']):.3f} ± {float(own['m2_stderr']):.3f}")

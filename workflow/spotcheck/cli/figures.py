@@ -1,0 +1,23 @@
+"""`spotcheck figures`: every figure as SVG and PNG, and index.json."""
+
+import argparse
+from pathlib import Path
+
+from spotcheck.figures.results import Results
+from spotcheck.figures.write import write_all
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("--results", required=True, help="folder of the results of one dataset")
+    parser.add_argument("--dataset", required=True, help="dataset folder")
+    parser.add_argument("--output", required=True, help="folder to write the figures to")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Draw what the results support and say what was left out, and why."""
+    with Results(args.results, args.dataset) as results:
+        index = write_all(results, Path(args.output))
+    for record in index["skipped"]:
+        print(f"skipped {record['name']}: {record['why']}")
+    print(f"{len(index['figures'])} figures drawn")

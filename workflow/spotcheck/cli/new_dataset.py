@@ -1,0 +1,17 @@
+"""`spotcheck new-dataset`: a commented manifest and instrument file to fill in."""
+
+import argparse
+from pathlib import Path
+
+from spotcheck import template
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("folder", type=Path, help="folder to make; images already in its frames/ are listed")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write both files; nothing that is there is overwritten."""
+    written = template.write(args.folder)
+    print(f"{args.folder}: wrote {', '.join(written)}; fill in the blanks, then: spotcheck check {args.folder}")

@@ -1,0 +1,37 @@
+"""`spotcheck paper`: paper_numbers.csv and its page."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from spotcheck import dataset, store
+from spotcheck.pages import numbers
+from spotcheck.paper import verdicts
+from spotcheck.paper.results import Results
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("numbers", type=Path, help="paper_numbers.yaml")
+    parser.add_argument("--dataset", required=True, help="dataset folder")
+    parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
+    parser.add_argument("--table", required=True, help="CSV to write")
+    parser.add_argument("--page", required=True, type=Path, help="HTML page to write")
+    parser.add_argument("--strict", action="store_true", help="fail when a number that held no longer does")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Judge every number; with --strict, end with status 1 when one left its tolerance."""
+    found = verdicts.judge(verdicts.read_numbers(args.numbers), Results(dataset.load(args.dataset), args.results))
+    store.write_text(args.table, verdicts.table(found))
+    numbers.write(args.page, found)
+    for kind, (held, counted) in verdicts.shares(found).items():
+        print(f"{kind}: {held} of {counted} hold")
+    lost = verdicts.lost(found)
+    for verdict in lost:
+        print(
+            f"left its tolerance: {verdict.entry['id']} is {verdict.ours:.6g},"
+            f" not {verdict.low:.6g} … {verdict.high:.6g}"
+        )
+    if lost and args.strict:
+        sys.exit(1)

@@ -1,0 +1,25 @@
+"""`spotcheck where`: say where the results of a dataset lie."""
+
+import argparse
+from pathlib import Path
+
+PLACES = (
+    ("report.html", "everything on one page"),
+    ("figures", "every figure as SVG and PNG"),
+    ("paper_numbers.html", "the paper's numbers beside ours"),
+    ("notebooks", "executed notebooks"),
+    ("docs", "equation and symbol tables"),
+)
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("results", type=Path, help="results folder of a dataset")
+
+
+def run(args: argparse.Namespace) -> None:
+    """List what is there to look at."""
+    print("\nWhere to look:")
+    for name, text in PLACES:
+        if (args.results / name).exists():
+            print(f"  {args.results / name!s:45} {text}")

@@ -1,0 +1,193 @@
+"""The caustic of a beam: hyperbola through fitted widths at several distances, waist, divergence, M² (ISO 11146-1).
+
+ISO 11146-1:2021, clause 9, fits d²(z) = a + b z + c z² to beam diameters; here w²(z) with the radius w = d/2 = 2σ of a
+Gaussian (its 1/e² radius), so that every root of a coefficient is half of the standard's.
+
+# ASSUME: the fitted Gaussian stands for the beam. The standard takes second moments, which see side lobes and halo that
+# a Gaussian fit passes over: for a beam that is not Gaussian, M² from fits is too small.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy import optimize, stats
+
+from spotcheck import store
+from spotcheck.dataset import Instrument
+
+CONDITION = "z_m"
+AXES = {"major": "sigma_major", "minor": "sigma_minor", "mean": "sigma_mean"}
+# Three coefficients, and one position more is the least that shows how the points scatter about the hyperbola.
+FEWEST_POSITIONS = 4
+LEVEL = 0.6827
+QUANTITIES = {
+    "waist_radius": ("m", "1/e2 radius w0 at the waist"),
+    "waist_position": ("m", "distance z0 of the waist"),
+    "divergence": ("rad", "half-angle of divergence theta"),
+    "rayleigh_length": ("m", "Rayleigh length z_R"),
+    "m2": ("1", "beam propagation ratio M2"),
+}
+
+
+class Hyperbola(NamedTuple):
+    """w²(z) = a + b (z − origin) + c (z − origin)²: coefficients, covariance, relative scatter of w, reduced χ².
+
+    `covariance` holds the widths' own errors and the scatter; `chi2_reduced` is that of the own errors alone.
+    """
+
+    origin: float
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    scatter: float
+    chi2_reduced: float
+    degrees: int
+
+    def radius(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """w and its standard error [m] at distances z [m]."""
+        powers = np.vander(z - self.origin, 3, increasing=True)
+        square = powers @ self.coefficients
+        error = np.sqrt(np.einsum("ij,jk,ik->i", powers, self.covariance, powers))
+        radius = np.sqrt(np.where(square > 0, square, np.nan))
+        return radius, error / (2 * radius)
+
+
+def fit_hyperbola(z: np.ndarray, radius: np.ndarray, stderr: np.ndarray) -> Hyperbola:
+    """Weighted least squares of w² [m²] over z [m]; stderr is that of w [m].
+
+    When the points scatter more than their errors allow, a relative scatter of w, one for all points, is added in
+    quadrature so that χ² per degree of freedom becomes 1. Weights follow the fitted curve, not the points, since a
+    point that fell low by chance must not pull harder.
+    """
+    origin = float(np.mean(z))
+    powers = np.vander(z - origin, 3, increasing=True)
+    degrees = len(z) - 3
+    square = radius**2
+
+    def solve(scatter: float) -> tuple[np.ndarray, np.ndarray, float]:
+        model = square
+        for _ in range(20):
+            sd = 2 * np.sqrt(model) * np.hypot(stderr, scatter * np.sqrt(model))
+            weighted = powers / sd[:, None]
+            covariance = np.linalg.inv(weighted.T @ weighted)
+            coefficients = covariance @ weighted.T @ (square / sd)
+            before, model = model, np.maximum(powers @ coefficients, 1e-6 * square)
+            if np.allclose(before, model, rtol=1e-12, atol=0):
+                break
+        return coefficients, covariance, float(np.sum(((square - powers @ coefficients) / sd) ** 2) / degrees)
+
+    tiny = 1e-9
+    own = solve(tiny)
+    scatter = 0.0
+    if own[2] > 1:
+        scatter = float(np.exp(optimize.brentq(lambda s: np.log(solve(np.exp(s))[2]), np.log(tiny), np.log(10.0))))
+    coefficients, covariance, _ = solve(max(scatter, tiny))
+    return Hyperbola(origin, coefficients, covariance, scatter, own[2], degrees)
+
+
+def beam(fit: Hyperbola, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Values and covariance of `QUANTITIES` from a hyperbola; all NaN where it has no waist.
+
+    With D = 4ac − b²: w0² = D/4c, z0 = −b/2c, θ = √c, z_R = √D/2c, M² = π w0 θ/λ = π √D/2λ.
+    """
+    a, b, c = fit.coefficients
+    power = 4 * a * c - b * b
+    if not (c > 0 and power > 0):
+        return np.full(5, np.nan), np.full((5, 5), np.nan)
+    root = np.sqrt(power)
+    waist, theta, rayleigh = root / (2 * np.sqrt(c)), np.sqrt(c), root / (2 * c)
+    quality = np.pi * root / (2 * wavelength_m)
+    values = np.array([waist, fit.origin - b / (2 * c), theta, rayleigh, quality])
+    of_root = np.array([2 * c, -b, 2 * a]) / root  # d√D / d(a, b, c)
+    of_c = np.array([0.0, 0.0, 1.0])
+    slopes = np.array(
+        [
+            of_root / (2 * np.sqrt(c)) - waist / (2 * c) * of_c,
+            [0.0, -1 / (2 * c), b / (2 * c * c)],
+            of_c / (2 * theta),
+            of_root / (2 * c) - rayleigh / c * of_c,
+            np.pi * of_root / (2 * wavelength_m),
+        ]
+    )
+    return values, slopes @ fit.covariance @ slopes.T
+
+
+def half_width(stderr, degrees: int):
+    """Half of the 68 % interval: a standard error times Student's t, since the scatter is estimated from few points."""
+    return stderr * stats.t.ppf((1 + LEVEL) / 2, degrees)
+
+
+def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
+    """Caustic file of a scan along z; `skipped` with its reason where there is none."""
+    ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
+    if CONDITION not in instrument.conditions or CONDITION not in fits.coords:
+        return ds.assign_attrs(skipped=f"a caustic needs the declared condition {CONDITION}")
+    pitch, wavelength = instrument.sensor.pixel_pitch_m, instrument.laser.wavelength_m
+    for key, value in (("sensor.pixel_pitch_m", pitch), ("laser.wavelength_m", wavelength)):
+        if value is None:
+            return ds.assign_attrs(skipped=f"a caustic needs {key}, which instrument.yaml does not give")
+    assert pitch is not None and wavelength is not None
+    own = fits.sel(centring="light")
+    grid = tuple(str(d) for d in own["status"].dims)
+    own = own.transpose(*grid)
+    good = (own["status"] & (store.UNUSABLE | store.flag("not_converged") | store.flag("at_limit"))) == 0
+    z = own[CONDITION].broadcast_like(own["status"]).transpose(*grid).values
+    radius, stderr = (
+        np.stack([own[f"{name}{suffix}"].where(good).values for name in AXES.values()]) * 2 * pitch
+        for suffix in ("", "_stderr")
+    )
+    usable = np.isfinite(radius).all(axis=0) & np.isfinite(stderr).all(axis=0)
+    positions = len(np.unique(z[usable]))
+    if positions < FEWEST_POSITIONS:
+        return ds.assign_attrs(
+            skipped=f"a caustic needs usable spots at {FEWEST_POSITIONS} positions or more, and {positions} have one"
+        )
+    found = [fit_hyperbola(z[usable], r[usable], s[usable]) for r, s in zip(radius, stderr, strict=True)]
+    ds = ds.assign_coords({d: fits[d] for d in grid if d in fits.coords})
+    _fill(ds, found, wavelength)
+    for name, values, long_name in (
+        ("beam_radius", radius, "1/e2 beam radius, twice the fitted standard deviation"),
+        ("beam_radius_stderr", stderr, "standard error of the beam radius"),
+    ):
+        ds[name] = (("axis", *grid), values, {"units": "m", "long_name": long_name})
+    own_length = float(ds["rayleigh_length"].sel(axis="mean"))
+    distance = np.abs(np.unique(z[usable]) - float(ds["waist_position"].sel(axis="mean")))
+    for name, count, long_name in (
+        ("positions", positions, "positions with a usable spot; ISO 11146-1 asks for 10 or more"),
+        ("positions_near", int(np.sum(distance < own_length)), "positions within one Rayleigh length of the waist"),
+        ("positions_far", int(np.sum(distance > 2 * own_length)), "positions beyond two Rayleigh lengths"),
+    ):
+        ds[name] = ((), count, {"units": "1", "long_name": long_name})
+    return ds.assign_attrs(
+        width="twice the standard deviation of the fitted Gaussian, not the second moment of ISO 11146-1",
+        level=f"intervals of {100 * LEVEL:.0f} %: standard error times Student's t at degrees_of_freedom",
+    )
+
+
+def _fill(ds: xr.Dataset, found: list[Hyperbola], wavelength: float) -> None:
+    """Coefficients, their covariance and what follows from them, one row an axis of the beam."""
+    ds["axis"] = ("axis", np.array(list(AXES), dtype=object), {"units": "1", "long_name": "axis of the fitted Gaussian"})
+    ds["power"] = ("power", np.arange(3), {"units": "1", "long_name": "power of z less the origin"})
+    ds["other_power"] = ("other_power", np.arange(3), {"units": "1", "long_name": "power of z less the origin"})
+    ds["coefficient"] = (
+        ("axis", "power"),
+        np.array([f.coefficients for f in found]),
+        {"units": "m2, m, 1", "long_name": "coefficients a, b, c of the squared radius over z less the origin"},
+    )
+    ds["coefficient_covariance"] = (
+        ("axis", "power", "other_power"),
+        np.array([f.covariance for f in found]),
+        {"units": "products of those of coefficient", "long_name": "covariance of the coefficients"},
+    )
+    for name, values, units, long_name in (
+        ("origin", [f.origin for f in found], "m", "distance that the coefficients count from"),
+        ("scatter", [f.scatter for f in found], "1", "relative scatter of the radius added to its standard error"),
+        ("chi2_reduced", [f.chi2_reduced for f in found], "1", "chi-square per degree of freedom without the scatter"),
+        ("degrees_of_freedom", [f.degrees for f in found], "1", "points less three"),
+    ):
+        ds[name] = ("axis", np.array(values), {"units": units, "long_name": long_name})
+    derived = [beam(f, wavelength) for f in found]
+    for k, (name, (units, long_name)) in enumerate(QUANTITIES.items()):
+        ds[name] = ("axis", np.array([v[k] for v, _ in derived]), {"units": units, "long_name": long_name})
+        error = np.sqrt([c[k, k] for _, c in derived])
+        ds[f"{name}_stderr"] = ("axis", error, {"units": units, "long_name": f"standard error of {long_name}"})

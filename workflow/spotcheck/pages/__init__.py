@@ -1,0 +1,17 @@
+"""Pages written by rules: tables of equations and symbols, the paper's numbers, the report."""
+
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from spotcheck import store
+
+TEMPLATES = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
+)
+
+
+def write_page(path: str | Path, template: str, **content: Any) -> None:
+    """Render a template of this folder to a self-contained page, whole or not at all."""
+    store.write_text(path, TEMPLATES.get_template(template).render(**content))

@@ -1,0 +1,143 @@
+"""The report: one self-contained page of a dataset's figures, tables, what was skipped, and why."""
+
+import base64
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from spotcheck import optics, store
+from spotcheck.dataset import Dataset
+from spotcheck.estimate.sensor import QUANTITIES
+from spotcheck.model.spot import TOP_HAT_RADIUS
+from spotcheck.pages import write_page
+from spotcheck.pages.table3 import parameters
+
+# Vector pictures above this size are shown as PNG: a page must open at once.
+LARGEST_SVG = 400_000
+
+
+def write(dataset: Dataset, results: Path, path: Path) -> None:
+    """Write report.html from what lies in a results folder."""
+    index = json.loads((results / "figures" / "index.json").read_text(encoding="utf-8"))
+    files = {f.stem: store.read(f).load() for f in sorted(results.glob("*.nc")) if f.stem not in ("crops", "simulated")}
+    stages = [(name, ds.attrs["skipped"]) for name, ds in files.items() if "skipped" in ds.attrs]
+    if not dataset.spots:
+        stages.append(("spots", "the manifest names no frame of kind spot: crops, fits and all that follows them"))
+    content: dict[str, Any] = {
+        "title": dataset.title,
+        "dataset": dataset,
+        "frames": _frames(files["frames"]),
+        "not_recorded": [axis.name for axis in dataset.axes if axis.values is None] if dataset.spots else [],
+        "skipped": stages,
+        "skipped_figures": index["skipped"],
+        "figures": [f | {"image": _image(results / "figures", f["name"])} for f in index["figures"]],
+        "chain": _image(results / "chain", "fig06"),
+        "sensor": _sensor(files.get("sensor")),
+        "calibration": _calibration(files.get("calibration")),
+        "caustic": _caustic(files.get("caustic")),
+        "flagged": _flagged(dataset, files.get("fits")),
+        "parameters": parameters(dataset, files, TOP_HAT_RADIUS),
+        "numbers": _numbers(results / "paper_numbers.csv"),
+        "sources": [(name, ds.attrs.get("code_version", "")) for name, ds in files.items()],
+        "magnification": _magnification(dataset),
+    }
+    write_page(path, "report.html", **content)
+
+
+def _image(folder: Path, name: str) -> str:
+    """A picture as a data address: vector where it is small."""
+    vector = folder / f"{name}.svg"
+    chosen, kind = (vector, "svg+xml") if vector.stat().st_size < LARGEST_SVG else (folder / f"{name}.png", "png")
+    return f"data:image/{kind};base64,{base64.b64encode(chosen.read_bytes()).decode()}"
+
+
+def _magnification(dataset: Dataset) -> float | None:
+    lens = dataset.instrument.optics
+    if lens.focal_length_m is None or lens.working_distance_m is None:
+        return None
+    return optics.magnification(lens.focal_length_m, lens.working_distance_m)
+
+
+def _frames(table: xr.Dataset) -> dict[str, Any]:
+    kinds, counts = np.unique(table["kind"].values.astype(str), return_counts=True)
+    return {
+        "kinds": ", ".join(f"{n} {kind}" for kind, n in zip(kinds, counts, strict=True)),
+        "shape": f"{int(table['columns'])} × {int(table['rows'])} px",
+        "bits": int(table["container_bits"]),
+        "full_scale": int(table["full_scale"]),
+        "clipped": int((table["at_full_scale"] > 0).sum()),
+        "maximum": int(table["maximum"].max()),
+    }
+
+
+def _sensor(ds: xr.Dataset | None) -> list[dict[str, Any]]:
+    if ds is None:
+        return []
+    rows = []
+    for name, (units, long_name) in QUANTITIES.items():
+        value, error = float(ds[name]), float(ds[f"{name}_stderr"])
+        rows.append(
+            {
+                "name": long_name,
+                "value": "unknown" if np.isnan(value) else f"{value:.4g}",
+                "error": "" if np.isnan(error) else f"± {error:.2g}",
+                "units": units,
+                "source": ds[name].attrs["source"],
+            }
+        )
+    return rows
+
+
+def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:
+    if ds is None or "skipped" in ds.attrs:
+        return None
+    rows = []
+    for name in ds["estimator"].values:
+        own = ds.sel({"estimator": name})
+        row: dict[str, Any] = {"text": ds.attrs[f"estimator_{name}"], "used": name == ds.attrs["used"]}
+        for p in ("p1", "p2"):
+            row[p] = {key: _number(own[f"{p}_{key}"]) for key in ("mean", "stderr", "sd_all", "sd_angles", "miss")}
+            row[p]["sd_repeats"] = _number(own[f"{p}_sd_repeats"].mean())
+        row["peak"] = _number(own["peak"], ".4g")
+        rows.append(row)
+    return {"rows": rows, "laser_width": float(ds["laser_width"]), "converged": bool(ds["likelihood_converged"])}
+
+
+def _number(value: xr.DataArray, form: str = ".3f") -> str:
+    return format(float(value), form) if np.isfinite(float(value)) else "–"
+
+
+def _caustic(ds: xr.Dataset | None) -> str | None:
+    return None if ds is None or "skipped" in ds.attrs else ds.attrs.get("sentence")
+
+
+def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
+    """Frames that something kept from use, with the flags' meanings."""
+    if fits is None:
+        return []
+    status = fits["status"].sel(centring="light").transpose(*(axis.name for axis in dataset.axes)).values
+    out = []
+    for index, frame in dataset.cells():
+        reasons = [
+            text for bit, (_, text) in store.STATUS.items() if status[index] & bit and bit != store.flag("clipped")
+        ]
+        if reasons:
+            out.append((frame.label, "; ".join(reasons)))
+    return out
+
+
+def _numbers(path: Path) -> dict[str, Any] | None:
+    """Rows of paper_numbers.csv as text, and the shares that hold."""
+    if not path.exists():
+        return None
+    rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+    groups: dict[str, list[dict]] = {}
+    for row in rows:
+        groups.setdefault(row["kind"], []).append(row)
+    counted = {kind: [r for r in own if r["counted"] == "True"] for kind, own in groups.items()}
+    shares = {kind: (sum(r["holds"] == "True" for r in own), len(own)) for kind, own in counted.items() if own}
+    return {"groups": groups, "shares": shares}

@@ -1,0 +1,63 @@
+"""Table 3 of the paper for any dataset: the parameters that the simulation ran on, and where each comes from."""
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.dataset import Dataset
+
+
+def parameters(
+    dataset: Dataset, files: dict[str, xr.Dataset], top_hat_radius: float
+) -> list[tuple[str, str, str, str, str]]:
+    """Rows (parameter, symbol, value, unit, source)."""
+    given = dataset.instrument
+    sheet = "instrument.yaml"
+    rows: list[tuple[str, str, float | str | None, str, str]] = [
+        ("Focal length", "f", given.optics.focal_length_m, "m", sheet),
+        ("Working distance", "d_w", given.optics.working_distance_m, "m", sheet),
+        ("Aperture f-number", "f_a", given.optics.f_number, "1", sheet),
+        ("Filter transmission", "ϱ_f", given.optics.filter_transmission, "1", sheet),
+        ("Pixel pitch", "s_px", given.sensor.pixel_pitch_m, "m", sheet),
+        ("Bits of the converter", "–", given.sensor.bit_depth, "bit", sheet),
+        ("Laser power", "P_L", given.laser.power_w, "W", sheet),
+        ("Laser wavelength", "λ_la", given.laser.wavelength_m, "m", sheet),
+        ("Laser FWHM, x", "FWHM_x", given.laser.fwhm_x_m, "m", sheet),
+        ("Laser FWHM, y", "FWHM_y", given.laser.fwhm_y_m, "m", sheet),
+        ("Material reflection", "ϱ_m", given.material.reflectance, "1", sheet),
+        ("Side of the crop", "–", given.crop_px, "px", sheet),
+        ("Photon budget", "–", given.model.photon_budget, "", sheet),
+    ]
+    if given.model.top_hat:
+        rows.append(("Top hat radius", "r_TH", top_hat_radius, "1", "Eq. 40"))
+    if "sensor" in files:
+        sensor = files["sensor"]
+        for name, symbol in (("gain_dn_per_e", "K"), ("read_noise_e", "σ_d"), ("dark_current_e_per_s", "µ_I")):
+            variable = sensor[name]
+            rows.append(
+                (
+                    variable.attrs["long_name"].capitalize(),
+                    symbol,
+                    float(variable),
+                    variable.attrs["units"],
+                    variable.attrs["source"],
+                )
+            )
+    exposures = next(axis for axis in dataset.axes if axis.name == "exposure").values if dataset.spots else None
+    if exposures:
+        rows.append(("Exposure times", "t_exp", ", ".join(f"{t:g}" for t in exposures), "s", "manifest.csv"))
+    calibration = files.get("calibration")
+    if calibration is not None and "skipped" not in calibration.attrs:
+        own = calibration.sel({"estimator": calibration.attrs["used"]})
+        for name in ("p1", "p2"):
+            text = f"{float(own[f'{name}_mean']):.3f} ± {float(own[f'{name}_sd_all']):.3f}"
+            rows.append((f"Beam propagation {'factor' if name == 'p1' else 'offset'}", name, text, "px", "calibrated"))
+        rows.append(("Peak at the longest exposure", "–", float(own["peak"]), "DN", "calibrated"))
+    return [(a, b, _text(value), unit, source) for a, b, value, unit, source in rows]
+
+
+def _text(value: float | str | None) -> str:
+    if value is None:
+        return "not given"
+    if isinstance(value, str):
+        return value
+    return "unknown" if np.isnan(value) else f"{value:.5g}"
