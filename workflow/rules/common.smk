@@ -6,9 +6,10 @@ from pathlib import Path
 from snakemake.utils import validate
 
 from spotcheck import dataset as contract
-from spotcheck import simulation, store
+from spotcheck import store
 from spotcheck.cli import COMMANDS
 from spotcheck.crops import check_dataset
+from spotcheck.simulation import STACK
 from spotcheck.provenance import code_digest, file_digest, notebook_modules
 
 # Rules call `spotcheck`, `rig` and `papermill` of the environment that runs this file, whether it is active or not.
@@ -46,7 +47,7 @@ if SPOTS:
 
 def code(*commands):
     """Digest of all that the subcommands import: an edit re-runs just the stages that it touches."""
-    return code_digest(*(f"spotcheck.cli.{name}" for name in commands))
+    return code_digest(*(f"spotcheck.cli.{name.replace('-', '_')}" for name in commands))
 
 
 def notebook_code(notebook):

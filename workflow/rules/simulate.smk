@@ -10,7 +10,7 @@ rule simulate:
     output:
         images=f"{OUT}/simulated.nc",
         contract=[f"{OUT}/simulated/manifest.csv", f"{OUT}/simulated/instrument.yaml"],
-        frames=[f"{OUT}/simulated/{simulation.frame_name(index)}" for index, _ in DATASET.cells()],
+        frames=f"{OUT}/simulated/{STACK}",
     params:
         folder=str(DATASET.folder),
         simulated=f"{OUT}/simulated",

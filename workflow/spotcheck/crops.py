@@ -1,6 +1,7 @@
 """The first two stages: what each frame is (ingest), and the crop around its spot (crop)."""
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +32,11 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     }
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
+    digest_of = cache(lambda file: provenance.file_digest(dataset.folder / file))
     digests = []
     for k, frame in enumerate(dataset.frames):
         pixels = frames.read(dataset, frame)
-        digests.append(provenance.file_digest(dataset.folder / frame.file))
+        digests.append(digest_of(frame.file))
         columns["minimum"][k], columns["maximum"][k] = pixels.min(), pixels.max()
         columns["at_full_scale"][k] = np.count_nonzero(pixels >= highest)
         columns["at_zero"][k] = pixels.size - np.count_nonzero(pixels)

@@ -5,6 +5,8 @@ The folder keeps the dataset contract, so that simulated frames pass the very st
 """
 
 import csv
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,8 +22,16 @@ from spotcheck.model.baseline import of_instrument
 from spotcheck.model.sensor import SensorModel
 from spotcheck.model.simulate import frame, frame_generators
 
+# All simulated frames, one page each, in the order of the manifest.
+STACK = "frames/simulated.tif"
 # Frames are larger than the crop by this factor, so that a crop at a maximum anywhere on the plateau stays inside.
 CANVAS = 2
+
+VARIABLES = {
+    "mean_light": store.Variable(("y", "x"), "f4", "DN", "mean light of the simulated spot"),
+    "amplitude": store.Variable((), "f8", "DN", "peak of the Gaussian before the top hat"),
+    "sigma": store.Variable((), "f8", "pixel", "sigma_g, standard deviation of the Gaussian"),
+}
 
 
 class SpotState(NamedTuple):
@@ -52,20 +62,19 @@ def _exposures(dataset: Dataset) -> tuple[float, ...]:
     return next(axis for axis in dataset.axes if axis.name == "exposure").values or ()
 
 
-def frame_name(index: tuple[int, ...]) -> str:
-    """File of a simulated frame, from its place on the grid."""
-    return "frames/" + "_".join(str(k) for k in index) + ".tif"
-
-
 def simulate(
     dataset: Dataset,
-    calibration: xr.Dataset,
-    fits: xr.Dataset,
+    states: dict[tuple[int, ...], SpotState],
     sensor: SensorModel | None,
     folder: Path,
+    path: Path,
+    *,
     seed: int,
-) -> xr.Dataset:
-    """Write the simulated dataset folder; return mean images [grid, y, x] in DN around the spot.
+    attributes: dict[str, str],
+    code: str,
+    inputs: Sequence[str | Path],
+) -> None:
+    """Write the simulated dataset folder, and the mean images [grid, y, x] around the spot to `path`, frame by frame.
 
     Without a sensor model the frames are the rounded mean image and the attribute `noise` says so.
     """
@@ -73,70 +82,53 @@ def simulate(
     side = dataset.instrument.crop_px
     canvas = CANVAS * side
     pixel = np.arange(canvas, dtype=float)
-    states = spot_states(dataset, calibration, fits)
+    inner = slice(canvas // 2 - side // 2, canvas // 2 - side // 2 + side)
+    noise = "drawn" if sensor else "none: gain or read noise of the sensor is unknown"
+    extra = xr.Dataset(attrs={"noise": noise, "seed": seed} | attributes)
+    for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
+        extra[name] = (name, np.arange(side, dtype="i4"), {"units": "pixel", "long_name": text})
     cells = dict(dataset.cells())
     generators = frame_generators(seed, len(cells))
-    means = np.full((*dataset.shape, side, side), np.nan, np.float32)
-    dims = tuple(axis.name for axis in dataset.axes)
-    amplitude, sigma = np.full(dataset.shape, np.nan), np.full(dataset.shape, np.nan)
-    (folder / "frames").mkdir(parents=True, exist_ok=True)
-    inner = slice(canvas // 2 - side // 2, canvas // 2 - side // 2 + side)
-    for (index, row), rng in zip(cells.items(), generators, strict=True):
-        amplitude[index], sigma[index] = states[index]
-        if np.isfinite(amplitude[index]):
-            light = baseline.shape(
-                pixel[None, :], pixel[:, None], amplitude[index], canvas // 2, canvas // 2, sigma[index]
-            )
-        else:  # a frame without a usable spot is simulated as one without light
-            light = np.zeros((canvas, canvas))
-        means[index] = light[inner, inner]
-        if sensor is None:
-            readings = np.clip(np.rint(light), 0, 65535).astype(np.uint16)
-        else:
-            readings = frame(light, row.exposure_s or 0.0, sensor, rng)
-        _write_tiff(folder / frame_name(index), readings)
-    write_contract(dataset, sensor, folder)
-    ds = store.grid(dataset)
-    for name in ("y", "x"):
-        long_name = f"{'row' if name == 'y' else 'column'} of the crop"
-        ds[name] = (name, np.arange(side, dtype="i4"), {"units": "pixel", "long_name": long_name})
-    ds["mean_light"] = (
-        (*dims, "y", "x"),
-        means,
-        {"units": "DN", "long_name": "mean light of the simulated spot"},
-    )
-    ds["amplitude"] = (
-        dims,
-        amplitude,
-        {"units": "DN", "long_name": "peak of the Gaussian before the top hat"},
-    )
-    ds["sigma"] = (
-        dims,
-        sigma,
-        {"units": "pixel", "long_name": "sigma_g, standard deviation of the Gaussian"},
-    )
-    noise = "drawn" if sensor else "none: gain or read noise of the sensor is unknown"
-    law = calibration.attrs.get("used", "none: each frame's own fit")
-    return ds.assign_attrs(noise=noise, calibration=law, seed=seed)
+    with (
+        store.frame_writer(path, dataset, extra, VARIABLES, code=code, inputs=inputs) as writer,
+        _stack(folder / STACK) as stack,
+    ):
+        for (index, row), rng in zip(cells.items(), generators, strict=True):
+            amplitude, sigma = states[index]
+            if np.isfinite(amplitude):
+                light = baseline.shape(pixel[None, :], pixel[:, None], amplitude, canvas // 2, canvas // 2, sigma)
+            else:  # a frame without a usable spot is simulated as one without light
+                light = np.zeros((canvas, canvas))
+            if sensor is None:
+                readings = np.clip(np.rint(light), 0, 65535).astype(np.uint16)
+            else:
+                readings = frame(light, row.exposure_s or 0.0, sensor, rng)
+            stack.write(readings, compression="zlib", contiguous=False)
+            writer.put(index, {"mean_light": light[inner, inner], "amplitude": amplitude, "sigma": sigma})
+    write_contract(dataset, folder)
 
 
-def _write_tiff(path: Path, pixels: np.ndarray) -> None:
+@contextmanager
+def _stack(path: Path) -> Iterator[tifffile.TiffWriter]:
+    """A multi-page TIFF that appears whole or not at all, and equal for equal pages."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_suffix(".part")
-    tifffile.imwrite(scratch, pixels, compression="zlib", software="", metadata=None)
+    with tifffile.TiffWriter(scratch) as stack:
+        yield stack
     scratch.replace(path)
 
 
-def write_contract(dataset: Dataset, sensor: SensorModel | None, folder: Path) -> None:
-    """manifest.csv and instrument.yaml of the simulated folder: the measured design, the sensor that was simulated."""
+def write_contract(dataset: Dataset, folder: Path) -> None:
+    """manifest.csv and instrument.yaml of the simulated folder: the measured design, the bits that were simulated."""
     conditions = dataset.instrument.conditions
-    header = ["file", "kind", "angle_deg", "exposure_s", "repeat", *conditions]
+    header = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *conditions]
     scratch = folder / ".manifest.part"
     with scratch.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(header)
-        for index, row in dataset.cells():
+        for page, (_, row) in enumerate(dataset.cells()):
             numbers = ("" if v is None else v for v in (row.angle_deg, row.exposure_s, row.repeat))
-            writer.writerow([frame_name(index), "spot", *numbers, *(row.extra[c] for c in conditions)])
+            writer.writerow([STACK, page, "spot", *numbers, *(row.extra[c] for c in conditions)])
     scratch.replace(folder / "manifest.csv")
     given = dataset.instrument
     content: dict = {"name": f"{dataset.title} (simulated)", "crop_px": given.crop_px}

@@ -21,13 +21,19 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Simulate every frame of the grid."""
     found = dataset.load(args.dataset)
-    folder = Path(args.folder)
-    with (
-        store.read(args.calibration) as calibration,
-        store.read(args.fits) as fits,
-        store.read(args.sensor) as sensor,
-    ):
-        images = simulation.simulate(found, calibration, fits, model_of(sensor), folder, args.seed)
-    inputs = [args.calibration, args.fits, args.sensor]
-    store.write(images, args.output, code=provenance.code_digest(__name__), inputs=inputs)
+    with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
+        states = simulation.spot_states(found, calibration, fits)
+        model = model_of(sensor)
+        law = calibration.attrs.get("used", "none: each frame's own fit")
+    simulation.simulate(
+        found,
+        states,
+        model,
+        Path(args.folder),
+        Path(args.output),
+        seed=args.seed,
+        attributes={"calibration": law},
+        code=provenance.code_digest(__name__),
+        inputs=[args.calibration, args.fits, args.sensor],
+    )
     print(f"{found.name}: {len(found.spots)} frames simulated")

@@ -166,7 +166,11 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
 
 def _fill(ds: xr.Dataset, found: list[Hyperbola], wavelength: float) -> None:
     """Coefficients, their covariance and what follows from them, one row an axis of the beam."""
-    ds["axis"] = ("axis", np.array(list(AXES), dtype=object), {"units": "1", "long_name": "axis of the fitted Gaussian"})
+    ds["axis"] = (
+        "axis",
+        np.array(list(AXES), dtype=object),
+        {"units": "1", "long_name": "axis of the fitted Gaussian"},
+    )
     ds["power"] = ("power", np.arange(3), {"units": "1", "long_name": "power of z less the origin"})
     ds["other_power"] = ("other_power", np.arange(3), {"units": "1", "long_name": "power of z less the origin"})
     ds["coefficient"] = (

@@ -36,7 +36,9 @@ def over_photons(results: Results) -> style.Drawing:
     return _draw(results, ds, "photons", ds["photons"].values, marks, label, "peaks at its exposure times")
 
 
-def _draw(results: Results, ds: xr.Dataset, over: str, x, marks, xlabel: str, marked: str) -> style.Drawing:
+def _draw(
+    results: Results, ds: xr.Dataset, over: str, x: np.ndarray, marks: np.ndarray, xlabel: str, marked: str
+) -> style.Drawing:
     pitch = float(ds["pixel_pitch"])
     metres = np.isfinite(pitch)
     figure = style.new(3.4)
@@ -49,7 +51,8 @@ def _draw(results: Results, ds: xr.Dataset, over: str, x, marks, xlabel: str, ma
             raise Unavailable("no bound is finite")
         if parameter == "sigma" and metres:
             values = values * pitch**2
-        ranges.append((np.nanmin(values[:, :2]), np.nanmax(values[:, :2])))
+        in_electrons = values[:, [str(name) != "dn" for name in ds["law"].values]]
+        ranges.append((np.nanmin(in_electrons), np.nanmax(in_electrons)))
         for mark in marks:
             ax.axvline(mark, color="0.75", linewidth=3.0, zorder=1)
         handles = [
@@ -59,6 +62,9 @@ def _draw(results: Results, ds: xr.Dataset, over: str, x, marks, xlabel: str, ma
         ax.set_xscale("log")
         ax.set_yscale("log")
         ax.set_xlabel(xlabel)
+        # Whole decades: an axis of less than one would be numbered at 2 · 10⁻¹⁶, 3 · 10⁻¹⁶, …
+        finite = values[np.isfinite(values) & (values > 0)]
+        ax.set_ylim(10 ** np.floor(np.log10(finite.min())), 10 ** np.ceil(np.log10(finite.max())))
     panels[0].set_ylabel("bound Var($\\mu_{p,max}$) / photons²")
     panels[1].set_ylabel(f"bound Var($\\sigma_g$) / {'m²' if metres else 'px²'}")
     style.legend_above(figure, handles, [NAMES[str(name)] for name in ds["law"].values], 3)

@@ -1,6 +1,7 @@
 """The caustic: beam radii over distance with the hyperbola through them."""
 
 import numpy as np
+import xarray as xr
 
 from spotcheck.estimate.caustic import CONDITION, Hyperbola, half_width
 from spotcheck.figures import series, style
@@ -22,7 +23,7 @@ def draw(results: Results) -> style.Drawing:
     z = ds[CONDITION].broadcast_like(ds["beam_radius"].isel(axis=0)).values.ravel()
     reach = np.linspace(z.min() - 0.06 * np.ptp(z), z.max() + 0.06 * np.ptp(z), 200)
     figure = style.new(4.3)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     handles, labels = [], []
     names = [str(name) for name in ds["axis"].values]
     for name, shift in zip(names, series.offsets(np.unique(z), 3), strict=True):
@@ -45,11 +46,11 @@ def draw(results: Results) -> style.Drawing:
         radius = own["beam_radius"].values.ravel()
         spread = np.hypot(own["beam_radius_stderr"].values.ravel(), fit.scatter * radius)
         plain = {"fmt": marker, "color": colour, "markerfacecolor": "white", "markersize": 5, "elinewidth": 1}
-        points = top.errorbar(z * factor, radius * size, yerr=spread * size, **plain)
+        points = top.errorbar(z * factor, radius * size, **plain)
         left = 100 * (radius / fit.radius(z)[0] - 1)
         bottom.errorbar((z + shift) * factor, left, yerr=100 * spread / radius, **plain)
         handles.append((line, points))
-        labels.append(f"{'mean of both' if name == 'mean' else f'{name} axis'}: $M^2$ = {_pm(own, 'm2', 1, '')}")
+        labels.append(f"{'mean of both' if name == 'mean' else f'{name} axis'}\n$M^2$ = {_pm(own, 'm2', 1, '')}")
     bottom.axhline(0, color="0.4", linewidth=0.8)
     bottom.set_xlabel(style.label("distance $z$", unit))
     bottom.set_ylabel("residual / %")
@@ -59,28 +60,31 @@ def draw(results: Results) -> style.Drawing:
     return style.Drawing(figure, _caption(ds, factor, unit))
 
 
-def _caption(ds, factor: float, unit: str) -> str:
+def _caption(ds: xr.Dataset, factor: float, unit: str) -> str:
     own = ds.sel(axis="mean")
     near, far, total = (int(ds[n]) for n in ("positions_near", "positions_far", "positions"))
+    scatter = f"{100 * float(own['scatter']):.1f} %"
     text = (
         "1/e² radius of the beam, twice the fitted standard deviation, over the distance, with the hyperbola"
         " w² = a + b z + c z² (ISO 11146-1, with Gaussian widths in the place of second moments; crops centred on the"
-        " light); beneath, points less hyperbola. Error bars: standard error of the fit and the scatter that brings χ²"
-        f" to 1 per degree of freedom ({100 * float(own['scatter']):.1f} % of the radius for the mean of both axes)."
+        " light). Beneath: points less hyperbola, set a little apart. Error bars: standard error of the fit and the"
+        f" scatter that brings χ² to 1 per degree of freedom ({scatter} of the radius for the mean of both axes)."
         " Grey: 68 % interval of the mean's hyperbola."
     )
     if not np.isfinite(float(own["m2"])):
         return text + " The hyperbola has no waist: the points do not hold one."
+    if float(own["m2"]) < 1:
+        text += " No beam has M² below 1: the fitted Gaussians pass over light in the wings, or the scatter misleads."
     return text + (
         f" Mean of both axes: waist w0 = {_pm(own, 'waist_radius', 1e6, ' µm')} at z0 ="
         f" {_pm(own, 'waist_position', factor, f' {unit}')}, divergence θ = {_pm(own, 'divergence', 1e3, ' mrad')}"
         f" (half-angle), Rayleigh length {_pm(own, 'rayleigh_length', factor, f' {unit}')},"
-        f" M² = {_pm(own, 'm2', 1, '')} (± standard error). {total} positions, {near} of them within one Rayleigh length"
-        f" of the waist and {far} beyond two; the standard asks for ten, half of them near and half far."
+        f" M² = {_pm(own, 'm2', 1, '')} (± standard error). {total} positions, {near} of them within one Rayleigh"
+        f" length of the waist and {far} beyond two; the standard asks for ten, half of them near and half far."
     )
 
 
-def _pm(own, name: str, factor: float, unit: str) -> str:
+def _pm(own: xr.Dataset, name: str, factor: float, unit: str) -> str:
     """Value ± standard error with two digits of the error, and the unit."""
     value, error = float(own[name]) * factor, float(own[f"{name}_stderr"]) * factor
     if not np.isfinite(value):

@@ -1,5 +1,6 @@
 """Measured and simulated frames, one at a time, with their fitted centres: what images and residuals are made of."""
 
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,17 @@ def expected(results: Results, index: dict[str, int], at: Spot) -> np.ndarray:
     return results.mean_reading(np.maximum(light, 0.0), exposure)
 
 
+def residual_frames(results: Results, fixed: dict[str, int]) -> Iterator[tuple[np.ndarray, np.ndarray, Spot]]:
+    """Measured crop [y, x], expected reading on its centre, and spot, of every usable frame under the fixed indices."""
+    crops, fits = results.get("crops"), results.get("fits")
+    free = [d for d in store.grid_dims(crops) if d not in fixed]
+    for at in np.ndindex(*(crops.sizes[d] for d in free)):
+        index = fixed | dict(zip(free, at, strict=True))
+        image, found = crop(crops, index), spot(crops, fits, index)
+        if image is not None and found is not None:
+            yield image, expected(results, index, found), found
+
+
 class Example(NamedTuple):
     """One cell that both sources have: crops [y, x] in DN, fitted spots, and what to call it."""
 
@@ -63,7 +75,7 @@ class Example(NamedTuple):
     name: str
 
 
-def example(results: Results, name_of) -> Example:
+def example(results: Results, name_of: Callable[[xr.Dataset, dict[str, int]], str]) -> Example:
     """The first usable cell in the order: longest exposure, first angle, first repeat, first condition."""
     crops = {"measured": results.get("crops"), "simulated": results.get("simulated/crops")}
     fits = {"measured": results.get("fits"), "simulated": results.get("simulated/fits")}

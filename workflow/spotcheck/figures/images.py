@@ -6,11 +6,13 @@ from matplotlib.patches import Rectangle
 from scipy import ndimage
 
 from spotcheck.figures import series, style
-from spotcheck.figures.frames_of import Example, example
+from spotcheck.figures.frames_of import Example, Spot, example
 from spotcheck.figures.results import Results
 
 # Half the side of the enlarged part, in fitted widths.
 ENLARGED = 3.5
+# A part larger than this fraction of the crop is not drawn again beside it.
+WORTH_ENLARGING = 0.75
 LEVELS = (0.2, 0.5, 0.8)
 SMOOTH_PX = 1.5
 
@@ -43,26 +45,29 @@ def half_side(found: Example) -> int:
     return int(min(max(np.ceil(ENLARGED * widest), 8), min(found.measured.shape) // 2 - 1))
 
 
-def _image(results: Results, found: Example, image: np.ndarray, spot, source: str) -> style.Drawing:
+def _image(results: Results, found: Example, image: np.ndarray, spot: Spot, source: str) -> style.Drawing:
     highest = float(max(np.nanmax(found.measured), np.nanmax(found.simulated)))
     lowest = float(min(np.nanmin(found.measured), np.nanmin(found.simulated)))
-    figure = style.new(3.0)
-    whole, part = figure.subplots(1, 2)
     half = half_side(found)
     centre = round(spot.column), round(spot.row)
-    for ax in (whole, part):
+    enlarged = half < WORTH_ENLARGING * min(image.shape) / 2
+    figure = style.new(3.0 if enlarged else 4.2)
+    panels = list(figure.subplots(1, 2)) if enlarged else [figure.add_subplot()]
+    for ax in panels:
         shown = ax.imshow(image, cmap=style.IMAGE_MAP, vmin=lowest, vmax=highest)
         ax.grid(False)
         ax.set_xlabel("column of the crop / px")
         ax.set_ylabel("row of the crop / px")
-    part.set_xlim(centre[0] - half - 0.5, centre[0] + half + 0.5)
-    part.set_ylim(centre[1] + half + 0.5, centre[1] - half - 0.5)
-    corner = (centre[0] - half - 0.5, centre[1] - half - 0.5)
-    whole.add_patch(Rectangle(corner, 2 * half + 1, 2 * half + 1, fill=False, edgecolor="white", linewidth=0.8))
-    figure.colorbar(shown, ax=[whole, part], label="reading / DN", shrink=0.9, pad=0.02)
+    if enlarged:
+        corner = (centre[0] - half - 0.5, centre[1] - half - 0.5)
+        frame = Rectangle(corner, 2 * half + 1, 2 * half + 1, fill=False, edgecolor="white", linewidth=0.8)
+        panels[0].add_patch(frame)
+        panels[1].set_xlim(centre[0] - half - 0.5, centre[0] + half + 0.5)
+        panels[1].set_ylim(centre[1] + half + 0.5, centre[1] - half - 0.5)
+    figure.colorbar(shown, ax=panels, label="reading / DN", shrink=0.9, pad=0.02)
     caption = (
-        f"{source} frame ({found.name}): the crop of {image.shape[1]} × {image.shape[0]} px centred on the light, and"
-        " the marked part enlarged. Measured and simulated frame share one colour scale."
+        f"{source} frame ({found.name}): the crop of {image.shape[1]} × {image.shape[0]} px centred on the light"
+        f"{', and the marked part enlarged' if enlarged else ''}. Measured and simulated frame share one colour scale."
     )
     clause = (
         "The paper shows 900 µs as well, and finds the simulated plateau close to the real one, the real flanks steeper"

@@ -3,10 +3,11 @@
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from spotcheck import store
 from spotcheck.figures import series, style
-from spotcheck.figures.results import Results, Unavailable
+from spotcheck.figures.results import Results
 from spotcheck.metrics import CONTAINER_RANGE
 
 CENTRED_LIGHT = "crops centred on the light"
@@ -19,6 +20,8 @@ def _grid(ds: xr.Dataset) -> tuple[str, ...]:
 def law_in_time(results: Results) -> bool:
     """Whether the simulation follows a law, so that all frames of an exposure share one width and one peak."""
     simulated = results.get("simulated")
+    if str(simulated.attrs.get("calibration", "")).startswith("none"):
+        return False
     dims = [d for d in simulated["sigma"].dims if d != "exposure"]
     values = simulated["sigma"].transpose("exposure", *dims).values.reshape(simulated.sizes["exposure"], -1)
     return all(np.ptp(row[np.isfinite(row)]) < 1e-9 for row in values if np.isfinite(row).any())
@@ -78,7 +81,8 @@ def _metric(results: Results, name: str, ylabel: str, what: str, paper: str) -> 
     simulated = series.points(ds[name].sel(source="simulated"), design)
     tens, tens_text = style.tens(float(np.nanmax(measured.mean)))
     names, looks = series.line_names(ds, design), style.lines(len(measured.mean))
-    constant = design.across in ("angle", "repeat") and law_in_time(results)
+    law = law_in_time(results)
+    constant = law and design.across in ("angle", "repeat")
 
     figure = style.new(3.5)
     ax = figure.add_subplot()
@@ -90,26 +94,42 @@ def _metric(results: Results, name: str, ylabel: str, what: str, paper: str) -> 
         labels += [", ".join(filter(None, (names[k], source))) for source in ("measured", "simulated")]
     ax.set_ylabel(ylabel.replace("{tens}", tens_text))
     style.legend_above(figure, handles, labels, min(len(looks), 3) if len(looks) > 1 else 2)
-    return style.Drawing(figure, _caption(results, what, measured, design, constant, paper))
+    return style.Drawing(figure, _caption(results, what, measured, design, (law, constant), paper))
 
 
-def _simulated(ax: Axes, x: np.ndarray, found: series.Points, k: int, tens: float, look: style.Line, constant: bool):
+def _simulated(
+    ax: Axes, x: np.ndarray, found: series.Points, k: int, tens: float, look: style.Line, constant: bool
+) -> Line2D:
     """The simulated counterpart: a level where the model knows nothing of the abscissa, else a dashed line."""
     dashes = (0, look.dashes)
     if constant and found.count[k].any():
         level = float(np.average(found.mean[k][found.count[k] > 0], weights=found.count[k][found.count[k] > 0]))
         return ax.axhline(level / tens, color=look.colour, linestyle=dashes)
-    marker = {"marker": look.marker, "markerfacecolor": "white"}
-    return ax.plot(x, found.mean[k] / tens, color=look.colour, linestyle=dashes, **marker)[0]
+    return ax.plot(
+        x,
+        found.mean[k] / tens,
+        color=look.colour,
+        linestyle=dashes,
+        marker=look.marker,
+        markerfacecolor="none",
+        markersize=8,
+    )[0]
 
 
-def _caption(results: Results, what: str, found: series.Points, design: series.Design, level: bool, paper: str) -> str:
+def _caption(
+    results: Results, what: str, found: series.Points, design: series.Design, kind: tuple[bool, bool], paper: str
+) -> str:
+    """`kind`: whether the simulation follows a law in t, and whether it is drawn as a level."""
+    law, level = kind
     own = f"{what}: {CENTRED_LIGHT}. {series.frames_text(found, design)}; {int(found.count.sum())} measured frames."
     if level:
         own += " Dashed level: the simulated frames by the same functions, averaged, since the model knows no"
         own += f" {'angle' if design.across == 'angle' else 'repeat'}."
     else:
         own += " Dashed with open markers: the simulated frames by the same functions."
+    if not law:
+        own += " No law links the frames: each is simulated at its own fit, so that fitted amplitude and width agree by"
+        own += " construction."
     return own + results.beside_paper(paper)
 
 
@@ -141,10 +161,10 @@ def psnr(results: Results) -> style.Drawing:
     between = between[np.isfinite(between)].mean()
     caption = (
         "Peak signal-to-noise ratio of measured against simulated frames. Left: both crops centred on their own"
-        " maximum and scaled to the range of the 16-bit container, as in the paper. Right: the simulated crop moved onto"
-        " the measured fitted centre and scaled to the sensor's own range. The range alone is worth"
+        " maximum and scaled to the range of the 16-bit container, as in the paper. Right: the simulated crop moved"
+        " onto the measured fitted centre and scaled to the sensor's own range. The range alone is worth"
         f" {gap:.1f} dB: the crops of the left panel average {_average(found[0]):.1f} dB, at the sensor's range"
-        f" {between:.1f} dB, and registered {_average(found[1]):.1f} dB. Both ordinates span the same number of decibels."
+        f" {between:.1f} dB, and registered {_average(found[1]):.1f} dB. Both ordinates span the same decibels."
         f" {series.frames_text(found[0], design)}."
     )
     clause = "In print the means are 53 to 58 dB, highest at 100 µs, with spreads of 0.7 to 3.4 dB."
@@ -162,9 +182,3 @@ def _same_span(panels: np.ndarray) -> None:
     span = max(high - low for low, high in limits)
     for ax, (low, high) in zip(panels, limits, strict=True):
         ax.set_ylim((low + high - span) / 2, (low + high + span) / 2)
-
-
-def require_spots(results: Results) -> None:
-    """Raise `Unavailable` when no frame of the dataset shows a spot."""
-    if not results.dataset.spots:
-        raise Unavailable("the dataset has no spot frames")

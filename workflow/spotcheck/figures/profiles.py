@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck import store
 from spotcheck.figures import series, style
-from spotcheck.figures.frames_of import Spot
-from spotcheck.figures.residuals import _indices, _residuals
+from spotcheck.figures.frames_of import Spot, residual_frames
 from spotcheck.figures.results import Results, Unavailable
 
 VIEW = 4.5  # radius shown, in fitted widths
@@ -36,14 +36,13 @@ def rings(image: np.ndarray, at: Spot, count: int) -> np.ndarray:
 
 def profiles(results: Results) -> list[Profile]:
     """One profile an exposure (and a declared condition, where there is one), over all its frames."""
-    design, dims, sizes = _indices(results)
     crops = results.get("crops")
-    kept = [d for d in dims if d == "exposure" or d not in series.UNITS]
+    kept = [d for d in store.grid_dims(crops) if d == "exposure" or d not in series.UNITS]
     out = []
-    for at in np.ndindex(*(sizes[d] for d in kept)):
+    for at in np.ndindex(*(crops.sizes[d] for d in kept)):
         fixed = dict(zip(kept, at, strict=True))
         rows = []
-        for image, model, found in _residuals(results, fixed, dims, sizes):
+        for image, model, found in residual_frames(results, fixed):
             count = min(image.shape) // 2
             rows.append([rings(image, found, count), rings(model, found, count)])
         if not rows:

@@ -1,6 +1,7 @@
 """Fig. 7: the beam propagation parameters p1 and p2 of every fibre orientation."""
 
 import numpy as np
+import xarray as xr
 
 from spotcheck.figures import series, style
 from spotcheck.figures.results import Results
@@ -41,13 +42,14 @@ def draw(results: Results) -> style.Drawing:
         "Beam propagation parameters p1 and p2 (Eq. 8) of every site, averaged at each"
         f" {style.axis_name(across)}; crops centred on the light. {series.frames_text(counted, design)}"
         f" (a point being the fit over all exposures of a site). Legend: mean ± standard deviation over all"
-        f" {int(counted.count.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used}). Others: {rest}."
+        f" {int(counted.count.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
+        f" Others: {rest}."
     )
     clause = "In print p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20; called metres there, they close only as pixels."
     return style.Drawing(figure, caption.replace("frames a point", "sites a point") + results.beside_paper(clause))
 
 
-def _other(calibration, name: str) -> str:
+def _other(calibration: xr.Dataset, name: str) -> str:
     own = calibration.sel(estimator=name)
     values = (f"{p} = {float(own[f'{p}_mean']):.2f} px" for p in ("p1", "p2"))
     return f"{calibration.attrs[f'estimator_{name}']}: {', '.join(values)}"

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
 
 from spotcheck.figures import style
 from spotcheck.figures.results import Unavailable
@@ -91,7 +92,9 @@ def offsets(x: np.ndarray, count: int) -> np.ndarray:
     return step * (np.arange(count) - (count - 1) / 2)
 
 
-def bars(ax: Axes, x: np.ndarray, mean: np.ndarray, sd: np.ndarray, line: style.Line, filled: bool = True):
+def bars(
+    ax: Axes, x: np.ndarray, mean: np.ndarray, sd: np.ndarray, line: style.Line, filled: bool = True
+) -> ErrorbarContainer:
     """Markers with error bars where a standard deviation exists, joined by a thin line; the handle for a legend."""
     error = sd if np.isfinite(sd).any() else None
     return ax.errorbar(

@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Arc, Ellipse
 
@@ -12,7 +13,9 @@ from spotcheck.figures.results import Results, Unavailable
 
 MM = 1e3
 # Height over width of the drawing; an instrument beyond it has its heights stretched, and the caption says so.
-FLATTEST, STEEPEST = 0.30, 0.62
+FLATTEST, STEEPEST = 0.28, 0.62
+# Width and height of the drawing in units of d_w + f and of the field of view.
+ROOM = (1.24, 1.36)
 BEAM = "#C00000"
 
 
@@ -47,13 +50,17 @@ def draw(results: Results) -> style.Drawing:
         distance * MM, focal * MM, (field[0] * MM, field[1] * MM), (sensor[0] * MM, sensor[1] * MM), opening
     )
     rows = numbers(results, pixels)
-    figure = style.new(4.3)
-    top, bottom = figure.subplots(2, 1, height_ratios=(1.5, 1))
-    stretch = _scene(top, drawn, bool(results.instrument.laser.wavelength_m))
+    stretch = enlargement(drawn)
+    heights = style.WIDTH * ROOM[1] * drawn.field[0] * stretch / _wide(drawn), 0.22 * -(-len(rows) // 2)
+    figure = style.new(sum(heights) + 0.15)
+    top, bottom = figure.subplots(2, 1, height_ratios=heights)
+    top.set_aspect(stretch)
+    _scene(top, drawn, bool(results.instrument.laser.wavelength_m))
     _table(bottom, rows)
     caption = (
         "The set-up seen from the side, with the rays through the middle of the lens that bound the field of view."
-        " Lengths are to scale" + (f" along the axis, heights {stretch:.1f} times enlarged" if stretch != 1 else "")
+        " Lengths are to scale"
+        + (f" along the axis, heights {stretch:.2g}-fold" if stretch != 1 else "")
         + (", the opening of the aperture included" if opening else "")
         + "; the laser's tilt is exaggerated, since it stands beside the camera. Numbers: thin lens far from its object"
         " (Eq. 1), grain by Eq. 3, depth of focus by Eq. 4 for a blur of one pixel."
@@ -75,10 +82,10 @@ def numbers(results: Results, pixels: tuple[int, int]) -> list[tuple[str, str]]:
         ("focal length $f$", f"{focal * MM:.4g} mm"),
         ("working distance $d_w$", f"{distance * MM:.4g} mm"),
         ("magnification $M = f/d_w$", f"{scale:.4f}"),
-        ("sensor, height × width", f"{sensor[0] * MM:.3f} × {sensor[1] * MM:.3f} mm"),
+        ("sensor (h × w)", f"{sensor[0] * MM:.3f} × {sensor[1] * MM:.3f} mm"),
         ("", f"{pixels[0]} × {pixels[1]} px of {pitch * 1e6:.4g} µm"),
-        ("field of view, height × width", f"{field[0] * MM:.2f} × {field[1] * MM:.2f} mm"),
-        ("viewing angle δ, height × width", f"{angle[0]:.1f}° × {angle[1]:.2f}°"),
+        ("field of view (h × w)", f"{field[0] * MM:.2f} × {field[1] * MM:.2f} mm"),
+        ("viewing angle δ (h × w)", f"{angle[0]:.1f}° × {angle[1]:.2f}°"),
     ]
     if lens.f_number:
         rows.append(("aperture $f_a$", f"{lens.f_number:.4g}"))
@@ -95,13 +102,21 @@ def numbers(results: Results, pixels: tuple[int, int]) -> list[tuple[str, str]]:
     return rows
 
 
-def _scene(ax: Axes, own: Geometry, laser: bool) -> float:
-    """Draw the side view; return by how much heights are stretched."""
+def _wide(own: Geometry) -> float:
+    """Width of the drawing in mm."""
+    return ROOM[0] * (own.distance + own.focal)
+
+
+def enlargement(own: Geometry) -> float:
+    """By how much heights are enlarged so that the drawing is neither a line nor a tower; mostly 1."""
+    shape = ROOM[1] * own.field[0] / _wide(own)
+    return 1.0 if FLATTEST <= shape <= STEEPEST else float(np.clip(shape, FLATTEST, STEEPEST) / shape)
+
+
+def _scene(ax: Axes, own: Geometry, laser: bool) -> None:
+    """Draw the side view."""
     half_field, half_sensor = own.field[0] / 2, own.sensor[0] / 2
-    width, height = 1.22 * (own.distance + own.focal), 1.5 * own.field[0]
-    stretch = min(max(1.0, FLATTEST * width / height), STEEPEST * width / height)
-    stretch = stretch if abs(stretch - 1) > 0.05 else 1.0
-    ax.set_aspect(stretch)
+    width = _wide(own)
     ax.set_axis_off()
     ax.plot([-1.04 * own.distance, 1.15 * own.focal], [0, 0], color="0.6", linewidth=0.8, linestyle=(0, (9, 3, 2, 3)))
     for sign in (-1, 1):
@@ -126,9 +141,9 @@ def _scene(ax: Axes, own: Geometry, laser: bool) -> float:
         ax.plot(own.focal, 0, "o", color=BEAM, markersize=4, zorder=5)
         ax.text(start[0] + 0.01 * width, start[1], "laser", color=BEAM, va="center")
     _names(ax, own, width, stop)
-    ax.set_xlim(-own.distance - 0.12 * width, own.focal + 0.1 * width)
-    ax.set_ylim(-0.78 * own.field[0], 0.62 * own.field[0])
-    return stretch
+    spare = width - own.distance - own.focal
+    ax.set_xlim(-own.distance - 0.55 * spare, own.focal + 0.45 * spare)
+    ax.set_ylim(-0.76 * own.field[0], (ROOM[1] - 0.76) * own.field[0])
 
 
 def _names(ax: Axes, own: Geometry, width: float, stop: float) -> None:
@@ -160,5 +175,5 @@ def _table(ax: Axes, rows: list[tuple[str, str]]) -> None:
     for k, (what, value) in enumerate(rows):
         column, line = divmod(k, each)
         y = 1 - (line + 0.5) / each
-        ax.text(0.51 * column, y, what, va="center", fontsize=8.5)
-        ax.text(0.51 * column + 0.235, y, value, va="center", fontsize=8.5)
+        ax.text(0.54 * column, y, what, va="center", fontsize=8.5)
+        ax.text(0.54 * column + 0.245, y, value, va="center", fontsize=8.5)

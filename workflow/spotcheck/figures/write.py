@@ -17,7 +17,7 @@ def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] = FIGUR
     drawn: list[dict[str, str | None]] = []
     skipped: list[dict[str, str | None]] = []
     for entry in entries:
-        record = {"name": entry.name, "title": entry.title}
+        record: dict[str, str | None] = {"name": entry.name, "title": entry.title}
         try:
             for need in entry.needs:
                 results.get(need)

@@ -1,0 +1,142 @@
+"""Each bad input ends with a non-zero status and one sentence, without a traceback, and earlier results stay as they were."""
+
+import hashlib
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from tests.conftest import snakemake
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    """Replace the first occurrence of a text in a file."""
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def first_frame(folder: Path) -> Path:
+    """The frame of the manifest's first row."""
+    return folder / (folder / "manifest.csv").read_text().splitlines()[1].split(",")[0]
+
+
+def rewrite(folder: Path, change) -> None:
+    """Write the first frame again, changed."""
+    path = first_frame(folder)
+    tifffile.imwrite(path, change(tifffile.imread(path)))
+
+
+def cut_short(folder: Path) -> None:
+    """Keep the first half of the first frame's bytes."""
+    content = first_frame(folder).read_bytes()
+    first_frame(folder).write_bytes(content[: len(content) // 2])
+
+
+def repeat_row(folder: Path) -> None:
+    """Append the second line of the manifest again."""
+    lines = (folder / "manifest.csv").read_text().splitlines()
+    (folder / "manifest.csv").write_text("\n".join([*lines, lines[1]]) + "\n")
+
+
+CASES = {
+    "frame not there": (lambda f: first_frame(f).unlink(), ["manifest.csv line 2", "not there"]),
+    "image not named": (
+        lambda f: shutil.copy(first_frame(f), f / "frames" / "stray.tif"),
+        ["frames/stray.tif", "does not name"],
+    ),
+    "cut short": (cut_short, ["a0_r0_t0.0001.tif", "cut short"]),
+    "RGB": (lambda f: rewrite(f, lambda p: np.stack([p] * 3, -1)), ["a0_r0_t0.0001.tif", "3 channels", "one channel"]),
+    "float": (lambda f: rewrite(f, lambda p: p.astype("f4")), ["a0_r0_t0.0001.tif", "float32", "unsigned"]),
+    "signed": (lambda f: rewrite(f, lambda p: p.astype("i2")), ["a0_r0_t0.0001.tif", "int16", "unsigned"]),
+    "above bit depth": (
+        lambda f: rewrite(f, lambda p: np.where(p == p.max(), 5000, p).astype("u2")),
+        ["a0_r0_t0.0001.tif", "5000", "bit_depth 10"],
+    ),
+    "another size": (lambda f: rewrite(f, lambda p: p[:-20]), ["400 × 340 px", "one size"]),
+    "duplicate rows": (repeat_row, ["lines 2 and 20", "once"]),
+    "unknown kind": (lambda f: edit(f / "manifest.csv", "spot", "sopt"), ["line 2", "sopt", "spot, dark, flat"]),
+    "negative exposure": (lambda f: edit(f / "manifest.csv", ",0.0001,", ",-0.0001,"), ["line 2", "positive"]),
+    "text exposure": (lambda f: edit(f / "manifest.csv", ",0.0001,", ",short,"), ["line 2", "short", "number"]),
+    "path outside": (lambda f: edit(f / "manifest.csv", "frames/", "../frames/"), ["line 2", "inside"]),
+    "unknown key": (
+        lambda f: edit(f / "instrument.yaml", "bit_depth: 10", "bit_depht: 10"),
+        ["instrument.yaml", "sensor.bit_depht", "known keys"],
+    ),
+    "key without its section": (
+        lambda f: edit(f / "instrument.yaml", "crop_px", "gain_dn_per_e: 0.11\ncrop_px"),
+        ["instrument.yaml", "gain_dn_per_e", "`sensor:`"],
+    ),
+    "wrong type": (
+        lambda f: edit(f / "instrument.yaml", "f_number: 11", "f_number: eleven"),
+        ["instrument.yaml", "optics.f_number", "eleven", "a number"],
+    ),
+    "crop larger than the frame": (
+        lambda f: edit(f / "instrument.yaml", "crop_px: 120", "crop_px: 500"),
+        ["instrument.yaml", "crop_px is 500", "at most 360"],
+    ),
+}
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of every result below a folder, logs and sidecars apart."""
+    files = (p for p in folder.rglob("*") if p.is_file() and not {"logs", "benchmarks", ".runs"} & set(p.parts))
+    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_gets_one_line_and_loses_nothing(case, frames_only, tmp_path):
+    """The sentence names file, row or key, what is wrong and what would be right; results of a good run are untouched."""
+    results = tmp_path / "results" / "mine"
+    good = snakemake("ingest", config={"dataset": frames_only, "results": tmp_path / "results"})
+    assert good.returncode == 0, good.stdout + good.stderr
+    before = digests(results)
+    assert "frames.nc" in before
+    change, words = CASES[case]
+    change(frames_only)
+    bad = snakemake("ingest", config={"dataset": frames_only, "results": tmp_path / "results"})
+    output = bad.stdout + bad.stderr
+    assert bad.returncode != 0
+    sentences = {line for line in output.splitlines() if line.startswith("spotcheck: ")}
+    assert len(sentences) == 1, output
+    assert all(word in next(iter(sentences)) for word in words), sentences
+    assert "Traceback" not in output
+    assert digests(results) == before
+
+
+def test_unwritable_results(frames_only, tmp_path):
+    """A results folder that cannot be made: here a file stands in its way, which stops root as well."""
+    (tmp_path / "file").write_text("")
+    bad = snakemake("ingest", config={"dataset": frames_only, "results": tmp_path / "file"})
+    assert bad.returncode != 0
+    assert "cannot be written" in bad.stderr
+    assert "Traceback" not in bad.stdout + bad.stderr
+
+
+def test_same_name_in_one_results_root(frames_only, small_run, tmp_path):
+    """Two datasets of one name do not share a folder of results."""
+    twin = tmp_path / "elsewhere" / small_run.name
+    shutil.copytree(frames_only, twin)
+    bad = snakemake("ingest", config={"dataset": twin, "results": small_run.parent})
+    assert bad.returncode != 0
+    assert "another folder of the same name" in bad.stderr
+
+
+def test_no_such_dataset():
+    """A name that is no dataset."""
+    bad = snakemake("-n", config={"dataset": "nowhere"})
+    assert bad.returncode != 0
+    assert "nowhere: no folder with a manifest.csv" in bad.stderr
+
+
+@pytest.mark.parametrize("reading", [0, 1023])
+def test_black_or_saturated_frame_is_no_error(reading, frames_only, tmp_path):
+    """A single frame that is black or saturated all over is flagged, and everything else still comes out."""
+    rewrite(frames_only, lambda p: np.full_like(p, reading))
+    run = snakemake("report", config={"dataset": frames_only, "results": tmp_path / "results"})
+    assert run.returncode == 0, run.stdout + run.stderr
+    page = (tmp_path / "results" / "mine" / "report.html").read_text()
+    assert "a0_r0_t0.0001.tif" in page
+    assert ("no light above the noise" if reading == 0 else "every pixel of the crop reads full scale") in page
