@@ -6,14 +6,14 @@ CORES  ?= 2
 BIN    := .venv/bin
 READY  := .venv/.ready
 
-.PHONY: all test lint bench lock clean
+.PHONY: all test lint bench snakemake-report lock clean
 
 all: $(READY)
-	$(BIN)/snakemake --cores $(CORES)
+	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
 	@$(BIN)/spotcheck where results/virtual-rig
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses $(CORES) --dist loadgroup
 
 # The environment is complete when .ready is there: a stopped installation starts again.
 $(READY): requirements.lock pyproject.toml
@@ -31,6 +31,10 @@ lint: $(READY)
 
 bench: $(READY)
 	$(BIN)/python tests/benchmarks/run.py
+
+# Snakemake's own report of the last run, with captions and categories.
+snakemake-report: $(READY)
+	$(BIN)/snakemake --report results/snakemake-report.html
 
 # Needs `uv` on PATH; writes hashes, no host and no path.
 lock:

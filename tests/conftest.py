@@ -73,11 +73,19 @@ def small_run(tmp_path_factory) -> Path:
     return base / "results" / "small"
 
 
+@pytest.fixture(scope="session")
+def small_frames(tmp_path_factory) -> Path:
+    """The small dataset as a user's own folder: frames, manifest, instrument, and no rig."""
+    folder = small_rig_dataset(tmp_path_factory.mktemp("frames") / "small")
+    rig = Path(sys.executable).parent / "rig"
+    settings, truth = folder / "rig.yaml", folder / "truth.json"
+    subprocess.run([rig, "expose", folder, "--settings", settings, "--truth", truth], check=True, capture_output=True)
+    settings.unlink()
+    truth.unlink()
+    return folder
+
+
 @pytest.fixture
-def frames_only(small_run, tmp_path) -> Path:
-    """A copy of the small dataset as a user's own folder: frames, manifest, instrument, and no rig."""
-    copy = tmp_path / "mine"
-    shutil.copytree(small_run.parents[1] / "small", copy)
-    (copy / "rig.yaml").unlink()
-    (copy / "truth.json").unlink()
-    return copy
+def frames_only(small_frames, tmp_path) -> Path:
+    """A copy of the small dataset that a test may spoil."""
+    return shutil.copytree(small_frames, tmp_path / "mine")

@@ -101,8 +101,8 @@ def test_the_default_rig_holds_most_of_the_paper_s_numbers():
     rig = load(DEFAULT)
     seen = trial.measured(rig, sites)
     held = scores.score(seen, scores.simulate_set(rig, seen, seed=0))
-    # What the README claims, less two that the simulation's draw may move over an edge.
-    assert sum(one.held for one in held) >= 31, [one for one in held if not one.held]
+    # The README claims 34; two of them may be moved over an edge by the draw of the simulation.
+    assert sum(one.held for one in held) >= 32, [one for one in held if not one.held]
     # The forecast that screens the candidates: means of widths within 1 %, of amplitudes within 3 %.
     widths, amplitudes, _, _ = screen._tables(rig, sites)
     np.testing.assert_allclose(widths.mean(axis=2), seen.tables["sigma_px"].mean(axis=2), rtol=0.01)

@@ -86,12 +86,20 @@ def digests(folder: Path) -> dict[str, str]:
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
+@pytest.fixture(scope="module")
+def good_results(small_frames, tmp_path_factory) -> Path:
+    """What a good run of ingest left."""
+    root = tmp_path_factory.mktemp("good")
+    run = snakemake("ingest", config={"dataset": small_frames, "results": root})
+    assert run.returncode == 0, run.stdout + run.stderr
+    return root / small_frames.name
+
+
 @pytest.mark.parametrize("case", CASES)
-def test_bad_input_gets_one_line_and_loses_nothing(case, frames_only, tmp_path):
+def test_bad_input_gets_one_line_and_loses_nothing(case, frames_only, good_results, tmp_path):
     """The sentence names file, row or key, what is wrong and what would be right; results of a good run are untouched."""
-    results = tmp_path / "results" / "mine"
-    good = snakemake("ingest", config={"dataset": frames_only, "results": tmp_path / "results"})
-    assert good.returncode == 0, good.stdout + good.stderr
+    results = shutil.copytree(good_results, tmp_path / "results" / "mine")
+    (results / ".dataset").write_text(f"{frames_only}\n")
     before = digests(results)
     assert "frames.nc" in before
     change, words = CASES[case]

@@ -1,4 +1,4 @@
-"""Command line: `rig expose` makes a dataset's frames, `rig search` repeats the search for its settings."""
+"""The virtual rig: makes a dataset's frames, counts the paper's numbers they meet, repeats the search for settings."""
 
 from __future__ import annotations
 

@@ -23,4 +23,4 @@ def run(args: argparse.Namespace) -> None:
         print(f"skipped: {found.attrs['skipped']}")
     else:
         own = found.sel(axis="mean")
-        print(f"M² = {float(own['m2']):.3f} ± {float(own['m2_stderr']):.3f}")
+        print(f"M² = {float(own['m2']):.4g} ± {float(own['m2_stderr']):.2g}")

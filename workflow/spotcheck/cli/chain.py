@@ -1,1 +1,30 @@
-"""`spotcheck chain`: placeholder of the lead so that the Snakefile parses; overwrite this file."""
+"""`spotcheck chain`: the rule graph as SVG and PNG."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from spotcheck.dataset import InputError
+from spotcheck.figures import chain, style
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dot", help="output of `snakemake --rulegraph`; - reads standard input")
+    parser.add_argument("--output", required=True, help="path to write to, without .svg and .png")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Read the graph, lay it out, draw it."""
+    if args.dot == "-":
+        text = sys.stdin.read()
+    else:
+        try:
+            text = Path(args.dot).read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise InputError(f"{args.dot}: not there; write it with `snakemake --rulegraph > {args.dot}`") from None
+    graph = chain.parse(text)
+    base = Path(args.output)
+    with style.applied():
+        style.save(chain.draw(graph), base.parent, base.name)
+    print(f"{len(graph.labels)} stages drawn")

@@ -112,7 +112,7 @@ def beam(fit: Hyperbola, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
     return values, slopes @ fit.covariance @ slopes.T
 
 
-def half_width(stderr, degrees: int):
+def half_width(stderr: np.ndarray, degrees: int) -> np.ndarray:
     """Half of the 68 % interval: a standard error times Student's t, since the scatter is estimated from few points."""
     return stderr * stats.t.ppf((1 + LEVEL) / 2, degrees)
 

@@ -76,18 +76,14 @@ def _caption(ds: xr.Dataset, factor: float, unit: str) -> str:
     if float(own["m2"]) < 1:
         text += " No beam has M² below 1: the fitted Gaussians pass over light in the wings, or the scatter misleads."
     return text + (
-        f" Mean of both axes: waist w0 = {_pm(own, 'waist_radius', 1e6, ' µm')} at z0 ="
-        f" {_pm(own, 'waist_position', factor, f' {unit}')}, divergence θ = {_pm(own, 'divergence', 1e3, ' mrad')}"
-        f" (half-angle), Rayleigh length {_pm(own, 'rayleigh_length', factor, f' {unit}')},"
+        f" Mean of both axes: waist w0 = {_pm(own, 'waist_radius', 1e6, 'µm')} at z0 ="
+        f" {_pm(own, 'waist_position', factor, unit)}, divergence θ = {_pm(own, 'divergence', 1e3, 'mrad')}"
+        f" (half-angle), Rayleigh length {_pm(own, 'rayleigh_length', factor, unit)},"
         f" M² = {_pm(own, 'm2', 1, '')} (± standard error). {total} positions, {near} of them within one Rayleigh"
         f" length of the waist and {far} beyond two; the standard asks for ten, half of them near and half far."
     )
 
 
 def _pm(own: xr.Dataset, name: str, factor: float, unit: str) -> str:
-    """Value ± standard error with two digits of the error, and the unit."""
-    value, error = float(own[name]) * factor, float(own[f"{name}_stderr"]) * factor
-    if not np.isfinite(value):
-        return "none"
-    digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0 else 3
-    return f"{value:.{digits}f} ± {error:.{digits}f}{unit}"
+    """A derived quantity ± its standard error, in the unit that the factor leads to."""
+    return style.plus_minus(float(own[name]) * factor, float(own[f"{name}_stderr"]) * factor, unit)

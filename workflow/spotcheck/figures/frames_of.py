@@ -10,6 +10,9 @@ from spotcheck import metrics, store
 from spotcheck.crops import usable
 from spotcheck.figures.results import Results, Unavailable
 
+# A fit with one of these flags has no width or centre that could be drawn.
+UNTRUSTED = store.UNUSABLE | store.flag("not_converged") | store.flag("at_limit")
+
 
 class Spot(NamedTuple):
     """Fitted spot in a crop: centre (row, column) [px], σ along both axes [px], direction of the long one [rad]."""
@@ -38,7 +41,7 @@ def spot(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> Spot | N
     """The fitted spot in the light-centred crop of one cell, or None without a fit."""
     own, fit = (ds.sel(centring="light").isel(index) for ds in (crops, fits))
     numbers = [float(fit[n]) for n in ("y_centre", "x_centre", "sigma_major", "sigma_minor", "orientation")]
-    if not np.isfinite(numbers).all() or int(fit["status"]) & store.UNUSABLE:
+    if not np.isfinite(numbers).all() or int(fit["status"]) & UNTRUSTED:
         return None
     row, column, major, minor, direction = numbers
     return Spot(row - int(own["top"]), column - int(own["left"]), major, minor, np.radians(direction))

@@ -1,20 +1,17 @@
 """Figs. 9–12: quality metrics of measured and simulated frames, over the fibre orientation or what the design has."""
 
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from spotcheck import store
+from spotcheck.comparison import FROM_FIT
 from spotcheck.figures import series, style
+from spotcheck.figures.frames_of import UNTRUSTED
 from spotcheck.figures.results import Results
 from spotcheck.metrics import CONTAINER_RANGE
 
 CENTRED_LIGHT = "crops centred on the light"
-
-
-def _grid(ds: xr.Dataset) -> tuple[str, ...]:
-    return store.grid_dims(ds)
 
 
 def law_in_time(results: Results) -> bool:
@@ -76,9 +73,13 @@ def total(results: Results) -> style.Drawing:
 def _metric(results: Results, name: str, ylabel: str, what: str, paper: str) -> style.Drawing:
     """One metric: measured with error bars, simulated dashed in the same colour."""
     ds = results.get("metrics").sel(centring="light")
-    design = series.design_of(ds, _grid(results.get("metrics")))
-    measured = series.need_values(series.points(ds[name].sel(source="measured"), design), what.lower())
-    simulated = series.points(ds[name].sel(source="simulated"), design)
+    design = series.design_of(ds, store.grid_dims(results.get("metrics")))
+    values, left_out = ds[name], 0
+    if name in FROM_FIT:
+        values = values.where((ds["status"] & UNTRUSTED) == 0)
+        left_out = int((np.isfinite(ds[name]) & ~np.isfinite(values)).sel(source="measured").sum())
+    measured = series.need_values(series.points(values.sel(source="measured"), design), what.lower())
+    simulated = series.points(values.sel(source="simulated"), design)
     tens, tens_text = style.tens(float(np.nanmax(measured.mean)))
     names, looks = series.line_names(ds, design), style.lines(len(measured.mean))
     law = law_in_time(results)
@@ -87,14 +88,18 @@ def _metric(results: Results, name: str, ylabel: str, what: str, paper: str) -> 
     figure = style.new(3.5)
     ax = figure.add_subplot()
     x = series.abscissa(ax, ds, design)
-    handles, labels = [], []
+    handles: list = []
+    labels: list[str] = []
     for k, (look, shift) in enumerate(zip(looks, series.offsets(x, len(looks)), strict=True)):
         handles.append(series.bars(ax, x + shift, measured.mean[k] / tens, measured.sd[k] / tens, look))
         handles.append(_simulated(ax, x + shift, simulated, k, tens, look, constant))
         labels += [", ".join(filter(None, (names[k], source))) for source in ("measured", "simulated")]
     ax.set_ylabel(ylabel.replace("{tens}", tens_text))
     style.legend_above(figure, handles, labels, min(len(looks), 3) if len(looks) > 1 else 2)
-    return style.Drawing(figure, _caption(results, what, measured, design, (law, constant), paper))
+    caption = _caption(what, measured, design, law, constant)
+    if left_out:
+        caption += f" {left_out} fits that did not converge or left the range of sound widths are not counted."
+    return style.Drawing(figure, caption + results.beside_paper(paper))
 
 
 def _simulated(
@@ -102,8 +107,8 @@ def _simulated(
 ) -> Line2D:
     """The simulated counterpart: a level where the model knows nothing of the abscissa, else a dashed line."""
     dashes = (0, look.dashes)
-    if constant and found.count[k].any():
-        level = float(np.average(found.mean[k][found.count[k] > 0], weights=found.count[k][found.count[k] > 0]))
+    if constant and found.frames[k].any():
+        level = float(np.average(found.mean[k][found.frames[k] > 0], weights=found.frames[k][found.frames[k] > 0]))
         return ax.axhline(level / tens, color=look.colour, linestyle=dashes)
     return ax.plot(
         x,
@@ -116,12 +121,9 @@ def _simulated(
     )[0]
 
 
-def _caption(
-    results: Results, what: str, found: series.Points, design: series.Design, kind: tuple[bool, bool], paper: str
-) -> str:
-    """`kind`: whether the simulation follows a law in t, and whether it is drawn as a level."""
-    law, level = kind
-    own = f"{what}: {CENTRED_LIGHT}. {series.frames_text(found, design)}; {int(found.count.sum())} measured frames."
+def _caption(what: str, found: series.Points, design: series.Design, law: bool, level: bool) -> str:
+    """`law`: the simulation follows a law in t; `level`: it is drawn as one."""
+    own = f"{what}: {CENTRED_LIGHT}. {series.frames_text(found, design)}; {int(found.frames.sum())} measured frames."
     if level:
         own += " Dashed level: the simulated frames by the same functions, averaged, since the model knows no"
         own += f" {'angle' if design.across == 'angle' else 'repeat'}."
@@ -130,13 +132,13 @@ def _caption(
     if not law:
         own += " No law links the frames: each is simulated at its own fit, so that fitted amplitude and width agree by"
         own += " construction."
-    return own + results.beside_paper(paper)
+    return own
 
 
 def psnr(results: Results) -> style.Drawing:
     """Fig. 9a: PSNR as the paper computes it, and with registered crops and the sensor's own range."""
     ds = results.get("metrics")
-    design = series.design_of(ds, tuple(d for d in _grid(ds)))
+    design = series.design_of(ds, store.grid_dims(ds))
     full_scale = float(results.get("sensor")["full_scale_dn"])
     gap = 20 * np.log10(CONTAINER_RANGE / full_scale)
     kinds = [("maximum", "container"), ("fitted", "sensor")]
@@ -172,8 +174,8 @@ def psnr(results: Results) -> style.Drawing:
 
 
 def _average(found: series.Points) -> float:
-    good = found.count > 0
-    return float(np.average(found.mean[good], weights=found.count[good]))
+    good = found.frames > 0
+    return float(np.average(found.mean[good], weights=found.frames[good]))
 
 
 def _same_span(panels: np.ndarray) -> None:

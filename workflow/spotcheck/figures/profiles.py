@@ -49,11 +49,7 @@ def profiles(results: Results) -> list[Profile]:
             continue
         stack = np.array(rows)
         difference = stack[:, 0] - stack[:, 1]
-        words = []
-        for dim, k in fixed.items():
-            if dim in crops.coords:
-                values, unit, _ = series.coordinate(crops, dim)
-                words.append(style.number(values[k], unit))
+        words = filter(None, (series.value_text(crops, dim, k) for dim, k in fixed.items()))
         scatter = difference.std(axis=0, ddof=1) if len(rows) > 1 else np.full(stack.shape[2], np.nan)
         mean = stack.mean(axis=0)
         radius = np.arange(stack.shape[2]) + 0.5

@@ -1,6 +1,5 @@
 """Fig. 7: the beam propagation parameters p1 and p2 of every fibre orientation."""
 
-import numpy as np
 import xarray as xr
 
 from spotcheck.figures import series, style
@@ -31,7 +30,7 @@ def draw(results: Results) -> style.Drawing:
         handles.append(series.bars(ax, x + shift, found.mean[0], found.sd[0], look, filled=k == 0))
         mean, sd = float(own[f"{name}_mean"]), float(own[f"{name}_sd_all"])
         symbol = f"$p_{name[1]}$"
-        labels.append(f"{symbol} = {_pm(mean, sd)} px")
+        labels.append(f"{symbol} = {style.plus_minus(mean, sd)} px")
         ax.set_ylabel(f"{symbol} / px", color=look.colour)
         ax.tick_params(axis="y", colors=look.colour)
     assert counted is not None
@@ -42,7 +41,7 @@ def draw(results: Results) -> style.Drawing:
         "Beam propagation parameters p1 and p2 (Eq. 8) of every site, averaged at each"
         f" {style.axis_name(across)}; crops centred on the light. {series.frames_text(counted, design)}"
         f" (a point being the fit over all exposures of a site). Legend: mean ± standard deviation over all"
-        f" {int(counted.count.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
+        f" {int(counted.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
         f" Others: {rest}."
     )
     clause = "In print p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20; called metres there, they close only as pixels."
@@ -53,7 +52,3 @@ def _other(calibration: xr.Dataset, name: str) -> str:
     own = calibration.sel(estimator=name)
     values = (f"{p} = {float(own[f'{p}_mean']):.2f} px" for p in ("p1", "p2"))
     return f"{calibration.attrs[f'estimator_{name}']}: {', '.join(values)}"
-
-
-def _pm(mean: float, sd: float) -> str:
-    return f"{mean:.2f} ± {sd:.2f}" if np.isfinite(sd) else f"{mean:.2f}"

@@ -19,17 +19,19 @@ COLOUR_ENDS = 99.8  # percentile of the absolute residual at which the colours e
 
 
 class Panel(NamedTuple):
-    """Mean residual [y, x] in DN of one condition, the spots that it was averaged over, and its name."""
+    """Mean residual [y, x] in DN of one condition, the spots that it was averaged over, and the condition in words."""
 
     residual: np.ndarray
     spots: list[Spot]
-    name: str
+    words: tuple[str, ...]
 
 
 def panels(results: Results) -> list[list[Panel | None]]:
     """Panels [row over the abscissa's dimension][column over the exposure], None where no frame is usable."""
     crops = results.get("crops")
     design = series.design_of(crops, store.grid_dims(crops))
+    if design.across == "repeat":  # what is averaged over anyway
+        return [[_panel_of(results, {})]]
     columns = crops.sizes[design.lines] if design.lines else 1
     count, most = crops.sizes[design.across], max(1, MOST_PANELS // columns)
     rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
@@ -55,9 +57,8 @@ def _panel_of(results: Results, fixed: dict[str, int]) -> Panel | None:
         spots.append(found)
     if not spots:
         return None
-    named = {d: series.coordinate(crops, d) for d in fixed if d in crops.coords}
-    words = [style.number(named[d][0][fixed[d]], named[d][1]) for d in named]
-    return Panel(total / np.where(number, number, np.nan), spots, ", ".join(words))
+    words = tuple(filter(None, (series.value_text(crops, dim, k) for dim, k in fixed.items())))
+    return Panel(total / np.where(number, number, np.nan), spots, words)
 
 
 def images(results: Results) -> style.Drawing:
@@ -71,7 +72,7 @@ def images(results: Results) -> style.Drawing:
     widest = max(float(np.mean([s.major for s in p.spots])) for p in known)
     half = min(VIEW * widest, min(known[0].residual.shape) / 2)
     side = (style.WIDTH - 1.1) / columns
-    figure = style.new(min(side, 1.75) * rows + 0.7)
+    figure = style.new_tight(min(side, 1.75 if rows > 1 else 3.0) * rows + 0.7)
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, panel in zip(axes.ravel(), [*flat, *[None] * (rows * columns - len(flat))], strict=True):
         ax.grid(False)
@@ -79,11 +80,15 @@ def images(results: Results) -> style.Drawing:
             ax.set_axis_off()
         else:
             _draw(ax, panel, end, half)
-    scale = ScalarMappable(Normalize(-end, end), style.DIVERGING_MAP)
+            if len(found[0]) == 1:
+                ax.set_title(", ".join(panel.words), fontsize=8.5, pad=3)
+    if len(found[0]) > 1:
+        _head(axes, found)
+    mapped = ScalarMappable(Normalize(-end, end), style.DIVERGING_MAP)
     figure.supxlabel("x from the fitted centre / px", fontsize=9)
     figure.supylabel("y from the fitted centre / px", fontsize=9)
     figure.colorbar(
-        shown, ax=list(axes.ravel()), label="measured − simulated / DN", extend="both", shrink=0.7, aspect=30
+        mapped, ax=list(axes.ravel()), label="measured − simulated / DN", extend="both", shrink=0.7, aspect=30
     )
     counts = [len(p.spots) for p in known]
     frames = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
@@ -94,6 +99,18 @@ def images(results: Results) -> style.Drawing:
         f" panels, its colours ending at ±{end:.3g} DN. Ellipses: 1 σ (solid) and 2 σ (dashed) of the fitted Gaussian."
     )
     return style.Drawing(figure, caption)
+
+
+def _head(axes: np.ndarray, found: list[list[Panel | None]]) -> None:
+    """Name the columns above the first row and the rows right of the last column."""
+    for k, column in enumerate(zip(*found, strict=True)):
+        words = next((p.words for p in column if p), ("",))
+        place = {"transform": axes[0, k].transAxes, "ha": "center", "va": "bottom", "fontsize": 8.5}
+        axes[0, k].text(0.5, 1.03, words[-1], **place)
+    for k, row in enumerate(found):
+        words = next((p.words for p in row if p), ("",))
+        place = {"transform": axes[k, -1].transAxes, "rotation": -90, "ha": "left", "va": "center", "fontsize": 8.5}
+        axes[k, -1].text(1.03, 0.5, words[0], **place)
 
 
 def _draw(ax: Axes, panel: Panel, end: float, half: float) -> None:
@@ -110,4 +127,3 @@ def _draw(ax: Axes, panel: Panel, end: float, half: float) -> None:
         looks = {"fill": False, "edgecolor": "0.1", "linewidth": 0.8, "linestyle": dashes}
         ax.add_patch(Ellipse((0, 0), size[1], size[0], angle=direction, **looks))
     ax.set(xlim=(-half, half), ylim=(half, -half))
-    ax.set_title(panel.name, fontsize=8.5, pad=3)

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
+from matplotlib.ticker import MaxNLocator
 
 from spotcheck.figures import style
 from spotcheck.figures.results import Unavailable
@@ -28,7 +29,7 @@ class Points(NamedTuple):
 
     mean: np.ndarray
     sd: np.ndarray
-    count: np.ndarray
+    frames: np.ndarray
 
 
 def design_of(ds: xr.Dataset, grid: tuple[str, ...]) -> Design:
@@ -63,12 +64,20 @@ def coordinate(ds: xr.Dataset, dim: str) -> tuple[np.ndarray, str, str]:
     return raw * factor, unit, style.label(style.axis_name(dim), unit)
 
 
+def value_text(ds: xr.Dataset, dim: str, k: int) -> str:
+    """One value of a dimension in words: `500 µs`, `45°`, `repeat 3`; empty where none was recorded."""
+    if dim not in ds.coords:
+        return ""
+    values, unit, _ = coordinate(ds, dim)
+    text = style.number(values[k], unit)
+    return text if unit else f"{style.axis_name(dim)} {text}"
+
+
 def line_names(ds: xr.Dataset, design: Design) -> list[str]:
     """What the legend calls each line: the exposure, or nothing when there is one line without a value."""
     if design.lines is None or design.lines not in ds.coords:
         return [""] * (1 if design.lines is None else ds.sizes[design.lines])
-    values, unit, _ = coordinate(ds, design.lines)
-    return [style.number(v, unit) for v in values]
+    return [value_text(ds, design.lines, k) for k in range(ds.sizes[design.lines])]
 
 
 def abscissa(ax: Axes, ds: xr.Dataset, design: Design) -> np.ndarray:
@@ -77,6 +86,8 @@ def abscissa(ax: Axes, ds: xr.Dataset, design: Design) -> np.ndarray:
     ax.set_xlabel(text)
     if len(x) <= TICKS and (len(x) < 2 or np.diff(x).min() > np.ptp(x) / 14):
         ax.set_xticks(x, [f"{v:.4g}" for v in x])
+    elif design.across == "repeat":
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     if len(x) > 1:
         margin = 0.5 * float(np.diff(x).min()) if len(x) <= TICKS else 0.03 * float(np.ptp(x))
         ax.set_xlim(x.min() - margin, x.max() + margin)
@@ -111,14 +122,14 @@ def bars(
 
 def need_values(found: Points, what: str) -> Points:
     """The points, or `Unavailable` when no frame gave a value."""
-    if not found.count.any():
+    if not found.frames.any():
         raise Unavailable(f"no usable spot gives {what}")
     return found
 
 
 def frames_text(found: Points, design: Design) -> str:
     """Clause of a caption: how many frames stand behind a point and what the error bars are."""
-    low, high = int(found.count[found.count > 0].min()), int(found.count.max())
+    low, high = int(found.frames[found.frames > 0].min()), int(found.frames.max())
     if high < 2:
         return "One frame a point, so there are no error bars"
     pooled = [d for d in design.pooled]

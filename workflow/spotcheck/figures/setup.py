@@ -175,5 +175,5 @@ def _table(ax: Axes, rows: list[tuple[str, str]]) -> None:
     for k, (what, value) in enumerate(rows):
         column, line = divmod(k, each)
         y = 1 - (line + 0.5) / each
-        ax.text(0.54 * column, y, what, va="center", fontsize=8.5)
-        ax.text(0.54 * column + 0.245, y, value, va="center", fontsize=8.5)
+        ax.text(0.52 * column, y, what, va="center", fontsize=8.5)
+        ax.text(0.52 * column + 0.235, y, value, va="center", fontsize=8.5)

@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 WIDTH = 6.5  # inch, the width of a page's text
 DPI = 150
 FORMATS = ("svg", "png")
-RC: dict[str, Any] = {
+RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.labelsize": 9,
@@ -93,6 +92,11 @@ def new(height: float, width: float = WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def new_tight(height: float) -> Figure:
+    """An empty figure [inch] for images in a grid: their fixed shape leaves no gaps between them."""
+    return Figure(figsize=(WIDTH, height), layout="compressed")
+
+
 def lines(count: int) -> list[Line]:
     """Looks of `count` ordered series: from dark to light, each with its own marker and dashes."""
     levels = np.linspace(0.08, 0.78, count) if count > 1 else np.array([0.3])
@@ -125,6 +129,17 @@ def number(value: float, unit: str) -> str:
     return f"{value:.4g}{'' if unit in ('', '°') else ' '}{unit}"
 
 
+def plus_minus(value: float, error: float, unit: str = "") -> str:
+    """Value ± error with two digits of the error; the value alone where there is no error."""
+    if not np.isfinite(value):
+        return "none"
+    tail = f" {unit}" if unit else ""
+    if not np.isfinite(error) or error <= 0:
+        return f"{value:.4g}{tail}"
+    digits = max(0, 1 - int(np.floor(np.log10(error))))
+    return f"{value:.{digits}f} ± {error:.{digits}f}{tail}"
+
+
 def tens(largest: float) -> tuple[float, str]:
     """Divisor and text for large plain numbers: (1e6, "10⁶ ") for millions, (1, "") below 10 000."""
     if not np.isfinite(largest) or abs(largest) < 1e4:
@@ -136,11 +151,6 @@ def tens(largest: float) -> tuple[float, str]:
 def legend_above(figure: Figure, handles: list, labels: list[str], columns: int) -> None:
     """A legend over the axes, where it cannot cover data."""
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, handlelength=3.2, columnspacing=1.6)
-
-
-def blank() -> Patch:
-    """An empty handle, to fill a place of a legend."""
-    return Patch(facecolor="none", edgecolor="none")
 
 
 def save(drawing: Drawing, folder: Path, name: str) -> None:
