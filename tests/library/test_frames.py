@@ -92,7 +92,7 @@ PGM_SCALED = pytest.mark.xfail(strict=True, reason="Pillow stretches a PGM to th
 )
 def test_pgm(tmp_path, highest, bits):
     """Binary PGM: the values are those of the file, whatever maxval its header states."""
-    pixels = RAMP % (highest + 1)
+    pixels = RAMP.astype(int) % (highest + 1)
     data = pixels.astype(">u2" if bits == 16 else "u1").tobytes()
     place(tmp_path, "a.pgm").write_bytes(f"P5\n# camera\n30 20\n{highest}\n".encode() + data)
     assert_reads(tmp_path, "a.pgm", pixels, bits)

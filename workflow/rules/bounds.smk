@@ -1,6 +1,4 @@
 rule bounds:
-    message:
-        "Cramér-Rao bounds of {DATASET.name}"
     input:
         MANIFEST,
         INSTRUMENT,
@@ -8,17 +6,21 @@ rule bounds:
         sensor=rules.sensor.output,
     output:
         f"{OUT}/bounds.nc",
-    params:
-        folder=str(DATASET.folder),
-        code=code("bounds"),
     log:
         f"{OUT}/logs/bounds.log",
     benchmark:
         f"{OUT}/benchmarks/bounds.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        code=code("bounds"),
+    message:
+        "Cramér-Rao bounds of {DATASET.name}"
     shell:
         "spotcheck bounds {params.folder:q} --calibration {input.calibration:q} --sensor {input.sensor:q}"
         " --output {output:q} 2>&1 | tee {log:q}"

@@ -1,6 +1,4 @@
 rule calibrate:
-    message:
-        "Calibrating p1 and p2 of {DATASET.name}"
     input:
         MANIFEST,
         INSTRUMENT,
@@ -9,17 +7,21 @@ rule calibrate:
         sensor=rules.sensor.output,
     output:
         f"{OUT}/calibration.nc",
-    params:
-        folder=str(DATASET.folder),
-        code=code("calibrate"),
     log:
         f"{OUT}/logs/calibrate.log",
     benchmark:
         f"{OUT}/benchmarks/calibrate.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        code=code("calibrate"),
+    message:
+        "Calibrating p1 and p2 of {DATASET.name}"
     shell:
         "spotcheck calibrate {params.folder:q} --crops {input.crops:q} --fits {input.fits:q} --sensor {input.sensor:q}"
         " --output {output:q} 2>&1 | tee {log:q}"

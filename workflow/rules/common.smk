@@ -13,7 +13,7 @@ from spotcheck.simulation import STACK
 from spotcheck.provenance import code_digest, file_digest, notebook_modules
 
 # Rules call `spotcheck`, `rig` and `papermill` of the environment that runs this file, whether it is active or not.
-os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+os.environ.update(PATH=os.pathsep.join([str(Path(sys.executable).parent), *os.get_exec_path()]))
 
 validate(config, "../schemas/config.schema.yaml")
 
@@ -40,9 +40,32 @@ RULES = sorted(file_digest(path)[:12] for path in Path(workflow.basedir, "workfl
 # The files that pictures, tables, notebooks and the report are made from.
 RESULTS = [f"{OUT}/frames.nc"]
 if SPOTS:
-    stages = ("crops", "sensor", "fits", "calibration", "simulated", "metrics", "bounds")
+    stages = (
+        "crops",
+        "sensor",
+        "fits",
+        "calibration",
+        "simulated",
+        "metrics",
+        "bounds",
+    )
     RESULTS += [f"{OUT}/{name}.nc" for name in stages]
     RESULTS += [f"{OUT}/caustic.nc"] if "z_m" in DATASET.instrument.conditions else []
+
+
+def dataset_folder(wildcards):
+    """Folder of the dataset."""
+    return str(DATASET.folder)
+
+
+def results_folder(wildcards):
+    """Folder of its results."""
+    return OUT
+
+
+def simulated_folder(wildcards):
+    """Folder of the simulated dataset."""
+    return f"{OUT}/simulated"
 
 
 def code(*commands):

@@ -1,22 +1,24 @@
 rule compare:
-    message:
-        "Comparing measured and simulated frames of {DATASET.name}"
     input:
         crops=[rules.crop.output, rules.crop_simulated.output],
         fits=[rules.fit.output, rules.fit_simulated.output],
         sensor=rules.sensor.output,
     output:
         f"{OUT}/metrics.nc",
-    params:
-        code=code("compare"),
     log:
         f"{OUT}/logs/compare.log",
     benchmark:
         f"{OUT}/benchmarks/compare.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        code=code("compare"),
+    message:
+        "Comparing measured and simulated frames of {DATASET.name}"
     shell:
         "spotcheck compare --crops {input.crops:q} --fits {input.fits:q} --sensor {input.sensor:q} --output {output:q}"
         " 2>&1 | tee {log:q}"

@@ -1,6 +1,4 @@
 rule figures:
-    message:
-        "Drawing every figure of {DATASET.name}"
     input:
         MANIFEST,
         INSTRUMENT,
@@ -14,46 +12,56 @@ rule figures:
             category="Figures",
             labels={"figure": "{name}"},
         ),
-    params:
-        folder=str(DATASET.folder),
-        results=OUT,
-        code=code("figures"),
     log:
         f"{OUT}/logs/figures.log",
     benchmark:
         f"{OUT}/benchmarks/figures.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=800,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        results=results_folder,
+        code=code("figures"),
+    message:
+        "Drawing every figure of {DATASET.name}"
     shell:
         "spotcheck figures --results {params.results:q} --dataset {params.folder:q} --output {output:q} 2>&1 | tee {log:q}"
 
 
 # Fig. 6 of the paper: the chain itself. Snakemake is asked for the graph of the rules of this very run.
 rule chain:
-    message:
-        "Drawing the rule graph"
     output:
         picture=report(
-            f"{OUT}/chain/fig06.svg", caption="../report/chain.rst", category="Figures", labels={"figure": "fig06"}
+            f"{OUT}/chain/fig06.svg",
+            caption="../report/chain.rst",
+            category="Figures",
+            labels={"figure": "fig06"},
         ),
         preview=f"{OUT}/chain/fig06.png",
-    params:
-        dataset=str(DATASET.folder),
-        results=config["results"],
-        base=f"{OUT}/chain/fig06",
-        rules=RULES,
-        code=code("chain"),
     log:
         f"{OUT}/logs/chain.log",
     benchmark:
         f"{OUT}/benchmarks/chain.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        dataset=str(DATASET.folder),
+        results=lambda wildcards: config["results"],
+        base=lambda wildcards, output: output.picture.removesuffix(".svg"),
+        snakefile=str(workflow.main_snakefile),
+        rules=RULES,
+        code=code("chain"),
+    message:
+        "Drawing the rule graph"
     shell:
-        "snakemake --forceall --rulegraph dot --nolock --quiet all --snakefile {workflow.main_snakefile:q}"
+        "snakemake --forceall --rulegraph dot --nolock --quiet all --snakefile {params.snakefile:q}"
         " --config dataset={params.dataset:q} results={params.results:q} 2> {log:q} > {params.base:q}.dot"
         " && spotcheck chain {params.base:q}.dot --output {params.base:q} 2>&1 | tee --append {log:q}"

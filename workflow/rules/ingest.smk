@@ -1,22 +1,24 @@
 rule ingest:
-    message:
-        "Recording every frame of {DATASET.name}"
     input:
         MANIFEST,
         INSTRUMENT,
         frames=FRAMES,
     output:
         update(f"{OUT}/frames.nc"),
-    params:
-        folder=str(DATASET.folder),
-        code=code("ingest"),
     log:
         f"{OUT}/logs/ingest.log",
     benchmark:
         f"{OUT}/benchmarks/ingest.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        code=code("ingest"),
+    message:
+        "Recording every frame of {DATASET.name}"
     shell:
         "spotcheck ingest {params.folder:q} --output {output:q} 2>&1 | tee {log:q}"

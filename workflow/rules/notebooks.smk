@@ -1,7 +1,5 @@
 # Executed notebooks are results. Each appears whole: papermill writes as it goes, so it writes beside.
 rule notebook:
-    message:
-        "Executing notebook {wildcards.notebook} on {DATASET.name}"
     input:
         MANIFEST,
         INSTRUMENT,
@@ -9,21 +7,25 @@ rule notebook:
         source="notebooks/{notebook}.ipynb",
     output:
         f"{OUT}/notebooks/{{notebook}}.ipynb",
-    params:
-        folder=str(DATASET.folder),
-        results=str(Path(OUT).resolve()),
-        scratch=lambda wildcards, output: str(Path(output[0]).with_suffix(".part.ipynb")),
-        code=lambda wildcards: notebook_code(wildcards.notebook),
     log:
         f"{OUT}/logs/notebook_{{notebook}}.log",
     benchmark:
         f"{OUT}/benchmarks/notebook_{{notebook}}.tsv"
     wildcard_constraints:
         notebook="|".join(NOTEBOOKS),
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=800,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        results=lambda wildcards: str(Path(OUT).resolve()),
+        scratch=lambda wildcards, output: str(Path(output[0]).with_suffix(".part.ipynb")),
+        code=lambda wildcards: notebook_code(wildcards.notebook),
+    message:
+        "Executing notebook {wildcards.notebook} on {DATASET.name}"
     shell:
         "papermill {input.source:q} {params.scratch:q} -k python3 --no-progress-bar"
         " -p dataset {params.folder:q} -p results {params.results:q} 2>&1 | tee {log:q}"

@@ -1,7 +1,5 @@
 # The paper's numbers against ours: for the default dataset, which was made to be compared with it.
 rule paper:
-    message:
-        "Comparing the numbers of the paper"
     input:
         numbers="data/paper_numbers.yaml",
         instrument=INSTRUMENT,
@@ -14,18 +12,22 @@ rule paper:
             category="Paper numbers",
             labels={"table": "all numbers"},
         ),
-    params:
-        folder=str(DATASET.folder),
-        results=OUT,
-        code=code("paper"),
     log:
         f"{OUT}/logs/paper.log",
     benchmark:
         f"{OUT}/benchmarks/paper.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        results=results_folder,
+        code=code("paper"),
+    message:
+        "Comparing the numbers of the paper"
     shell:
         "spotcheck paper {input.numbers:q} --dataset {params.folder:q} --results {params.results:q}"
         " --table {output.table:q} --page {output.page:q} 2>&1 | tee {log:q}"

@@ -1,7 +1,5 @@
 # Equations and symbols from the docstrings: fails when one of the paper's equations has no function or no test.
 rule tables:
-    message:
-        "Tables of equations and symbols"
     input:
         "data/symbols.yaml",
         tests=sorted(str(path) for path in Path("tests").rglob("test_*.py")),
@@ -18,24 +16,26 @@ rule tables:
             category="Tables",
             labels={"table": "symbols"},
         ),
-    params:
-        folder=f"{OUT}/docs",
-        code=code(*COMMANDS),
     log:
         f"{OUT}/logs/tables.log",
     benchmark:
         f"{OUT}/benchmarks/tables.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        folder=lambda wildcards, output: str(Path(output.equations).parent),
+        code=code(*COMMANDS),
+    message:
+        "Tables of equations and symbols"
     shell:
         "spotcheck equations --symbols data/symbols.yaml --tests tests --output {params.folder:q} 2>&1 | tee {log:q}"
 
 
 rule report:
-    message:
-        "Writing the report of {DATASET.name}"
     input:
         MANIFEST,
         INSTRUMENT,
@@ -46,18 +46,22 @@ rule report:
         chain=rules.chain.output,
     output:
         f"{OUT}/report.html",
-    params:
-        folder=str(DATASET.folder),
-        results=OUT,
-        code=code("report"),
     log:
         f"{OUT}/logs/report.log",
     benchmark:
         f"{OUT}/benchmarks/report.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        results=results_folder,
+        code=code("report"),
+    message:
+        "Writing the report of {DATASET.name}"
     shell:
         "spotcheck report --dataset {params.folder:q} --results {params.results:q} --output {output:q}"
         " 2>&1 | tee {log:q}"

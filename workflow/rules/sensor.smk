@@ -1,6 +1,4 @@
 rule sensor:
-    message:
-        "Settling the sensor of {DATASET.name}"
     input:
         MANIFEST,
         INSTRUMENT,
@@ -8,17 +6,21 @@ rule sensor:
         crops=rules.crop.output,
     output:
         f"{OUT}/sensor.nc",
-    params:
-        folder=str(DATASET.folder),
-        code=code("sensor"),
     log:
         f"{OUT}/logs/sensor.log",
     benchmark:
         f"{OUT}/benchmarks/sensor.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        code=code("sensor"),
+    message:
+        "Settling the sensor of {DATASET.name}"
     shell:
         "spotcheck sensor {params.folder:q} --crops {input.crops:q} --frames {input.table:q} --output {output:q}"
         " 2>&1 | tee {log:q}"

@@ -1,6 +1,4 @@
 rule simulate:
-    message:
-        "Simulating every frame of {DATASET.name}"
     input:
         MANIFEST,
         INSTRUMENT,
@@ -11,19 +9,23 @@ rule simulate:
         images=f"{OUT}/simulated.nc",
         contract=[f"{OUT}/simulated/manifest.csv", f"{OUT}/simulated/instrument.yaml"],
         frames=f"{OUT}/simulated/{STACK}",
-    params:
-        folder=str(DATASET.folder),
-        simulated=f"{OUT}/simulated",
-        seed=config["seed"],
-        code=code("simulate"),
     log:
         f"{OUT}/logs/simulate.log",
     benchmark:
         f"{OUT}/benchmarks/simulate.tsv"
+    conda:
+        "spotcheck"
     threads: 1
     resources:
         mem_mb=500,
         runtime=10,
+    params:
+        folder=dataset_folder,
+        simulated=simulated_folder,
+        seed=config["seed"],
+        code=code("simulate"),
+    message:
+        "Simulating every frame of {DATASET.name}"
     shell:
         "spotcheck simulate {params.folder:q} --calibration {input.calibration:q} --fits {input.fits:q}"
         " --sensor {input.sensor:q} --seed {params.seed} --folder {params.simulated:q} --output {output.images:q}"

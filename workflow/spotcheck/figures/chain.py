@@ -211,7 +211,8 @@ def draw(graph: Graph) -> style.Drawing:
     caption = (
         f"The chain of the workflow: {len(graph.labels)} stages, an arrow from each to those that read what it wrote,"
         " pale where a longer way leads there too. Shaded differently: what nothing else needs. The"
-        " paper's flow chart holds the simulation alone; here the simulated frames pass the very stages that the measured ones do."
+        " paper's flow chart holds the simulation alone; here the simulated frames pass the very stages that the"
+        " measured ones do."
     )
     return style.Drawing(figure, caption)
 

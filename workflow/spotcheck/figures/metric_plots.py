@@ -77,7 +77,7 @@ def _metric(results: Results, name: str, ylabel: str, what: str, paper: str) -> 
     values, left_out = ds[name], 0
     if name in FROM_FIT:
         values = values.where((ds["status"] & UNTRUSTED) == 0)
-        left_out = int((np.isfinite(ds[name]) & ~np.isfinite(values)).sel(source="measured").sum())
+        left_out = int((ds[name].notnull() & values.isnull()).sel(source="measured").sum())
     measured = series.need_values(series.points(values.sel(source="measured"), design), what.lower())
     simulated = series.points(values.sel(source="simulated"), design)
     tens, tens_text = style.tens(float(np.nanmax(measured.mean)))

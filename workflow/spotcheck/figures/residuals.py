@@ -85,8 +85,11 @@ def images(results: Results) -> style.Drawing:
     if len(found[0]) > 1:
         _head(axes, found)
     mapped = ScalarMappable(Normalize(-end, end), style.DIVERGING_MAP)
-    figure.supxlabel("x from the fitted centre / px", fontsize=9)
-    figure.supylabel("y from the fitted centre / px", fontsize=9)
+    shown = np.array([[ax.axison for ax in row] for row in axes])
+    for ax in axes[-1][shown[-1]][shown[-1].sum() // 2 :][:1]:
+        ax.set_xlabel("x from the fitted centre / px")
+    for ax in axes[:, 0][shown[:, 0]][shown[:, 0].sum() // 2 :][:1]:
+        ax.set_ylabel("y from the fitted centre / px")
     figure.colorbar(
         mapped, ax=list(axes.ravel()), label="measured − simulated / DN", extend="both", shrink=0.7, aspect=30
     )

@@ -43,6 +43,7 @@ RC: dict[Any, Any] = {
 IMAGE_MAP, DIVERGING_MAP = "magma", "RdBu_r"
 # Two colours apart in hue and in lightness (Okabe and Ito): measured and simulated where only these two meet.
 MEASURED, SIMULATED, ACCENT = "#0072B2", "#D55E00", "#009E73"
+LUMA = np.array([0.299, 0.587, 0.114])  # what a grey printer makes of red, green and blue
 MARKERS = "osD^vPX*"
 DASHES: tuple[tuple[float, ...], ...] = (
     (6, 2),
@@ -98,9 +99,11 @@ def new_tight(height: float) -> Figure:
 
 
 def lines(count: int) -> list[Line]:
-    """Looks of `count` ordered series: from dark to light, each with its own marker and dashes."""
-    levels = np.linspace(0.08, 0.78, count) if count > 1 else np.array([0.3])
-    colours = matplotlib.colormaps["viridis"](levels)
+    """Looks of `count` ordered series: from dark to light in equal steps of grey, each with its marker and dashes."""
+    shades = matplotlib.colormaps["viridis"](np.linspace(0.02, 0.80, 200))
+    grey = shades[:, :3] @ LUMA
+    steps = np.linspace(grey[0], grey[-1], count) if count > 1 else np.array([0.36])
+    colours = shades[np.searchsorted(grey, steps).clip(0, len(shades) - 1)]
     return [Line(c, MARKERS[k % len(MARKERS)], DASHES[k % len(DASHES)]) for k, c in enumerate(colours)]
 
 

@@ -4,7 +4,7 @@ import math
 
 from spotcheck import metrics, optics
 from spotcheck.model import sensor, spot
-from spotcheck.paper.results import Results
+from spotcheck.paper.results import Results, known
 
 PRINTED_MAGNIFICATION = 0.2
 FILAMENT_GAP_M = 5.2e-6  # Section 3.1.1
@@ -13,11 +13,11 @@ FILAMENT_GAP_M = 5.2e-6  # Section 3.1.1
 def magnification(results: Results) -> float:
     """M [1] (Eq. 1)."""
     lens = results.dataset.instrument.optics
-    return optics.magnification(lens.focal_length_m, lens.working_distance_m)
+    return optics.magnification(known(lens.focal_length_m), known(lens.working_distance_m))
 
 
 def _side_mm(results: Results, name: str) -> float:
-    return 1e3 * float(results.file("frames")[name]) * results.dataset.instrument.sensor.pixel_pitch_m
+    return 1e3 * float(results.file("frames")[name]) * known(results.dataset.instrument.sensor.pixel_pitch_m)
 
 
 def sensor_width(results: Results) -> float:
@@ -32,7 +32,7 @@ def sensor_height(results: Results) -> float:
 
 def _field_mm(results: Results, side_mm: float) -> float:
     lens = results.dataset.instrument.optics
-    return optics.field_of_view(side_mm, lens.focal_length_m, lens.working_distance_m)
+    return optics.field_of_view(side_mm, known(lens.focal_length_m), known(lens.working_distance_m))
 
 
 def field_height(results: Results) -> float:
@@ -47,18 +47,18 @@ def field_width(results: Results) -> float:
 
 def viewing_angle_height(results: Results) -> float:
     """Viewing angle along the height [degree]."""
-    distance = 1e3 * results.dataset.instrument.optics.working_distance_m
+    distance = 1e3 * known(results.dataset.instrument.optics.working_distance_m)
     return math.degrees(optics.viewing_angle(field_height(results), distance))
 
 
 def viewing_angle_width(results: Results) -> float:
     """Viewing angle along the width [degree]."""
-    distance = 1e3 * results.dataset.instrument.optics.working_distance_m
+    distance = 1e3 * known(results.dataset.instrument.optics.working_distance_m)
     return math.degrees(optics.viewing_angle(field_width(results), distance))
 
 
 def _grain_um(results: Results, f_number: float) -> float:
-    return 1e6 * optics.speckle_grain(PRINTED_MAGNIFICATION, results.dataset.instrument.laser.wavelength_m, f_number)
+    return 1e6 * optics.speckle_grain(PRINTED_MAGNIFICATION, known(results.dataset.instrument.laser.wavelength_m), f_number)
 
 
 def grain_per_f_number(results: Results) -> float:
@@ -68,11 +68,11 @@ def grain_per_f_number(results: Results) -> float:
 
 def f_number_for_grain_of_one_pixel(results: Results) -> float:
     """f-number at which the grain is one pixel [1]."""
-    return 1e6 * results.dataset.instrument.sensor.pixel_pitch_m / grain_per_f_number(results)
+    return 1e6 * known(results.dataset.instrument.sensor.pixel_pitch_m) / grain_per_f_number(results)
 
 
 def _f_number_for_depth(results: Results, depth_m: float) -> float:
-    blur = results.dataset.instrument.sensor.pixel_pitch_m
+    blur = known(results.dataset.instrument.sensor.pixel_pitch_m)
     return optics.f_number_for_depth(depth_m, blur, PRINTED_MAGNIFICATION)
 
 
@@ -88,12 +88,12 @@ def f_number_for_deep_depth(results: Results) -> float:
 
 def grain(results: Results) -> float:
     """Speckle grain at the f-number of the set-up [µm] (Eq. 3)."""
-    return _grain_um(results, results.dataset.instrument.optics.f_number)
+    return _grain_um(results, known(results.dataset.instrument.optics.f_number))
 
 
 def grain_in_pixels(results: Results) -> float:
     """Speckle grain [px]."""
-    return 1e-6 * grain(results) / results.dataset.instrument.sensor.pixel_pitch_m
+    return 1e-6 * grain(results) / known(results.dataset.instrument.sensor.pixel_pitch_m)
 
 
 def contrast_increase(results: Results) -> float:
@@ -104,7 +104,8 @@ def contrast_increase(results: Results) -> float:
 def fraunhofer(results: Results) -> float:
     """d_f²/(d_w λ) [1] (Eq. 6)."""
     instrument = results.dataset.instrument
-    return optics.fraunhofer_number(FILAMENT_GAP_M, instrument.optics.working_distance_m, instrument.laser.wavelength_m)
+    distance, wavelength = known(instrument.optics.working_distance_m), known(instrument.laser.wavelength_m)
+    return optics.fraunhofer_number(FILAMENT_GAP_M, distance, wavelength)
 
 
 def rounding_variance(results: Results) -> float:

@@ -1,0 +1,162 @@
+"""The caustic against beams whose answer is known in closed form."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import stats
+
+from spotcheck import store
+from spotcheck.dataset import Instrument, Laser, Sensor
+from spotcheck.estimate import caustic
+
+WAVELENGTH, PITCH = 632.8e-9, 3.75e-6
+NAMES = list(caustic.QUANTITIES)
+
+
+def tem00(z, waist, position, m2=1.0):
+    """Radius [m] of a beam of a given waist and M² (ISO 11146-1), and what `beam` should return for it."""
+    rayleigh = np.pi * waist**2 / (m2 * WAVELENGTH)
+    radius = waist * np.sqrt(1 + ((z - position) / rayleigh) ** 2)
+    return radius, np.array([waist, position, waist / rayleigh, rayleigh, m2])
+
+
+@pytest.mark.parametrize("m2", [1.0, 1.7])
+def test_exact_widths_give_the_beam_back(m2):
+    z = np.linspace(-0.4, 0.6, 11)
+    radius, truth = tem00(z, 120e-6, 0.07, m2)
+    fit = caustic.fit_hyperbola(z, radius, np.full_like(z, 1e-8))
+    values, _ = caustic.beam(fit, WAVELENGTH)
+    np.testing.assert_allclose(values, truth, rtol=1e-7)
+    assert fit.scatter == 0.0
+    np.testing.assert_allclose(fit.radius(z)[0], radius, rtol=1e-9)
+
+
+def test_m2_agrees_with_the_diameter_form_of_the_standard():
+    """ISO 11146-1 and the package laserbeamsize write M² = π/(8λ) √(4ac − b²) for d² = a + b z + c z²."""
+    z = np.linspace(0.1, 0.9, 9)
+    radius, _ = tem00(z, 90e-6, 0.4, 1.3)
+    c, b, a = np.polyfit(z, (2 * radius) ** 2, 2)
+    values, _ = caustic.beam(caustic.fit_hyperbola(z, radius, np.full_like(z, 1e-8)), WAVELENGTH)
+    assert values[4] == pytest.approx(np.pi / (8 * WAVELENGTH) * np.sqrt(4 * a * c - b * b), rel=1e-7)
+    assert values[0] == pytest.approx(np.sqrt((4 * a * c - b * b) / c) / 4, rel=1e-7)
+
+
+def test_slopes_of_the_derived_quantities_match_complex_steps():
+    """The propagated covariance is J C Jᵀ with the exact Jacobian."""
+    coefficients, origin = np.array([2.0e-8, -3.0e-9, 4.0e-6]), 0.3
+    factor = np.random.default_rng(3).normal(size=(3, 3)) * coefficients[:, None] * 0.01
+    covariance = factor @ factor.T
+    fit = caustic.Hyperbola(origin, coefficients, covariance, 0.0, 1.0, 6)
+
+    def derived(p):
+        a, b, c = p
+        root = np.sqrt(4 * a * c - b * b)
+        theta = np.sqrt(c)
+        return np.array(
+            [root / (2 * theta), origin - b / (2 * c), theta, root / (2 * c), np.pi * root / (2 * WAVELENGTH)]
+        )
+
+    step = 1e-30
+    slopes = np.array([np.imag(derived(coefficients + 1j * step * np.eye(3)[k])) / step for k in range(3)]).T
+    _, own = caustic.beam(fit, WAVELENGTH)
+    np.testing.assert_allclose(own, slopes @ covariance @ slopes.T, rtol=1e-10)
+
+
+@pytest.mark.parametrize(("stderr", "scatter"), [(3e-6, 0.0), (2e-8, 0.02)])
+def test_noisy_widths_give_the_beam_back_within_its_intervals(stderr, scatter):
+    """300 draws at a fixed seed. A true 68.27 % interval holds the truth in 205 ± 8 of them; a binomial test at 1e-3 a
+    quantity (five of them, two cases: one false alarm in a hundred seeds) decides. Linearised errors and the estimated
+    scatter may cost some coverage, so the probability tested may lie anywhere within 0.03 of the nominal one."""
+    rng = np.random.default_rng(20240607)
+    z = np.linspace(-0.35, 0.45, 12)
+    radius, truth = tem00(z, 150e-6, 0.02, 1.2)
+    inside = np.zeros(len(truth), int)
+    pulls = []
+    for _ in range(300):
+        drawn = radius * (1 + scatter * rng.normal(size=z.size)) + stderr * rng.normal(size=z.size)
+        fit = caustic.fit_hyperbola(z, drawn, np.full_like(z, stderr))
+        values, covariance = caustic.beam(fit, WAVELENGTH)
+        error = np.sqrt(np.diag(covariance))
+        inside += np.abs(values - truth) < caustic.half_width(error, fit.degrees)
+        pulls.append((values - truth) / error)
+    slack = 0.03
+    low = stats.binom.ppf(5e-4, 300, caustic.LEVEL - slack)
+    high = stats.binom.ppf(1 - 5e-4, 300, caustic.LEVEL + slack + (0.05 if scatter == 0 else 0.0))
+    for name, count in zip(NAMES, inside, strict=True):
+        assert low <= count <= high, (name, count, low, high)
+    # No bias: the mean pull of 300 has a standard error of 0.06, and 0.25 leaves room for curvature.
+    assert np.abs(np.mean(pulls, axis=0)).max() < 0.25
+
+
+def test_scatter_brings_chi_square_to_one():
+    rng = np.random.default_rng(1)
+    z = np.linspace(-0.3, 0.3, 20)
+    radius, _ = tem00(z, 150e-6, 0.0)
+    drawn = radius * (1 + 0.03 * rng.normal(size=z.size))
+    fit = caustic.fit_hyperbola(z, drawn, np.full_like(z, 1e-8))
+    assert fit.chi2_reduced > 100
+    # 17 degrees of freedom: the estimate of 3 % scatters by 17 %, four of which are allowed.
+    assert fit.scatter == pytest.approx(0.03, rel=0.7)
+    model = fit.radius(z)[0] ** 2
+    chi2 = np.sum(((drawn**2 - model) / (2 * fit.scatter * model)) ** 2) / fit.degrees
+    assert chi2 == pytest.approx(1, rel=1e-3)
+
+
+def test_no_waist_is_nan_not_a_number():
+    z = np.linspace(0, 1, 6)
+    fit = caustic.fit_hyperbola(z, np.sqrt(2e-8 - 1e-8 * z**2), np.full(6, 1e-9))
+    values, covariance = caustic.beam(fit, WAVELENGTH)
+    assert np.isnan(values).all() and np.isnan(covariance).all()
+
+
+def scan(z, sigma_px, stderr_px=0.01):
+    """A fits file of a scan, and its instrument."""
+    attrs = {"title": "scan", "dataset": "scan", "not_recorded": "exposure"}
+    ds = xr.Dataset(attrs=attrs)
+    ds["z_m"] = ("z_m", np.asarray(z, float), {"units": "m", "long_name": "z_m"})
+    ds["centring"] = ("centring", ["light", "maximum"], {"units": "1", "long_name": "centring"})
+    dims = ("angle", "exposure", "repeat", "z_m", "centring")
+    shape = (1, 1, 1, len(z), 2)
+    for name in caustic.AXES.values():
+        for suffix, values in (("", sigma_px), ("_stderr", np.full(len(z), stderr_px))):
+            full = np.repeat(np.asarray(values, float), 2).reshape(shape)
+            ds[f"{name}{suffix}"] = (dims, full, {"units": "pixel", "long_name": name})
+    ds["status"] = (dims, np.zeros(shape, "i4"), store.status_attributes())
+    laser, sensor = Laser(wavelength_m=WAVELENGTH), Sensor(pixel_pitch_m=PITCH)
+    return ds, Instrument(conditions=("z_m",), laser=laser, sensor=sensor)
+
+
+def test_file_keeps_the_contract_and_leaves_flagged_fits_out(tmp_path):
+    z = np.linspace(-0.3, 0.5, 9)
+    radius, truth = tem00(z, 120e-6, 0.1)
+    sigma = radius / 2 / PITCH
+    fits, instrument = scan(z, sigma)
+    for name in caustic.AXES.values():
+        fits[name][0, 0, 0, 3] = 500.0
+    fits["status"][0, 0, 0, 3] = store.flag("at_limit")
+    found = caustic.caustic_of(fits, instrument)
+    store.write(found, tmp_path / "caustic.nc", code="0")
+    with store.read(tmp_path / "caustic.nc") as own:
+        values = [float(own[name].sel(axis="mean")) for name in NAMES]
+        np.testing.assert_allclose(values, truth, rtol=1e-6)
+        assert int(own["positions"]) == 8
+        assert np.isnan(own["beam_radius"].values.reshape(3, -1)[:, 3]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"conditions": ()}, "declared condition z_m"),
+        ({"laser": Laser()}, "laser.wavelength_m"),
+        ({"sensor": Sensor()}, "sensor.pixel_pitch_m"),
+    ],
+)
+def test_skipped_with_its_reason(change, reason):
+    fits, instrument = scan(np.linspace(0, 1, 6), np.full(6, 10.0))
+    given = {"conditions": ("z_m",), "laser": instrument.laser, "sensor": instrument.sensor} | change
+    assert reason in caustic.caustic_of(fits, Instrument(**given)).attrs["skipped"]
+
+
+def test_three_positions_are_too_few():
+    fits, instrument = scan([0.0, 0.1, 0.2], [10.0, 9.0, 10.0])
+    assert "3 have one" in caustic.caustic_of(fits, instrument).attrs["skipped"]

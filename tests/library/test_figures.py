@@ -1,0 +1,277 @@
+"""Figures: all of them drawn or skipped with a reason, the same bytes for the same input, and every design."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+
+from spotcheck.cli import main
+from spotcheck.dataset import InputError
+from spotcheck.figures import chain, series, style
+from spotcheck.figures.registry import FIGURES
+from spotcheck.figures.results import Results, Unavailable
+from spotcheck.figures.write import write_all
+
+INSTRUMENT = """\
+name: tiny
+crop_px: 40
+sensor: {pixel_pitch_m: 5.5e-6, bit_depth: 10, gain_dn_per_e: 0.11, read_noise_e: 13}
+optics: {focal_length_m: 0.05, working_distance_m: 0.25, f_number: 11}
+laser: {wavelength_m: 6.5e-7}
+"""
+ANGLES, EXPOSURES, REPEATS = (0, 45), (1e-4, 5e-4), (0, 1, 2)
+
+
+def write_manifest(folder: Path, angles, exposures, repeats) -> None:
+    rows = [f"frames/{a}_{t}_{r}.tif,spot,{a},{t},{r}" for a in angles for t in exposures for r in repeats]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "manifest.csv").write_text("\n".join(["file,kind,angle_deg,exposure_s,repeat", *rows, ""]))
+    (folder / "instrument.yaml").write_text(INSTRUMENT)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory) -> tuple[Path, Path]:
+    """Dataset of twelve Gaussian spots and its results, by the very command lines of the workflow."""
+    base = tmp_path_factory.mktemp("tiny")
+    data, out = base / "data", base / "results"
+    write_manifest(data, ANGLES, EXPOSURES, REPEATS)
+    (data / "frames").mkdir()
+    rng = np.random.default_rng(11)
+    y, x = np.mgrid[:64, :64]
+    for a in ANGLES:
+        for r in REPEATS:
+            centre = 32 + rng.normal(0, 0.5, 2)
+            for t in EXPOSURES:
+                sigma = 4 + 0.5 * np.log(t / 1e-4)
+                light = 4e6 * t * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * sigma**2)) / sigma**2
+                read = 0.11 * rng.poisson(light / 0.11) + rng.normal(0, 1.43, light.shape)
+                tifffile.imwrite(data / f"frames/{a}_{t}_{r}.tif", np.clip(np.rint(read), 0, 1023).astype("u2"))
+    simulated = out / "simulated"
+    of = {name: str(out / f"{name}.nc") for name in ("frames", "crops", "sensor", "fits", "calibration", "simulated")}
+    again = {name: str(simulated / f"{name}.nc") for name in ("frames", "crops", "fits")}
+    sensor, both = ["--sensor", of["sensor"]], ["--crops", of["crops"], "--fits", of["fits"]]
+    drawn = ["--seed", "1", "--folder", simulated, "--output", of["simulated"]]
+    pairs = ["--crops", of["crops"], again["crops"], "--fits", of["fits"], again["fits"]]
+    for line in (
+        ["ingest", data, "--output", of["frames"]],
+        ["crop", data, "--frames", of["frames"], "--output", of["crops"]],
+        ["sensor", data, "--crops", of["crops"], "--frames", of["frames"], "--output", of["sensor"]],
+        ["fit", of["crops"], *sensor, "--output", of["fits"]],
+        ["calibrate", data, *both, *sensor, "--output", of["calibration"]],
+        ["simulate", data, "--calibration", of["calibration"], "--fits", of["fits"], *sensor, *drawn],
+        ["ingest", simulated, "--output", again["frames"]],
+        ["crop", simulated, "--frames", again["frames"], "--output", again["crops"]],
+        ["fit", again["crops"], *sensor, "--output", again["fits"]],
+        ["compare", *pairs, *sensor, "--output", out / "metrics.nc"],
+        ["bounds", data, "--calibration", of["calibration"], *sensor, "--output", out / "bounds.nc"],
+        ["caustic", data, "--fits", of["fits"], "--output", out / "caustic.nc"],
+    ):
+        main([str(word) for word in line])
+    return data, out
+
+
+def subset(tiny: tuple[Path, Path], base: Path, *, change=None, angles=ANGLES, exposures=EXPOSURES, repeats=REPEATS):
+    """The tiny results cut down to fewer angles, exposures or repeats, and altered by `change` (name → function)."""
+    _, out = tiny
+    write_manifest(base / "data", angles, exposures, repeats)
+    asked = {"angle": list(angles), "exposure": list(exposures), "repeat": list(repeats)}
+    for path in out.rglob("*.nc"):
+        name = path.relative_to(out).with_suffix("").as_posix()
+        with xr.open_dataset(path) as ds:
+            own = ds.load().sel({d: v for d, v in asked.items() if d in ds.dims})
+        own = (change or {}).get(name, lambda same: same)(own)
+        (base / "results" / name).parent.mkdir(parents=True, exist_ok=True)
+        own.to_netcdf(base / "results" / f"{name}.nc")
+    return Results(base / "results", base / "data")
+
+
+def test_names_titles_and_inputs_of_the_registry():
+    names = [entry.name for entry in FIGURES]
+    assert len(set(names)) == len(names)
+    assert len({entry.title for entry in FIGURES}) == len(names)
+    assert all(entry.needs and entry.category for entry in FIGURES)
+    # Every figure of the paper's results that is a picture of data, and Fig. 5.
+    papers = {entry.paper for entry in FIGURES} - {None}
+    wanted = "5 7 8a 8b 8c 9a 9b 10a 10b 11 12 13a 13b".split()
+    assert papers == {f"Fig. {number}" for number in wanted}
+
+
+def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
+    data, out = tiny
+    main(["figures", "--results", str(out), "--dataset", str(data), "--output", str(tmp_path)])
+    index = json.loads((tmp_path / "index.json").read_text())
+    drawn, skipped = [r["name"] for r in index["figures"]], {r["name"]: r["why"] for r in index["skipped"]}
+    assert sorted(drawn + list(skipped)) == sorted(entry.name for entry in FIGURES)
+    assert set(skipped) == {"caustic"} and "z_m" in skipped["caustic"]
+    for record in index["figures"]:
+        assert set(record) == {"name", "title", "caption", "category", "paper"}
+        assert record["caption"].endswith(".") and "nan" not in record["caption"]
+        assert (tmp_path / f"{record['name']}.svg").read_text().startswith("<?xml")
+        assert (tmp_path / f"{record['name']}.png").read_bytes().startswith(b"\x89PNG")
+    left = {p.name for p in tmp_path.iterdir()} - {".runs", "index.json"}
+    assert left == {f"{name}.{kind}" for name in drawn for kind in style.FORMATS}
+
+
+def test_equal_inputs_give_equal_bytes(tiny, tmp_path):
+    """Drawn twice, under other settings of the user's: house style and salt settle everything."""
+    data, out = tiny
+    chosen = tuple(e for e in FIGURES if e.name in ("fig05", "fig08c", "fig09a", "residuals"))
+    for name, size in (("one", 10), ("two", 17)):
+        with matplotlib.rc_context({"font.size": size}), Results(out, data) as results:
+            write_all(results, tmp_path / name, chosen)
+    files = sorted(p.name for p in (tmp_path / "one").iterdir() if p.is_file())
+    assert len(files) == 2 * len(chosen) + 1
+    for name in files:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+
+
+def hollow(ds: xr.Dataset) -> xr.Dataset:
+    """All numbers of the first angle and first exposure gone."""
+    for name, values in ds.data_vars.items():
+        if values.dtype.kind == "f" and {"angle", "exposure"} <= set(values.dims):
+            values = values.copy()
+            values.loc[{"angle": ANGLES[0], "exposure": EXPOSURES[0]}] = np.nan
+            ds[name] = values
+    return ds
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        {"change": {"metrics": hollow, "fits": hollow}},
+        {"repeats": (1,)},
+        {"angles": (45,)},
+        {"angles": (0,), "repeats": (2,), "exposures": (5e-4,)},
+    ],
+    ids=["missing-cells", "one-repeat", "one-angle", "one-frame"],
+)
+def test_figures_survive_every_shape_of_a_design(tiny, tmp_path, design):
+    with subset(tiny, tmp_path, **design) as results, style.applied():
+        for entry in FIGURES:
+            try:
+                drawing = entry.draw(results)
+            except Unavailable as reason:
+                assert entry.name == "caustic", (entry.name, reason)
+                continue
+            drawing.figure.draw_without_rendering()
+            assert "nan" not in drawing.caption, (entry.name, drawing.caption)
+
+
+def test_no_error_bars_from_one_frame(tiny, tmp_path):
+    with subset(tiny, tmp_path, repeats=(0,)) as results, style.applied():
+        drawing = next(e for e in FIGURES if e.name == "fig11").draw(results)
+    assert "One frame a point" in drawing.caption
+    bars = [box for ax in drawing.figure.axes for box in ax.containers if box.has_yerr]
+    assert not bars
+
+
+def test_a_figure_that_can_no_longer_be_drawn_disappears(tiny, tmp_path):
+    entries = tuple(e for e in FIGURES if e.name == "fig11")
+    with Results(tiny[1], tiny[0]) as results:
+        write_all(results, tmp_path, entries)
+    with Results(tmp_path / "nothing", tiny[0]) as results:
+        index = write_all(results, tmp_path, entries)
+    assert index["figures"] == [] and index["skipped"][0]["why"] == "metrics.nc is not among the results"
+    assert not list(tmp_path.glob("fig11.*"))
+
+
+def test_points_are_mean_and_deviation_of_the_finite_values():
+    values = np.array([[[1.0, 3.0, np.nan], [5.0, np.nan, np.nan]], [[2.0, 4.0, 9.0], [np.nan] * 3]])
+    array = xr.DataArray(values, dims=("exposure", "angle", "repeat"))
+    found = series.points(array, series.Design("angle", "exposure", ("repeat",)))
+    np.testing.assert_array_equal(found.frames, [[2, 1], [3, 0]])
+    np.testing.assert_allclose(found.mean, [[2, 5], [5, np.nan]])
+    np.testing.assert_allclose(found.sd, [[np.std([1, 3], ddof=1), np.nan], [np.std([2, 4, 9], ddof=1), np.nan]])
+
+
+@pytest.mark.parametrize(
+    ("values", "unit", "expected"),
+    [
+        ([1e-4, 9e-4], "s", "µs"),
+        ([0.168, 0.77], "m", "mm"),
+        ([2.0], "s", "s"),
+        ([0, 45], "degree", "°"),
+        ([], "m", "m"),
+    ],
+)
+def test_prefix_makes_the_smallest_value_at_least_one(values, unit, expected):
+    factor, found = style.scale(values, unit)
+    assert found == expected
+    assert all(v * factor >= 1 - 1e-9 for v in values if v)
+
+
+def test_shades_of_the_series_differ_in_grey():
+    for count in range(2, 7):
+        grey = [np.dot(line.colour[:3], (0.299, 0.587, 0.114)) for line in style.lines(count)]
+        assert np.diff(grey).min() > 0.07
+        assert len({line.marker for line in style.lines(count)}) == count
+
+
+DOT = """Building DAG of jobs...
+digraph snakemake_dag {
+    graph[bgcolor=white, margin=0];
+    node[shape=box, style=rounded];
+    0[label = "all", color = "0.1 0.6 0.85", style="rounded"];
+    1[label = "report", color = "0.1 0.6 0.85"];
+    2[label = "fit", color = "0.1 0.6 0.85"];
+    3[label = "crop", color = "0.1 0.6 0.85"];
+    4[label = "compare", color = "0.1 0.6 0.85"];
+    3 -> 2
+    2 -> 4
+    3 -> 4
+    4 -> 1
+    1 -> 0
+    2 -> 0
+}
+"""
+
+
+def test_layers_of_the_chain_respect_its_edges():
+    graph = chain.parse(DOT)
+    assert graph.labels == {"0": "all", "1": "report", "2": "fit", "3": "crop", "4": "compare"}
+    depth = chain.depths(graph)
+    assert all(depth[a] < depth[b] for a, b in graph.edges)
+    assert [graph.labels[n] for n in sorted(depth, key=depth.__getitem__)] == [
+        "crop",
+        "fit",
+        "compare",
+        "report",
+        "all",
+    ]
+    found = chain.layout(graph)
+    where = {node: k for k, layer in enumerate(found.layers) for node in layer}
+    for path in found.chains:
+        assert [where[n] for n in path] == list(range(where[path[0]], where[path[-1]] + 1))
+    assert chain.implied(graph) == {("3", "4"), ("2", "0")}
+
+
+def test_barycentres_undo_a_crossing_and_nothing_overlaps():
+    graph = chain.Graph({n: n for n in "abcd"}, [("a", "d"), ("b", "c")])
+    found = chain.layout(graph)
+    links = [pair for path in found.chains for pair in pairwise(path)]
+    assert chain.crossings([["a", "b"], ["c", "d"]], links) == 1
+    assert chain.crossings(found.layers, links) == 0
+    sizes = dict.fromkeys("abcd", 1.0)
+    at = chain.positions(graph, found, sizes)
+    for layer in found.layers:
+        assert np.diff([at[n] for n in layer]).min() >= 1.0 + chain.GAP - 1e-9
+
+
+def test_a_circle_and_an_empty_graph_are_told_to_the_user():
+    with pytest.raises(InputError, match="circle"):
+        chain.parse("a -> b\nb -> a")
+    with pytest.raises(InputError, match="names no rule"):
+        chain.parse("Building DAG of jobs...")
+
+
+def test_chain_is_drawn_twice_alike(tmp_path):
+    (tmp_path / "rules.dot").write_text(DOT)
+    for name in ("one", "two"):
+        main(["chain", str(tmp_path / "rules.dot"), "--output", str(tmp_path / name)])
+    for kind in style.FORMATS:
+        assert (tmp_path / f"one.{kind}").read_bytes() == (tmp_path / f"two.{kind}").read_bytes()

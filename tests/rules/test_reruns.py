@@ -1,0 +1,87 @@
+"""What runs again after an edit: just what the edit touches."""
+
+import csv
+import shutil
+import subprocess
+
+import pytest
+
+from tests.conftest import ROOT, SNAKEMAKE, environment, planned
+
+
+@pytest.fixture(scope="module")
+def checkout(small_frames, tmp_path_factory):
+    """A copy of the repository with a dataset of its own, run once as far as the metrics."""
+    copy = tmp_path_factory.mktemp("checkout") / "repository"
+    skip = shutil.ignore_patterns(".*", "results", "virtual-rig", "__pycache__", "*.egg-info")
+    shutil.copytree(ROOT, copy, ignore=skip)
+    shutil.copytree(small_frames, copy / "data" / "mine")
+    run = call(copy)
+    assert run.returncode == 0, run.stdout + run.stderr
+    return copy
+
+
+def call(copy, *arguments: str) -> subprocess.CompletedProcess:
+    """Snakemake on the copy, whose library shadows the installed one."""
+    command = [*SNAKEMAKE, "--cores", "2", "compare", "bounds", *arguments, "--config", "dataset=mine"]
+    env = environment() | {"PYTHONPATH": str(copy / "workflow")}
+    return subprocess.run(command, cwd=copy, capture_output=True, text=True, env=env, check=False)
+
+
+def plan(copy) -> dict[str, int]:
+    """Jobs that a run would start now."""
+    run = call(copy, "--dry-run")
+    assert run.returncode == 0, run.stdout + run.stderr
+    return planned(run.stdout + run.stderr)
+
+
+AFTER_FIT = {"calibrate", "simulate", "ingest_simulated", "crop_simulated", "fit_simulated", "compare", "bounds"}
+
+
+@pytest.mark.parametrize(
+    ("leaf", "expected"),
+    [
+        ("metrics.py", {"compare"}),
+        ("estimate/fisher.py", {"bounds"}),
+        ("estimate/likelihood.py", {"calibrate"}),
+        ("figures/style.py", set()),
+    ],
+)
+def test_edit_of_one_leaf(checkout, leaf, expected):
+    """An edit of one module plans the stages that import it, and what takes their outputs, and nothing before them."""
+    assert plan(checkout) == {}
+    path = checkout / "workflow" / "spotcheck" / leaf
+    before = path.read_text()
+    path.write_text(before + "\n# edited\n")
+    jobs = set(plan(checkout))
+    path.write_text(before)
+    downstream = AFTER_FIT if "calibrate" in expected else set()
+    # USED of the calibration is imported by what follows it, so that its code counts there too.
+    assert expected <= jobs <= expected | downstream, jobs
+    assert not jobs & {"ingest", "crop", "sensor", "fit"}
+    assert plan(checkout) == {}
+
+
+def test_one_new_frame(checkout):
+    """A new frame plans one job of each stage that sees it, none of the rig's and none twice."""
+    folder = checkout / "data" / "mine"
+    rows = list(csv.DictReader((folder / "manifest.csv").read_text().splitlines()))
+    shutil.copy(folder / rows[0]["file"], folder / "frames" / "new.tif")
+    manifest = (folder / "manifest.csv").read_text()
+    (folder / "manifest.csv").write_text(manifest + f"frames/new.tif,spot,0,{rows[0]['exposure_s']},99\n")
+    jobs = plan(checkout)
+    (folder / "frames" / "new.tif").unlink()
+    (folder / "manifest.csv").write_text(manifest)
+    stages = {"ingest", "crop", "sensor", "fit"} | AFTER_FIT
+    assert jobs == dict.fromkeys(stages, 1)
+
+
+def test_instrument_edit_leaves_the_frames_alone(checkout):
+    """Another read noise is no reason to expose or to draw the rule graph again."""
+    path = checkout / "data" / "mine" / "instrument.yaml"
+    before = path.read_text()
+    path.write_text(before.replace("read_noise_e: 13.0", "read_noise_e: 12.0"))
+    jobs = plan(checkout)
+    path.write_text(before)
+    assert {"sensor", "fit"} <= set(jobs)
+    assert not {"expose", "chain", "tables"} & set(jobs)

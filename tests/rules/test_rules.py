@@ -1,0 +1,71 @@
+"""Every rule says what it takes, makes, logs, measures and needs, in one order; and calls the command line."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+ORDER = [
+    "input",
+    "output",
+    "log",
+    "benchmark",
+    "wildcard_constraints",
+    "conda",
+    "threads",
+    "resources",
+    "params",
+    "message",
+    "shell",
+]
+REQUIRED = {"message", "output", "log", "benchmark", "threads", "resources", "shell"}
+FILES = sorted((ROOT / "workflow" / "rules").glob("*.smk"))
+
+
+def rules(path: Path) -> dict[str, list[str]]:
+    """Rule → its blocks in the order in which they stand."""
+    found: dict[str, list[str]] = {}
+    own: list[str] = []
+    indent = ""
+    for line in path.read_text().splitlines():
+        if head := re.match(r"( *)rule (\w+):$", line):
+            indent, own = head[1], []
+            found[head[2]] = own
+        elif (block := re.match(r"( *)(\w+):", line)) and block[1] == indent + "    " and found:
+            own.append(block[2])
+    return found
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
+def test_blocks(path):
+    """Log, benchmark, threads and resources each, in one order."""
+    for name, blocks in rules(path).items():
+        assert set(blocks) >= REQUIRED, name
+        assert blocks == sorted(blocks, key=ORDER.index), name
+
+
+def test_rules_call_the_command_line():
+    """No rule runs Python of its own: a person can copy the line and run it."""
+    text = "\n".join(path.read_text() for path in FILES)
+    assert not re.search(r"^\s+(run|script|notebook):", text, re.MULTILINE)
+
+
+def test_no_stage_reads_the_truth():
+    """What the rig put in is named by the rule that makes it, and by no other rule, command or library module."""
+    allowed = ROOT / "workflow" / "rules" / "expose.smk"
+    readers = [
+        *FILES,
+        ROOT / "Snakefile",
+        *(ROOT / "workflow" / "spotcheck").rglob("*.py"),
+        *(ROOT / "notebooks").glob("*"),
+    ]
+    for path in readers:
+        if path.is_file() and path != allowed:
+            assert "truth" not in path.read_text(), path
+
+
+def test_snakefile_is_short():
+    """The Snakefile is a table of contents."""
+    assert len((ROOT / "Snakefile").read_text().splitlines()) < 60

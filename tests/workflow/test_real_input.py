@@ -1,0 +1,80 @@
+"""Frames that no rig of ours made: a HeNe beam at nine distances; and the small set that stands in for it."""
+
+import shutil
+
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+from PIL import Image
+
+from tests.conftest import ROOT, SHARED, snakemake
+
+SETS = {"sample": ROOT / "data" / "zscan-sample", "hene": SHARED / "data" / "hene-zscan"}
+
+
+@pytest.fixture(scope="module", params=SETS)
+def zscan(request, tmp_path_factory):
+    """Folder and results of a z-scan; the real one is skipped where the shared folder is not there."""
+    folder = SETS[request.param]
+    if not folder.exists():
+        pytest.skip(f"{folder.name}: the real frames are not on this machine")
+    root = tmp_path_factory.mktemp(request.param)
+    run = snakemake(config={"dataset": folder, "results": root})
+    assert run.returncode == 0, run.stdout + run.stderr
+    return folder, root / folder.name
+
+
+def test_what_needs_exposures_is_skipped_with_its_reason(zscan):
+    """Crops, fits, metrics and figures come out; p1, p2 and the bounds say why not."""
+    _, results = zscan
+    page = (results / "report.html").read_text()
+    assert "p1 and p2 need exposure times, and the manifest gives none" in page
+    with xr.open_dataset(results / "fits.nc") as fits, xr.open_dataset(results / "metrics.nc") as metrics:
+        assert fits.sizes["z_m"] == 9 and fits["z_m"].attrs["units"] == "m"
+        assert fits.attrs["not_recorded"] == "exposure"
+        assert "exposure" not in fits.coords and fits.sizes["exposure"] == 1
+        assert np.isfinite(fits["sigma_mean"].sel(centring="light")).all()
+        assert np.isfinite(metrics["psnr"].sel(registration="fitted")).all()
+    assert (results / "figures" / "caustic.svg").exists()
+
+
+def test_caustic(zscan):
+    """The report states waist, divergence and M², and a real beam's M² is at least 1 within three standard errors."""
+    _, results = zscan
+    page = (results / "report.html").read_text()
+    for word in ("waist", "divergence", "M²"):
+        assert word in page
+    with xr.open_dataset(results / "caustic.nc") as caustic:
+        m2, error = caustic["m_squared"], caustic["m_squared_stderr"]
+        assert ((m2 + 3 * error) > 1).all()
+        assert (error < 0.2 * m2).all()
+
+
+def test_one_stack_gives_equal_values(zscan, tmp_path):
+    """The same frames as pages of one TIFF give the same crops and fits."""
+    folder, results = zscan
+    lines = (folder / "manifest.csv").read_text().splitlines()
+    header, *rows = [line.split(",") for line in lines if not line.startswith("#")]
+    copy = tmp_path / folder.name
+    (copy / "frames").mkdir(parents=True)
+    shutil.copy(folder / "instrument.yaml", copy)
+    pages = [np.asarray(Image.open(folder / row[header.index("file")])) for row in rows]
+    tifffile.imwrite(copy / "frames" / "all.tif", np.stack(pages))
+    text = [",".join([*header, "page"])]
+    for page, row in enumerate(rows):
+        text.append(
+            ",".join(
+                ["frames/all.tif" if name == "file" else cell for name, cell in zip(header, row, strict=True)]
+                + [str(page)]
+            )
+        )
+    (copy / "manifest.csv").write_text("\n".join(text) + "\n")
+    run = snakemake("fit", config={"dataset": copy, "results": tmp_path / "out"})
+    assert run.returncode == 0, run.stdout + run.stderr
+    for name in ("crops", "fits"):
+        with (
+            xr.open_dataset(results / f"{name}.nc") as one,
+            xr.open_dataset(tmp_path / "out" / folder.name / f"{name}.nc") as other,
+        ):
+            xr.testing.assert_equal(one, other)
