@@ -205,6 +205,19 @@ def test_prefix_makes_the_smallest_value_at_least_one(values, unit, expected):
     assert all(v * factor >= 1 - 1e-9 for v in values if v)
 
 
+def test_numbers_in_sentences():
+    assert [style.power(v) for v in (0, 360, 0.05, 2.5e-16, 2.65e14)] == [
+        "0",
+        "360",
+        "0.05",
+        "2.5 · 10⁻¹⁶",
+        "2.6 · 10¹⁴",
+    ]
+    assert style.plus_minus(0.8159, 0.0045, "px") == "0.8159 ± 0.0045 px"
+    assert style.plus_minus(34.76, np.nan) == "34.76"
+    assert style.plus_minus(np.nan, 1.0) == "none"
+
+
 def test_shades_of_the_series_differ_in_grey():
     for count in range(2, 7):
         grey = [np.dot(line.colour[:3], (0.299, 0.587, 0.114)) for line in style.lines(count)]

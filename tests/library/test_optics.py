@@ -55,8 +55,8 @@ def test_contrast_of_summed_speckle(regions):
     count = 200_000
     sums = np.random.default_rng(regions).exponential(size=(count, regions)).sum(axis=1)
     # Relative standard error of a contrast of a gamma law of shape n, by the delta method on mean and variance:
-    # √((1/2 + 2/n)/count); 5 of them: false alarm 6e-7.
-    error = math.sqrt((0.5 + 2 / regions) / count)
+    # √((1 + 1/n)/2/count); 5 of them: false alarm 6e-7.
+    error = math.sqrt((0.5 + 0.5 / regions) / count)
     assert sums.std() / sums.mean() == pytest.approx(optics.contrast_of_regions(regions), rel=5 * error)
 
 

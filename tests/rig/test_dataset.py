@@ -132,7 +132,7 @@ def test_a_beam_follows_its_caustic_and_peaks_where_wanted(tmp_path):
     assert beam.radius_m(9.0, waist, 0.0, 2.0, wavelength) == pytest.approx(
         18 * wavelength / (math.pi * waist), rel=1e-4
     )
-    settings = load(ROOT / "data/zscan-sample/rig.yaml")
+    settings = load(ROOT / "data/zscan-sample/made-with.yaml")
     plain = replace(settings, {"beam.peak_scatter": 0.0})
     manifest = HEADER.strip() + ",z_m\n" + "".join(f"z{k}.png,spot,0,,0,{0.19 + 0.01 * k}\n" for k in range(3))
     folder = dataset(tmp_path / "scan", manifest, to_dict(plain))
@@ -145,8 +145,8 @@ def test_a_beam_follows_its_caustic_and_peaks_where_wanted(tmp_path):
 
 def test_the_sample_scan_is_what_its_recipe_makes(tmp_path):
     sample = ROOT / "data/zscan-sample"
-    for name in ("manifest.csv", "rig.yaml"):
-        (tmp_path / name).write_bytes((sample / name).read_bytes())
+    for name, own in (("manifest.csv", "manifest.csv"), ("made-with.yaml", "rig.yaml")):
+        (tmp_path / own).write_bytes((sample / name).read_bytes())
     assert run(tmp_path) == 0
     for shot in plan_module.read_plan(sample):
         np.testing.assert_array_equal(io.imread(sample / shot.file), io.imread(tmp_path / shot.file))

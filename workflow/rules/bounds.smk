@@ -11,7 +11,7 @@ rule bounds:
     benchmark:
         f"{OUT}/benchmarks/bounds.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -12,7 +12,7 @@ rule calibrate:
     benchmark:
         f"{OUT}/benchmarks/calibrate.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

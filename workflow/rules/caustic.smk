@@ -10,7 +10,7 @@ rule caustic:
     benchmark:
         f"{OUT}/benchmarks/caustic.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

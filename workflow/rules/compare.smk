@@ -10,7 +10,7 @@ rule compare:
     benchmark:
         f"{OUT}/benchmarks/compare.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -11,7 +11,7 @@ rule crop:
     benchmark:
         f"{OUT}/benchmarks/crop.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -13,7 +13,7 @@ if HAS_RIG:
         benchmark:
             f"{OUT}/benchmarks/expose.tsv"
         conda:
-            "spotcheck"
+            "../envs/spotcheck.yaml"
         threads: 2
         resources:
             mem_mb=900,

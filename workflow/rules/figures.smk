@@ -17,7 +17,7 @@ rule figures:
     benchmark:
         f"{OUT}/benchmarks/figures.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=800,
@@ -47,7 +47,7 @@ rule chain:
     benchmark:
         f"{OUT}/benchmarks/chain.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -9,7 +9,7 @@ rule fit:
     benchmark:
         f"{OUT}/benchmarks/fit.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

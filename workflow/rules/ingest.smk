@@ -10,7 +10,7 @@ rule ingest:
     benchmark:
         f"{OUT}/benchmarks/ingest.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

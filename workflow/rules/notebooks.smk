@@ -14,7 +14,7 @@ rule notebook:
     wildcard_constraints:
         notebook="|".join(NOTEBOOKS),
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=800,

@@ -17,7 +17,7 @@ rule paper:
     benchmark:
         f"{OUT}/benchmarks/paper.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

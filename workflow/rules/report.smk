@@ -21,7 +21,7 @@ rule tables:
     benchmark:
         f"{OUT}/benchmarks/tables.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,
@@ -51,7 +51,7 @@ rule report:
     benchmark:
         f"{OUT}/benchmarks/report.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

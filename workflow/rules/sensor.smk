@@ -11,7 +11,7 @@ rule sensor:
     benchmark:
         f"{OUT}/benchmarks/sensor.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -14,7 +14,7 @@ rule simulate:
     benchmark:
         f"{OUT}/benchmarks/simulate.tsv"
     conda:
-        "spotcheck"
+        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

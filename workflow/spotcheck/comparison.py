@@ -74,25 +74,26 @@ def _psnr(crops: dict, fits: dict, grid: tuple[str, ...], full_scale: float) -> 
         states = [c["status"].isel(index).values for c in (measured, simulated)]
         if not all(usable(s) for state in states for s in state):
             continue
-        images = [c["image"].sel(centring="maximum").isel(index).values for c in (measured, simulated)]
-        out[(*at, 0)] = [metrics.psnr(*images[::-1], data_range=r) for r in ranges]
+        image, reference = (c["image"].sel(centring="maximum").isel(index).values for c in (measured, simulated))
+        out[(*at, 0)] = [metrics.psnr(reference, image, r) for r in ranges]
         registered = _registered(crops, fits, index)
         if registered is not None:
-            out[(*at, 1)] = [metrics.psnr(*registered[::-1], data_range=r) for r in ranges]
+            image, reference = registered
+            out[(*at, 1)] = [metrics.psnr(reference, image, r) for r in ranges]
     return out
 
 
-def _registered(crops: dict, fits: dict, index: dict[str, int]) -> list[np.ndarray] | None:
+def _registered(crops: dict, fits: dict, index: dict[str, int]) -> tuple[np.ndarray, np.ndarray] | None:
     """Measured crop, and the simulated one moved so that both fitted centres coincide."""
     images, centres = [], []
     for source in SOURCES:
         own, fit = (d[source].sel(centring="light").isel(index) for d in (crops, fits))
         images.append(own["image"].values)
-        centres.append([float(fit["y_centre"]) - float(own["top"]), float(fit["x_centre"]) - float(own["left"])])
-    rows, columns = np.subtract(*centres)
+        centres.append((float(fit["y_centre"]) - float(own["top"]), float(fit["x_centre"]) - float(own["left"])))
+    rows, columns = (measured - simulated for measured, simulated in zip(*centres, strict=True))
     if not np.isfinite(rows + columns):
         return None
-    return [images[0], metrics.shifted(images[1], rows, columns)]
+    return images[0], metrics.shifted(images[1], rows, columns)
 
 
 def _with_averages(ds: xr.Dataset) -> xr.Dataset:

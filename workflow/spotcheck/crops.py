@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import frames, provenance, store
-from spotcheck.dataset import Dataset, InputError, check_files
+from spotcheck.dataset import Dataset, InputError, check_files, unit_of
 
 # How the crop is centred: on the light's centroid (default of every stage), or on the maximum, as the paper.
 CENTRINGS = ("light", "maximum")
@@ -50,14 +50,17 @@ def ingest(dataset: Dataset) -> xr.Dataset:
         ("sha256", digests, "SHA-256 of the file"),
     ):
         ds[name] = ("frame", np.array(values, dtype=object), {"units": "1", "long_name": long_name})
-    for name, values, units, long_name in (
+    for name, numbers, units, long_name in (
         ("angle_deg", [f.angle_deg for f in dataset.frames], "degree", "fibre orientation"),
         ("exposure_s", [f.exposure_s for f in dataset.frames], "s", "exposure time"),
         ("repeat", [f.repeat for f in dataset.frames], "1", "site or repetition within a condition"),
         ("page", [f.page for f in dataset.frames], "1", "page of a stack, from 0"),
     ):
-        numbers = np.array([np.nan if v is None else v for v in values], float)
-        ds[name] = ("frame", numbers, {"units": units, "long_name": long_name})
+        filled = np.array([np.nan if v is None else v for v in numbers], float)
+        ds[name] = ("frame", filled, {"units": units, "long_name": long_name})
+    for name in dataset.frames[0].extra:
+        cells_of = np.array([frame.extra[name] for frame in dataset.frames], dtype=object)
+        ds = ds.assign_coords({name: ("frame", cells_of, {"units": unit_of(name), "long_name": f"column {name}"})})
     for name, value, units, long_name in (
         ("rows", probe.shape[0], "pixel", "rows of every frame"),
         ("columns", probe.shape[1], "pixel", "columns of every frame"),
@@ -132,7 +135,7 @@ def _status(image: np.ndarray, found: bool, highest: float) -> int:
     return status | (store.flag("clipped") if clipped else 0)
 
 
-def usable(status: int) -> bool:
+def usable(status: int | np.ndarray | xr.DataArray) -> bool:
     """Whether a crop can serve a fit or a metric."""
     return not int(status) & store.UNUSABLE
 

@@ -227,9 +227,9 @@ def read_instrument(path: Path) -> Instrument:
     schema = yaml.safe_load((SCHEMAS / "instrument.schema.yaml").read_text(encoding="utf-8"))
     # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
     content = {k: ({} if v is None and k in SECTIONS else v) for k, v in content.items()}
-    error = best_match(Draft202012Validator(schema).iter_errors(content))
-    if error is not None:
-        raise InputError(f"{path.name}: {_explain(error)}")
+    breach = best_match(Draft202012Validator(schema).iter_errors(content))
+    if breach is not None:
+        raise InputError(f"{path.name}: {_explain(breach)}")
     sections = {name: kind(**content.pop(name, {})) for name, kind in SECTIONS.items()}
     content["conditions"] = tuple(content.get("conditions", ()))
     return Instrument(**content, **sections)

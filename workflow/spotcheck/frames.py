@@ -10,6 +10,7 @@ from PIL import Image, UnidentifiedImageError
 from scipy import ndimage
 from skimage.measure import label
 
+from spotcheck import pgm
 from spotcheck.dataset import Dataset, Frame, InputError, Instrument
 
 # Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
@@ -55,11 +56,14 @@ def probe(path: Path, page: int, name: str) -> Probe:
     if page:
         raise InputError(f"{name}: only TIFF has pages; page must be 0 or blank")
     try:
+        if path.suffix.lower() == ".pgm":
+            found_pgm = pgm.header(path)
+            return Probe((found_pgm.rows, found_pgm.columns), found_pgm.bits)
         with Image.open(path) as image:
             mode, (columns, rows) = image.mode, image.size
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
         raise InputError(f"{name}: cannot be read as an image, perhaps cut short; copy the file again") from None
-    if mode not in ("L", "I;16", "I;16B", "I"):
+    if mode not in ("L", "I;16", "I;16B"):
         raise InputError(f"{name}: has pixels of kind {mode}; {wanted}")
     return Probe((rows, columns), 8 if mode == "L" else 16)
 
@@ -100,14 +104,16 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     try:
         if path.suffix.lower() in (".tif", ".tiff"):
             pixels = tifffile.imread(path, key=frame.page)
+        elif path.suffix.lower() == ".pgm":
+            pixels = pgm.read(path)
         else:
             with Image.open(path) as image:
                 pixels = np.asarray(image)
     except (OSError, ValueError, SyntaxError, tifffile.TiffFileError, RuntimeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{frame.label}: cannot be decoded ({reason}); copy the file again") from None
-    if pixels.dtype not in (np.uint8, np.uint16):  # Pillow widens 16-bit PGM to int32
-        pixels = pixels.astype(np.uint16)
+    if pixels.dtype.newbyteorder("=") != pixels.dtype:
+        pixels = pixels.astype(pixels.dtype.newbyteorder("="))
     sensor = dataset.instrument.sensor
     if sensor.value_shift_bits:
         pixels = pixels >> sensor.value_shift_bits
@@ -155,9 +161,9 @@ def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
     block_row, block_column = np.unravel_index(np.argmax(sums), sums.shape)
     row, column = int(block_row) * side + side // 2, int(block_column) * side + side // 2
 
-    sample = pixels[::8, ::8]
-    background = float(np.median(sample))
-    noise = 1.4826 * float(np.median(np.abs(sample - background)))
+    background = float(np.median(pixels[::8, ::8]))
+    # Differences of neighbours see the noise alone, also where a black level of 0 cuts half of it away.
+    noise = float(np.median(np.abs(pixels[::4, :-1:8].astype(float) - pixels[::4, 1::8]))) / 0.954
     # Twice: a first window may cut a spot that is wider than the block that found it.
     for _ in range(2):
         top, left = max(row - window_px // 2, 0), max(column - window_px // 2, 0)

@@ -1,12 +1,14 @@
 """The calibrate stage: p1, p2 and the peak by three methods, and how far each misses its own input."""
 
+from functools import partial
+
 import numpy as np
 import xarray as xr
 
 from spotcheck import store
 from spotcheck.crops import cells, usable
 from spotcheck.dataset import Instrument
-from spotcheck.estimate.likelihood import SiteFrame, fit_baseline
+from spotcheck.estimate.likelihood import JointFit, SiteFrame, fit_baseline
 from spotcheck.estimate.propagation import peak_from_maxima, regress, simulate_and_fit
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.sensor import SensorModel
@@ -136,10 +138,18 @@ def _maxima(crops: xr.Dataset) -> np.ndarray:
     return np.array([np.mean(values) if values else np.nan for values in maxima])
 
 
-def _likelihood(crops, fits, baseline: Baseline, sensor: SensorModel, start, site_dims):
+def _likelihood(
+    crops: xr.Dataset,
+    fits: xr.Dataset,
+    baseline: Baseline,
+    sensor: SensorModel,
+    start: np.ndarray,
+    site_dims: tuple[str, ...],
+) -> JointFit:
     """Joint fit of all usable frames, one centre a site, started at the fitted centres."""
     own_crops, own_fits = crops.sel(centring="light"), fits.sel(centring="light")
-    frames, centres = [], []
+    frames: list[SiteFrame] = []
+    centres: list[tuple[float, float]] = []
     for site in cells(crops, site_dims):
         x, y = (own_fits[name].isel(site).values for name in ("x_centre", "y_centre"))
         good = [k for k in range(crops.sizes["exposure"]) if np.isfinite(x[k])]
@@ -153,11 +163,15 @@ def _likelihood(crops, fits, baseline: Baseline, sensor: SensorModel, start, sit
                     exposure_s=float(crops["exposure"][k]),
                     left=int(own_crops["left"].isel(index)),
                     top=int(own_crops["top"].isel(index)),
-                    pixels=lambda index=index: own_crops["image"].isel(index).values,
+                    pixels=partial(_pixels, own_crops, index),
                 )
             )
         centres.append((x[good[-1]], y[good[-1]]))
     return fit_baseline(frames, baseline, sensor, start, np.array(centres))
+
+
+def _pixels(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray:
+    return crops["image"].isel(index).values
 
 
 def _misses(ds: xr.Dataset, baseline: Baseline, results: dict, peaks: dict, exposures: np.ndarray, side: int) -> None:
@@ -166,9 +180,10 @@ def _misses(ds: xr.Dataset, baseline: Baseline, results: dict, peaks: dict, expo
     for k, estimator in enumerate(ESTIMATORS):
         if estimator in results and np.isfinite(peaks.get(estimator, np.nan)):
             model = baseline._replace(laser_px=0.0) if estimator == "regression_of_width" else baseline
-            widths = simulate_and_fit(model, *results[estimator], peaks[estimator], exposures, side)
+            p1, p2 = results[estimator]
+            widths = simulate_and_fit(model, p1, p2, peaks[estimator], exposures, side)
             again = regress(widths[None, :], exposures, model.laser_px)
-            miss[k] = [again[0][0] - results[estimator][0], again[1][0] - results[estimator][1]]
+            miss[k] = [again[0][0] - p1, again[1][0] - p2]
     for k, name in enumerate(("p1", "p2")):
         ds[f"{name}_miss"] = (
             "estimator",

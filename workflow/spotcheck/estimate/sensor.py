@@ -27,7 +27,7 @@ def resolve(dataset: Dataset, container_bits: int, crops: Iterable[np.ndarray]) 
     """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown."""
     given = dataset.instrument.sensor
     highest = full_scale(dataset.instrument, container_bits)
-    value = {name: getattr(given, name, None) for name in QUANTITIES}
+    value: dict[str, float | None] = {name: getattr(given, name, None) for name in QUANTITIES}
     source = {name: "instrument.yaml" for name in QUANTITIES}
     stderr = dict.fromkeys(QUANTITIES, np.nan)
     value["full_scale_dn"] = float(highest)
@@ -39,7 +39,8 @@ def resolve(dataset: Dataset, container_bits: int, crops: Iterable[np.ndarray]) 
         _from_frames(value, stderr, source, crops, highest)
     ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
     for name, (units, long_name) in QUANTITIES.items():
-        number = np.nan if value[name] is None else float(value[name])
+        known = value[name]
+        number = np.nan if known is None else float(known)
         ds[name] = ((), number, {"units": units, "long_name": long_name, "source": source[name]})
         ds[f"{name}_stderr"] = (
             (),

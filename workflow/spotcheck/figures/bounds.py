@@ -7,9 +7,9 @@ from spotcheck.figures import style
 from spotcheck.figures.results import Results, Unavailable
 
 LOOKS = {
-    "poisson_gauss": ("#000000", (0, ())),
-    "poisson": ("#0072B2", (0, (5, 2))),
-    "dn": ("#D55E00", (0, (1.2, 1.6))),
+    "poisson_gauss": ("#000000", (0, ()), "Solid"),
+    "poisson": ("#0072B2", (0, (5, 2)), "dashed"),
+    "dn": ("#D55E00", (0, (1.2, 1.6)), "dotted"),
 }
 NAMES = {
     "poisson_gauss": "electrons, with read noise",
@@ -68,13 +68,13 @@ def _draw(
     panels[0].set_ylabel("bound Var($\\mu_{p,max}$) / photons²")
     panels[1].set_ylabel(f"bound Var($\\sigma_g$) / {'m²' if metres else 'px²'}")
     style.legend_above(figure, handles, [NAMES[str(name)] for name in ds["law"].values], 3)
-    laws = "; ".join(f"{NAMES[str(n)]}: {ds.attrs[f'law_{n}']}" for n in ds["law"].values)
+    laws = "; ".join(f"{LOOKS[str(n)][2]}: {ds.attrs[f'law_{n}']}" for n in ds["law"].values)
     fixed = "along the calibrated p1 and p2" if over == "exposure" else "at the width of the middle exposure"
+    (low, high), (narrow, wide) = ((style.power(v) for v in pair) for pair in ranges)
     caption = (
         f"Smallest variance that an unbiased estimate of one frame can have, {fixed}: photons on the brightest pixel"
         f" (left) and width σ_g on the sensor (right). Grey bars: the dataset's {marked}. {laws}. In electrons the left"
-        f" bound runs from {ranges[0][0]:.2g} to {ranges[0][1]:.2g} photons², the right one from {ranges[1][0]:.2g} to"
-        f" {ranges[1][1]:.2g} {'m²' if metres else 'px²'}."
+        f" bound runs from {low} to {high} photons², the right one from {narrow} to {wide} {'m²' if metres else 'px²'}."
     )
     clause = "In print: 3 · 10⁷ to 2.65 · 10¹⁴ for the photons, 2 · 10⁻¹⁸ to 1.25 · 10⁻¹⁶ m² for the width."
     return style.Drawing(figure, caption + results.beside_paper(clause))

@@ -107,7 +107,7 @@ def superposition(results: Results) -> style.Drawing:
     levels_text = ", ".join(f"{100 * level:.0f}" for level in LEVELS)
     caption = (
         f"Measured and simulated frame laid over each other on their fitted centres ({found.name}). Left: contours at"
-        f" {levels_text} % of the simulated plateau, after a Gaussian of {SMOOTH_PX:g} px that keeps noise out of the"
+        f" {levels_text} % of the simulated maximum, after a Gaussian of {SMOOTH_PX:g} px that keeps noise out of the"
         " lines. Right: the row (top) and the column (bottom) through the centre, not smoothed."
     )
     clause = "The paper reads the same overlay by eye: plateaus agree, the measured edge falls more steeply."

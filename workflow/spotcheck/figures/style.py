@@ -132,6 +132,14 @@ def number(value: float, unit: str) -> str:
     return f"{value:.4g}{'' if unit in ('', '°') else ' '}{unit}"
 
 
+def power(value: float) -> str:
+    """A number in a sentence, with two digits: `360`, `2.5 · 10⁻¹⁶`."""
+    if value == 0 or 1e-2 <= abs(value) < 1e4:
+        return f"{float(f'{value:.2g}'):g}"
+    digits, exponent = f"{value:.1e}".split("e")
+    return f"{digits} · 10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+
+
 def plus_minus(value: float, error: float, unit: str = "") -> str:
     """Value ± error with two digits of the error; the value alone where there is no error."""
     if not np.isfinite(value):

@@ -58,7 +58,9 @@ def viewing_angle_width(results: Results) -> float:
 
 
 def _grain_um(results: Results, f_number: float) -> float:
-    return 1e6 * optics.speckle_grain(PRINTED_MAGNIFICATION, known(results.dataset.instrument.laser.wavelength_m), f_number)
+    return 1e6 * optics.speckle_grain(
+        PRINTED_MAGNIFICATION, known(results.dataset.instrument.laser.wavelength_m), f_number
+    )
 
 
 def grain_per_f_number(results: Results) -> float:

@@ -156,7 +156,7 @@ def width_sd_largest(results: Results) -> float:
 
 
 def _width_gap(results: Results) -> xr.DataArray:
-    return np.abs(results.measured["sigma_mean_mean"] - results.simulated["sigma_mean_mean"])
+    return abs(results.measured["sigma_mean_mean"] - results.simulated["sigma_mean_mean"])
 
 
 def width_gap(results: Results) -> float:

@@ -17,11 +17,8 @@ def simulated_contrast_largest(results: Results) -> float:
 
 def _plateau_gap(results: Results) -> np.ndarray:
     """|Measured − simulated| mean maximum [angle, exposure] in DN."""
-    return (
-        np.abs(results.measured["maximum_mean"] - results.simulated["maximum_mean"])
-        .transpose("angle", "exposure")
-        .values
-    )
+    gap = results.measured["maximum_mean"] - results.simulated["maximum_mean"]
+    return np.abs(gap.transpose("angle", "exposure").values)
 
 
 def plateau_gap_worst(results: Results) -> float:
