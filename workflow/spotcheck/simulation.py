@@ -41,6 +41,11 @@ class SpotState(NamedTuple):
     sigma: float
 
 
+def has_law(calibration: xr.Dataset) -> bool:
+    """Whether p1, p2 and the peak were found; else every frame is simulated at its own fit."""
+    return "skipped" not in calibration.attrs and bool(np.isfinite(calibration["peak"].sel(estimator=USED)))
+
+
 def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> dict[tuple[int, ...], SpotState]:
     """Peak and width of every frame of the grid: by the law of the baseline, or each frame's own fit where no law was
     found."""
@@ -48,7 +53,7 @@ def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> 
     states = {}
     own = fits.sel(centring="light")
     for index, row in dataset.cells():
-        if "skipped" in calibration.attrs or not np.isfinite(calibration["peak"].sel(estimator=USED)):
+        if not has_law(calibration):
             at = own.isel(dict(zip(store.grid_dims(fits), index, strict=True)))
             states[index] = SpotState(float(at["amplitude"]), float(at["sigma_mean"]))
         else:

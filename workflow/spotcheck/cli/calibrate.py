@@ -27,6 +27,9 @@ def run(args: argparse.Namespace) -> None:
         print(f"skipped: {found.attrs['skipped']}")
     else:
         own = found.sel(estimator=USED)
-        print(
-            ", ".join(f"{p} = {float(own[f'{p}_mean']):.3f} ± {float(own[f'{p}_sd_all']):.3f} px" for p in ("p1", "p2"))
-        )
+        for p in ("p1", "p2"):
+            spread = float(own[f"{p}_sd_all"])
+            print(
+                f"{p} = {float(own[f'{p}_mean']):.3f}"
+                + (f" ± {spread:.3f} px" if spread == spread else " px (one site)")
+            )

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from spotcheck import dataset, provenance, simulation, store
+from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.sensor import model_of
 
 
@@ -22,9 +23,9 @@ def run(args: argparse.Namespace) -> None:
     """Simulate every frame of the grid."""
     found = dataset.load(args.dataset)
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
+        lawful = simulation.has_law(calibration)
         states = simulation.spot_states(found, calibration, fits)
         model = model_of(sensor)
-        law = calibration.attrs.get("used", "none: each frame's own fit")
     simulation.simulate(
         found,
         states,
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> None:
         Path(args.folder),
         Path(args.output),
         seed=args.seed,
-        attributes={"calibration": law},
+        attributes={"calibration": USED if lawful else "none: each frame's own fit"},
         code=provenance.code_digest(__name__),
         inputs=[args.calibration, args.fits, args.sensor],
     )

@@ -78,7 +78,7 @@ def _clipped_normal(mean, variance, variance_slope, low: float, high: float, rou
     if np.isneginf(low) and np.isposinf(high):
         return Reading(mean, variance + rounding, np.ones_like(mean))
     # Where the noise is much below a DN there is nothing to integrate over: rounding then counts as noise of its own.
-    fine = np.less(variance, 0.4**2)
+    fine = np.less(variance, 0.3**2)
     variance = variance + np.where(fine, rounding, 0.0)
     rounding = np.where(fine, 0.0, rounding)
     sd = np.sqrt(np.maximum(variance, 1e-300))
