@@ -60,7 +60,7 @@ def test_fitted_centres_lie_where_the_rig_put_the_spots(opened, small_run):
     fits = opened["fits"].sel(centring="light")
     assert len(truth["sites"]) == 6
     for site in truth["sites"]:
-        own = fits.sel(angle=site["angle_deg"], repeat=site["repeat"])
+        own = fits.sel(angle=site["angle_deg"], repeat=int(site["repeat"]))
         assert np.allclose(own["x_centre"], site["x_px"], atol=2)
         assert np.allclose(own["y_centre"], site["y_px"], atol=2)
 

@@ -176,7 +176,9 @@ def test_information_of_a_gaussian_by_integral():
     light = gaussian(101, peak, 50, 50, sigma)
     slopes = jacobian(lambda s: peak * np.exp(-R2 / (2 * s * s)), (sigma,))
     got = fisher.information(slopes, 1 / np.maximum(light, 1e-300))[0, 0]
-    whole, _ = integrate.quad(lambda r: 2 * np.pi * r * (r**2 / sigma**3) ** 2 * peak * np.exp(-(r**2) / 2 / sigma**2), 0, 60)
+    whole, _ = integrate.quad(
+        lambda r: 2 * np.pi * r * (r**2 / sigma**3) ** 2 * peak * np.exp(-(r**2) / 2 / sigma**2), 0, 60
+    )
     assert got == pytest.approx(whole, rel=1e-6) and got == pytest.approx(8 * 2 * np.pi * peak, rel=1e-6)
 
 

@@ -20,7 +20,9 @@ def test_magnification():
     assert m * optics.field_of_view(16.896e-3, FOCAL, DISTANCE) == pytest.approx(16.896e-3, rel=1e-12)
 
 
-@pytest.mark.parametrize(("side_mm", "field_mm", "angle_deg", "half"), [(16.896, 84.14, 19.1, 0.05), (22.528, 112.19, 25.29, 0.005)])
+@pytest.mark.parametrize(
+    ("side_mm", "field_mm", "angle_deg", "half"), [(16.896, 84.14, 19.1, 0.05), (22.528, 112.19, 25.29, 0.005)]
+)
 def test_field_and_viewing_angle(side_mm, field_mm, angle_deg, half):
     """Section 3.1.1's printed fields of view and angles; half the angle is seen under half the field."""
     field = optics.field_of_view(side_mm * 1e-3, FOCAL, DISTANCE)
@@ -127,6 +129,8 @@ def test_total_photons(exposure, printed):
     w = 10 * PITCH
     r = np.hypot(*(np.mgrid[-60:61, -60:61] * PITCH))  # ± 6 w; beyond lies exp(−72)
     laser = photons.laser_irradiance(r, 1e-3, w)
-    each = photons.pixel_photons(photons.sensor_irradiance(laser, 0.02, 1.0, 11, 0.9193), exposure, PITCH**2, WAVELENGTH)
+    each = photons.pixel_photons(
+        photons.sensor_irradiance(laser, 0.02, 1.0, 11, 0.9193), exposure, PITCH**2, WAVELENGTH
+    )
     # Point samples of a Gaussian of σ = 5 px sum to its integral within 2 exp(−2π²·25).
     assert each.sum() == pytest.approx(total, rel=1e-9)

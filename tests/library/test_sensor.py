@@ -188,6 +188,10 @@ def test_expected_maximum_of_equal_normal_pixels():
     n, s = 900, TABLE3._replace(black_level_dn=20.0)
     variance = 0.11 * 800 + 0.11**2 * (70e-4 + 169) + 1 / 12
     z = np.linspace(-9, 9, 40001)
-    mean = 820 + 0.11 * 70e-4 + math.sqrt(variance) * np.trapezoid(z * n * np.exp(norm.logpdf(z) + (n - 1) * log_ndtr(z)), z)
+    mean = (
+        820
+        + 0.11 * 70e-4
+        + math.sqrt(variance) * np.trapezoid(z * n * np.exp(norm.logpdf(z) + (n - 1) * log_ndtr(z)), z)
+    )
     # 400 nodes over 16 sd, trapezoids of a smooth step: below 1e-4 sd.
     assert expected_maximum(np.full((30, 30), 800.0), 1e-4, s) == pytest.approx(mean, abs=1e-3)

@@ -171,7 +171,7 @@ def test_a_results_folder_belongs_to_one_dataset(tmp_path):
     results = tmp_path / "results" / "a"
     store.claim(results, tmp_path / "here" / "a")
     store.claim(results, tmp_path / "here" / "a")
-    with pytest.raises(InputError, match="holds the results of .*here/a, another folder of the same name"):
+    with pytest.raises(InputError, match=r"holds the results of .*here/a, another folder of the same name"):
         store.claim(results, tmp_path / "there" / "a")
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot be written"):

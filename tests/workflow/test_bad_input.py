@@ -1,4 +1,4 @@
-"""Each bad input ends with a non-zero status and one sentence, without a traceback, and earlier results stay as they were."""
+"""Each bad input ends with a non-zero status and one sentence, no traceback, and earlier results stay as they were."""
 
 import hashlib
 import shutil
@@ -97,7 +97,7 @@ def good_results(small_frames, tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("case", CASES)
 def test_bad_input_gets_one_line_and_loses_nothing(case, frames_only, good_results, tmp_path):
-    """The sentence names file, row or key, what is wrong and what would be right; results of a good run are untouched."""
+    """The sentence names file, row or key, what is wrong, what would be right; results of a good run are untouched."""
     results = shutil.copytree(good_results, tmp_path / "results" / "mine")
     (results / ".dataset").write_text(f"{frames_only}\n")
     before = digests(results)

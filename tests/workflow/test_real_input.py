@@ -46,7 +46,7 @@ def test_caustic(zscan):
     for word in ("waist", "divergence", "M²"):
         assert word in page
     with xr.open_dataset(results / "caustic.nc") as caustic:
-        m2, error = caustic["m_squared"], caustic["m_squared_stderr"]
+        m2, error = caustic["m2"], caustic["m2_stderr"]
         assert ((m2 + 3 * error) > 1).all()
         assert (error < 0.2 * m2).all()
 

@@ -108,7 +108,7 @@ def simulate(
                 readings = np.clip(np.rint(light), 0, 65535).astype(np.uint16)
             else:
                 readings = frame(light, row.exposure_s or 0.0, sensor, rng)
-            stack.write(readings, compression="zlib", contiguous=False)
+            stack.write(readings, compression="zlib", contiguous=False, metadata=None, software="")
             writer.put(index, {"mean_light": light[inner, inner], "amplitude": amplitude, "sigma": sigma})
     write_contract(dataset, folder)
 

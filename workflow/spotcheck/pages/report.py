@@ -112,7 +112,21 @@ def _number(value: xr.DataArray, form: str = ".3f") -> str:
 
 
 def _caustic(ds: xr.Dataset | None) -> str | None:
-    return None if ds is None or "skipped" in ds.attrs else ds.attrs.get("sentence")
+    """Waist, divergence and M² of the direction-averaged width in one sentence."""
+    if ds is None or "skipped" in ds.attrs:
+        return None
+    own = ds.sel(axis="mean")
+
+    def quantity(name: str, scale: float, unit: str) -> str:
+        value, error = float(own[name]) * scale, float(own[f"{name}_stderr"]) * scale
+        digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0 else 2
+        return f"{value:.{digits}f} ± {error:.{digits}f}{unit}"
+
+    return (
+        f"The fitted widths follow a hyperbola in z: waist w0 = {quantity('waist_radius', 1e6, ' µm')}"
+        f" at z0 = {quantity('waist_position', 1e3, ' mm')}, divergence θ = {quantity('divergence', 1e3, ' mrad')},"
+        f" M² = {quantity('m2', 1.0, '')} (mean of both axes, 1/e² radii of the fitted Gaussian; standard errors)."
+    )
 
 
 def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:

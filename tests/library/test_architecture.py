@@ -1,0 +1,138 @@
+"""The walls of the house: floors, the virtual rig apart, small files, documented functions."""
+
+import ast
+from functools import cache
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+from tests.library.conftest import ROOT
+
+WORKFLOW = ROOT / "workflow"
+FLOORS = {
+    0: ("dataset", "store", "provenance"),
+    1: ("frames", "pgm", "crops", "optics", "template"),
+    2: ("model",),
+    3: ("estimate", "metrics", "comparison", "simulation"),
+    4: ("figures", "discrepancy", "pages", "paper"),
+    5: ("cli",),
+}
+FLOOR = {room: floor for floor, rooms in FLOORS.items() for room in rooms}
+FILES = sorted((WORKFLOW / "spotcheck").rglob("*.py"))
+RIG = sorted((WORKFLOW / "rig").rglob("*.py"))
+
+
+def module_of(path: Path) -> str:
+    """Dotted name of a file below workflow/."""
+    parts = path.relative_to(WORKFLOW).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names that a file imports anywhere; of `from a import b` both a and a.b."""
+    found = set()
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{path.name} line {node.lineno}: a relative import, which the digests do not follow"
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
+def room_of(module: str) -> str | None:
+    """The room of a module of the library; None for the package itself and for others."""
+    parts = module.split(".")
+    return parts[1] if parts[0] == "spotcheck" and len(parts) > 1 else None
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_of)
+def test_imports_go_down(path):
+    """A room imports from its own floor or from below."""
+    own = room_of(module_of(path))
+    if own is None:
+        assert not {i for i in imports(path) if i.startswith("spotcheck.")}
+        return
+    assert own in FLOOR, f"{own}: a room without a floor"
+    for name in imports(path):
+        room = room_of(name)
+        if room in FLOOR:
+            assert FLOOR[room] <= FLOOR[own], f"{module_of(path)} imports {name} from above"
+
+
+def test_no_rings():
+    """No module imports itself through others, in any room."""
+    known = {module_of(p) for p in FILES}
+    graph = {module_of(p): {i for i in imports(p) if i in known} - {module_of(p), "spotcheck"} for p in FILES}
+    # `from spotcheck.room import name` also names the room's __init__, which the room's own files do not need.
+    graph = {m: {i for i in own if not m.startswith(i + ".")} for m, own in graph.items()}
+    assert len(list(TopologicalSorter(graph).static_order())) == len(known)
+
+
+@pytest.mark.parametrize("path", RIG, ids=module_of)
+def test_the_rig_knows_nothing_of_the_library(path):
+    """Or the workflow would find only what it put there itself."""
+    assert not {i for i in imports(path) if i.split(".")[0] == "spotcheck"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_of)
+def test_the_library_knows_nothing_of_the_rig(path):
+    """Neither its code nor its settings nor its truth."""
+    assert not {i for i in imports(path) if i.split(".")[0] == "rig"}
+    text = path.read_text(encoding="utf-8")
+    assert "truth.json" not in text and "rig.yaml" not in text
+
+
+def test_the_library_knows_no_workflow_engine():
+    """Nothing in it imports Snakemake."""
+    assert not [p for p in FILES if {i for i in imports(p) if i.split(".")[0] == "snakemake"}]
+
+
+def test_files_stay_small():
+    """Nothing under workflow/ reaches 1,000 lines."""
+    texts = [p for p in WORKFLOW.rglob("*") if p.suffix in (".py", ".smk", ".html", ".yaml", ".rst", ".md")]
+    assert len(texts) > 50
+    assert [p.name for p in texts if len(p.read_text(encoding="utf-8").splitlines()) >= 1000] == []
+
+
+def public(path: Path) -> list[ast.FunctionDef | ast.ClassDef]:
+    """Functions, classes and methods whose name does not start with an underscore, at module or class level."""
+    out = []
+    for node in tree_of(path).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            out.append(node)
+            if isinstance(node, ast.ClassDef):
+                out += [m for m in node.body if isinstance(m, ast.FunctionDef) and not m.name.startswith("_")]
+    return out
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_of)
+def test_everything_public_is_documented(path):
+    """Module, functions, classes and methods."""
+    assert ast.get_docstring(tree_of(path))
+    assert [node.name for node in public(path) if not ast.get_docstring(node)] == []
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_of)
+def test_no_work_at_import(path):
+    """At module level: definitions, constants, nothing that reads a file or draws a number."""
+    for node in tree_of(path).body:
+        calls = [n for n in ast.walk(node) if isinstance(n, ast.Call)] if isinstance(node, ast.Assign) else []
+        named = {getattr(c.func, "attr", getattr(c.func, "id", "")) for c in calls}
+        assert not named & {"open", "read_text", "read_yaml", "default_rng", "seed", "load", "read"}
+        assert not isinstance(node, ast.For | ast.While | ast.With)
+
+
+def test_random_numbers_come_from_generators():
+    """No call of numpy's global state anywhere in the workflow."""
+    for path in (*FILES, *RIG):
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np.random", "numpy.random"):
+                assert node.attr in ("default_rng", "Generator", "SeedSequence", "PCG64"), (path.name, node.lineno)

@@ -1,0 +1,155 @@
+"""The paper's numbers: intervals, counting, a function for each, and the derived ones from the inputs alone."""
+
+import re
+
+import pytest
+import xarray as xr
+
+from spotcheck import dataset, store
+from spotcheck.estimate import sensor
+from spotcheck.paper import derived, measured, simulated, verdicts
+from spotcheck.paper.results import Results
+from spotcheck.paper.verdicts import Verdict, interval, lost, shares
+from tests.library.conftest import ROOT
+
+ENTRIES = verdicts.read_numbers(ROOT / "data" / "paper_numbers.yaml")
+IDS = [e["id"] for e in ENTRIES]
+NUMBER = r"(-?\d+(?:\.\d+)?(?:e-?\d+)?)"
+
+
+@pytest.mark.parametrize(
+    ("entry", "low", "high"),
+    [
+        ({"value": 5.0, "tolerance": 0.5}, 4.5, 5.5),
+        ({"value": 1, "tolerance": 0}, 1, 1),
+        ({"at_most": 8}, -float("inf"), 8),
+        ({"at_least": 800}, 800, float("inf")),
+        ({"at_least": 2, "at_most": 4}, 2, 4),
+    ],
+)
+def test_interval(entry, low, high):
+    """Ends hold, what lies beyond does not."""
+    assert interval(entry) == (low, high)
+    for end in (low, high):
+        assert Verdict(entry, end, low, high).holds
+    assert not Verdict(entry, low - 1e-6, low, high).holds or low == -float("inf")
+    assert not Verdict(entry, high + 1e-6, low, high).holds or high == float("inf")
+    assert not Verdict(entry, float("nan"), low, high).holds
+
+
+def entry(kind, **more):
+    """A number that holds between 0 and 1."""
+    return {"id": "x", "kind": kind, "at_least": 0, "at_most": 1} | more
+
+
+def test_shares_count_what_is_to_be_counted():
+    """Inconsistent ones and those that say so are left out; each kind apart."""
+    numbers = [
+        (entry("derived"), 0.5),
+        (entry("derived"), 2.0),
+        (entry("derived", counted=False), 2.0),
+        (entry("simulated"), 0.5),
+        (entry("measured", holds=False), 3.0),
+        (entry("inconsistent"), 3.0),
+    ]
+    own = [Verdict(e, v, *interval(e)) for e, v in numbers]
+    assert shares(own) == {"derived": (1, 2), "simulated": (1, 1), "measured": (0, 1)}
+    # Lost: expected to hold and does not, counted or not.
+    assert [v.entry for v in lost(own)] == [numbers[1][0], numbers[2][0], numbers[5][0]]
+
+
+def test_table_has_a_row_a_number():
+    """CSV with the bounds, ours, and the verdict."""
+    own = Verdict(entry("derived", printed="0–1, both", unit="1"), 0.25, 0, 1)
+    rows = verdicts.table([own]).splitlines()
+    assert rows[0].split(",") == list(verdicts.COLUMNS) and len(rows) == 2
+    assert '"0–1, both",0,1,0.25,1,True,True,True' in rows[1]
+
+
+def test_every_number_has_one_function():
+    """Ids are unique, and each names a public function of just one of the three modules."""
+    assert len(set(IDS)) == len(IDS)
+    for name in IDS:
+        homes = [
+            m for m in (derived, simulated, measured) if getattr(vars(m).get(name), "__module__", "") == m.__name__
+        ]
+        assert len(homes) == 1 and homes[0].__doc__ and vars(homes[0])[name].__doc__
+
+
+@pytest.mark.parametrize("own", ENTRIES, ids=IDS)
+def test_every_entry_says_why(own):
+    """What is printed, where, in which unit, and why its tolerance; one form of interval; kinds that are known."""
+    assert {"id", "printed", "section", "unit", "kind", "because"} <= set(own)
+    assert own["kind"] in ("derived", "simulated", "measured", "inconsistent")
+    assert ("value" in own) == ("tolerance" in own) != ("at_least" in own or "at_most" in own)
+
+
+RANGES = [e for e in ENTRIES if "half the width" in e["because"]]
+
+
+@pytest.mark.parametrize("own", RANGES, ids=[e["id"] for e in RANGES])
+def test_tolerance_of_a_range_is_half_its_width(own):
+    """Both ends are numbers of their own, each within half the printed range."""
+    low, high = map(float, re.search(rf"{NUMBER}–{NUMBER}", own["because"]).groups())
+    assert own["tolerance"] == pytest.approx((high - low) / 2, rel=1e-9)
+    assert own["value"] in (low, high) and re.match(NUMBER, own["printed"]).group() == f"{own['value']:g}"
+
+
+def test_both_ends_of_every_range_are_there():
+    """A range counts as two numbers."""
+    ends = [(re.search(rf"{NUMBER}–{NUMBER}", e["because"]).group(), e["section"]) for e in RANGES]
+    assert all(ends.count(end) == 2 for end in ends)
+
+
+LARGEST = [e for e in ENTRIES if "between half of it and itself" in e["because"]]
+
+
+@pytest.mark.parametrize("own", LARGEST, ids=[e["id"] for e in LARGEST])
+def test_a_largest_value_is_met_between_half_of_it_and_itself(own):
+    """The printed number x: from x/2 to x, to the printed digit."""
+    printed = float(re.search(NUMBER, own["printed"].replace("up to", "")).group())
+    assert own["at_least"] == pytest.approx(printed / 2, rel=1e-9)
+    assert printed <= own["at_most"] <= printed + (0.5 if "digit" in own["because"] else 0)
+
+
+@pytest.fixture
+def results(tmp_path) -> Results:
+    """A results folder of the default dataset with what derived numbers need: the frames' shape and the sensor."""
+    data = dataset.load(ROOT / "data" / "virtual-rig")
+    frames = xr.Dataset(attrs={"title": "T", "dataset": "d"})
+    # Section 3.1: 4096 × 3072 px of 10 bit.
+    for name, value in (("rows", 3072), ("columns", 4096), ("full_scale", 1023)):
+        frames[name] = ((), value, {"units": "1", "long_name": name})
+    store.write(frames, tmp_path / "frames.nc", code="c")
+    store.write(sensor.resolve(data, 16, []), tmp_path / "sensor.nc", code="c")
+    return Results(data, tmp_path)
+
+
+DERIVED = [e for e in ENTRIES if e["kind"] == "derived"]
+
+
+@pytest.mark.parametrize("own", DERIVED, ids=[e["id"] for e in DERIVED])
+def test_derived_numbers_hold(own, results):
+    """From instrument.yaml of the default dataset and the size of its frames, to the digits printed."""
+    (verdict,) = verdicts.judge([own], results)
+    assert verdict.holds, f"{own['id']}: {verdict.ours}"
+
+
+DIGITS = [e for e in DERIVED if "printed digit" in e["because"] and re.match(NUMBER, e["printed"])]
+
+
+@pytest.mark.parametrize("own", DIGITS, ids=[e["id"] for e in DIGITS])
+def test_printed_digits_are_the_tolerance(own):
+    """Half a unit of the last printed digit, no more."""
+    text = re.match(NUMBER, own["printed"]).group()
+    assert own["value"] == float(text)
+    mantissa, _, power = text.partition("e")
+    decimals = len(mantissa.partition(".")[2])
+    assert own["tolerance"] == pytest.approx(0.5 * 10 ** (int(power or 0) - decimals), rel=1e-9)
+
+
+def test_a_false_number_does_not_hold(results):
+    """The judge can say no: the same function against a neighbour of the printed value."""
+    own = next(e for e in ENTRIES if e["id"] == "field_height") | {"value": 84.2}
+    (verdict,) = verdicts.judge([own], results)
+    assert not verdict.holds and lost([verdict]) == [verdict]
