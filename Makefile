@@ -5,8 +5,9 @@ PYTHON ?= python3
 CORES  ?= 2
 BIN    := .venv/bin
 READY  := .venv/.ready
+CHECK  := results/check
 
-.PHONY: all test lint bench snakemake-report lock clean
+.PHONY: all test lint check-numbers bench snakemake-report lock clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
@@ -28,6 +29,12 @@ lint: $(READY)
 	$(BIN)/snakefmt --check Snakefile workflow/rules
 	$(BIN)/mypy
 	$(BIN)/snakemake --lint
+
+# Of the default dataset's last run: no number of the paper left its tolerance, and the README quotes what was computed.
+check-numbers: $(READY)
+	$(BIN)/spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig --strict \
+	    --table $(CHECK)/numbers.csv --page $(CHECK)/numbers.html --summary $(CHECK)/numbers.md
+	$(BIN)/python tests/check_readme.py README.md $(CHECK)/numbers.md
 
 bench: $(READY)
 	$(BIN)/python tests/benchmarks/run.py

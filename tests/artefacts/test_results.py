@@ -31,7 +31,7 @@ def place(row) -> dict:
 
 
 def test_crops_are_cut_from_the_frames(opened, rows, small_run):
-    """Each crop holds the very pixels of its frame at the place that it claims, and row means are those of the frame."""
+    """Each crop holds the very pixels of its frame at the place that it claims; row means are those of the frame."""
     for row in rows:
         frame = tifffile.imread(small_run.parents[1] / "small" / row["file"])
         crop = opened["crops"].sel(place(row))

@@ -195,3 +195,15 @@ def test_expected_maximum_of_equal_normal_pixels():
     )
     # 400 nodes over 16 sd, trapezoids of a smooth step: below 1e-4 sd.
     assert expected_maximum(np.full((30, 30), 800.0), 1e-4, s) == pytest.approx(mean, abs=1e-3)
+
+
+def test_expected_maximum_counts_every_pixel_that_may_win():
+    """A Gaussian's pixels, all of them, in the integral of z d(Π F): those a few sd below the peak matter."""
+    s = TABLE3._replace(black_level_dn=20.0)
+    light = gaussian(60, 700.0, 30, 30, 9.0)
+    own = reading(light.ravel(), 1e-4, s)
+    z = np.linspace(640, 860, 4001)
+    whole = np.exp(log_ndtr((z[:, None] - own.mean) / np.sqrt(own.variance)).sum(axis=1))
+    mean = z[-1] - np.trapezoid(whole, z)
+    # 400 nodes against 4001 of the same smooth step.
+    assert expected_maximum(light, 1e-4, s) == pytest.approx(mean, abs=1e-3)

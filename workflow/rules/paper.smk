@@ -6,6 +6,7 @@ rule paper:
         results=RESULTS,
     output:
         table=f"{OUT}/paper_numbers.csv",
+        summary=f"{OUT}/docs/paper_numbers.md",
         page=report(
             f"{OUT}/paper_numbers.html",
             caption="../report/paper_numbers.rst",
@@ -30,4 +31,4 @@ rule paper:
         "Comparing the numbers of the paper"
     shell:
         "spotcheck paper {input.numbers:q} --dataset {params.folder:q} --results {params.results:q}"
-        " --table {output.table:q} --page {output.page:q} 2>&1 | tee {log:q}"
+        " --table {output.table:q} --page {output.page:q} --summary {output.summary:q} 2>&1 | tee {log:q}"

@@ -17,8 +17,8 @@ from spotcheck.dataset import Dataset, Frame, InputError, Instrument
 BLOCK_PX = 64
 # Side of the blocks in which the light is first looked for [px]: about the diameter of the smallest spot of interest.
 SEARCH_PX = 16
-# A spot must stand out of the noise of single pixels by this factor. The largest of 1e5 medians of nine reaches 1.9; where
-# a black level of 0 cuts half of the noise away, its estimate comes out at 0.6 of it.
+# A spot must stand out of the noise of single pixels by this factor. The largest of 1e5 medians of nine reaches 1.9;
+# where a black level of 0 cuts half of the noise away, its estimate comes out at 0.6 of it.
 SPOT_OVER_NOISE = 6.0
 
 

@@ -17,6 +17,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
     parser.add_argument("--table", required=True, help="CSV to write")
     parser.add_argument("--page", required=True, type=Path, help="HTML page to write")
+    parser.add_argument("--summary", required=True, help="Markdown to write: the shares that hold, for the README")
     parser.add_argument("--strict", action="store_true", help="fail when a number that held no longer does")
 
 
@@ -25,6 +26,7 @@ def run(args: argparse.Namespace) -> None:
     found = verdicts.judge(verdicts.read_numbers(args.numbers), Results(dataset.load(args.dataset), args.results))
     store.write_text(args.table, verdicts.table(found))
     numbers.write(args.page, found)
+    store.write_text(args.summary, verdicts.summary(found))
     for kind, (held, counted) in verdicts.shares(found).items():
         print(f"{kind}: {held} of {counted} hold")
     lost = verdicts.lost(found)

@@ -3,7 +3,17 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from spotcheck.figures import bounds, caustic, images, metric_plots, profiles, propagation, residuals, setup
+from spotcheck.figures import (
+    bounds,
+    caustic,
+    images,
+    metric_plots,
+    overview,
+    profiles,
+    propagation,
+    residuals,
+    setup,
+)
 from spotcheck.figures.results import Results
 from spotcheck.figures.style import Drawing
 
@@ -25,6 +35,7 @@ METRICS = ("metrics", "simulated")
 CALIBRATION, IMAGES, QUALITY, PRECISION, GAP, BEAM = "Calibration", "Images", "Metrics", "Bounds", "Residuals", "Beam"
 
 FIGURES = (
+    Entry("overview", "At a glance", None, IMAGES, PAIR, overview.draw),
     Entry("fig05", "Optical set-up", "Fig. 5", "Set-up", ("frames",), setup.draw),
     Entry("fig07", "Beam propagation parameters", "Fig. 7", CALIBRATION, ("calibration",), propagation.draw),
     Entry("fig08a", "Simulated spot", "Fig. 8a", IMAGES, PAIR, images.simulated),

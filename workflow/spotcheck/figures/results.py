@@ -13,10 +13,6 @@ from spotcheck.model.sensor import SensorModel, reading
 # Exposures [s] and fibre orientations [degree] of the paper: beside these its printed numbers can be set.
 PAPER_EXPOSURES, PAPER_ANGLES = (1e-4, 5e-4, 9e-4), (0.0, 45.0, 90.0, 135.0)
 
-# Read noise [DN] from which the rounding of a clipped reading may be taken as smooth; below it the mean is clipped as
-# it is, which is off by less than this.
-ROUNDED_SMOOTHLY = 0.4
-
 
 class Unavailable(Exception):
     """A figure cannot be drawn from these results; the text is the reason, for a reader."""
@@ -88,11 +84,7 @@ class Results:
         sensor = self.sensor_model()
         if sensor is None:
             return light_dn
-        if sensor.gain_dn_per_e * sensor.read_noise_e >= ROUNDED_SMOOTHLY:
-            return reading(light_dn, exposure_s or 0.0, sensor).mean
-        dark = sensor.gain_dn_per_e * sensor.dark_current_e_per_s * (exposure_s or 0.0)
-        light = np.minimum(light_dn + dark, sensor.gain_dn_per_e * sensor.full_well_e)
-        return np.clip(light + sensor.black_level_dn, 0.0, sensor.full_scale_dn)
+        return reading(light_dn, exposure_s or 0.0, sensor).mean
 
 
 def _equal(own: np.ndarray, other: tuple[float, ...]) -> bool:

@@ -77,6 +77,17 @@ def shares(verdicts: list[Verdict]) -> dict[str, tuple[int, int]]:
     return {kind: (sum(v.holds for v in own), len(own)) for kind, own in counted.items()}
 
 
+def summary(verdicts: list[Verdict]) -> str:
+    """The shares that hold as a Markdown table, and what does not hold in a sentence."""
+    rows = ["| numbers of the paper | hold |", "|---|---|"]
+    texts = {"derived": "derived from its inputs", "simulated": "simulated side", "measured": "measured side"}
+    for kind, (held, counted) in shares(verdicts).items():
+        rows.append(f"| {texts[kind]} | {held} of {counted} |")
+    failed = [v.entry["id"].replace("_", " ") for v in verdicts if v.counted and not v.holds]
+    rows += ["", f"What does not hold: {', '.join(failed) or 'nothing'}."]
+    return "\n".join(rows) + "\n"
+
+
 def lost(verdicts: list[Verdict]) -> list[Verdict]:
     """Numbers that held when the file was reviewed and no longer do."""
     return [v for v in verdicts if v.expected and not v.holds]
