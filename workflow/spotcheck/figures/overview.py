@@ -17,8 +17,8 @@ def draw(results: Results) -> style.Drawing:
     moved = shifted(found.simulated, at.row - other.row, at.column - other.column)
     difference = found.measured - moved
     highest = float(max(np.nanmax(found.measured), np.nanmax(moved)))
-    figure = style.new(2.35)
-    panels = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.25))
+    figure = style.new(2.5, 1.45 * style.WIDTH)
+    panels = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.15))
     reach = (-at.column, found.measured.shape[1] - at.column, found.measured.shape[0] - at.row, -at.row)
     for ax, image, title, low, colours in (
         (panels[0], found.measured, "measured", 0.0, style.IMAGE_MAP),

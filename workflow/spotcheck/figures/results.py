@@ -7,6 +7,7 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.dataset import Dataset, Instrument, load
+from spotcheck.estimate.caustic import CONDITION as CAUSTIC_AXIS
 from spotcheck.estimate.sensor import model_of
 from spotcheck.model.sensor import SensorModel, reading
 
@@ -51,12 +52,19 @@ class Results:
         if name not in self._open:
             path = self.folder / f"{name}.nc"
             if not path.is_file():
-                raise Unavailable(f"{name}.nc is not among the results")
+                raise Unavailable(self._absent(name))
             self._open[name] = store.read(path)
         ds = self._open[name]
         if "skipped" in ds.attrs:
             raise Unavailable(str(ds.attrs["skipped"]))
         return ds
+
+    def _absent(self, name: str) -> str:
+        if not self.dataset.spots:
+            return "the manifest names no frame of kind spot"
+        if name == "caustic" and CAUSTIC_AXIS not in self.instrument.conditions:
+            return f"the distance is no axis of this dataset: no column {CAUSTIC_AXIS} among the conditions"
+        return f"{name}.nc is not among the results"
 
     def sensor_model(self) -> SensorModel | None:
         """The sensor that the chain ran on; None where gain or read noise is unknown or sensor.nc is missing."""

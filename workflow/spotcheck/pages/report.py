@@ -100,7 +100,8 @@ def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:
         own = ds.sel({"estimator": name})
         row: dict[str, Any] = {"text": ds.attrs[f"estimator_{name}"], "used": name == ds.attrs["used"]}
         for p in ("p1", "p2"):
-            row[p] = {key: _number(own[f"{p}_{key}"]) for key in ("mean", "stderr", "sd_all", "sd_angles", "miss")}
+            row[p] = {key: _number(own[f"{p}_{key}"]) for key in ("mean", "sd_all", "sd_angles", "miss")}
+            row[p]["stderr"] = _number(own[f"{p}_stderr"], ".2g")
             row[p]["sd_repeats"] = _number(own[f"{p}_sd_repeats"].mean())
         row["peak"] = _number(own["peak"], ".4g")
         rows.append(row)
