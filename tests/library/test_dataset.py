@@ -228,7 +228,6 @@ BROKEN = {
 }
 
 
-@pytest.mark.xfail(strict=True, reason="slips through the checks of dataset.py")
 @pytest.mark.parametrize(("rows", "text", "header"), BROKEN.values(), ids=BROKEN)
 def test_odd_input_is_refused_or_rightly_read(tmp_path, rows, text, header):
     """What slips through the checks ends as a traceback later, or as another dataset than was meant."""

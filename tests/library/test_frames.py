@@ -112,7 +112,7 @@ def test_left_aligned_container(tmp_path):
         ("{bit_depth: 10}", 1023),
         ("{}", 65535),
         ("{bit_depth: 10, value_shift_bits: 6}", 1023),
-        pytest.param("{value_shift_bits: 6}", 1023, marks=pytest.mark.xfail(strict=True, reason="shift left out")),
+        ("{value_shift_bits: 6}", 1023),
     ],
 )
 def test_full_scale_of_16_bit(tmp_path, sensor, highest):

@@ -71,7 +71,6 @@ def test_a_digest_does_not_depend_on_the_place(tmp_path):
     assert provenance.code_digest("pkg.user", root=one) == provenance.code_digest("pkg.user", root=two)
 
 
-@pytest.mark.xfail(strict=True, reason="a package's __init__ is left out where only a module of it is imported by name")
 def test_the_packages_above_a_module_count(tmp_path):
     """Python runs pkg/room/__init__.py before pkg/room/inside.py, whatever the import looks like."""
     base = tree(tmp_path)

@@ -146,7 +146,6 @@ def test_an_interrupted_file_does_not_appear(tmp_path, earlier):
     assert after == before
 
 
-@pytest.mark.xfail(strict=True, reason="frame_writer checks the template before its variables are made")
 def test_variables_of_frames_are_checked_on_write(tmp_path):
     """The contract binds what is filled frame by frame as well."""
     ds = dataset.load(folder(tmp_path / "data", ROWS))

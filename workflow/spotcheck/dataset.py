@@ -6,6 +6,7 @@ sentence naming the file, the row or key, what is wrong and what would be right.
 
 import csv
 import math
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
@@ -20,6 +21,9 @@ from jsonschema.exceptions import ValidationError, best_match
 SCHEMAS = Path(__file__).parents[1] / "schemas"
 KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
+# No condition may bear the name of a standard column, or of a dimension or variable of the results.
+RESERVED = {*REQUIRED_COLUMNS, "page", "angle", "exposure", "repeat", "y", "x", "row", "column", "block_y", "block_x"}
+RESERVED |= {"status", "centring", "source", "parameter", "estimator", "frame", "registration", "data_range"}
 IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm")
 UNIT_OF_SUFFIX = {"_m": "m", "_s": "s", "_k": "K", "_deg": "degree"}
 
@@ -230,9 +234,21 @@ def read_instrument(path: Path) -> Instrument:
     breach = best_match(Draft202012Validator(schema).iter_errors(content))
     if breach is not None:
         raise InputError(f"{path.name}: {_explain(breach)}")
-    sections = {name: kind(**content.pop(name, {})) for name, kind in SECTIONS.items()}
+    sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
+    content = _whole(content)
     content["conditions"] = tuple(content.get("conditions", ()))
+    for condition in content["conditions"]:
+        if condition in RESERVED:
+            raise InputError(
+                f"{path.name}: key conditions names {condition}, which has a meaning of its own; rename it"
+            )
     return Instrument(**content, **sections)
+
+
+def _whole(section: dict[str, Any]) -> dict[str, Any]:
+    """Whole numbers written as 240.0 as integers: the schema takes them for such, slices do not."""
+    whole = ("crop_px", "bit_depth", "value_shift_bits")
+    return {key: int(value) if key in whole else value for key, value in section.items()}
 
 
 def read_yaml(path: Path) -> Any:
@@ -247,6 +263,8 @@ class _Loader(yaml.SafeLoader):
         seen: set = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=deep)
+            if not isinstance(key, str):
+                raise yaml.MarkedYAMLError(problem=f"key {key} is no word", problem_mark=key_node.start_mark)
             if key in seen:
                 raise yaml.MarkedYAMLError(problem=f"key {key} stands twice", problem_mark=key_node.start_mark)
             seen.add(key)
@@ -254,7 +272,10 @@ class _Loader(yaml.SafeLoader):
 
 
 def _construct_float(loader: _Loader, node: Any) -> float:
-    return float(loader.construct_scalar(node).replace("_", ""))
+    value = loader.construct_yaml_float(node)
+    if not math.isfinite(value):
+        raise yaml.MarkedYAMLError(problem=f"{node.value} is no number to reckon with", problem_mark=node.start_mark)
+    return value
 
 
 _Loader.add_constructor("tag:yaml.org,2002:float", _construct_float)
@@ -301,6 +322,9 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
         columns = [name.strip() for name in reader.fieldnames or ()]
     except UnicodeDecodeError:
         raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8 CSV") from None
+    for column in columns:
+        if columns.count(column) > 1:
+            raise InputError(f"{path.name}: column {column} stands twice; keep one of them")
     for column in REQUIRED_COLUMNS:
         if column not in columns:
             raise InputError(
@@ -350,14 +374,19 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
             raise InputError(f"{where}: {condition} is blank; it is declared in conditions and needs a number")
     file = cell["file"]
     folder = path.parent
-    if not file or Path(file).is_absolute() or not (folder / file).resolve().is_relative_to(folder.resolve()):
+    if (
+        not file
+        or "\0" in file
+        or Path(file).is_absolute()
+        or not (folder / file).resolve().is_relative_to(folder.resolve())
+    ):
         raise InputError(f"{where}: file is {file!r}; it must be a path inside the dataset folder")
     if Path(file).suffix.lower() not in IMAGE_SUFFIXES:
         raise InputError(f"{where}: {file} is no image; it must end in one of {', '.join(IMAGE_SUFFIXES)}")
     extra = {name: value for name, value in cell.items() if name not in (*REQUIRED_COLUMNS, "page")}
     return Frame(
         line=line,
-        file=Path(file).as_posix(),
+        file=Path(os.path.normpath(file)).as_posix(),
         page=count("page") or 0,
         kind=cell["kind"],
         angle_deg=number("angle_deg"),

@@ -20,6 +20,8 @@ SEARCH_PX = 16
 # A spot must stand out of the noise of single pixels by this factor. The largest of 1e5 medians of nine reaches 1.9;
 # where a black level of 0 cuts half of the noise away, its estimate comes out at 0.6 of it.
 SPOT_OVER_NOISE = 6.0
+# Nor is anything fainter than this a spot: where rounding hides the noise, its estimate is 0.
+FAINTEST_DN = 2.5
 
 
 class Probe(NamedTuple):
@@ -129,7 +131,7 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
 
 def full_scale(instrument: Instrument, container_bits: int) -> int:
     """Largest reading [DN]: of the converter where its depth is given, else of the container."""
-    return 2 ** (instrument.sensor.bit_depth or container_bits) - 1
+    return 2 ** (instrument.sensor.bit_depth or container_bits - instrument.sensor.value_shift_bits) - 1
 
 
 class Spot(NamedTuple):
@@ -152,12 +154,13 @@ def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
 
     The 2 × 2 minimum removes isolated pixels of any brightness before the brightest block is looked for; within a
     window around it the 3 × 3 median does. Background is the median of the frame, sampled. `found` is False when
-    nothing stands out of the noise: then the place is the brightest block's.
+    nothing stands out of the noise: then the place is the frame's centre.
     """
     eroded = np.minimum(pixels[:-1, :], pixels[1:, :])
     eroded = np.minimum(eroded[:, :-1], eroded[:, 1:])
     side = min(SEARCH_PX, *eroded.shape)
-    sums = _block_mean(eroded, side)
+    rest = [(0, -length % side) for length in eroded.shape]
+    sums = _block_mean(np.pad(eroded, rest, mode="edge"), side)
     sums = ndimage.uniform_filter(sums, 3, mode="nearest") if min(sums.shape) > 3 else sums
     block_row, block_column = np.unravel_index(np.argmax(sums), sums.shape)
     row, column = int(block_row) * side + side // 2, int(block_column) * side + side // 2
@@ -173,7 +176,7 @@ def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
         )
         signal = window - background
         peak = float(signal.max())
-        found = peak > max(SPOT_OVER_NOISE * noise, 1.0)
+        found = peak > max(SPOT_OVER_NOISE * noise, FAINTEST_DN)
         if not found:
             break
         regions = label(signal > peak / 2, connectivity=2)
@@ -182,7 +185,9 @@ def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
         weight = signal[rows, columns]
         row = top + round(float(np.average(rows, weights=weight)))
         column = left + round(float(np.average(columns, weights=weight)))
-    return Spot(row, column, found)
+    if not found:
+        return Spot(pixels.shape[0] // 2, pixels.shape[1] // 2, False)
+    return Spot(row, column, True)
 
 
 def cut(pixels: np.ndarray, spot: Spot, side: int) -> np.ndarray:

@@ -57,7 +57,10 @@ def psnr(reference: np.ndarray, image: np.ndarray, data_range: float) -> float:
 
 def shifted(image: np.ndarray, rows: float, columns: float) -> np.ndarray:
     """The image moved by a fraction of pixels (cubic interpolation); NaN where nothing came from inside."""
-    filled = np.where(np.isfinite(image), image, 0.0)
-    moved = ndimage.shift(filled.astype(float), (rows, columns), order=3, mode="nearest")
-    outside = ndimage.shift((~np.isfinite(image)).astype(float), (rows, columns), order=0, mode="constant", cval=1.0)
-    return np.where(outside > 0.5, np.nan, moved)
+    gap = ~np.isfinite(image)
+    # Gaps are filled from the nearest pixel: a step down to 0 would ring through the splines.
+    nearest = ndimage.distance_transform_edt(gap, return_distances=False, return_indices=True)
+    moved = ndimage.shift(image[tuple(nearest)].astype(float), (rows, columns), order=3, mode="nearest")
+    near_gap = ndimage.binary_dilation(gap) if gap.any() else gap
+    outside = ndimage.shift(near_gap.astype(float), (rows, columns), order=1, mode="constant", cval=1.0)
+    return np.where(outside > 1e-9, np.nan, moved)

@@ -50,7 +50,8 @@ def _imports(source: str, root: Path) -> set[str]:
         else:
             continue
         found.update(name for name in names if module_file(name, root))
-    return found
+    # Importing a.b.c runs a/__init__.py and a/b/__init__.py as well.
+    return found | {name.rsplit(".", k)[0] for name in found for k in range(1, name.count(".") + 1)}
 
 
 def sources(module: str, root: Path = ROOT) -> list[Path]:

@@ -55,7 +55,9 @@ def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> 
     for index, row in dataset.cells():
         if not has_law(calibration):
             at = own.isel(dict(zip(store.grid_dims(fits), index, strict=True)))
-            states[index] = SpotState(float(at["amplitude"]), float(at["sigma_mean"]))
+            amplitude = float(at["amplitude"])
+            trusted = amplitude > 0 and not int(at["status"]) & (store.flag("at_limit") | store.flag("not_converged"))
+            states[index] = SpotState(amplitude if trusted else np.nan, float(at["sigma_mean"]))
         else:
             p1, p2, peak = (float(calibration[n].sel(estimator=USED)) for n in ("p1_mean", "p2_mean", "peak"))
             amplitude = peak * baseline.relative_peak(row.exposure_s, p1, p2)
@@ -71,6 +73,7 @@ def simulate(
     dataset: Dataset,
     states: dict[tuple[int, ...], SpotState],
     sensor: SensorModel | None,
+    full_scale: int,
     folder: Path,
     path: Path,
     *,
@@ -105,12 +108,12 @@ def simulate(
             else:  # a frame without a usable spot is simulated as one without light
                 light = np.zeros((canvas, canvas))
             if sensor is None:
-                readings = np.clip(np.rint(light), 0, 65535).astype(np.uint16)
+                readings = np.clip(np.rint(light), 0, full_scale).astype(np.uint16)
             else:
                 readings = frame(light, row.exposure_s or 0.0, sensor, rng)
             stack.write(readings, compression="zlib", contiguous=False, metadata=None, software="")
             writer.put(index, {"mean_light": light[inner, inner], "amplitude": amplitude, "sigma": sigma})
-    write_contract(dataset, folder)
+    write_contract(dataset, folder, full_scale)
 
 
 @contextmanager
@@ -123,7 +126,7 @@ def _stack(path: Path) -> Iterator[tifffile.TiffWriter]:
     scratch.replace(path)
 
 
-def write_contract(dataset: Dataset, folder: Path) -> None:
+def write_contract(dataset: Dataset, folder: Path, full_scale: int) -> None:
     """manifest.csv and instrument.yaml of the simulated folder: the measured design, the bits that were simulated."""
     conditions = dataset.instrument.conditions
     header = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *conditions]
@@ -139,6 +142,5 @@ def write_contract(dataset: Dataset, folder: Path) -> None:
     content: dict = {"name": f"{dataset.title} (simulated)", "crop_px": given.crop_px}
     if conditions:
         content["conditions"] = list(conditions)
-    if given.sensor.bit_depth:
-        content["sensor"] = {"bit_depth": given.sensor.bit_depth}
+    content["sensor"] = {"bit_depth": full_scale.bit_length()}
     store.write_text(folder / "instrument.yaml", yaml.safe_dump(content, sort_keys=False))

@@ -58,7 +58,7 @@ def flag(name: str) -> int:
 
 
 def check(ds: xr.Dataset, what: str) -> xr.Dataset:
-    """Raise `ContractError` unless every variable has units and long_name and float grids say their status."""
+    """Raise `ContractError` unless every variable has units and long_name, and the file says what it is of."""
     for name, variable in ds.variables.items():
         for attribute in ("units", "long_name"):
             if not str(variable.attrs.get(attribute, "")).strip():
@@ -139,6 +139,8 @@ class FrameWriter:
     def __init__(self, nc: netCDF4.Dataset, grid_dims: tuple[str, ...], variables: Mapping[str, Variable]):
         self._nc = nc
         for name, spec in variables.items():
+            if not spec.units.strip() or not spec.long_name.strip():
+                raise ContractError(f"variable {name} has no units or no long_name")
             dims = (*grid_dims, *spec.dims)
             shape = tuple(nc.dimensions[d].size for d in dims)
             chunks = (1,) * len(grid_dims) + shape[len(grid_dims) :]

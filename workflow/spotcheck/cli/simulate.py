@@ -25,11 +25,12 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
         lawful = simulation.has_law(calibration)
         states = simulation.spot_states(found, calibration, fits)
-        model = model_of(sensor)
+        model, full_scale = model_of(sensor), int(sensor["full_scale_dn"])
     simulation.simulate(
         found,
         states,
         model,
+        full_scale,
         Path(args.folder),
         Path(args.output),
         seed=args.seed,

@@ -11,6 +11,8 @@ from scipy.special import gammaln
 from scipy.stats import norm, poisson
 
 NODES_PER_DECADE = 8
+# Below this read noise [e-] electrons can be counted: the information is that of the Poisson law to 1 %.
+NOISELESS = 0.2
 
 
 def log_density(z, mean_e, read_noise_e: float, read_mean_e: float = 0.0):
@@ -45,9 +47,9 @@ def read_noise_information(mean_e, read_noise_e: float):
     Interpolated in the logarithm of ν between quadratures, `NODES_PER_DECADE` of them; between 1/ν (no noise) and 0,
     near 1/(ν + σ²). Below 1e-3 e- the value at 1e-3 holds.
     """
-    mean_e = np.maximum(np.asarray(mean_e, float), 1e-3)
-    if read_noise_e == 0:
+    if read_noise_e < NOISELESS:
         return poisson_information(mean_e)
+    mean_e = np.maximum(np.asarray(mean_e, float), 1e-3)
     first, last = (
         int(edge(np.log10(v) * NODES_PER_DECADE)) for edge, v in ((np.floor, mean_e.min()), (np.ceil, mean_e.max()))
     )
@@ -60,8 +62,8 @@ def read_noise_information(mean_e, read_noise_e: float):
 @cache
 def _quadrature(mean_e: float, read_noise_e: float) -> float:
     counts = _counts(mean_e)
-    spread = 8 * np.sqrt(mean_e + read_noise_e**2)
-    z = np.linspace(mean_e - spread, mean_e + spread, 801)
+    # Fine enough for peaks one electron apart, which a small read noise leaves standing.
+    z = np.arange(counts[0] - 8 * read_noise_e, counts[-1] + 8 * read_noise_e, max(read_noise_e, 0.3) / 6)
     weight = poisson.pmf(counts, mean_e)
     kernel = norm.pdf(z[:, None], counts[None, :], read_noise_e)
     density = kernel @ weight

@@ -57,7 +57,8 @@ def fit_baseline(
         trial = shared + step_shared, local + step_local
         lowest = baseline.sigma(min(f.exposure_s for f in frames), *trial[0][:2])
         outcome = _evaluate(frames, baseline, sensor, *trial) if lowest > 0.3 and trial[0][2] > 0 else None
-        small = np.all(np.abs(step_shared) <= STEP_TOLERANCE * _errors(information))
+        # The undamped step decides: a damped one is small anywhere.
+        small = np.all(np.abs(_step(information, score, 0.0)[0]) <= STEP_TOLERANCE * _errors(information))
         if outcome is not None and outcome[0] <= cost:
             (shared, local), (cost, information, score) = trial, outcome
             damping = max(damping / 10, 1e-9)

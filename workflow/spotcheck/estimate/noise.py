@@ -12,6 +12,8 @@ import numpy as np
 BINS = 24
 # Fewest differences in a bin: the variance of a bin is then known to 10 %.
 FEWEST = 200
+# Noise is whole where the level is this many standard deviations above 0.
+CUT_AT_SD = 3.5
 
 
 class NoiseCurve(NamedTuple):
@@ -37,8 +39,8 @@ def noise_curve(image: np.ndarray, full_scale: float) -> NoiseCurve:
     level = (left + middle + right) / 3
     # A second difference kills offset and slope of the spot; its variance is 6 times a pixel's.
     difference = (left - 2 * middle + right) / np.sqrt(6)
-    highest, lowest = np.maximum(np.maximum(left, middle), right), np.minimum(np.minimum(left, middle), right)
-    use = np.isfinite(difference) & (highest < full_scale) & (lowest > 0)
+    highest = np.maximum(np.maximum(left, middle), right)
+    use = np.isfinite(difference) & (highest < full_scale)
     level, difference = level[use], difference[use]
     if level.size < 2 * FEWEST:
         return NoiseCurve(*(np.empty(0) for _ in range(3)))
@@ -46,11 +48,15 @@ def noise_curve(image: np.ndarray, full_scale: float) -> NoiseCurve:
     place = np.clip(np.searchsorted(edges, level, side="right") - 1, 0, len(edges) - 2)
     rows = []
     for k in range(len(edges) - 1):
-        own = difference[place == k]
+        own, own_level = difference[place == k], level[place == k]
         if own.size >= FEWEST:
             variance = float(np.var(own))
+            # Where readings reach 0 the converter has cut the noise: the whole bin goes, since single triples would
+            # be picked by their noise.
+            if own_level.mean() < CUT_AT_SD * np.sqrt(variance):
+                continue
             # Neighbouring second differences overlap: a third of them is independent.
-            rows.append((float(level[place == k].mean()), variance, variance * np.sqrt(6 / own.size) + 1e-3))
+            rows.append((float(own_level.mean()), variance, variance * np.sqrt(6 / own.size) + 1e-3))
     return NoiseCurve(*np.array(rows).reshape(-1, 3).T)
 
 

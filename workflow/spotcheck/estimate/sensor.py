@@ -68,7 +68,15 @@ def _from_frames(value: dict, stderr: dict, source: dict, crops: Iterable[np.nda
         stderr["gain_dn_per_e"] = float(np.hypot(scatter, np.median(own) / np.sqrt(count)))
     if value["read_noise_e"] is None:
         floor = max(float(np.median(floors)) - ROUNDING_VARIANCE, 0.0)
-        value["read_noise_e"], source["read_noise_e"] = np.sqrt(floor) / value["gain_dn_per_e"], how
+        gain = float(value["gain_dn_per_e"] or np.nan)
+        noise = np.sqrt(floor) / gain
+        value["read_noise_e"], source["read_noise_e"] = noise, how
+        scatter = 1.2533 * np.std(floors, ddof=1) / np.sqrt(count) if count > 1 else 0.0
+        floor_error = float(np.hypot(scatter, np.median([g.floor_stderr for g in found]) / np.sqrt(count)))
+        gain_error = np.nan_to_num(stderr["gain_dn_per_e"])
+        # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_error.
+        own_error = min(floor_error / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(floor_error)) / gain
+        stderr["read_noise_e"] = float(np.hypot(own_error, noise * gain_error / gain))
 
 
 def model_of(ds: xr.Dataset) -> SensorModel | None:

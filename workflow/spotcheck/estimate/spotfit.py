@@ -48,9 +48,10 @@ def fit_spot(crop: np.ndarray, exposure_s: float, sensor: SensorModel | None) ->
     """
     rows, columns = np.nonzero(np.isfinite(crop))
     data = crop[rows, columns].astype(float)
-    if data.size < 8 or np.ptp(data) <= 0:
+    start = _start(crop) if data.size > 7 else None
+    if start is None:
         return NO_FIT
-    theta, converged = _minimise(columns.astype(float), rows.astype(float), data, _start(crop))
+    theta, converged = _minimise(columns.astype(float), rows.astype(float), data, start)
     value = _natural(theta)
     if not converged or value is None:
         return NO_FIT
@@ -78,19 +79,21 @@ def _limits(value: np.ndarray, shape: tuple[int, ...]) -> int:
     return 0 if trusted else flag("at_limit")
 
 
-def _start(crop: np.ndarray) -> np.ndarray:
-    """Start from moments of the light above half the maximum: θ = amplitude, x, y, a, b, c, offset."""
-    filled = np.where(np.isfinite(crop), crop, np.nanmedian(crop))
-    offset = float(np.median(filled))
+def _start(crop: np.ndarray) -> np.ndarray | None:
+    """Start from moments of the light above half its maximum: amplitude, x, y, a, b, c, offset; None without light."""
+    # A quartile, not the median: in an overexposed crop most pixels read full scale.
+    offset = float(np.nanquantile(crop, 0.25))
+    filled = np.where(np.isfinite(crop), crop, offset)
     smooth = (
         filled + np.roll(filled, 1, 0) + np.roll(filled, -1, 0) + np.roll(filled, 1, 1) + np.roll(filled, -1, 1)
     ) / 5
     signal = smooth - offset
+    if not signal.max() > 0:
+        return None
     rows, columns = np.nonzero(signal > signal.max() / 2)
     weight = signal[rows, columns]
     x, y = np.average(columns, weights=weight), np.average(rows, weights=weight)
-    # Half the area of the light above half maximum is σ² ln 2 · π: robust where second moments are cut by the
-    # threshold.
+    # The light above half maximum covers 2 π σ² ln 2: robust where a threshold cuts second moments.
     sigma = max(np.sqrt(rows.size / (2 * np.pi * np.log(2))), 0.5)
     return np.array([float(signal.max()), x, y, sigma**-2, 0.0, sigma**-2, offset])
 
@@ -133,7 +136,8 @@ def _minimise(x, y, data, theta) -> tuple[np.ndarray, bool]:
                     break
             damping *= 8
             if damping > 1e12:
-                return theta, _negligible(step, theta)
+                # The undamped step decides: a damped one is small anywhere.
+                return theta, _negligible(np.linalg.pinv(hessian) @ gradient, theta)
         negligible = _negligible(step, theta)
         theta, jac, residual, cost = trial, trial_jac, trial_residual, trial_cost
         damping = max(damping / 8, 1e-12)

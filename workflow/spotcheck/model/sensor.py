@@ -80,7 +80,7 @@ def _clipped_normal(mean, variance, variance_slope, low: float, high: float, rou
     # Where the noise is much below a DN there is nothing to integrate over: rounding then counts as noise of its own.
     fine = np.less(variance, 0.3**2)
     variance = variance + np.where(fine, rounding, 0.0)
-    rounding = np.where(fine, 0.0, rounding)
+    whole = np.where(fine, 0.0, rounding)
     sd = np.sqrt(np.maximum(variance, 1e-300))
     # Edges in units of sd; one that is 40 sd away never acts, and kept finite it makes no 0 · ∞.
     a, b = np.maximum((low - mean) / sd, -40.0), np.minimum((high - mean) / sd, 40.0)
@@ -89,11 +89,11 @@ def _clipped_normal(mean, variance, variance_slope, low: float, high: float, rou
     pdf_a, pdf_b = _normal_pdf(a), _normal_pdf(b)
     first = a * below + b * above + pdf_a - pdf_b
     second = a * a * below + b * b * above + inside + a * pdf_a - b * pdf_b
-    at_low, at_high = rounding * pdf_a / (2 * sd), rounding * pdf_b / (2 * sd)
-    spread = sd**2 * np.maximum(second - first**2, 0.0) + rounding * inside
+    at_low, at_high = whole * pdf_a / (2 * sd), whole * pdf_b / (2 * sd)
+    spread = sd**2 * np.maximum(second - first**2, 0.0) + whole * inside
     spread = spread + 2 * sd * ((first - a) * at_low + (b - first) * at_high)
     response = inside + (pdf_a - pdf_b) * variance_slope / (2 * sd)
-    response = response - rounding * (a * pdf_a - b * pdf_b) / (2 * sd**2)
+    response = response - whole * (a * pdf_a - b * pdf_b) / (2 * sd**2)
     return Reading(mean + sd * first - at_low + at_high, spread, response)
 
 

@@ -14,7 +14,7 @@ from spotcheck.pages import write_page
 from spotcheck.provenance import PACKAGE
 
 EQUATIONS = range(1, 41)
-_CLAIM = re.compile(r"Eqs?\.\s*(\d+(?:\s*(?:[–-]|,|and|to)\s*\d+)*)")
+_CLAIM = re.compile(r"Eqs?\.\s*(\d+(?:\s*(?:[–-]|,\s*(?:and)?|and|to)\s*\d+)*)")
 
 
 class Claim(NamedTuple):
