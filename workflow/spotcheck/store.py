@@ -28,6 +28,10 @@ STATUS = {
 }
 UNUSABLE = 1 | 2 | 4
 
+# HDF5 keeps chunks that were touched, and frames are touched once: a cache of some frames, so that memory does not grow
+# with their number.
+netCDF4.set_chunk_cache(2**21)
+
 
 class ContractError(ValueError):
     """A result breaks the netCDF contract: a defect of the program, not of the user's input."""
