@@ -10,11 +10,12 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import optics, store
-from spotcheck.dataset import Dataset
+from spotcheck.dataset import Dataset, InputError
 from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.pages import write_page
 from spotcheck.pages.table3 import parameters
+from spotcheck.paper.level import readings
 
 # Vector pictures above this size are shown as PNG: a page must open at once.
 LARGEST_SVG = 400_000
@@ -41,6 +42,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "caustic": _caustic(files.get("caustic")),
         "flagged": _flagged(dataset, files.get("fits")),
         "parameters": parameters(dataset, files, TOP_HAT_RADIUS),
+        "levels": _levels(dataset, files),
         "numbers": _numbers(results / "paper_numbers.csv"),
         "sources": [(name, ds.attrs.get("code_version", "")) for name, ds in files.items()],
         "magnification": _magnification(dataset),
@@ -106,6 +108,23 @@ def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:
         row["peak"] = _number(own["peak"], ".4g")
         rows.append(row)
     return {"rows": rows, "laser_width": float(ds["laser_width"]), "converged": bool(ds["likelihood_converged"])}
+
+
+def _levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
+    """Readings of the paper's absolute level beside the calibrated one; None where the data sheet has not all of
+    Table 3."""
+    calibration, sensor = files.get("calibration"), files.get("sensor")
+    if calibration is None or "skipped" in calibration.attrs or sensor is None:
+        return None
+    own = calibration.sel({"estimator": calibration.attrs["used"]})
+    longest = max(f.exposure_s or 0.0 for f in dataset.spots)
+    try:
+        rows = readings(
+            dataset.instrument, longest, float(own["p1_mean"]), float(own["p2_mean"]), float(sensor["gain_dn_per_e"])
+        )
+    except InputError:
+        return None
+    return {"rows": rows, "calibrated": float(own["peak"]), "exposure_s": longest}
 
 
 def _number(value: xr.DataArray, form: str = ".3f") -> str:
