@@ -7,6 +7,7 @@ import pytest
 import tifffile
 
 from spotcheck import dataset
+from spotcheck.instrument import Instrument, read_instrument
 from spotcheck.model.sensor import SensorModel, draw
 
 HEADER = "file,kind,angle_deg,exposure_s,repeat"
@@ -49,6 +50,6 @@ def noisy(light: np.ndarray, seed: int, sensor: SensorModel = SENSOR, exposure_s
 
 
 @pytest.fixture
-def instrument() -> dataset.Instrument:
+def instrument() -> Instrument:
     """The instrument of the default dataset."""
-    return dataset.read_instrument(ROOT / "data" / "virtual-rig" / "instrument.yaml")
+    return read_instrument(ROOT / "data" / "virtual-rig" / "instrument.yaml")

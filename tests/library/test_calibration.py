@@ -5,11 +5,11 @@ import pytest
 import xarray as xr
 
 from spotcheck import crops, store
-from spotcheck.dataset import Instrument, ModelChoice
 from spotcheck.estimate import propagation
 from spotcheck.estimate.calibration import calibrate
 from spotcheck.estimate.fits import fit_crops, fit_in_crop
 from spotcheck.estimate.propagation import peak_from_maxima, regress, simulate_and_fit
+from spotcheck.instrument import Instrument, ModelChoice
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.sensor import SensorModel
 from spotcheck.model.simulate import expected_maximum

@@ -6,8 +6,8 @@ import xarray as xr
 from scipy import stats
 
 from spotcheck import store
-from spotcheck.dataset import Instrument, Laser, Sensor
 from spotcheck.estimate import caustic
+from spotcheck.instrument import Instrument, Laser, Sensor
 
 WAVELENGTH, PITCH = 632.8e-9, 3.75e-6
 NAMES = list(caustic.QUANTITIES)

@@ -5,7 +5,8 @@ import math
 import pytest
 
 from spotcheck import dataset
-from spotcheck.dataset import InputError
+from spotcheck.errors import InputError
+from spotcheck.instrument import Instrument
 from tests.library.conftest import HEADER, folder
 
 GOOD = "frames/a.tif,spot,0,1e-4,0"
@@ -108,7 +109,7 @@ def test_missing_instrument_file_takes_every_default(tmp_path):
 
 def test_an_empty_section_is_no_error(tmp_path):
     """`sensor:` with every key under it commented out counts as missing."""
-    assert dataset.load(folder(tmp_path, [GOOD], "sensor:\noptics:\n")).instrument == dataset.Instrument()
+    assert dataset.load(folder(tmp_path, [GOOD], "sensor:\noptics:\n")).instrument == Instrument()
 
 
 @pytest.mark.parametrize(("text", "value"), [("5e-6", 5e-6), ("5.5e-06", 5.5e-6), ("5E-6", 5e-6), ("1", 1.0)])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from spotcheck.dataset import InputError
+from spotcheck.errors import InputError
 from spotcheck.pages import equations
 from tests.library.conftest import ROOT
 

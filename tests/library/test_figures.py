@@ -11,7 +11,7 @@ import tifffile
 import xarray as xr
 
 from spotcheck.cli import main
-from spotcheck.dataset import InputError
+from spotcheck.errors import InputError
 from spotcheck.figures import chain, series, style
 from spotcheck.figures.registry import FIGURES
 from spotcheck.figures.results import Results, Unavailable

@@ -6,7 +6,7 @@ import tifffile
 from PIL import Image
 
 from spotcheck import dataset, frames
-from spotcheck.dataset import InputError
+from spotcheck.errors import InputError
 from tests.library.conftest import HEADER, folder, loaded
 
 RAMP = np.arange(20 * 30, dtype=np.uint16).reshape(20, 30)  # 0 … 599: needs ten bits, and differs in every pixel

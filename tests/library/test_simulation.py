@@ -5,8 +5,9 @@ import pytest
 import xarray as xr
 
 from spotcheck import comparison, crops, dataset, frames, metrics, simulation, store, template
-from spotcheck.dataset import InputError
+from spotcheck.errors import InputError
 from spotcheck.estimate.fits import fit_crops
+from spotcheck.instrument import Instrument
 from tests.library.conftest import HEADER, SENSOR, folder, gaussian, loaded, noisy
 
 SKIPPED = xr.Dataset(attrs={"skipped": "why"})
@@ -167,7 +168,7 @@ def test_the_template_passes_its_own_checks(tmp_path):
     """Example row, or a row an image; every key of the schema as a comment; nothing is overwritten."""
     template.write(tmp_path / "empty")
     ds = dataset.load(tmp_path / "empty")
-    assert ds.instrument == dataset.Instrument() and len(ds.frames) == 1
+    assert ds.instrument == Instrument() and len(ds.frames) == 1
     folder(tmp_path / "full", [], header=HEADER)
     (tmp_path / "full" / "manifest.csv").unlink()
     for name in ("b.png", "a.tif"):

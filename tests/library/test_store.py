@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from spotcheck import dataset, store
-from spotcheck.dataset import InputError
+from spotcheck.errors import InputError
 from tests.library.conftest import HEADER, folder
 
 ROWS = ["frames/a.tif,spot,0,1e-4,0", "frames/b.tif,spot,90,9e-4,1"]

@@ -9,6 +9,7 @@ from spotcheck import dataset as contract
 from spotcheck import store
 from spotcheck.cli import COMMANDS
 from spotcheck.crops import check_dataset
+from spotcheck.errors import InputError
 from spotcheck.simulation import STACK
 from spotcheck.provenance import code_digest, file_digest, notebook_modules
 
@@ -25,7 +26,7 @@ try:
         check_dataset(DATASET)
     OUT = f"{config['results']}/{DATASET.name}"
     store.claim(Path(OUT), DATASET.folder)
-except contract.InputError as error:
+except InputError as error:
     sys.exit(f"spotcheck: {error}")
 
 SPOTS = bool(DATASET.spots)

@@ -8,7 +8,8 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import frames, provenance, store
-from spotcheck.dataset import Dataset, InputError, check_files, unit_of
+from spotcheck.dataset import Dataset, check_files, unit_of
+from spotcheck.errors import InputError
 
 # How the crop is centred: on the light's centroid (default of every stage), or on the maximum, as the paper.
 CENTRINGS = ("light", "maximum")

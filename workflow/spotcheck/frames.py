@@ -11,7 +11,10 @@ from scipy import ndimage
 from skimage.measure import label
 
 from spotcheck import pgm
-from spotcheck.dataset import Dataset, Frame, InputError, Instrument
+from spotcheck.dataset import Dataset
+from spotcheck.errors import InputError
+from spotcheck.instrument import Instrument
+from spotcheck.manifest import Frame
 
 # Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64

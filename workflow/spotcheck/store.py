@@ -15,7 +15,8 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import provenance
-from spotcheck.dataset import Dataset, InputError
+from spotcheck.dataset import Dataset
+from spotcheck.errors import InputError
 
 STATUS = {
     1: ("missing", "no frame in this cell of the grid"),

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from spotcheck import store
-from spotcheck.dataset import IMAGE_SUFFIXES, REQUIRED_COLUMNS, SCHEMAS, InputError, read_yaml
+from spotcheck.errors import InputError
+from spotcheck.instrument import SCHEMAS, read_yaml
+from spotcheck.manifest import IMAGE_SUFFIXES, REQUIRED_COLUMNS
 
 
 def write(folder: Path) -> list[str]:

@@ -42,7 +42,7 @@ def main(argv: list[str] | None = None) -> None:
             module.arguments(own)
             own.set_defaults(run=module.run)
     args = parser.parse_args(words)
-    from spotcheck.dataset import InputError
+    from spotcheck.errors import InputError
 
     try:
         args.run(args)

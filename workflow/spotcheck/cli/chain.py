@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from spotcheck.dataset import InputError
+from spotcheck.errors import InputError
 from spotcheck.figures import chain, style
 
 

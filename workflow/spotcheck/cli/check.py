@@ -4,6 +4,7 @@ import argparse
 
 from spotcheck import dataset
 from spotcheck.crops import check_dataset
+from spotcheck.manifest import KINDS
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,5 +16,5 @@ def run(args: argparse.Namespace) -> None:
     """Say how many frames of which kind there are, or raise `InputError`."""
     found = dataset.load(args.dataset)
     probe = check_dataset(found)
-    kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in dataset.KINDS)
+    kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in KINDS)
     print(f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order")

@@ -3,9 +3,9 @@
 import numpy as np
 import xarray as xr
 
-from spotcheck.dataset import Instrument
 from spotcheck.estimate import fisher
 from spotcheck.estimate.calibration import USED
+from spotcheck.instrument import Instrument
 from spotcheck.model import spot
 from spotcheck.model.baseline import Baseline, jacobian, of_instrument
 from spotcheck.model.sensor import SensorModel, mean_signal

@@ -7,9 +7,9 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.crops import cells, usable
-from spotcheck.dataset import Instrument
 from spotcheck.estimate.likelihood import JointFit, SiteFrame, fit_baseline
 from spotcheck.estimate.propagation import peak_from_maxima, regress, simulate_and_fit
+from spotcheck.instrument import Instrument
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.sensor import SensorModel
 

@@ -14,7 +14,7 @@ import xarray as xr
 from scipy import optimize, stats
 
 from spotcheck import store
-from spotcheck.dataset import Instrument
+from spotcheck.instrument import Instrument
 
 CONDITION = "z_m"
 AXES = {"major": "sigma_major", "minor": "sigma_minor", "mean": "sigma_mean"}

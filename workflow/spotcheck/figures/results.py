@@ -6,9 +6,10 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import store
-from spotcheck.dataset import Dataset, Instrument, load
+from spotcheck.dataset import Dataset, load
 from spotcheck.estimate.caustic import CONDITION as CAUSTIC_AXIS
 from spotcheck.estimate.sensor import model_of
+from spotcheck.instrument import Instrument
 from spotcheck.model.sensor import SensorModel, reading
 
 # Exposures [s] and fibre orientations [degree] of the paper: beside these its printed numbers can be set.

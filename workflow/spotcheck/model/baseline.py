@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck import optics
-from spotcheck.dataset import Instrument
+from spotcheck.instrument import Instrument
 from spotcheck.model import propagation, spot
 
 # A step of the derivative by complex step: its square vanishes beside 1 in double precision, so the result is exact.

@@ -9,7 +9,8 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from spotcheck.dataset import InputError, read_yaml
+from spotcheck.errors import InputError
+from spotcheck.instrument import read_yaml
 from spotcheck.pages import write_page
 from spotcheck.provenance import PACKAGE
 

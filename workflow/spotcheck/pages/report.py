@@ -10,7 +10,8 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import optics, store
-from spotcheck.dataset import Dataset, InputError
+from spotcheck.dataset import Dataset
+from spotcheck.errors import InputError
 from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.pages import write_page

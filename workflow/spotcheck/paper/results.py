@@ -6,7 +6,8 @@ from pathlib import Path
 import xarray as xr
 
 from spotcheck import store
-from spotcheck.dataset import Dataset, InputError
+from spotcheck.dataset import Dataset
+from spotcheck.errors import InputError
 from spotcheck.model.baseline import Baseline, of_instrument
 
 # The paper crops at the maximum; so do its numbers here.

@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 from typing import NamedTuple
 
-from spotcheck.dataset import read_yaml
+from spotcheck.instrument import read_yaml
 from spotcheck.paper import derived, measured, simulated
 from spotcheck.paper.results import Results
 

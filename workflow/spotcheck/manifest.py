@@ -1,0 +1,155 @@
+"""manifest.csv: one row a frame, and one sentence for each thing that can be wrong with one."""
+
+import csv
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from spotcheck.errors import InputError
+
+KINDS = ("spot", "dark", "flat")
+REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
+IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One row of the manifest. `line` counts lines of the file from 1, the header being line 1."""
+
+    line: int
+    file: str
+    page: int
+    kind: str
+    angle_deg: float | None
+    exposure_s: float | None
+    repeat: int | None
+    extra: dict[str, str]
+
+    @property
+    def label(self) -> str:
+        """How messages name the frame."""
+        return f"{self.file}, page {self.page}" if self.page else self.file
+
+
+def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, ...]:
+    """Rows of manifest.csv in their order, checked among themselves and against the files of the folder."""
+    if not path.exists():
+        raise InputError(f"{path.name}: not there; a dataset needs it ({', '.join(REQUIRED_COLUMNS)})")
+    try:
+        lines = list(enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1))
+        # Lines that start with # are comments, as `new-dataset` writes them.
+        lines = [(number, line) for number, line in lines if line.strip() and not line.startswith("#")]
+        reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
+        rows = [(lines[reader.line_num - 1][0], row) for row in reader]
+        columns = [name.strip() for name in reader.fieldnames or ()]
+    except UnicodeDecodeError:
+        raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8 CSV") from None
+    for column in columns:
+        if columns.count(column) > 1:
+            raise InputError(f"{path.name}: column {column} stands twice; keep one of them")
+    for column in REQUIRED_COLUMNS:
+        if column not in columns:
+            raise InputError(
+                f"{path.name}: column {column} is missing; the header must name {','.join(REQUIRED_COLUMNS)}"
+            )
+    for condition in conditions:
+        if condition not in columns:
+            raise InputError(
+                f"instrument.yaml: key conditions names {condition}, which is no column of {path.name};"
+                f" add the column or drop the name"
+            )
+    if not rows:
+        raise InputError(f"{path.name}: no rows; it must name at least one frame")
+    frames = tuple(_frame(path, line, row, conditions) for line, row in rows)
+    _check_rows(path, frames, conditions)
+    return frames
+
+
+def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[str, ...]) -> Frame:
+    where = f"{path.name} line {line}"
+    if None in row or None in row.values():
+        raise InputError(f"{where}: {'more' if None in row else 'fewer'} cells than the header has columns")
+    cell = {name.strip(): value.strip() for name, value in row.items() if name is not None}
+    if cell["kind"] not in KINDS:
+        raise InputError(f"{where}: kind is {cell['kind']!r}; it must be one of {', '.join(KINDS)}")
+    spot = cell["kind"] == "spot"
+
+    def number(column: str) -> float | None:
+        if not cell[column]:
+            return None
+        value = number_in(cell[column])
+        if value is None:
+            raise InputError(f"{where}: {column} is {cell[column]!r}; it must be a number or blank")
+        return value
+
+    def count(column: str) -> int | None:
+        text = cell.get(column, "")
+        if text and not text.isdecimal():
+            raise InputError(f"{where}: {column} is {text!r}; it must be a whole number from 0")
+        return int(text) if text else None
+
+    exposure = number("exposure_s")
+    if exposure is not None and (exposure < 0 or (spot and exposure == 0)):
+        raise InputError(f"{where}: exposure_s is {cell['exposure_s']}; it must be positive, in seconds")
+    for condition in conditions:
+        if spot and number(condition) is None:
+            raise InputError(f"{where}: {condition} is blank; it is declared in conditions and needs a number")
+    file = cell["file"]
+    folder = path.parent
+    if (
+        not file
+        or "\0" in file
+        or Path(file).is_absolute()
+        or not (folder / file).resolve().is_relative_to(folder.resolve())
+    ):
+        raise InputError(f"{where}: file is {file!r}; it must be a path inside the dataset folder")
+    if Path(file).suffix.lower() not in IMAGE_SUFFIXES:
+        raise InputError(f"{where}: {file} is no image; it must end in one of {', '.join(IMAGE_SUFFIXES)}")
+    extra = {name: value for name, value in cell.items() if name not in (*REQUIRED_COLUMNS, "page")}
+    return Frame(
+        line=line,
+        file=Path(os.path.normpath(file)).as_posix(),
+        page=count("page") or 0,
+        kind=cell["kind"],
+        angle_deg=number("angle_deg"),
+        exposure_s=exposure,
+        repeat=count("repeat"),
+        extra=extra,
+    )
+
+
+def _check_rows(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> None:
+    by_page: dict[tuple, Frame] = {}
+    by_cell: dict[tuple, Frame] = {}
+    for frame in frames:
+        at = tuple(number_in(frame.extra[name]) for name in conditions)
+        cell = (frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat, at)
+        for seen, key, what in (
+            (by_page, (frame.file, frame.page), "file and page"),
+            (by_cell, cell, "kind, angle, exposure, repeat and conditions"),
+        ):
+            if key in seen:
+                raise InputError(
+                    f"{path.name} lines {seen[key].line} and {frame.line} agree in {what};"
+                    f" every frame must be named once"
+                )
+            seen[key] = frame
+    spots = [frame for frame in frames if frame.kind == "spot"]
+    for column in ("angle_deg", "exposure_s", "repeat"):
+        blank = [frame for frame in spots if getattr(frame, column) is None]
+        if blank and len(blank) < len(spots):
+            raise InputError(
+                f"{path.name} line {blank[0].line}: {column} is blank here and given in other spot rows;"
+                f" give it in all of them or in none"
+            )
+
+
+def number_in(text: str) -> float | None:
+    """The finite number that a cell holds, or None."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
