@@ -28,5 +28,5 @@ rule notebook:
         "Executing notebook {wildcards.notebook} on {DATASET.name}"
     shell:
         "papermill {input.source:q} {params.scratch:q} -k python3 --no-progress-bar"
-        " -p dataset {params.folder:q} -p results {params.results:q} 2>&1 | tee {log:q}"
-        " && mv {params.scratch:q} {output:q}"
+        " -p dataset {params.folder:q} -p results {params.results:q} &> {log:q} || {{ cat {log:q} >&2; exit 1; }}"
+        "; mv {params.scratch:q} {output:q}"

@@ -80,11 +80,12 @@ def shares(verdicts: list[Verdict]) -> dict[str, tuple[int, int]]:
 def summary(verdicts: list[Verdict]) -> str:
     """The shares that hold as a Markdown table, and what does not hold in a sentence."""
     rows = ["| numbers of the paper | hold |", "|---|---|"]
-    texts = {"derived": "derived from its inputs", "simulated": "simulated side", "measured": "measured side"}
+    sides = {"derived": "derived from its inputs", "simulated": "simulated side", "measured": "measured side"}
     for kind, (held, counted) in shares(verdicts).items():
-        rows.append(f"| {texts[kind]} | {held} of {counted} |")
-    failed = [v.entry["id"].replace("_", " ") for v in verdicts if v.counted and not v.holds]
-    rows += ["", f"What does not hold: {', '.join(failed) or 'nothing'}."]
+        rows.append(f"| {sides[kind]} | {held} of {counted} |")
+    failed = [v for v in verdicts if v.counted and not v.holds]
+    texts = [f"{v.entry['id'].replace('_', ' ')} (printed: {v.entry['printed']}; ours: {v.ours:.3g})" for v in failed]
+    rows += ["", f"What does not hold: {'; '.join(texts) or 'nothing'}."]
     return "\n".join(rows) + "\n"
 
 
