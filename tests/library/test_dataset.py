@@ -74,7 +74,7 @@ BAD_KEYS = {
     "yes for a number": ("laser: {power_w: yes}", ["laser.power_w", "True", "a number"]),
     "above": ("sensor: {bit_depth: 17}", ["sensor.bit_depth", "17", "at most 16"]),
     "below": ("crop_px: 4", ["crop_px", "4", "at least 8"]),
-    "zero": ("sensor: {gain_dn_per_e: 0}", ["gain_dn_per_e", "above 0"]),
+    "zero": ("sensor: {gain_dn_per_e: 0}", ["gain_dn_per_e", "at least 1e-06"]),
     "transmission": ("optics: {filter_transmission: 91.9}", ["filter_transmission", "at most 1"]),
     "budget": ("model: {photon_budget: square}", ["photon_budget", "'square'", "spot_area, linear, free"]),
     "section": ("sensor: 5", ["sensor", "a section with keys"]),

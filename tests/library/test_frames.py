@@ -72,7 +72,7 @@ def test_pages_of_a_stack(tmp_path):
     for page in range(3):
         ds = one(tmp_path, "a.tif", page=str(page))
         np.testing.assert_array_equal(frames.read(ds, ds.frames[0]), stack[page])
-    with pytest.raises(InputError, match=r"a\.tif, page 3: has 3 pages; page must be below"):
+    with pytest.raises(InputError, match=r"a\.tif, page 3: page is 3, but the file has 3; pages count from 0"):
         frames.probe_all(one(tmp_path, "a.tif", page="3"))
 
 

@@ -168,10 +168,16 @@ def test_flags_are_single_bits_and_described():
 def test_a_results_folder_belongs_to_one_dataset(tmp_path):
     """The same dataset may come again; another of the same name may not."""
     results = tmp_path / "results" / "a"
+    (tmp_path / "here" / "a").mkdir(parents=True)
     store.claim(results, tmp_path / "here" / "a")
     store.claim(results, tmp_path / "here" / "a")
     with pytest.raises(InputError, match=r"holds the results of .*here/a, another folder of the same name"):
         store.claim(results, tmp_path / "there" / "a")
+    # Moved, and its results with it.
+    (tmp_path / "here" / "a").rmdir()
+    store.claim(results, tmp_path / "there" / "a")
+    (results / ".dataset").write_text("")
+    store.claim(results, tmp_path / "there" / "a")
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot be written"):
         store.claim(tmp_path / "file" / "a", tmp_path)

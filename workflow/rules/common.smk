@@ -3,22 +3,24 @@ import os
 import sys
 from pathlib import Path
 
-from snakemake.utils import validate
-
 from spotcheck import dataset as contract
 from spotcheck import store
 from spotcheck.cli import COMMANDS
 from spotcheck.crops import check_dataset
 from spotcheck.errors import InputError
+from spotcheck.schema import breach_of
 from spotcheck.simulation import STACK
 from spotcheck.provenance import code_digest, file_digest, notebook_modules
 
 # Rules call `spotcheck`, `rig` and `papermill` of the environment that runs this file, whether it is active or not.
 os.environ.update(PATH=os.pathsep.join([str(Path(sys.executable).parent), *os.get_exec_path()]))
 
-validate(config, "../schemas/config.schema.yaml")
+# A dataset or folder may be called 2024.
+config |= {key: str(config[key]) for key in ("dataset", "results") if key in config}
 
 try:
+    if breach := breach_of(config, "config"):
+        raise InputError(f"config: {breach}")
     DATASET = contract.load(contract.find(config["dataset"], Path(workflow.basedir) / "data"))
     # A folder with rig.yaml holds a plan for the virtual rig, which makes the frames.
     HAS_RIG = (DATASET.folder / "rig.yaml").exists()

@@ -1,5 +1,6 @@
 """The first two stages: what each frame is (ingest), and the crop around its spot (crop)."""
 
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -59,9 +60,13 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     ):
         filled = np.array([np.nan if v is None else v for v in numbers], float)
         ds[name] = ("frame", filled, {"units": units, "long_name": long_name})
-    for name in dataset.frames[0].extra:
-        cells_of = np.array([frame.extra[name] for frame in dataset.frames], dtype=object)
-        ds = ds.assign_coords({name: ("frame", cells_of, {"units": unit_of(name), "long_name": f"column {name}"})})
+    reserved = {*ds.variables, "rows", "columns", "container_bits", "full_scale"}
+    for column in dataset.frames[0].extra:
+        # A column may be called anything; netCDF names may not.
+        name = re.sub(r"\W", "_", column)[:100]
+        name = name if name[:1].isalpha() and name not in reserved else f"column_{name}"
+        texts = np.array([frame.extra[column] for frame in dataset.frames], dtype=object)
+        ds = ds.assign_coords({name: ("frame", texts, {"units": unit_of(column), "long_name": f"column {column}"})})
     for name, value, units, long_name in (
         ("rows", probe.shape[0], "pixel", "rows of every frame"),
         ("columns", probe.shape[1], "pixel", "columns of every frame"),

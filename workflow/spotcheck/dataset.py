@@ -109,7 +109,9 @@ def check_files(dataset: Dataset) -> None:
             raise InputError(f"manifest.csv line {frame.line}: {frame.file} is not there; add the file or drop the row")
     named = {(dataset.folder / frame.file).resolve() for frame in dataset.frames}
     for image in sorted((dataset.folder / "frames").rglob("*")):
-        if image.suffix.lower() in IMAGE_SUFFIXES and image.resolve() not in named:
+        # Names that start with a dot are the system's, such as the ._a.tif of macOS.
+        hidden = any(part.startswith(".") for part in image.relative_to(dataset.folder).parts)
+        if image.suffix.lower() in IMAGE_SUFFIXES and image.is_file() and not hidden and image.resolve() not in named:
             raise InputError(
                 f"{image.relative_to(dataset.folder).as_posix()}: an image that manifest.csv does not name;"
                 f" add a row or move it out of frames/"
@@ -120,6 +122,8 @@ def find(name: str, shelf: Path) -> Path:
     """Folder of a dataset given by path, or by its name on a shelf of datasets. Raises `InputError`."""
     for folder in (Path(name), shelf / name):
         if (folder / "manifest.csv").is_file():
+            if set("{}") & set(str(folder.resolve())):
+                raise InputError(f"{folder}: has braces in its path; rename it")
             return folder.resolve()
     raise InputError(f"{name}: no folder with a manifest.csv, neither as a path nor as a name in {shelf.name}/")
 

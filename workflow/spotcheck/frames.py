@@ -1,5 +1,6 @@
 """Reading frames, finding the spot, cropping, and reducing what lies around it."""
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +16,10 @@ from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.instrument import Instrument
 from spotcheck.manifest import Frame
+
+# Frames are the user's own: no size of theirs is an attack, and what is wrong with one is said in our own words.
+Image.MAX_IMAGE_PIXELS = None
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
 # Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
@@ -44,7 +49,8 @@ def probe(path: Path, page: int, name: str) -> Probe:
         try:
             with tifffile.TiffFile(path) as tiff:
                 if page >= len(tiff.pages):
-                    raise InputError(f"{name}: has {len(tiff.pages)} pages; page must be below that (it counts from 0)")
+                    count = len(tiff.pages)
+                    raise InputError(f"{name}: page is {page}, but the file has {count}; pages count from 0")
                 found = tiff.pages[page]
                 shape, dtype = found.shape, found.dtype
                 ends = [o + n for o, n in zip(found.dataoffsets, found.databytecounts, strict=True)]
@@ -55,7 +61,7 @@ def probe(path: Path, page: int, name: str) -> Probe:
         if not ends or max(ends) > path.stat().st_size:
             raise InputError(f"{name}: the TIFF is cut short; copy the file again")
         if len(shape) != 2:
-            raise InputError(f"{name}: has {shape[-1]} channels; {wanted}")
+            raise InputError(f"{name}: has {getattr(found.keyframe, 'samplesperpixel', shape[-1])} channels; {wanted}")
         if dtype not in (np.uint8, np.uint16):
             raise InputError(f"{name}: holds {dtype} pixels; {wanted}")
         return Probe(shape, dtype.itemsize * 8)
@@ -91,7 +97,16 @@ def probe_all(dataset: Dataset) -> Probe:
                 f"{frame.label}: {found.bits} bit, but {dataset.frames[0].label} has {first.bits} bit;"
                 f" all frames of a dataset must have one depth"
             )
+        if not all(found.shape):
+            raise InputError(f"{frame.label}: has no pixels; copy the file again")
     assert first is not None  # read_manifest refuses an empty one
+    sensor = dataset.instrument.sensor
+    if (sensor.bit_depth or 1) + sensor.value_shift_bits > first.bits:
+        raise InputError(
+            f"instrument.yaml: sensor.bit_depth and value_shift_bits ask for"
+            f" {(sensor.bit_depth or 1) + sensor.value_shift_bits} bits, but the frames hold {first.bits};"
+            f" together they must not exceed that"
+        )
     crop = dataset.instrument.crop_px
     if dataset.spots and crop > min(first.shape):
         raise InputError(
@@ -122,6 +137,11 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
         pixels = pixels.astype(pixels.dtype.newbyteorder("="))
     sensor = dataset.instrument.sensor
     if sensor.value_shift_bits:
+        if (pixels & (2**sensor.value_shift_bits - 1)).any():
+            raise InputError(
+                f"{frame.label}: holds values with low bits set, but sensor.value_shift_bits is"
+                f" {sensor.value_shift_bits}; it must be 0 for values that are not left-aligned"
+            )
         pixels = pixels >> sensor.value_shift_bits
     highest = int(pixels.max())
     if sensor.bit_depth is not None and highest > full_scale(dataset.instrument, 16):

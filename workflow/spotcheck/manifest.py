@@ -3,6 +3,7 @@
 import csv
 import math
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,25 +36,34 @@ class Frame:
 
 def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, ...]:
     """Rows of manifest.csv in their order, checked among themselves and against the files of the folder."""
-    if not path.exists():
+    if not path.is_file():
         raise InputError(f"{path.name}: not there; a dataset needs it ({', '.join(REQUIRED_COLUMNS)})")
     try:
-        lines = list(enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1))
-        # Lines that start with # are comments, as `new-dataset` writes them.
-        lines = [(number, line) for number, line in lines if line.strip() and not line.startswith("#")]
-        reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
-        rows = [(lines[reader.line_num - 1][0], row) for row in reader]
-        columns = [name.strip() for name in reader.fieldnames or ()]
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8 CSV") from None
-    for column in columns:
-        if columns.count(column) > 1:
-            raise InputError(f"{path.name}: column {column} stands twice; keep one of them")
+    # Lines that start with # are comments, as `new-dataset` writes them.
+    lines = [
+        (number, line)
+        for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)
+        if line.strip(" ,") and not line.startswith("#")
+    ]
+    try:
+        reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
+        rows = [(lines[reader.line_num - 1][0], row) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path.name}: cannot be read as CSV ({error}); look for an unclosed quote") from None
+    columns = [name.strip() for name in reader.fieldnames or ()]
     for column in REQUIRED_COLUMNS:
         if column not in columns:
+            cause = "; separate cells by commas" if len(columns) == 1 and re.search("[;\t]", columns[0]) else ""
             raise InputError(
-                f"{path.name}: column {column} is missing; the header must name {','.join(REQUIRED_COLUMNS)}"
+                f"{path.name}: column {column} is missing; the header must name {','.join(REQUIRED_COLUMNS)}{cause}"
             )
+    for column in columns:
+        # A spreadsheet leaves empty columns at the end: they are dropped.
+        if column and columns.count(column) > 1:
+            raise InputError(f"{path.name}: column {column} stands twice; keep one of them")
     for condition in conditions:
         if condition not in columns:
             raise InputError(
@@ -71,7 +81,9 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
     where = f"{path.name} line {line}"
     if None in row or None in row.values():
         raise InputError(f"{where}: {'more' if None in row else 'fewer'} cells than the header has columns")
-    cell = {name.strip(): value.strip() for name, value in row.items() if name is not None}
+    cell = {name.strip(): value.strip() for name, value in row.items() if name and name.strip()}
+    if any(value.strip() for name, value in row.items() if not (name or "").strip()):
+        raise InputError(f"{where}: a cell stands under a column without a name; name the column in the header")
     if cell["kind"] not in KINDS:
         raise InputError(f"{where}: kind is {cell['kind']!r}; it must be one of {', '.join(KINDS)}")
     spot = cell["kind"] == "spot"
@@ -86,8 +98,8 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
 
     def count(column: str) -> int | None:
         text = cell.get(column, "")
-        if text and not text.isdecimal():
-            raise InputError(f"{where}: {column} is {text!r}; it must be a whole number from 0")
+        if text and not (text.isdecimal() and len(text) < 10):
+            raise InputError(f"{where}: {column} is {text[:40]!r}; it must be a whole number from 0")
         return int(text) if text else None
 
     exposure = number("exposure_s")
@@ -98,13 +110,12 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
             raise InputError(f"{where}: {condition} is blank; it is declared in conditions and needs a number")
     file = cell["file"]
     folder = path.parent
-    if (
-        not file
-        or "\0" in file
-        or Path(file).is_absolute()
-        or not (folder / file).resolve().is_relative_to(folder.resolve())
-    ):
-        raise InputError(f"{where}: file is {file!r}; it must be a path inside the dataset folder")
+    if not file or "\0" in file or Path(file).is_absolute() or not _inside(folder, file):
+        raise InputError(
+            f"{where}: file is {file!r}; it must be a path inside the dataset folder, not a link out of it"
+        )
+    if re.search("[{}]", file):
+        raise InputError(f"{where}: file is {file!r}; it must be a name without braces")
     if Path(file).suffix.lower() not in IMAGE_SUFFIXES:
         raise InputError(f"{where}: {file} is no image; it must end in one of {', '.join(IMAGE_SUFFIXES)}")
     extra = {name: value for name, value in cell.items() if name not in (*REQUIRED_COLUMNS, "page")}
@@ -118,6 +129,13 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
         repeat=count("repeat"),
         extra=extra,
     )
+
+
+def _inside(folder: Path, file: str) -> bool:
+    try:
+        return (folder / file).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # a link that leads to itself
+        return False
 
 
 def _check_rows(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> None:
@@ -152,4 +170,5 @@ def number_in(text: str) -> float | None:
         value = float(text)
     except ValueError:
         return None
-    return value if math.isfinite(value) else None
+    # Python's own 1_0 for 10 is nobody's number.
+    return value if "_" not in text and math.isfinite(value) else None

@@ -30,7 +30,9 @@ def header(path: Path) -> Header:
         found = _HEADER.match(stream.read(4096))
     if found is None:
         raise ValueError("no PGM header")
-    columns, rows, white = (int(found[k]) for k in (2, 3, 4))
+    columns, rows, white = (int(found[k][:9]) for k in (2, 3, 4))
+    if not 1 <= white <= 65535:
+        raise ValueError(f"its white is {white}, not 1 to 65535")
     parsed = Header(found[1] == b"P5", columns, rows, white, found.end())
     if parsed.binary and path.stat().st_size < parsed.start + columns * rows * parsed.bits // 8:
         raise ValueError("cut short")
@@ -46,7 +48,12 @@ def read(path: Path) -> np.ndarray:
         stored = np.dtype(">u2" if parsed.bits == 16 else "u1")
         pixels = np.frombuffer(content, stored, count)
     else:
-        pixels = np.array(content.split()[:count], dtype=int)
-        if pixels.size < count:
+        words = re.sub(rb"#[^\n]*", b"", content).split()[:count]
+        if len(words) < count:
             raise ValueError("cut short")
+        if not all(word.isdigit() and len(word) < 7 for word in words):
+            raise ValueError("holds what is no whole number")
+        pixels = np.array(words, dtype=int)
+    if pixels.size and pixels.max() > parsed.white:
+        raise ValueError(f"holds the value {pixels.max()}, above its own white of {parsed.white}")
     return pixels.astype(np.uint16 if parsed.bits == 16 else np.uint8).reshape(parsed.rows, parsed.columns)

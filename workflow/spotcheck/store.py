@@ -191,19 +191,21 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def claim(results: Path, folder: Path) -> None:
-    """Make a results folder and note whose it is. Raises `InputError` when it is another dataset's or cannot be written."""
+    """Make a results folder and note whose it is. Raises `InputError` when it is another's or cannot be written."""
     note = results / ".dataset"
     try:
         results.mkdir(parents=True, exist_ok=True)
-        owner = note.read_text(encoding="utf-8").strip() if note.exists() else str(folder)
+        owner = (note.read_text(encoding="utf-8").strip() if note.exists() else "") or str(folder)
         # Where the owner is gone, the dataset was moved, and its results with it.
         if owner != str(folder) and Path(owner).exists():
             raise InputError(
                 f"{results}: holds the results of {owner}, another folder of the same name;"
                 f" name another folder in `results`"
             )
-        if owner != str(folder) or not note.exists():
-            note.write_text(f"{folder}\n", encoding="utf-8")
+        if not note.exists() or note.read_text(encoding="utf-8") != f"{folder}\n":
+            scratch = note.with_suffix(f".{os.getpid()}.part")
+            scratch.write_text(f"{folder}\n", encoding="utf-8")
+            scratch.replace(note)
     except OSError as error:
         raise InputError(f"{results}: cannot be written ({error.strerror}); name another folder in `results`") from None
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from spotcheck import store
 from spotcheck.errors import InputError
-from spotcheck.instrument import SCHEMAS, read_yaml
 from spotcheck.manifest import IMAGE_SUFFIXES, REQUIRED_COLUMNS
+from spotcheck.schema import read_schema
 
 
 def write(folder: Path) -> list[str]:
@@ -15,7 +15,7 @@ def write(folder: Path) -> list[str]:
             raise InputError(f"{folder / name}: is already there; choose another folder or move it away")
     frames = folder / "frames"
     frames.mkdir(parents=True, exist_ok=True)
-    images = sorted(p for p in frames.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
+    images = sorted(p for p in frames.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
     store.write_text(folder / "manifest.csv", manifest([p.relative_to(folder).as_posix() for p in images]))
     store.write_text(folder / "instrument.yaml", instrument())
     return ["manifest.csv", "instrument.yaml"]
@@ -41,7 +41,7 @@ def manifest(files: list[str]) -> str:
 
 def instrument() -> str:
     """Every key of the schema as a comment with its meaning and default."""
-    schema = read_yaml(SCHEMAS / "instrument.schema.yaml")
+    schema = read_schema("instrument")
     lines = [
         "# Take the # off the keys that you know. A missing key is never an error: it is taken from the frames",
         "# where they allow it, else the report says what could not be computed for want of it.",

@@ -48,8 +48,12 @@ def main(argv: list[str] | None = None) -> None:
         args.run(args)
     except InputError as error:
         sys.exit(_say(str(error)))
-    except PermissionError as error:
-        sys.exit(_say(f"{error.filename}: cannot be written or read; give yourself the rights, or name another folder"))
+    except OSError as error:
+        if error.filename is None:
+            raise
+        sys.exit(
+            _say(f"{error.filename}: cannot be read or written ({error.strerror}); mend that, or name another place")
+        )
 
 
 def _say(sentence: str) -> int:

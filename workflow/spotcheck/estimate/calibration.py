@@ -33,8 +33,8 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     if baseline.photon_budget == "free":
         return ds.assign_attrs(skipped="model.photon_budget is free: every frame has its own width, no law in t")
     light, site_dims = _widths(fits)
-    if np.isfinite(light.values).any(axis=tuple(range(light.ndim - 1))).sum() < 2:
-        return ds.assign_attrs(skipped="p1 and p2 need usable spots at two exposures or more")
+    if (np.isfinite(light.values).sum(axis=-1) < 2).all():
+        return ds.assign_attrs(skipped="p1 and p2 need usable spots of one site at two exposures or more")
 
     ds["estimator"] = (
         "estimator",
@@ -61,14 +61,12 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     if sensor is not None and np.isfinite(peaks[USED]):
         start = np.array([*results[USED], peaks[USED]])
         joint = _likelihood(crops, fits, baseline, sensor, start, site_dims)
-        results["likelihood"], peaks["likelihood"], converged = (
-            joint.value[:2],
-            joint.value[2],
-            joint.converged,
-        )
-        for k, name in enumerate(("p1", "p2")):
-            ds[f"{name}_mean"].loc[{"estimator": "likelihood"}] = joint.value[k]
-            ds[f"{name}_stderr"].loc[{"estimator": "likelihood"}] = joint.stderr[k]
+        converged = joint.converged
+        if converged:
+            results["likelihood"], peaks["likelihood"] = joint.value[:2], joint.value[2]
+            for k, name in enumerate(("p1", "p2")):
+                ds[f"{name}_mean"].loc[{"estimator": "likelihood"}] = joint.value[k]
+                ds[f"{name}_stderr"].loc[{"estimator": "likelihood"}] = joint.stderr[k]
     ds["peak"] = (
         "estimator",
         [peaks.get(m, np.nan) for m in ESTIMATORS],

@@ -37,7 +37,7 @@ def peak_from_maxima(
     exposure_s, maximum = np.asarray(exposure_s, float), np.asarray(maximum, float)
     ceiling = sensor.full_scale_dn if sensor else np.inf
     use = np.isfinite(maximum) & (maximum < 0.995 * ceiling)
-    if not use.any():
+    if not use.any() or not np.isfinite([p1, p2]).all():
         return np.nan
     use &= exposure_s >= np.median(exposure_s[use])
     pixel = np.arange(side, dtype=float)

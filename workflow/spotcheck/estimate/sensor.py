@@ -17,7 +17,7 @@ QUANTITIES = {
     "read_noise_e": ("e-", "read noise, rms"),
     "dark_current_e_per_s": ("e-/s", "dark current"),
     "quantum_efficiency": ("1", "quantum efficiency"),
-    "full_well_e": ("e-", "full well; infinite when not given"),
+    "full_well_e": ("e-", "full well"),
     "black_level_dn": ("DN", "reading without light"),
     "full_scale_dn": ("DN", "largest reading of the converter"),
 }

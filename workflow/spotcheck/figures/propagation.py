@@ -1,5 +1,6 @@
 """Fig. 7: the beam propagation parameters p1 and p2 of every fibre orientation."""
 
+import numpy as np
 import xarray as xr
 
 from spotcheck.figures import series, style
@@ -36,6 +37,7 @@ def draw(results: Results) -> style.Drawing:
     assert counted is not None
     style.legend_above(figure, handles, labels, 2)
     others = [str(name) for name in calibration["estimator"].values if name != used]
+    others = [name for name in others if np.isfinite(calibration["p1_mean"].sel(estimator=name))]
     rest = "; ".join(_other(calibration, name) for name in others)
     caption = (
         "Beam propagation parameters p1 and p2 (Eq. 8) of every site, averaged at each"

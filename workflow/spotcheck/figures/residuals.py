@@ -31,7 +31,7 @@ def panels(results: Results) -> list[list[Panel | None]]:
     crops = results.get("crops")
     design = series.design_of(crops, store.grid_dims(crops))
     if design.across == "repeat":  # what is averaged over anyway
-        return [[_panel_of(results, {})]]
+        return _some([[_panel_of(results, {})]])
     columns = crops.sizes[design.lines] if design.lines else 1
     count, most = crops.sizes[design.across], max(1, MOST_PANELS // columns)
     rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
@@ -39,9 +39,14 @@ def panels(results: Results) -> list[list[Panel | None]]:
     for i in rows:
         places = [{design.across: int(i)} | ({design.lines: j} if design.lines else {}) for j in range(columns)]
         out.append([_panel_of(results, fixed) for fixed in places])
-    if not any(panel for line in out for panel in line):
+    return _some(out)
+
+
+def _some(found: list[list[Panel | None]]) -> list[list[Panel | None]]:
+    """The panels, or `Unavailable` where none has a frame."""
+    if not any(panel for line in found for panel in line):
         raise Unavailable("no frame has a fitted spot")
-    return out
+    return found
 
 
 def _panel_of(results: Results, fixed: dict[str, int]) -> Panel | None:

@@ -25,7 +25,7 @@ def expected_maximum(light_dn: np.ndarray, exposure_s: float, sensor: SensorMode
     sd = np.sqrt(moments.variance)
     top = moments.mean + 8 * sd
     # A pixel that is 8 sd below another's mean has no say in the maximum.
-    keep = top > np.max(moments.mean)
+    keep = top >= np.max(moments.mean)
     mean, sd = moments.mean[keep], np.maximum(sd[keep], 1e-6)
     low, high = float(np.max(mean - 8 * sd)), float(min(np.max(mean + 8 * sd), sensor.full_scale_dn))
     z = np.linspace(low, high, 400)

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from spotcheck.errors import InputError
-from spotcheck.instrument import read_yaml
 from spotcheck.pages import write_page
 from spotcheck.provenance import PACKAGE
+from spotcheck.schema import read_yaml
 
 EQUATIONS = range(1, 41)
 _CLAIM = re.compile(r"Eqs?\.\s*(\d+(?:\s*(?:[–-]|,\s*(?:and)?|and|to)\s*\d+)*)")

@@ -86,7 +86,7 @@ def _sensor(ds: xr.Dataset | None) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": long_name,
-                "value": "unknown" if np.isnan(value) else f"{value:.4g}",
+                "value": "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}",
                 "error": "" if np.isnan(error) else f"± {error:.2g}",
                 "units": units,
                 "source": ds[name].attrs["source"],

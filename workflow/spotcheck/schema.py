@@ -1,0 +1,91 @@
+"""YAML files and the schemas in workflow/schemas: one sentence for what breaks one."""
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import ValidationError, best_match
+
+SCHEMAS = Path(__file__).parents[1] / "schemas"
+
+
+def read_schema(name: str) -> dict[str, Any]:
+    """A schema by its name, such as "instrument"."""
+    return read_yaml(SCHEMAS / f"{name}.schema.yaml")
+
+
+def breach_of(content: dict[str, Any], name: str) -> str | None:
+    """What breaks a schema, in one sentence: key, what is wrong, what would be right; None where nothing does."""
+    schema = read_schema(name)
+    breach = best_match(Draft202012Validator(schema).iter_errors(content))
+    return None if breach is None else _explain(breach, schema)
+
+
+def read_yaml(path: Path) -> Any:
+    """Content of a YAML file, with numbers such as 5e-6 read as numbers and doubled keys refused."""
+    return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2 numbers and no doubled keys: YAML 1.1 reads 5e-6 as text and keeps the last of two equal keys."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict:
+        seen: set = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=deep)
+            if not isinstance(key, str):
+                raise yaml.MarkedYAMLError(problem=f"key {key} is no word", problem_mark=key_node.start_mark)
+            if key in seen:
+                raise yaml.MarkedYAMLError(problem=f"key {key} stands twice", problem_mark=key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _construct_float(loader: _Loader, node: Any) -> float:
+    value = loader.construct_yaml_float(node)
+    if not math.isfinite(value):
+        raise yaml.MarkedYAMLError(problem=f"{node.value} is no number to reckon with", problem_mark=node.start_mark)
+    return value
+
+
+def _construct_int(loader: _Loader, node: Any) -> int:
+    text = loader.construct_scalar(node)
+    if not re.fullmatch(r"[-+]?(0|[1-9]\d{0,17})", text):
+        raise yaml.MarkedYAMLError(problem=f"{text[:40]} is no decimal whole number", problem_mark=node.start_mark)
+    return int(text)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _construct_int)
+_Loader.add_constructor("tag:yaml.org,2002:float", _construct_float)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
+    list("-+0123456789."),
+)
+
+
+def _explain(error: ValidationError, schema: dict[str, Any]) -> str:
+    """One sentence for a schema error: key, what is wrong, what would be right."""
+    key = ".".join(str(part) for part in error.absolute_path)
+    if error.validator == "additionalProperties":
+        known = error.schema["properties"]
+        unknown = next(k for k in error.instance if k not in known)
+        sections = {name: own.get("properties", {}) for name, own in schema["properties"].items()}
+        home = next((name for name, own in sections.items() if unknown in own), None)
+        if home and not key:
+            return f"key {unknown} stands outside its section; put it under `{home}:`"
+        where = f"{key}.{unknown}" if key else unknown
+        return f"unknown key {where}; known keys here: {', '.join(known)}"
+    if error.validator == "type":
+        kind = {"object": "a section with keys below it", "array": "a list", "number": "a number"}
+        kind |= {"integer": "a whole number", "boolean": "true or false", "string": "text"}
+        return f"key {key} is {error.instance!r}; it must be {kind[error.validator_value]}"
+    if error.validator == "enum":
+        return f"key {key} is {error.instance!r}; it must be one of {', '.join(error.validator_value)}"
+    bound = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most"}.get(str(error.validator))
+    if bound:
+        return f"key {key} is {error.instance!r}; it must be {bound} {error.validator_value}"
+    return f"key {key}: {error.message}"
