@@ -29,6 +29,7 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     names = {
         "minimum": ("i4", "DN", "smallest reading"),
         "maximum": ("i4", "DN", "largest reading"),
+        "mean": ("f8", "DN", "mean reading"),
         "at_full_scale": ("i8", "pixel", "pixels that read full scale"),
         "at_zero": ("i8", "pixel", "pixels that read zero"),
     }
@@ -40,6 +41,7 @@ def ingest(dataset: Dataset) -> xr.Dataset:
         pixels = frames.read(dataset, frame)
         digests.append(digest_of(frame.file))
         columns["minimum"][k], columns["maximum"][k] = pixels.min(), pixels.max()
+        columns["mean"][k] = pixels.mean(dtype=np.float64)
         columns["at_full_scale"][k] = np.count_nonzero(pixels >= highest)
         columns["at_zero"][k] = pixels.size - np.count_nonzero(pixels)
     ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})

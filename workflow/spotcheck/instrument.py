@@ -87,6 +87,11 @@ class Instrument:
     laser: Laser = field(default_factory=Laser)
     material: Material = field(default_factory=Material)
     model: ModelChoice = field(default_factory=ModelChoice)
+    given: frozenset[str] = frozenset()
+
+    def source(self, key: str) -> str:
+        """Where the value of a key such as "sensor.gain_dn_per_e" comes from."""
+        return "instrument.yaml" if key in self.given else "default"
 
     @property
     def laser_sigma_m(self) -> float | None:
@@ -124,6 +129,9 @@ def read_instrument(path: Path) -> Instrument:
     content = {k: ({} if v is None and k in SECTIONS else v) for k, v in content.items()}
     if breach := breach_of(content, "instrument"):
         raise InputError(f"{path.name}: {breach}")
+    given = {
+        f"{name}.{key}" if key else name for name, own in content.items() for key in (own if name in SECTIONS else [""])
+    }
     sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
     content = _whole(content)
     content["conditions"] = tuple(content.get("conditions", ()))
@@ -136,7 +144,7 @@ def read_instrument(path: Path) -> Instrument:
             raise InputError(
                 f"{path.name}: key conditions names {condition!r}; it must be a word of letters, digits and underscores"
             )
-    return Instrument(**content, **sections)
+    return Instrument(**content, **sections, given=frozenset(given))
 
 
 def _whole(section: dict[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,8 @@ def run(args: argparse.Namespace) -> None:
             for index in crops.cells(own, store.grid_dims(images))
             if crops.usable(own["status"].isel(index))
         )
-        settled = sensor.resolve(found, int(table["container_bits"]), usable)
+        darks = table["mean"].values[table["kind"].values == "dark"]
+        settled = sensor.resolve(found, int(table["container_bits"]), usable, darks)
     inputs = [args.crops, args.frames, found.folder / "instrument.yaml"]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:

@@ -66,14 +66,21 @@ def gain_from_curve(curve: NoiseCurve, black_level: float) -> Gain | None:
         return None
     level = curve.level - black_level
     design = np.stack([np.ones_like(level), level, level**2], axis=1)
+    # Errors of the bins are relative ones; they follow the fitted curve, since a bin that fell low by chance must not
+    # pull harder.
+    relative, model = curve.stderr / curve.variance, curve.variance
     for terms in (3, 2):
-        weighted = design[:, :terms] / curve.stderr[:, None]
-        solution, *_ = np.linalg.lstsq(weighted, curve.variance / curve.stderr, rcond=None)
-        if terms == 2 or solution[2] >= 0:  # a negative texture variance is none
+        for _ in range(4):
+            error = relative * np.maximum(model, 1e-3)
+            weighted, target = design[:, :terms] / error[:, None], curve.variance / error
+            solution, *_ = np.linalg.lstsq(weighted, target, rcond=None)
+            model = design[:, :terms] @ solution
+        residual = weighted @ solution - target
+        inflation = max(1.0, float(residual @ residual) / max(level.size - terms, 1))
+        covariance = np.linalg.pinv(weighted.T @ weighted) * inflation
+        # Texture is kept where it is seen: else its freedom costs the gain half of its precision.
+        if terms == 2 or solution[2] > 3 * np.sqrt(covariance[2, 2]):
             break
-    residual = weighted @ solution - curve.variance / curve.stderr
-    inflation = max(1.0, float(residual @ residual) / max(level.size - terms, 1))
-    covariance = np.linalg.pinv(weighted.T @ weighted) * inflation
     gain, gain_error = float(solution[1]), float(np.sqrt(covariance[1, 1]))
     if not gain > 3 * gain_error:
         return None

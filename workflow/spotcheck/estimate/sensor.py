@@ -1,14 +1,14 @@
 """The sensor that the chain runs on: data sheet where it speaks, frames where they allow, else unknown with the
 reason."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import xarray as xr
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.estimate.noise import gain_from_curve, noise_curve
+from spotcheck.estimate.noise import NoiseCurve, gain_from_curve, noise_curve
 from spotcheck.frames import full_scale
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
@@ -23,14 +23,21 @@ QUANTITIES = {
 }
 
 
-def resolve(dataset: Dataset, container_bits: int, crops: Iterable[np.ndarray]) -> xr.Dataset:
+def resolve(
+    dataset: Dataset, container_bits: int, crops: Iterable[np.ndarray], dark_means: Sequence[float] = ()
+) -> xr.Dataset:
     """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown."""
     given = dataset.instrument.sensor
     highest = full_scale(dataset.instrument, container_bits)
     value: dict[str, float | None] = {name: getattr(given, name, None) for name in QUANTITIES}
-    source = {name: "instrument.yaml" for name in QUANTITIES}
+    source = {name: dataset.instrument.source(f"sensor.{name}") for name in QUANTITIES}
     stderr = dict.fromkeys(QUANTITIES, np.nan)
-    value["full_scale_dn"] = float(highest)
+    value["full_scale_dn"], source["full_scale_dn"] = float(highest), "bits of the converter"
+    if source["black_level_dn"] == "default" and len(dark_means):
+        count = len(dark_means)
+        value["black_level_dn"] = float(np.mean(dark_means))
+        stderr["black_level_dn"] = float(np.std(dark_means, ddof=1) / np.sqrt(count)) if count > 1 else np.nan
+        source["black_level_dn"] = f"mean of {count} dark frame{'s' if count > 1 else ''}"
     if given.bit_depth is None:
         source["full_scale_dn"] = f"container of {container_bits} bit (sensor.bit_depth is missing)"
     if value["full_well_e"] is None:
@@ -51,32 +58,26 @@ def resolve(dataset: Dataset, container_bits: int, crops: Iterable[np.ndarray]) 
 
 
 def _from_frames(value: dict, stderr: dict, source: dict, crops: Iterable[np.ndarray], highest: float) -> None:
-    """Fill gain and read noise from neighbour differences: the median over frames, its error from their scatter."""
-    found = [g for g in (gain_from_curve(noise_curve(c, highest), value["black_level_dn"]) for c in crops) if g]
-    if not found:
+    """Fill gain and read noise from the differences of neighbouring pixels, all frames pooled."""
+    curves = [curve for curve in (noise_curve(crop, highest) for crop in crops) if curve.level.size]
+    pooled = NoiseCurve(*(np.concatenate(parts) for parts in zip(*curves, strict=True))) if curves else None
+    found = gain_from_curve(pooled, value["black_level_dn"]) if pooled else None
+    if found is None:
         for name in ("gain_dn_per_e", "read_noise_e"):
             if value[name] is None:
                 source[name] = "unknown: not in instrument.yaml, and no frame shows noise that grows with its light"
         return
-    gains, floors = np.array([g.gain for g in found]), np.array([g.floor for g in found])
-    own = np.array([g.gain_stderr for g in found])
-    count = len(found)
-    how = f"differences of neighbouring pixels in {count} frame{'s' if count > 1 else ''}"
+    how = f"differences of neighbouring pixels in {len(curves)} frame{'s' if len(curves) > 1 else ''}"
     if value["gain_dn_per_e"] is None:
-        value["gain_dn_per_e"], source["gain_dn_per_e"] = float(np.median(gains)), how
-        scatter = 1.2533 * np.std(gains, ddof=1) / np.sqrt(count) if count > 1 else 0.0
-        stderr["gain_dn_per_e"] = float(np.hypot(scatter, np.median(own) / np.sqrt(count)))
+        value["gain_dn_per_e"], stderr["gain_dn_per_e"], source["gain_dn_per_e"] = found.gain, found.gain_stderr, how
     if value["read_noise_e"] is None:
-        floor = max(float(np.median(floors)) - ROUNDING_VARIANCE, 0.0)
-        gain = float(value["gain_dn_per_e"] or np.nan)
+        gain, gain_error = float(value["gain_dn_per_e"]), float(np.nan_to_num(stderr["gain_dn_per_e"]))
+        floor = max(found.floor - ROUNDING_VARIANCE, 0.0)
         noise = np.sqrt(floor) / gain
         value["read_noise_e"], source["read_noise_e"] = noise, how
-        scatter = 1.2533 * np.std(floors, ddof=1) / np.sqrt(count) if count > 1 else 0.0
-        floor_error = float(np.hypot(scatter, np.median([g.floor_stderr for g in found]) / np.sqrt(count)))
-        gain_error = np.nan_to_num(stderr["gain_dn_per_e"])
-        # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_error.
-        own_error = min(floor_error / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(floor_error)) / gain
-        stderr["read_noise_e"] = float(np.hypot(own_error, noise * gain_error / gain))
+        # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_stderr.
+        own = min(found.floor_stderr / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(found.floor_stderr))
+        stderr["read_noise_e"] = float(np.hypot(own / gain, noise * gain_error / gain))
 
 
 def model_of(ds: xr.Dataset) -> SensorModel | None:

@@ -13,6 +13,7 @@ from spotcheck import optics, store
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.estimate.sensor import QUANTITIES
+from spotcheck.estimate.spotfit import PARAMETERS
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.pages import write_page
 from spotcheck.pages.table3 import parameters
@@ -20,6 +21,8 @@ from spotcheck.paper.level import readings
 
 # Vector pictures above this size are shown as PNG: a page must open at once.
 LARGEST_SVG = 400_000
+# Rows of the table of fits; all of them are in fits.nc.
+MOST_FITS = 200
 
 
 def write(dataset: Dataset, results: Path, path: Path) -> None:
@@ -43,6 +46,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "caustic": _caustic(files.get("caustic")),
         "flagged": _flagged(dataset, files.get("fits")),
         "parameters": parameters(dataset, files, TOP_HAT_RADIUS),
+        "fits": _fits(dataset, files.get("fits")),
         "levels": _levels(dataset, files),
         "numbers": _numbers(results / "paper_numbers.csv"),
         "sources": [(name, ds.attrs.get("code_version", "")) for name, ds in files.items()],
@@ -109,6 +113,25 @@ def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:
         row["peak"] = _number(own["peak"], ".4g")
         rows.append(row)
     return {"rows": rows, "laser_width": float(ds["laser_width"]), "converged": bool(ds["likelihood_converged"])}
+
+
+def _fits(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, list[str]]]:
+    """Frame, and its fitted values with standard errors, for the first frames of a dataset."""
+    if fits is None:
+        return []
+    dims = tuple(axis.name for axis in dataset.axes)
+    own = fits.sel(centring="light").transpose(*dims)
+    rows = []
+    for index, frame in list(dataset.cells())[:MOST_FITS]:
+        at = own.isel(dict(zip(dims, index, strict=True)))
+        cells = []
+        for name in PARAMETERS:
+            value, error = float(at[name]), float(at[f"{name}_stderr"])
+            digits = int(np.clip(1 - np.floor(np.log10(error)), 0, 4)) if error > 0 and np.isfinite(error) else 2
+            cells.append("–" if np.isnan(value) else f"{value:.{digits}f} ± {error:.{digits}f}")
+        chi2 = float(at["chi2_reduced"])
+        rows.append((frame.label, [*cells, "–" if np.isnan(chi2) else f"{chi2:.3g}"]))
+    return rows
 
 
 def _levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:

@@ -11,21 +11,26 @@ def parameters(
 ) -> list[tuple[str, str, str, str, str]]:
     """Rows (parameter, symbol, value, unit, source)."""
     given = dataset.instrument
-    sheet = "instrument.yaml"
     rows: list[tuple[str, str, float | str | None, str, str]] = [
-        ("Focal length", "f", given.optics.focal_length_m, "m", sheet),
-        ("Working distance", "d_w", given.optics.working_distance_m, "m", sheet),
-        ("Aperture f-number", "f_a", given.optics.f_number, "1", sheet),
-        ("Filter transmission", "ϱ_f", given.optics.filter_transmission, "1", sheet),
-        ("Pixel pitch", "s_px", given.sensor.pixel_pitch_m, "m", sheet),
-        ("Bits of the converter", "–", given.sensor.bit_depth, "bit", sheet),
-        ("Laser power", "P_L", given.laser.power_w, "W", sheet),
-        ("Laser wavelength", "λ_la", given.laser.wavelength_m, "m", sheet),
-        ("Laser FWHM, x", "FWHM_x", given.laser.fwhm_x_m, "m", sheet),
-        ("Laser FWHM, y", "FWHM_y", given.laser.fwhm_y_m, "m", sheet),
-        ("Material reflection", "ϱ_m", given.material.reflectance, "1", sheet),
-        ("Side of the crop", "–", given.crop_px, "px", sheet),
-        ("Photon budget", "–", given.model.photon_budget, "", sheet),
+        ("Focal length", "f", given.optics.focal_length_m, "m", given.source("optics.focal_length_m")),
+        ("Working distance", "d_w", given.optics.working_distance_m, "m", given.source("optics.working_distance_m")),
+        ("Aperture f-number", "f_a", given.optics.f_number, "1", given.source("optics.f_number")),
+        (
+            "Filter transmission",
+            "ϱ_f",
+            given.optics.filter_transmission,
+            "1",
+            given.source("optics.filter_transmission"),
+        ),
+        ("Pixel pitch", "s_px", given.sensor.pixel_pitch_m, "m", given.source("sensor.pixel_pitch_m")),
+        ("Bits of the converter", "–", given.sensor.bit_depth, "bit", given.source("sensor.bit_depth")),
+        ("Laser power", "P_L", given.laser.power_w, "W", given.source("laser.power_w")),
+        ("Laser wavelength", "λ_la", given.laser.wavelength_m, "m", given.source("laser.wavelength_m")),
+        ("Laser FWHM, x", "FWHM_x", given.laser.fwhm_x_m, "m", given.source("laser.fwhm_x_m")),
+        ("Laser FWHM, y", "FWHM_y", given.laser.fwhm_y_m, "m", given.source("laser.fwhm_y_m")),
+        ("Material reflection", "ϱ_m", given.material.reflectance, "1", given.source("material.reflectance")),
+        ("Side of the crop", "–", given.crop_px, "px", given.source("crop_px")),
+        ("Photon budget", "–", given.model.photon_budget, "", given.source("model.photon_budget")),
     ]
     if given.model.top_hat:
         rows.append(("Top hat radius", "r_TH", top_hat_radius, "1", "Eq. 40"))
@@ -35,7 +40,7 @@ def parameters(
             variable = sensor[name]
             rows.append(
                 (
-                    variable.attrs["long_name"].capitalize(),
+                    _sentence(variable.attrs["long_name"]),
                     symbol,
                     float(variable),
                     variable.attrs["units"],
@@ -52,7 +57,12 @@ def parameters(
             text = f"{float(own[f'{name}_mean']):.3f} ± {float(own[f'{name}_sd_all']):.3f}"
             rows.append((f"Beam propagation {'factor' if name == 'p1' else 'offset'}", name, text, "px", "calibrated"))
         rows.append(("Peak at the longest exposure", "–", float(own["peak"]), "DN", "calibrated"))
-    return [(a, b, _text(value), unit, source) for a, b, value, unit, source in rows]
+    return [(a, b, _text(value), unit, "" if value is None else source) for a, b, value, unit, source in rows]
+
+
+def _sentence(text: str) -> str:
+    """First letter in upper case, the symbols left alone."""
+    return text[:1].upper() + text[1:]
 
 
 def _text(value: float | str | None) -> str:

@@ -86,6 +86,12 @@ def summary(verdicts: list[Verdict]) -> str:
     failed = [v for v in verdicts if v.counted and not v.holds]
     texts = [f"{v.entry['id'].replace('_', ' ')} (printed: {v.entry['printed']}; ours: {v.ours:.3g})" for v in failed]
     rows += ["", f"What does not hold: {'; '.join(texts) or 'nothing'}."]
+    rest = [v.entry["id"].replace("_", " ") for v in verdicts if not v.counted and not v.holds]
+    rows[-1] += f" Shown and not counted, and not holding either: {', '.join(rest) or 'nothing'}."
+    rows += [
+        "",
+        "A printed range counts as two numbers, each met within half the range's width; others within the printed ±.",
+    ]
     return "\n".join(rows) + "\n"
 
 
