@@ -163,8 +163,8 @@ def psnr(results: Results) -> style.Drawing:
     between = between[np.isfinite(between)].mean()
     caption = (
         "Peak signal-to-noise ratio of measured against simulated frames. Left: both crops centred on their own"
-        " maximum and scaled to the range of the 16-bit container, as in the paper. Right: the simulated crop moved"
-        " onto the measured fitted centre and scaled to the sensor's own range. The range alone is worth"
+        " maximum and scaled to 65535, the range of a 16-bit container, as in the paper. Right: the simulated crop"
+        " moved onto the measured fitted centre and scaled to the sensor's own range. The range alone is worth"
         f" {gap:.1f} dB: the crops of the left panel average {_average(found[0]):.1f} dB, at the sensor's range"
         f" {between:.1f} dB, and registered {_average(found[1]):.1f} dB. Both ordinates span the same decibels."
         f" {series.frames_text(found[0], design)}."
