@@ -10,6 +10,7 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.estimate.sensor import model_of
+from spotcheck.instrument import RESERVED
 from spotcheck.model.sensor import reading
 
 
@@ -101,3 +102,11 @@ def test_every_frame_is_recorded(opened, rows):
     assert list(table["file"].values) == [row["file"] for row in rows]
     assert all(len(str(d)) == 64 for d in table["sha256"].values)
     assert (table["maximum"] <= 1023).all()
+
+
+def test_no_condition_can_bear_the_name_of_a_variable(opened):
+    """Names in the files that have the grid's dimensions are refused as conditions; derived names follow from these."""
+    derived = ("_stderr", "_mean", "_sd", "_by_angle", "_sd_all", "_sd_angles", "_sd_repeats", "_miss")
+    for name in ("crops", "fits", "calibration", "simulated", "metrics"):
+        own = {str(v) for v in (*opened[name].variables, *opened[name].dims)}
+        assert {v for v in own if v == "sigma_mean" or not v.endswith(derived)} <= RESERVED, name

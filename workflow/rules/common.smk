@@ -16,7 +16,7 @@ from spotcheck.provenance import code_digest, file_digest, notebook_modules
 os.environ.update(PATH=os.pathsep.join([str(Path(sys.executable).parent), *os.get_exec_path()]))
 
 # A dataset or folder may be called 2024.
-config |= {key: str(config[key]).rstrip("/") for key in ("dataset", "results") if key in config}
+config |= {key: str(config[key]).rstrip(os.sep) for key in ("dataset", "results") if key in config}
 
 try:
     if breach := breach_of(config, "config"):

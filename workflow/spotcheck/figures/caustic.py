@@ -69,7 +69,8 @@ def _caption(ds: xr.Dataset, factor: float, unit: str) -> str:
         " w² = a + b z + c z² (ISO 11146-1, with Gaussian widths in the place of second moments; crops centred on the"
         " light). Beneath: points less hyperbola, set a little apart. Error bars: standard error of the fit and the"
         f" scatter that brings χ² to 1 per degree of freedom ({scatter} of the radius for the mean of both axes)."
-        " Grey: 68 % interval of the mean's hyperbola."
+        " Grey: 68 % interval of the mean's hyperbola. Long and short axis are each frame's own: where an astigmatic"
+        " beam is round they change places, and then their own M² means little."
     )
     if not np.isfinite(float(own["m2"])):
         return text + " The hyperbola has no waist: the points do not hold one."
