@@ -70,6 +70,11 @@ class Dataset:
             axes.append(_axis(name, values, unit_of(name), name))
         return tuple(axes)
 
+    @property
+    def exposures(self) -> tuple[float, ...]:
+        """Exposure times of the spots [s], ascending; empty where they were not recorded."""
+        return next(axis for axis in self.axes if axis.name == "exposure").values or ()
+
     @cached_property
     def shape(self) -> tuple[int, ...]:
         """Lengths of `axes`."""

@@ -49,7 +49,7 @@ def has_law(calibration: xr.Dataset) -> bool:
 def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> dict[tuple[int, ...], SpotState]:
     """Peak and width of every frame of the grid: by the law of the baseline, or each frame's own fit where no law was
     found."""
-    baseline = of_instrument(dataset.instrument, _exposures(dataset))
+    baseline = of_instrument(dataset.instrument, dataset.exposures)
     states = {}
     own = fits.sel(centring="light")
     for index, row in dataset.cells():
@@ -63,10 +63,6 @@ def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> 
             amplitude = peak * baseline.relative_peak(row.exposure_s, p1, p2)
             states[index] = SpotState(amplitude, baseline.sigma(row.exposure_s, p1, p2))
     return states
-
-
-def _exposures(dataset: Dataset) -> tuple[float, ...]:
-    return next(axis for axis in dataset.axes if axis.name == "exposure").values or ()
 
 
 def simulate(
@@ -86,7 +82,7 @@ def simulate(
 
     Without a sensor model the frames are the rounded mean image and the attribute `noise` says so.
     """
-    baseline = of_instrument(dataset.instrument, _exposures(dataset))
+    baseline = of_instrument(dataset.instrument, dataset.exposures)
     side = dataset.instrument.crop_px
     canvas = CANVAS * side
     pixel = np.arange(canvas, dtype=float)

@@ -91,6 +91,10 @@ def grid_dims(ds: xr.Dataset) -> tuple[str, ...]:
     return tuple(str(d) for d in ds["status"].dims if d not in ("centring", "source"))
 
 
+# A fit with any of these flags is not to be believed.
+UNTRUSTED = UNUSABLE | flag("not_converged") | flag("at_limit")
+
+
 def recorded(ds: xr.Dataset, axis: str) -> bool:
     """Whether an axis of the grid has values."""
     return axis in ds.coords

@@ -20,7 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Bounds of the peak's photons and of σ_g."""
     found = dataset.load(args.dataset)
-    exposures = np.array(next(axis for axis in found.axes if axis.name == "exposure").values or [])
+    exposures = np.array(found.exposures)
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
         result = bounds_of(calibration, found.instrument, exposures, model_of(sensor), found.instrument.crop_px)
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor])

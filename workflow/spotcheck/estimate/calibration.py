@@ -93,7 +93,7 @@ def _attrs(long_name: str, units: str = "pixel") -> dict[str, str]:
 def _widths(fits: xr.Dataset) -> tuple[xr.DataArray, tuple[str, ...]]:
     """σ̄ of usable fits [site dims..., exposure] from the crops centred on the light, and the site dims."""
     own = fits.sel(centring="light")
-    good = (own["status"] & (store.UNUSABLE | store.flag("not_converged") | store.flag("at_limit"))) == 0
+    good = (own["status"] & store.UNTRUSTED) == 0
     width = own["sigma_mean"].where(good)
     site_dims = tuple(str(d) for d in width.dims if d != "exposure")
     return width.transpose(*site_dims, "exposure"), site_dims

@@ -130,7 +130,7 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
     own = fits.sel(centring="light")
     grid = tuple(str(d) for d in own["status"].dims)
     own = own.transpose(*grid)
-    good = (own["status"] & (store.UNUSABLE | store.flag("not_converged") | store.flag("at_limit"))) == 0
+    good = (own["status"] & store.UNTRUSTED) == 0
     z = own[CONDITION].broadcast_like(own["status"]).transpose(*grid).values
     radius, stderr = (
         np.stack([own[f"{name}{suffix}"].where(good).values for name in AXES.values()]) * 2 * pitch

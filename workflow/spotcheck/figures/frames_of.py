@@ -11,7 +11,7 @@ from spotcheck.crops import usable
 from spotcheck.figures.results import Results, Unavailable
 
 # A fit with one of these flags has no width or centre that could be drawn.
-UNTRUSTED = store.UNUSABLE | store.flag("not_converged") | store.flag("at_limit")
+UNTRUSTED = store.UNTRUSTED
 
 
 class Spot(NamedTuple):

@@ -76,7 +76,7 @@ class Results:
 
     def exposures(self) -> np.ndarray:
         """Exposure times of the spots [s], ascending; empty when they were not recorded."""
-        return np.array(next(axis.values for axis in self.dataset.axes if axis.name == "exposure") or (), float)
+        return np.array(self.dataset.exposures, float)
 
     def like_paper(self) -> bool:
         """Whether the design is the paper's, so that its printed numbers can be named beside a figure."""

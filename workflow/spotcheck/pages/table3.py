@@ -47,8 +47,7 @@ def parameters(
                     variable.attrs["source"],
                 )
             )
-    exposures = next(axis for axis in dataset.axes if axis.name == "exposure").values if dataset.spots else None
-    if exposures:
+    if exposures := dataset.exposures:
         rows.append(("Exposure times", "t_exp", ", ".join(f"{t:g}" for t in exposures), "s", "manifest.csv"))
     calibration = files.get("calibration")
     if calibration is not None and "skipped" not in calibration.attrs:
