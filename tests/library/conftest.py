@@ -8,7 +8,8 @@ import tifffile
 
 from spotcheck import dataset
 from spotcheck.instrument import Instrument, read_instrument
-from spotcheck.model.sensor import SensorModel, draw
+from spotcheck.model.sensor import SensorModel
+from tests.reference.numpy_chain import draw
 
 HEADER = "file,kind,angle_deg,exposure_s,repeat"
 ROOT = Path(__file__).parents[2]

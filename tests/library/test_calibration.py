@@ -7,8 +7,9 @@ import xarray as xr
 from spotcheck import crops, store
 from spotcheck.estimate import propagation
 from spotcheck.estimate.calibration import calibrate
-from spotcheck.estimate.fits import fit_crops, fit_in_crop
+from spotcheck.estimate.fits import FITS, fit_crops, fit_in_crop, preferred
 from spotcheck.estimate.propagation import peak_from_maxima, regress, simulate_and_fit
+from spotcheck.estimate.spotfit import NAMES
 from spotcheck.instrument import Instrument, ModelChoice
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.sensor import SensorModel
@@ -45,15 +46,21 @@ def test_regress_is_the_straight_line_of_least_squares():
 
 
 def fits_of(width: np.ndarray, exposures=EXPOSURES, status=None) -> xr.Dataset:
-    """A fits file [angle, exposure, repeat] with given widths, as `fit` would write it."""
-    dims = ("angle", "exposure", "repeat", "centring")
-    ds = xr.Dataset(attrs={"title": "T", "dataset": "d", "not_recorded": ""})
+    """A fits file [angle, exposure, repeat] with given widths by least squares, as `fit` would write it.
+
+    The likelihood, which the file prefers, finds others: the paper's regression is of its own estimator.
+    """
+    dims = ("angle", "exposure", "repeat", "centring", "fit")
+    ds = xr.Dataset(attrs={"title": "T", "dataset": "d", "not_recorded": "", "preferred": "likelihood"})
     ds["centring"] = ("centring", np.array(crops.CENTRINGS, dtype=object))
+    ds["fit"] = ("fit", np.array(list(FITS), dtype=object))
     if exposures is not None:
         ds["exposure"] = ("exposure", exposures)
-    ds["sigma_mean"] = (dims, np.repeat(width[..., None], 2, -1))
+    both = {"likelihood": 3 * width + 1, "least_squares": width}
+    ds["sigma_mean"] = (dims, np.repeat(np.stack([both[name] for name in FITS], -1)[..., None, :], 2, -2))
     state = np.zeros(width.shape, "i4") if status is None else status
-    ds["status"] = (dims, np.repeat(state[..., None], 2, -1))
+    both = {"likelihood": np.zeros_like(state), "least_squares": state}
+    ds["status"] = (dims, np.repeat(np.stack([both[name] for name in FITS], -1)[..., None, :], 2, -2))
     return ds
 
 
@@ -162,20 +169,30 @@ def test_the_whole_stage_on_frames_of_the_model(tmp_path):
     with store.read(tmp_path / "crops.nc") as own:
         fits = fit_crops(own, SENSOR)
         out = calibrate(own, fits, ds.instrument, SENSOR)
-        index = dict(zip(("angle", "exposure", "repeat", "centring"), (0, 2, 0, 0), strict=True))
-        again = fit_in_crop(fits, own, index)
-        assert again.value[1] + int(own["left"].isel(index)) == pytest.approx(float(fits["x_centre"].isel(index)))
+        for k, name in enumerate(FITS):
+            cell = dict(zip(("angle", "exposure", "repeat", "centring"), (0, 2, 0, 0), strict=True))
+            again, stored = fit_in_crop(fits.isel(fit=k), own, cell), fits.sel(fit=name).isel(cell)
+            shift = np.zeros(8)
+            shift[1], shift[2] = int(own["left"].isel(cell)), int(own["top"].isel(cell))
+            np.testing.assert_allclose(again.value + shift, [float(stored[n]) for n in NAMES], rtol=1e-12)
+            np.testing.assert_array_equal(again.stderr, [float(stored[f"{n}_stderr"]) for n in NAMES])
+            assert (again.chi2_reduced, again.status) == (float(stored["chi2_reduced"]), int(stored["status"]))
+        flat = fit_crops(own, SENSOR, top_hat=True)
+    # The instrument's top hat is in the likelihood; the paper's estimator fits a Gaussian to whatever it sees.
+    xr.testing.assert_identical(flat.sel(fit="least_squares"), fits.sel(fit="least_squares"))
+    assert (np.abs(flat["sigma_mean"] / fits["sigma_mean"] - 1).sel(fit="likelihood") > 0.01).all()
     store.check(fits, "fits")
     store.check(out, "calibration")
     for name, want in (("x_centre", 52.4), ("y_centre", 58.7), ("sigma_mean", sigma[2]), ("amplitude", peak)):
         at = fits.isel(angle=0, exposure=2, repeat=0).sel(centring="light")
-        assert abs(float(at[name]) - want) < 4 * float(at[f"{name}_stderr"])
+        assert (np.abs(at[name] - want) < 4 * at[f"{name}_stderr"]).all()
+    xr.testing.assert_identical(preferred(fits), fits.sel(centring="light", fit="likelihood"))
     joint = out.sel(estimator="likelihood")
     assert int(out["likelihood_converged"]) == 1
     for name, want in (("p1", p1), ("p2", p2)):
         assert abs(float(joint[f"{name}_mean"]) - want) < 4 * float(joint[f"{name}_stderr"])
     # One site: the regression has no scatter to take an error from; its error follows from that of the widths.
-    error = fits["sigma_mean_stderr"].sel(centring="light").values.ravel()
+    error = fits["sigma_mean_stderr"].sel(centring="light", fit="least_squares").values.ravel()
     u = np.log(EXPOSURES)
     weight = (u - u.mean()) / ((u - u.mean()) ** 2).sum()
     assert abs(float(out["p1_mean"].sel(estimator="regression")) - p1) < 4 * np.sqrt((weight**2 * error**2).sum())
@@ -188,3 +205,21 @@ def test_widths_come_with_no_sensor_as_well():
     assert float(ds["p1_mean"].sel(estimator="regression")) == pytest.approx(1.0)
     assert np.isnan(float(ds["p1_mean"].sel(estimator="likelihood")))
     assert isinstance(SENSOR, SensorModel) and propagation.regress is regress
+
+
+def test_fits_of_a_sensor_that_is_unknown_and_of_an_empty_frame(tmp_path):
+    """Least squares alone, preferred, with the reason in the other's flags; no fit of a frame without light."""
+    dark = np.full((110, 110), 40, np.uint16)
+    ds = loaded(tmp_path / "d", [noisy(gaussian(110, 600.0, 52.4, 58.7, 6.0), 1), dark], "crop_px: 60")
+    crops.crop(ds, crops.ingest(ds), tmp_path / "crops.nc", code="c", inputs=[])
+    with store.read(tmp_path / "crops.nc") as own:
+        fits = store.check(fit_crops(own, None), "fits")
+        cell = {"angle": 0, "exposure": 0, "repeat": 0, "centring": 0}
+        assert fit_in_crop(fits.sel(fit="likelihood"), own, cell) is None
+        assert fit_in_crop(fits.sel(fit="least_squares"), own, cell | {"repeat": 1}) is None
+        known = fit_in_crop(fits.sel(fit="least_squares"), own, cell)
+        assert known.value[7] == pytest.approx(6.0, abs=0.05) and np.isnan(known.chi2_reduced) and known.status == 0
+    assert fits.attrs["preferred"] == "least_squares" and preferred(fits)["fit"].item() == "least_squares"
+    assert (fits["status"].sel(fit="likelihood") & store.flag("no_noise")).all()
+    assert not (fits["status"].sel(fit="least_squares") & store.flag("no_noise")).any()
+    assert np.isnan(fits["sigma_mean"].sel(fit="likelihood")).all()

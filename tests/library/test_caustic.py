@@ -111,12 +111,13 @@ def test_no_waist_is_nan_not_a_number():
 
 def scan(z, sigma_px, stderr_px=0.01):
     """A fits file of a scan, and its instrument."""
-    attrs = {"title": "scan", "dataset": "scan", "not_recorded": "exposure"}
+    attrs = {"title": "scan", "dataset": "scan", "not_recorded": "exposure", "preferred": "likelihood"}
     ds = xr.Dataset(attrs=attrs)
     ds["z_m"] = ("z_m", np.asarray(z, float), {"units": "m", "long_name": "z_m"})
     ds["centring"] = ("centring", ["light", "maximum"], {"units": "1", "long_name": "centring"})
-    dims = ("angle", "exposure", "repeat", "z_m", "centring")
-    shape = (1, 1, 1, len(z), 2)
+    ds["fit"] = ("fit", ["likelihood"], {"units": "1", "long_name": "fit"})
+    dims = ("angle", "exposure", "repeat", "z_m", "centring", "fit")
+    shape = (1, 1, 1, len(z), 2, 1)
     for name in caustic.AXES.values():
         for suffix, values in (("", sigma_px), ("_stderr", np.full(len(z), stderr_px))):
             full = np.repeat(np.asarray(values, float), 2).reshape(shape)

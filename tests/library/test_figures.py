@@ -61,14 +61,18 @@ def tiny(tmp_path_factory) -> tuple[Path, Path]:
         ["ingest", data, "--output", of["frames"]],
         ["crop", data, "--frames", of["frames"], "--output", of["crops"]],
         ["sensor", data, "--crops", of["crops"], "--frames", of["frames"], "--output", of["sensor"]],
-        ["fit", of["crops"], *sensor, "--output", of["fits"]],
+        ["fit", data, "--crops", of["crops"], *sensor, "--output", of["fits"]],
         ["calibrate", data, *both, *sensor, "--output", of["calibration"]],
         ["simulate", data, "--calibration", of["calibration"], "--fits", of["fits"], *sensor, *drawn],
         ["ingest", simulated, "--output", again["frames"]],
         ["crop", simulated, "--frames", again["frames"], "--output", again["crops"]],
-        ["fit", again["crops"], *sensor, "--output", again["fits"]],
+        ["fit", data, "--crops", again["crops"], *sensor, "--output", again["fits"]],
         ["compare", *pairs, *sensor, "--output", out / "metrics.nc"],
         ["bounds", data, "--calibration", of["calibration"], *sensor, "--output", out / "bounds.nc"],
+        [
+            *("precision", data, "--fits", of["fits"], again["fits"], "--calibration", of["calibration"]),
+            *(*sensor, "--output", out / "precision.nc"),
+        ],
         ["caustic", data, "--fits", of["fits"], "--output", out / "caustic.nc"],
     ):
         main([str(word) for word in line])

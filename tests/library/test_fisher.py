@@ -9,7 +9,8 @@ from scipy.stats import norm, poisson
 
 from spotcheck.estimate import bounds, fisher
 from spotcheck.model.baseline import jacobian
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.sensor import SensorModel, reading
+from spotcheck.model.spot import elliptical_gaussian
 from tests.library.conftest import gaussian
 
 MEANS = [0.3, 4.0, 60.0]
@@ -94,9 +95,6 @@ def test_information_adds_over_pixels():
     whole = fisher.information(slopes, fisher.poisson_information(mean))
     each = sum(np.outer(slopes[:, i, j], slopes[:, i, j]) / mean[i, j] for i in range(5) for j in range(4))
     np.testing.assert_allclose(whole, each, rtol=1e-12)
-    # A mean in DN in the same law: K² from the slopes, 1/K from the mean.
-    in_dn = fisher.information_in_dn(0.11 * slopes, 0.11 * mean)
-    np.testing.assert_allclose(in_dn, 0.11 * whole, rtol=1e-12)
 
 
 def exact_information(mean: float, read: float) -> float:
@@ -177,6 +175,138 @@ def test_information_of_a_gaussian_by_integral():
         lambda r: 2 * np.pi * r * (r**2 / sigma**3) ** 2 * peak * np.exp(-(r**2) / 2 / sigma**2), 0, 60
     )
     assert got == pytest.approx(whole, rel=1e-6) and got == pytest.approx(8 * 2 * np.pi * peak, rel=1e-6)
+
+
+def ellipse(side: int):
+    """Mean electrons of an elliptical Gaussian with offset over side × side pixels, as a function of all seven."""
+    pixel = np.arange(side, dtype=float) - side // 2
+    return lambda *theta: elliptical_gaussian(pixel[None, :], pixel[:, None], *theta)
+
+
+def test_bounds_of_an_isolated_elliptical_gaussian():
+    """Eq. 38 for six parameters against closed forms without background, N = 2π σ_1 σ_2 A electrons.
+
+    var x = (C)_xx/N with C the spot's covariance; var σ_k = σ_k²/2N; var A = 2A²/N; var φ = (σ_1 σ_2/(σ_1² − σ_2²))²/N:
+    each photon's place is a draw of the normal law C, and the sample's moments are efficient for it.
+    """
+    peak, major, minor, turn = 400.0, 8.0, 5.0, 0.6
+    at = (peak, 0.2, -0.3, major, minor, turn)
+    matrix = fisher.of_mean(ellipse(161), at, lambda mean: 1 / np.maximum(mean, 1e-290))
+    electrons = 2 * math.pi * major * minor * peak
+    c, s = math.cos(turn), math.sin(turn)
+    want = [
+        2 * peak**2,
+        c * c * major**2 + s * s * minor**2,
+        s * s * major**2 + c * c * minor**2,
+        major**2 / 2,
+        minor**2 / 2,
+        (major * minor / (major**2 - minor**2)) ** 2,
+    ]
+    # The border is 10 σ away and σ ≥ 5 px: sampling and truncation are below 1e-20 of the light.
+    np.testing.assert_allclose(fisher.bounds(matrix), np.array(want) / electrons, rtol=1e-6)
+
+
+# picassosr 0.11.3, picasso.fitting.precision._gauss_crlb(rotated=True): standard deviations of photons, x, y, σ_1, σ_2,
+# background and angle for 18000 photons in 61 × 61 px, centre (30, 30), widths 6 and 4 px, background 3, angle 0.5 rad;
+# then with a read-out variance of 4 e-².
+PICASSO = {
+    0.0: [144.93001376, 0.047029758344, 0.038088051838, 0.041016720941, 0.027344487455, 0.031988214822, 0.011200294925],
+    2.0: [156.14473599, 0.050988541255, 0.041294156526, 0.046563750028, 0.031042506139, 0.048395112093, 0.012649351963],
+}
+
+
+@pytest.mark.parametrize("read", list(PICASSO))
+def test_bounds_of_another_package(read):
+    """Eq. 38: all seven bounds of a rotated Gaussian as picasso prints them, to the digits that were written down."""
+    pixel = np.arange(61.0)
+
+    def mean(photons, x, y, one, two, background, angle):
+        peak = photons / (2 * np.pi * one * two)
+        return elliptical_gaussian(pixel[None, :], pixel[:, None], peak, x, y, one, two, angle, background)
+
+    at = (18000.0, 30.0, 30.0, 6.0, 4.0, 3.0, 0.5)
+    # Its law is the shifted Poisson one: 1/(ν + σ²).
+    matrix = fisher.of_mean(mean, at, lambda nu: 1 / (nu + read**2))
+    np.testing.assert_allclose(np.sqrt(fisher.bounds(matrix)), PICASSO[read], rtol=1e-6)
+    # The law of a reading, for a fine converter far from its clips, has no less information, and not much more.
+    sensor = SensorModel(10.0, read, black_level_dn=500.0)
+    exact = np.sqrt(fisher.bounds(fisher.of_mean(mean, at, lambda nu: fisher.reading_information(nu, sensor))))
+    # 2 %: the background of three electrons is where read noise and Poisson noise are not yet one normal law.
+    np.testing.assert_allclose(exact, PICASSO[read], rtol=0.02)
+
+
+@pytest.mark.parametrize("read", [0.0, 13.0])
+@pytest.mark.parametrize("mean", [3.0, 25.0, 400.0, 5000.0])
+def test_information_of_a_reading_far_from_the_clips(mean, read):
+    """Eq. 34 for a fine converter whose clips are out of reach: that of electrons with read noise, Eq. 30.
+
+    2 %: linear interpolation in `read_noise_information`, and the rounding of a tenth of an electron.
+    """
+    sensor = SensorModel(10.0, read, black_level_dn=2000.0)
+    got = float(fisher.reading_information(np.array([mean]), sensor)[0])
+    want = 1 / mean if read == 0 else float(fisher.read_noise_information(np.array([mean]), read)[0])
+    assert got == pytest.approx(want, rel=0.02)
+
+
+@pytest.mark.parametrize("excess", [-4.0, -1.0, 0.0, 1.0, 2.5])
+def test_information_of_a_reading_at_full_scale(excess):
+    """Censored normal law with mean `excess` standard deviations above full scale: (Φ(a) − φ(a)(a − φ(a)/Q(a)))/s².
+
+    Cohen (1959), Technometrics 1, 217: information on the mean of a singly censored sample.
+    """
+    gain, noise, mean = 0.5, 4.0, 6000.0
+    s = math.sqrt(mean + noise**2 + 1 / 12 / gain**2)
+    full_scale = round(gain * (mean - excess * s))
+    a = ((full_scale - 0.5) / gain - mean) / s
+    want = (norm.cdf(a) - norm.pdf(a) * (a - norm.pdf(a) / norm.sf(a))) / s**2
+    got = fisher.reading_information(np.array([mean]), SensorModel(gain, noise, full_scale_dn=full_scale))
+    assert float(got[0]) == pytest.approx(want, rel=1e-9)
+
+
+def test_clipping_never_adds_information():
+    """A reading that is clipped, at black, at full scale or at the well, knows no more than one that is not."""
+    mean = np.concatenate([np.linspace(0.0, 60.0, 121), np.geomspace(60, 20000, 200)])
+    free = fisher.reading_information(mean, SensorModel(0.11, 13.0, black_level_dn=50.0))
+    for clipped, at, most in (
+        (SensorModel(0.11, 13.0), 0, 0.8),
+        (SensorModel(0.11, 13.0, black_level_dn=50.0, full_scale_dn=1023.0), -1, 1e-3),
+        (SensorModel(0.11, 13.0, black_level_dn=50.0, full_well_e=8000.0), -1, 1e-3),
+    ):
+        got = fisher.reading_information(mean, clipped)
+        # 1 %: where black clips, the free law counts rounding as 1/12 DN² and the table does not.
+        assert (got <= 1.01 * free).all() and (got >= 0).all()
+        assert got[at] < most * free[at]
+
+
+def test_information_on_parameters_of_the_sensor():
+    """Slepian–Bangs for N readings of one mean: var(σ²) ≥ 2σ⁴/N for the variance, and V/N for the mean."""
+    count, level, noise = 5000, 40.0, 9.0
+    matrix = fisher.of_moments(lambda mean, variance: (np.full(count, mean), np.full(count, variance)), (level, noise))
+    np.testing.assert_allclose(fisher.bounds(matrix), [noise / count, 2 * noise**2 / count], rtol=1e-12)
+
+
+def test_information_on_the_read_noise_of_a_spot():
+    """Read noise as a parameter of the whole chain, by complex step through `model.sensor.reading`, and by differences.
+
+    Differences of 1e-5 e-: error 1e-10 of the second derivative, and rounding 1e-11/1e-5 of the variance.
+    """
+    light = 0.11 * ellipse(41)(800.0, 0.0, 0.0, 5.0, 4.0, 0.3, 2.0)
+
+    def moments(read, peak):
+        sensor = SensorModel(0.11, read, black_level_dn=8.0, full_scale_dn=1023.0)
+        return reading(light * peak, 1e-3, sensor)[:2]
+
+    matrix = fisher.of_moments(moments, (13.0, 1.0))
+    h = 1e-5
+    slopes = [
+        (np.array(moments(13.0 + h, 1.0)) - moments(13.0 - h, 1.0)) / (2 * h),
+        (np.array(moments(13.0, 1.0 + h)) - moments(13.0, 1.0 - h)) / (2 * h),
+    ]
+    variance = moments(13.0, 1.0)[1]
+    for i in range(2):
+        for j in range(2):
+            want = np.sum(slopes[i][0] * slopes[j][0] / variance + slopes[i][1] * slopes[j][1] / (2 * variance**2))
+            assert matrix[i, j] == pytest.approx(want, rel=1e-5, abs=1e-5 * matrix.max())
 
 
 R2 = (np.mgrid[-50:51, -50:51] ** 2).sum(axis=0)

@@ -5,8 +5,8 @@ import pytest
 
 from spotcheck.estimate.likelihood import SiteFrame, fit_baseline
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.sensor import draw
 from tests.library.conftest import SENSOR, gaussian
+from tests.reference.numpy_chain import draw
 
 EXPOSURES = (1e-4, 5e-4, 9e-4)
 # Widths of 4.5 … 5.8 px, a peak below full scale.

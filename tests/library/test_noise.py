@@ -5,7 +5,6 @@ import pytest
 
 from spotcheck.estimate import sensor as sensor_stage
 from spotcheck.estimate.noise import gain_from_curve, noise_curve
-from spotcheck.model.sensor import draw
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE = 240
@@ -98,7 +97,7 @@ def test_gain_and_read_noise_from_frames(tmp_path):
     assert float(out["read_noise_e"]) == pytest.approx(13.0, rel=0.1)
     assert "4 frames" in out["gain_dn_per_e"].attrs["source"]
     assert 0 < float(out["gain_dn_per_e_stderr"]) < 0.01
-    dark = [draw(np.zeros((SIDE, SIDE)), 1e-4, SENSOR, np.random.default_rng(1)).astype(float)]
+    dark = [noisy(np.zeros((SIDE, SIDE)), 1).astype(float)]
     unknown = sensor_stage.resolve(ds, 16, dark)
     assert sensor_stage.model_of(unknown) is None
     assert unknown["read_noise_e"].attrs["source"].startswith("unknown")

@@ -1,16 +1,18 @@
-"""From light to readings: moments against sums over every outcome, and random draws against the same sums."""
+"""From light to readings: moments against sums over every outcome, and random frames against the same sums."""
 
 import math
+from itertools import repeat
 
 import numpy as np
 import pytest
 from scipy.special import log_ndtr
-from scipy.stats import norm, poisson
+from scipy.stats import norm
 
 from spotcheck.model import sensor as chain
-from spotcheck.model.sensor import SensorModel, draw, reading
-from spotcheck.model.simulate import expected_maximum, frame, frame_generators
+from spotcheck.model.sensor import SensorModel, reading
+from spotcheck.model.simulate import expected_maximum, frames
 from tests.library.conftest import gaussian
+from tests.reference.exact_law import moments, reading_law
 
 TABLE3 = SensorModel(0.11, 13.0, 70.0, np.inf, 0.0, 1023.0, 0.38)
 DRAWS = 400_000
@@ -18,21 +20,13 @@ DRAWS = 400_000
 
 def outcomes(light: float, exposure: float, s: SensorModel) -> np.ndarray:
     """Probability of every reading 0 … full scale: the chain written as a sum over electrons."""
-    mean = light / s.gain_dn_per_e + s.dark_current_e_per_s * exposure
-    counts = np.arange(max(0, int(mean - 10 * math.sqrt(mean) - 10)), int(mean + 10 * math.sqrt(mean) + 20))
-    level = s.gain_dn_per_e * np.minimum(counts, s.full_well_e) + s.black_level_dn
-    edges = np.arange(int(s.full_scale_dn)) + 0.5
-    spread = max(s.gain_dn_per_e * s.read_noise_e, 1e-9)
-    below = norm.cdf((edges[:, None] - level) / spread) @ poisson.pmf(counts, mean)
-    return np.diff(below, prepend=0.0, append=1.0)
+    return reading_law(light / s.gain_dn_per_e + s.dark_current_e_per_s * exposure, s)
 
 
-def moments(probability: np.ndarray) -> tuple[float, float, float]:
-    """Mean, variance and kurtosis of readings 0, 1, 2 …"""
-    k = np.arange(probability.size)
-    mean = float(k @ probability)
-    variance, fourth = (float((k - mean) ** p @ probability) for p in (2, 4))
-    return mean, variance, fourth / variance**2 if variance else 3.0
+def drawn(light: float, exposure: float, s: SensorModel, seed: int, count: int = DRAWS) -> np.ndarray:
+    """Readings of one random frame of even light, in a row."""
+    (readings,) = frames([np.full((count // 500, 500), light)], exposure, s, [np.random.default_rng(seed)])
+    return readings.ravel()
 
 
 CASES = {
@@ -74,13 +68,13 @@ def test_moments_of_a_reading(light, s):
 
 
 @pytest.mark.parametrize(("light", "s"), CASES.values(), ids=CASES)
-def test_draws_follow_the_chain(light, s):
-    """Eq. 23, H = S + B + W with the converter behind it: mean and variance of a large draw against the exact sums.
+def test_frames_follow_the_chain(light, s):
+    """Eq. 23, H = S + B + W with the converter behind it: mean and variance of a large frame against the exact sums.
 
     Five standard errors each; false alarm 6e-7 a number.
     """
     mean, variance, kurtosis = moments(outcomes(light, 1e-4, s))
-    values = draw(np.full(DRAWS, light), 1e-4, s, np.random.default_rng(11)).astype(float)
+    values = drawn(light, 1e-4, s, 11).astype(float)
     assert values.mean() == pytest.approx(mean, abs=5 * math.sqrt(variance / DRAWS) + 1e-9)
     # A reading that is nearly always full scale has few effective draws: the kurtosis carries that.
     assert values.var() == pytest.approx(variance, abs=5 * variance * math.sqrt((kurtosis - 1) / DRAWS) + 1e-9)
@@ -104,12 +98,12 @@ def test_electrons_of_photons():
 
 
 def test_mean_signal_of_the_linear_sensor():
-    """Eqs. 16, 24, 25 and 29: 5000 photons, 7 dark electrons; and the average of a large draw gives the same."""
+    """Eqs. 16, 24, 25 and 29: 5000 photons, 7 dark electrons; and the average of a large frame gives the same."""
     got = chain.mean_signal(5000.0, 7.0, 0.11, 0.38)
     assert chain.dark_signal(7.0, 0.11) == pytest.approx(0.77, rel=1e-12)
     assert got == pytest.approx(0.11 * (0.38 * 5000 + 7), rel=1e-12)
     sensor = TABLE3._replace(dark_current_e_per_s=7e4)
-    values = draw(np.full(DRAWS, 0.11 * 0.38 * 5000.0), 1e-4, sensor, np.random.default_rng(3)).astype(float)
+    values = drawn(0.11 * 0.38 * 5000.0, 1e-4, sensor, 3).astype(float)
     # Five standard errors of the mean: false alarm 6e-7.
     assert values.mean() == pytest.approx(got, abs=5 * math.sqrt((0.11**2 * (1907 + 169) + 1 / 12) / DRAWS))
 
@@ -135,31 +129,18 @@ ORDER = {
 @pytest.mark.parametrize(("s", "light", "value"), ORDER.values(), ids=ORDER)
 def test_order_of_the_chain(s, light, value):
     """Without noise, and with light that fills the well or none, every reading is one known number."""
-    got = draw(np.full(500, light), 0.0, s, np.random.default_rng(0))
+    got = drawn(light, 0.0, s, 0, 500)
     assert got.dtype == np.uint16 and set(got.tolist()) == {value}
 
 
 def test_read_noise_may_lift_a_full_well():
     """Read noise comes after the well: readings scatter about its level by K σ_d, both ways."""
     s = SensorModel(0.11, 13.0, 0.0, 7270.0, 40.0, 1023.0)
-    values = draw(np.full(DRAWS, 5000.0), 0.0, s, np.random.default_rng(1)).astype(float)
+    values = drawn(5000.0, 0.0, s, 1).astype(float)
     variance = (0.11 * 13) ** 2 + 1 / 12
     # Five standard errors of mean and variance (a normal law: kurtosis 3).
     assert values.mean() == pytest.approx(0.11 * 7270 + 40, abs=5 * math.sqrt(variance / DRAWS))
     assert values.var() == pytest.approx(variance, abs=5 * variance * math.sqrt(2 / DRAWS))
-
-
-def test_equal_seeds_equal_frames():
-    """Whatever the order in which frames are drawn; frames of one seed differ from each other."""
-    light = gaussian(40, 300.0, 20, 20, 5.0)
-    forward = [frame(light, 1e-4, TABLE3, g) for g in frame_generators(7, 4)]
-    backward = [frame(light, 1e-4, TABLE3, g) for g in frame_generators(7, 4)[::-1]][::-1]
-    for a, b in zip(forward, backward, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert not np.array_equal(forward[0], forward[1])
-    assert not np.array_equal(forward[0], frame(light, 1e-4, TABLE3, frame_generators(8, 1)[0]))
-    # A longer run starts with the same frames.
-    np.testing.assert_array_equal(frame(light, 1e-4, TABLE3, frame_generators(7, 9)[2]), forward[2])
 
 
 @pytest.mark.parametrize("case", ["plateau", "gaussian", "one pixel", "faint"])
@@ -175,8 +156,8 @@ def test_expected_maximum(case):
         "faint": gaussian(40, 60.0, 20, 20, 6.0),
     }[case]
     s = TABLE3._replace(black_level_dn=20.0)
-    rng = np.random.default_rng(4)
-    maxima = np.array([frame(light, 1e-4, s, rng).max() for _ in range(2000)], float)
+    images = frames(repeat(light, 2000), 1e-4, s, repeat(np.random.default_rng(4)))
+    maxima = np.array([image.max() for image in images], float)
     sd = float(np.sqrt(0.11 * light.max() + (0.11 * 13) ** 2))
     skew = 1.5 * sd / math.sqrt(light.max() / 0.11)
     want = expected_maximum(light, 1e-4, s)

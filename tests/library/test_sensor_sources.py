@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from spotcheck.estimate.sensor import resolve
-from spotcheck.model.sensor import SensorModel, draw
+from spotcheck.model.sensor import SensorModel
 from spotcheck.model.spot import elliptical_gaussian
 from tests.library.conftest import loaded
+from tests.reference.numpy_chain import draw
 
 TRUTH = SensorModel(0.25, 8.0, black_level_dn=60.0, full_scale_dn=4095)
 FRAME = [np.full((40, 40), 60, np.uint16)]

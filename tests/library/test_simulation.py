@@ -6,7 +6,7 @@ import xarray as xr
 
 from spotcheck import comparison, crops, dataset, frames, metrics, simulation, store, template
 from spotcheck.errors import InputError
-from spotcheck.estimate.fits import fit_crops
+from spotcheck.estimate.fits import FITS, fit_crops
 from spotcheck.instrument import Instrument
 from tests.library.conftest import HEADER, SENSOR, folder, gaussian, loaded, noisy
 
@@ -25,12 +25,13 @@ def calibration(p1=0.6, p2=10.0, peak=700.0) -> xr.Dataset:
 
 
 def own_fits(ds, amplitude, sigma) -> xr.Dataset:
-    """A fits file with the same amplitude and width in every cell."""
-    dims = ("angle", "exposure", "repeat", "centring")
+    """A fits file with the same amplitude and width in every cell of the fit that it prefers."""
+    dims = ("angle", "exposure", "repeat", "centring", "fit")
     out = xr.Dataset({"centring": ("centring", np.array(crops.CENTRINGS, dtype=object))})
-    for name, value in (("amplitude", amplitude), ("sigma_mean", sigma), ("status", 0)):
-        out[name] = (dims, np.full((*ds.shape, 2), value))
-    return out
+    out["fit"] = ("fit", np.array(list(FITS), dtype=object))
+    for name, value, other in (("amplitude", amplitude, -1.0), ("sigma_mean", sigma, -1.0), ("status", 0, 64)):
+        out[name] = (dims, np.stack([np.full((*ds.shape, 2), v) for v in (value, other)], axis=-1))
+    return out.assign_attrs(preferred=next(iter(FITS)))
 
 
 FULL_SCALE = 1023
@@ -136,7 +137,9 @@ def test_comparison_by_hand(tmp_path):
         assert float(got["maximum"]) == image.max()
         # The crop is in single precision, 6e-8, and so are its deviations from the mean.
         assert float(got["speckle_contrast"]) == pytest.approx(image.std() / image.mean(), rel=1e-6)
-        assert float(got["amplitude"]) == float(fits[source]["amplitude"].isel(repeat=0, centring=0, **at))
+        own_fit = fits[source]["amplitude"].isel(repeat=0, centring=0, **at)
+        assert got["amplitude"].dims == ("fit",) and list(got["fit"].values) == list(FITS)
+        np.testing.assert_array_equal(got["amplitude"], own_fit)
     crop = [own[s]["image"].isel(repeat=0, **at).sel(centring="maximum").values.astype(float) for s in own]
     want = 20 * np.log10(65535 / np.sqrt(np.mean((crop[0] - crop[1]) ** 2)))
     got = out["psnr"].isel(repeat=0, **at)
@@ -154,7 +157,7 @@ def test_comparison_by_hand(tmp_path):
 
 def test_registration_brings_both_centres_together(tmp_path):
     """Two noise-free spots 0.4 px apart: registered they differ by rounding alone, at the maximum they do not."""
-    images = [np.rint(gaussian(100, 800.0, 50 + d, 48 - d, 6.0)).astype(np.uint16) for d in (0.0, 0.4)]
+    images = [np.rint(40 + gaussian(100, 800.0, 50 + d, 48 - d, 6.0)).astype(np.uint16) for d in (0.0, 0.4)]
     own, fits = {}, {}
     for source, image in zip(comparison.SOURCES, images, strict=True):
         own[source], fits[source] = cropped(tmp_path / source, [image])

@@ -51,6 +51,7 @@ if SPOTS:
         "simulated",
         "metrics",
         "bounds",
+        "precision",
     )
     RESULTS += [f"{OUT}/{name}.nc" for name in stages]
     RESULTS += [f"{OUT}/caustic.nc"] if "z_m" in DATASET.instrument.conditions else []

@@ -36,6 +36,8 @@ use rule crop as crop_simulated with:
 
 use rule fit as fit_simulated with:
     input:
+        MANIFEST,
+        INSTRUMENT,
         crops=rules.crop_simulated.output,
         sensor=rules.sensor.output,
     output:

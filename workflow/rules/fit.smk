@@ -1,5 +1,7 @@
 rule fit:
     input:
+        MANIFEST,
+        INSTRUMENT,
         crops=rules.crop.output,
         sensor=rules.sensor.output,
     output:
@@ -15,8 +17,10 @@ rule fit:
         mem_mb=500,
         runtime=10,
     params:
+        folder=dataset_folder,
         code=code("fit"),
     message:
         "Fitting every crop of {DATASET.name}"
     shell:
-        "spotcheck fit {input.crops:q} --sensor {input.sensor:q} --output {output:q} 2>&1 | tee {log:q}"
+        "spotcheck fit {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q} --output {output:q}"
+        " 2>&1 | tee {log:q}"

@@ -5,6 +5,7 @@ import xarray as xr
 
 from spotcheck import metrics, store
 from spotcheck.crops import cells, usable
+from spotcheck.estimate.fits import preferred
 
 SOURCES = ("measured", "simulated")
 PER_IMAGE = {
@@ -25,10 +26,9 @@ def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scal
     grid = store.grid_dims(measured)
     dims = ("source", *grid, "centring")
     shape = (2, *(measured.sizes[d] for d in dims[1:]))
-    values = {name: np.full(shape, np.nan) for name in (*PER_IMAGE, *FROM_FIT)}
+    fit_dims = (*dims, "fit")
+    values = {name: np.full(shape, np.nan) for name in PER_IMAGE}
     for s, source in enumerate(SOURCES):
-        for name in FROM_FIT:
-            values[name][s] = fits[source][name].transpose(*dims[1:]).values
         status = crops[source]["status"].values
         for index in cells(crops[source], dims[1:]):
             at = tuple(index.values())
@@ -46,10 +46,11 @@ def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scal
         ds[name] = (name, np.array(labels, dtype=object), {"units": "1", "long_name": long_name})
     for name, (units, long_name, _) in PER_IMAGE.items():
         ds[name] = (dims, values[name], {"units": units, "long_name": long_name})
+    ds["fit"] = fits["measured"]["fit"]
     for name, units in FROM_FIT.items():
         ds[name] = (
-            dims,
-            values[name],
+            fit_dims,
+            np.stack([fits[s][name].transpose(*fit_dims[1:]).values for s in SOURCES]),
             {"units": units, "long_name": str(fits["measured"][name].attrs["long_name"])},
         )
     ds["psnr"] = (
@@ -58,11 +59,11 @@ def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scal
         {"units": "dB", "long_name": "peak signal-to-noise ratio of measured against simulated"},
     )
     ds["status"] = (
-        dims,
-        np.stack([fits[s]["status"].transpose(*dims[1:]).values for s in SOURCES]),
+        fit_dims,
+        np.stack([fits[s]["status"].transpose(*fit_dims[1:]).values for s in SOURCES]),
         store.status_attributes(),
     )
-    return _with_averages(ds)
+    return _with_averages(ds).assign_attrs(preferred=fits["measured"].attrs["preferred"])
 
 
 def _psnr(crops: dict, fits: dict, grid: tuple[str, ...], full_scale: float) -> np.ndarray:
@@ -87,7 +88,7 @@ def _registered(crops: dict, fits: dict, index: dict[str, int]) -> tuple[np.ndar
     """Measured crop, and the simulated one moved so that both fitted centres coincide."""
     images, centres = [], []
     for source in SOURCES:
-        own, fit = (d[source].sel(centring="light").isel(index) for d in (crops, fits))
+        own, fit = crops[source].sel(centring="light").isel(index), preferred(fits[source]).isel(index)
         images.append(own["image"].values)
         centres.append((float(fit["y_centre"]) - float(own["top"]), float(fit["x_centre"]) - float(own["left"])))
     rows, columns = (measured - simulated for measured, simulated in zip(*centres, strict=True))

@@ -18,9 +18,10 @@ import yaml
 from spotcheck import store
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.calibration import USED
+from spotcheck.estimate.fits import preferred
 from spotcheck.model.baseline import of_instrument
 from spotcheck.model.sensor import SensorModel
-from spotcheck.model.simulate import frame, frame_generators
+from spotcheck.model.simulate import frame_generators, frames
 
 # All simulated frames, one page each, in the order of the manifest.
 STACK = "frames/simulated.tif"
@@ -51,12 +52,12 @@ def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> 
     found."""
     baseline = of_instrument(dataset.instrument, dataset.exposures)
     states = {}
-    own = fits.sel(centring="light")
+    own = preferred(fits)
     for index, row in dataset.cells():
         if not has_law(calibration):
             at = own.isel(dict(zip(store.grid_dims(fits), index, strict=True)))
             amplitude = float(at["amplitude"])
-            trusted = amplitude > 0 and not int(at["status"]) & (store.flag("at_limit") | store.flag("not_converged"))
+            trusted = amplitude > 0 and not int(at["status"]) & store.UNTRUSTED
             states[index] = SpotState(amplitude if trusted else np.nan, float(at["sigma_mean"]))
         else:
             p1, p2, peak = (float(calibration[n].sel(estimator=USED)) for n in ("p1_mean", "p2_mean", "peak"))
@@ -106,7 +107,7 @@ def simulate(
             if sensor is None:
                 readings = np.clip(np.rint(light), 0, full_scale).astype(np.uint16)
             else:
-                readings = frame(light, row.exposure_s or 0.0, sensor, rng)
+                (readings,) = frames([light], row.exposure_s or 0.0, sensor, [rng])
             stack.write(readings, compression="zlib", contiguous=False, metadata=None, software="")
             writer.put(index, {"mean_light": light[inner, inner], "amplitude": amplitude, "sigma": sigma})
     write_contract(dataset, folder, full_scale)

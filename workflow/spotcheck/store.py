@@ -26,6 +26,7 @@ STATUS = {
     16: ("clipped", "some pixels read full scale"),
     32: ("not_converged", "the fit stopped before its minimum"),
     64: ("at_limit", "the fit left the range in which a width can be trusted"),
+    128: ("no_noise", "gain or read noise is unknown: no likelihood"),
 }
 UNUSABLE = 1 | 2 | 4
 
@@ -88,11 +89,11 @@ def grid(dataset: Dataset) -> xr.Dataset:
 
 def grid_dims(ds: xr.Dataset) -> tuple[str, ...]:
     """The dimensions of the grid of spots in a file that has a `status` on it."""
-    return tuple(str(d) for d in ds["status"].dims if d not in ("centring", "source"))
+    return tuple(str(d) for d in ds["status"].dims if d not in ("centring", "fit", "source"))
 
 
 # A fit with any of these flags is not to be believed.
-UNTRUSTED = UNUSABLE | flag("not_converged") | flag("at_limit")
+UNTRUSTED = UNUSABLE | flag("not_converged") | flag("at_limit") | flag("no_noise")
 
 
 def recorded(ds: xr.Dataset, axis: str) -> bool:

@@ -18,6 +18,7 @@ COMMANDS = {
     "simulate": "the paper's model at the calibrated parameters, as a dataset folder",
     "compare": "metrics of measured and simulated frames side by side",
     "bounds": "Cramér-Rao bounds over exposure and photons",
+    "precision": "scatter over repeats against the bound, and the best exposure",
     "caustic": "waist, divergence and M² of a scan along z",
     "figures": "every figure that the results support",
     "chain": "draw the rule graph of the workflow",

@@ -7,7 +7,7 @@ from spotcheck.estimate import fisher
 from spotcheck.estimate.calibration import USED
 from spotcheck.instrument import Instrument
 from spotcheck.model import spot
-from spotcheck.model.baseline import Baseline, jacobian, of_instrument
+from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.sensor import SensorModel, mean_signal
 
 LAWS = {
@@ -29,15 +29,13 @@ def peak_bounds(peak_photons: float, sigma_px: float, exposure_s: float, sensor:
         photons = spot.circular_gaussian(pixel[None, :], pixel[:, None], peak, 0.0, 0.0, sigma)
         return mean_signal(photons, dark_e, 1.0, sensor.quantum_efficiency)
 
-    slopes = jacobian(mean_e, (peak_photons, sigma_px))
     # Without dark current the far pixels expect no electron at all, and then know nothing.
-    mean = np.maximum(mean_e(peak_photons, sigma_px), 1e-12)
-    gain = sensor.gain_dn_per_e
-    matrices = (
-        fisher.information(slopes, fisher.read_noise_information(mean, sensor.read_noise_e)),
-        fisher.information(slopes, fisher.poisson_information(mean)),
-        fisher.information_in_dn(slopes * gain, mean * gain),
+    laws = (
+        lambda mean: fisher.read_noise_information(np.maximum(mean, 1e-12), sensor.read_noise_e),
+        lambda mean: fisher.poisson_information(np.maximum(mean, 1e-12)),
+        lambda mean: sensor.gain_dn_per_e * fisher.poisson_information(np.maximum(mean, 1e-12)),
     )
+    matrices = (fisher.of_mean(mean_e, (peak_photons, sigma_px), law) for law in laws)
     return np.array([fisher.bounds(matrix) for matrix in matrices])
 
 

@@ -7,6 +7,7 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.crops import cells, usable
+from spotcheck.estimate.fits import preferred
 from spotcheck.estimate.likelihood import JointFit, SiteFrame, fit_baseline
 from spotcheck.estimate.propagation import peak_from_maxima, regress, simulate_and_fit
 from spotcheck.instrument import Instrument
@@ -92,7 +93,7 @@ def _attrs(long_name: str, units: str = "pixel") -> dict[str, str]:
 
 def _widths(fits: xr.Dataset) -> tuple[xr.DataArray, tuple[str, ...]]:
     """σ̄ of usable fits [site dims..., exposure] from the crops centred on the light, and the site dims."""
-    own = fits.sel(centring="light")
+    own = fits.sel(centring="light", fit="least_squares")
     good = (own["status"] & store.UNTRUSTED) == 0
     width = own["sigma_mean"].where(good)
     site_dims = tuple(str(d) for d in width.dims if d != "exposure")
@@ -144,7 +145,7 @@ def _likelihood(
     site_dims: tuple[str, ...],
 ) -> JointFit:
     """Joint fit of all usable frames, one centre a site, started at the fitted centres."""
-    own_crops, own_fits = crops.sel(centring="light"), fits.sel(centring="light")
+    own_crops, own_fits = crops.sel(centring="light"), preferred(fits)
     frames: list[SiteFrame] = []
     centres: list[tuple[float, float]] = []
     for site in cells(crops, site_dims):

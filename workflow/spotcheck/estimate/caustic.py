@@ -14,6 +14,7 @@ import xarray as xr
 from scipy import optimize, stats
 
 from spotcheck import store
+from spotcheck.estimate.fits import preferred
 from spotcheck.instrument import Instrument
 
 CONDITION = "z_m"
@@ -127,7 +128,7 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
         if value is None:
             return ds.assign_attrs(skipped=f"a caustic needs {key}, which instrument.yaml does not give")
     assert pitch is not None and wavelength is not None
-    own = fits.sel(centring="light")
+    own = preferred(fits)
     grid = tuple(str(d) for d in own["status"].dims)
     own = own.transpose(*grid)
     good = (own["status"] & store.UNTRUSTED) == 0

@@ -1,14 +1,19 @@
 """Fisher information and Cramér–Rao bounds (Eqs. 30–38), in electrons.
 
-A mean in DN has no Poisson law: the paper's own bounds, which put one in, come out smaller by K in the information
-and are offered by name only (`information_in_dn`).
+Of any parameters of the forward model, effects included: `of_mean` differentiates a mean, `of_moments` a mean and a
+variance. A mean in DN has no Poisson law: the paper's own bounds put one in, and have K times the information.
 """
 
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
 from scipy.special import gammaln
 from scipy.stats import norm, poisson
+
+from spotcheck.estimate.scoring import law_of, pixel_information
+from spotcheck.model.baseline import jacobian
+from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
 NODES_PER_DECADE = 8
 # Below this read noise [e-] electrons can be counted: the information is that of the Poisson law to 1 %.
@@ -81,6 +86,33 @@ def _counts(mean_e: float) -> np.ndarray:
     return np.arange(max(0, int(mean_e - spread)), int(mean_e + spread) + 1)
 
 
+def reading_information(mean_e, sensor: SensorModel) -> np.ndarray:
+    """I(ν) [1/e-²] of a reading of the whole chain: noise, rounding, both clips and the well, from the law that the
+    spot fit uses."""
+    mean_e = np.asarray(mean_e, float)
+    return pixel_information(mean_e.ravel(), law_of(sensor)).reshape(mean_e.shape)
+
+
+def of_mean(mean_e: Callable, parameters: Sequence[float], pixel_information: Callable) -> np.ndarray:
+    """I(θ) [parameter, parameter] of a model mean_e(*θ) [pixels, e-], differentiated by complex step (Eqs. 34 and 37).
+
+    `pixel_information`(ν) is I(ν) [1/e-²] of a pixel: one of the three above.
+    """
+    return information(jacobian(mean_e, parameters), pixel_information(mean_e(*parameters)))
+
+
+def of_moments(moments: Callable, parameters: Sequence[float]) -> np.ndarray:
+    """I(θ) of a model moments(*θ) = mean [pixels, DN], variance [DN²] of the readings, differentiated by complex step.
+
+    For normal readings, whose variance the sensor's parameters move too (Slepian–Bangs): Σ µ_i µ_j/V + V_i V_j/2V².
+    """
+    slopes = jacobian(lambda *theta: np.array([np.ravel(part) for part in moments(*theta)[:2]]), parameters)
+    variance = np.ravel(moments(*parameters)[1])
+    # Below the variance of rounding a reading is clipped, and no normal law holds: it counts for nothing.
+    weight = np.where(variance >= ROUNDING_VARIANCE, 1 / np.maximum(variance, ROUNDING_VARIANCE), 0.0)
+    return information(slopes[:, 0], weight) + information(slopes[:, 1], 0.5 * weight**2)
+
+
 def information(slopes: np.ndarray, pixel_information: np.ndarray) -> np.ndarray:
     """I(θ) [parameter, parameter] from ∂ν_k/∂θ [parameter, pixels] and each pixel's I(ν_k) (Eqs. 34 and 37)."""
     slopes = slopes.reshape(len(slopes), -1)
@@ -96,11 +128,6 @@ def information_from_scores(scores: np.ndarray, probability: np.ndarray) -> np.n
 def information_from_curvature(second: np.ndarray, probability: np.ndarray) -> np.ndarray:
     """I(θ) = −E[∂² ln ρ/∂θ_i ∂θ_j] (Eq. 32), from second derivatives [parameter, parameter, outcome]."""
     return -(second * probability).sum(axis=-1)
-
-
-def information_in_dn(slopes_dn: np.ndarray, mean_dn: np.ndarray) -> np.ndarray:
-    """The paper's reading of Eq. 37: a mean in DN in a Poisson law. K times the information in electrons."""
-    return information(slopes_dn, poisson_information(mean_dn))
 
 
 def bounds(matrix: np.ndarray) -> np.ndarray:

@@ -1,37 +1,61 @@
-"""The fit stage: every crop of a file, one at a time."""
+"""The fit stage: every crop of a file, one at a time, by both estimators."""
+
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from spotcheck import store
 from spotcheck.crops import cells, usable
-from spotcheck.estimate.spotfit import NO_FIT, PARAMETERS, SpotFit, fit_spot
+from spotcheck.estimate.spotfit import NAMES, PARAMETERS, fit_spots
 from spotcheck.model.sensor import SensorModel
 
+FITS = {
+    "likelihood": "maximum likelihood of the instrument's spot, Gaussian or top hat, under the sensor's noise",
+    "least_squares": "unweighted least squares of a Gaussian, the paper's estimator",
+}
 
-def exposure_of(ds: xr.Dataset, index: dict[str, int]) -> float:
-    """Exposure [s] of a cell; 0 where it was not recorded, so that no dark current is counted."""
-    return float(ds["exposure"][index["exposure"]]) if "exposure" in ds.coords else 0.0
+
+class Spot(NamedTuple):
+    """One stored fit: values and standard errors in the order of `PARAMETERS`, centre relative to the crop, χ² per
+    degree of freedom, status."""
+
+    value: np.ndarray
+    stderr: np.ndarray
+    chi2_reduced: float
+    status: int
 
 
-def fit_crops(crops: xr.Dataset, sensor: SensorModel | None) -> xr.Dataset:
-    """Fits of both centrings: values, standard errors, χ² and status on the grid; centres in pixels of the sensor."""
-    dims = (*store.grid_dims(crops), "centring")
-    shape = tuple(crops.sizes[d] for d in dims)
+def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = False) -> xr.Dataset:
+    """Fits of both centrings: values, standard errors, χ² and status on the grid; centres in pixels of the sensor.
+
+    Without a sensor model there is no likelihood; the attribute `preferred` says which fit to use.
+    """
+    dims = (*store.grid_dims(crops), "centring", "fit")
+    shape = (*(crops.sizes[d] for d in dims[:-1]), len(FITS))
     value, stderr = (np.full((*shape, len(PARAMETERS)), np.nan) for _ in range(2))
-    chi2, status = np.full(shape, np.nan), crops["status"].values.copy()
-    top, left = crops["top"].values, crops["left"].values
-    for index in cells(crops, dims):
+    chi2 = np.full(shape, np.nan)
+    status = np.repeat(crops["status"].values[..., None], len(FITS), axis=-1)
+    if sensor is None:
+        status[..., 0] |= store.flag("no_noise")
+    origin = {1: crops["left"].values, 2: crops["top"].values}
+    for index in cells(crops, dims[:-1]):
         at = tuple(index.values())
-        if not usable(status[at]):
+        if not usable(crops["status"].values[at]):
             continue
-        fit = fit_spot(crops["image"].isel(index).values, exposure_of(crops, index), sensor)
-        value[at], stderr[at], chi2[at] = fit.value, fit.stderr, fit.chi2_reduced
-        value[(*at, 1)] += left[at]
-        value[(*at, 2)] += top[at]
-        status[at] |= fit.status
+        image = crops["image"].isel(index).values
+        own = {1: fit_spots([image], sensor, weighting="equal")}
+        if sensor is not None:
+            own[0] = fit_spots([image], sensor, top_hat=top_hat)
+        for k, fit in own.items():
+            value[(*at, k)], stderr[(*at, k)] = fit.value[0], fit.stderr[0]
+            chi2[(*at, k)] = fit.chi2_reduced[0]
+            status[(*at, k)] |= fit.status[0]
+            for axis, start in origin.items():
+                value[(*at, k, axis)] += start[at]
     keep = [name for name in crops.coords if set(crops[name].dims) <= set(dims)]
     ds = xr.Dataset(coords={name: crops[name] for name in keep}, attrs=_titles(crops))
+    ds["fit"] = ("fit", np.array(list(FITS), dtype=object), {"units": "1", "long_name": "how the spot was fitted"})
     for k, (name, (units, long_name)) in enumerate(PARAMETERS.items()):
         ds[name] = (dims, value[..., k], {"units": units, "long_name": long_name})
         ds[f"{name}_stderr"] = (
@@ -45,19 +69,25 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None) -> xr.Dataset:
         {"units": "1", "long_name": "chi-square per degree of freedom under sensor noise"},
     )
     ds["status"] = (dims, status.astype("i4"), store.status_attributes())
-    return ds
+    chosen = "least_squares" if sensor is None else "likelihood"
+    return ds.assign_attrs(preferred=chosen, **{f"fit_{name}": text for name, text in FITS.items()})
 
 
-def fit_in_crop(fits: xr.Dataset, crops: xr.Dataset, index: dict[str, int]) -> SpotFit:
-    """A stored fit with its centre relative to the crop again."""
+def preferred(fits: xr.Dataset) -> xr.Dataset:
+    """The likelihood, or least squares where the sensor's noise is unknown; from the crops centred on the light."""
+    return fits.sel(centring="light", fit=fits.attrs["preferred"])
+
+
+def fit_in_crop(fits: xr.Dataset, crops: xr.Dataset, index: dict[str, int]) -> Spot | None:
+    """A stored fit with its centre relative to the crop again; None where there is none."""
     at = fits.isel(index)
-    if not np.isfinite(float(at["amplitude"])):
-        return NO_FIT
-    value = np.array([float(at[name]) for name in PARAMETERS])
+    value = np.array([float(at[name]) for name in NAMES])
+    if not np.isfinite(value).all():
+        return None
     value[1] -= float(crops["left"].isel(index))
     value[2] -= float(crops["top"].isel(index))
-    stderr = np.array([float(at[f"{name}_stderr"]) for name in PARAMETERS])
-    return SpotFit(value, stderr, float(at["chi2_reduced"]), int(at["status"]))
+    stderr = np.array([float(at[f"{name}_stderr"]) for name in NAMES])
+    return Spot(value, stderr, float(at["chi2_reduced"]), int(at["status"]))
 
 
 def _titles(ds: xr.Dataset) -> dict[str, str]:

@@ -1,7 +1,8 @@
 """Maximum likelihood of the baseline on all frames at once: p1, p2, the peak, and one centre a site.
 
-A reading in electrons plus the variance of read noise and rounding is taken as Poisson (the usual sCMOS
-approximation), with the mean of the full sensor model, clips included. Frames are read one at a time.
+Every frame is one pass of the spot fit (`scoring`), at the peak and the width that the law gives it; score and
+information of the law's parameters follow by the chain rule. So the sensor's law of a reading is the same as there,
+with clipped pixels by the probability of being clipped. Frames are read one at a time.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,12 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.baseline import Baseline, jacobian
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel, reading
+from spotcheck.model.sensor import SensorModel
 
-MAX_ITERATIONS = 40
-# Stop when no parameter moves by more than this part of its standard error.
-STEP_TOLERANCE = 0.02
+MAX_ITERATIONS = 60
+# Distance to the root in standard errors, squared, before the last step, which shrinks it much further.
+DECREMENT = 1e-2
 
 
 class SiteFrame(NamedTuple):
@@ -38,6 +40,18 @@ class JointFit(NamedTuple):
     converged: bool
 
 
+class Sums(NamedTuple):
+    """Score and Fisher information of the shared parameters, between them and the centres, and of the centres [site];
+    χ² per pixel."""
+
+    score: np.ndarray
+    site_score: np.ndarray
+    information: np.ndarray
+    between: np.ndarray
+    site_information: np.ndarray
+    misfit: float
+
+
 def fit_baseline(
     frames: Sequence[SiteFrame],
     baseline: Baseline,
@@ -45,88 +59,83 @@ def fit_baseline(
     start: np.ndarray,
     centres: np.ndarray,
 ) -> JointFit:
-    """Fisher scoring with damping from `start` = (p1, p2, peak) and `centres` [site, 2].
+    """Fisher scoring from `start` = (p1, p2, peak) and `centres` [site, 2].
 
     Standard errors hold under the model; where it misses an effect they are too small.
     """
     shared, local = np.array(start, float), np.array(centres, float)
-    damping, converged = 1e-3, False
-    cost, information, score = _evaluate(frames, baseline, sensor, shared, local)
+    nothing = JointFit(shared, np.full(3, np.nan), local, False)
+    shrink, before, promised = 1.0, None, 0.0
     for _ in range(MAX_ITERATIONS):
-        step_shared, step_local = _step(information, score, damping)
-        trial = shared + step_shared, local + step_local
-        lowest = baseline.sigma(min(f.exposure_s for f in frames), *trial[0][:2])
-        outcome = _evaluate(frames, baseline, sensor, *trial) if lowest > 0.3 and trial[0][2] > 0 else None
-        # The undamped step decides: a damped one is small anywhere.
-        small = np.all(np.abs(_step(information, score, 0.0)[0]) <= STEP_TOLERANCE * _errors(information))
-        if outcome is not None and outcome[0] <= cost:
-            (shared, local), (cost, information, score) = trial, outcome
-            damping = max(damping / 10, 1e-9)
-            if small:
-                converged = True
-                break
-        elif small:
-            converged = True
-            break
-        else:
-            damping *= 10
-            if damping > 1e9:
-                break
-    return JointFit(shared, _errors(information), local, converged)
+        sums = _evaluate(frames, baseline, sensor, shared, local)
+        schur, weight = _reduced(sums)
+        if not np.isfinite(schur).all() or np.linalg.matrix_rank(schur, hermitian=True) < 3:
+            return nothing
+        step = np.linalg.solve(schur, sums.score - np.einsum("sij,sj->i", weight, sums.site_score))
+        rest = sums.site_score - np.einsum("sij,i->sj", sums.between, step)
+        steps = step, np.linalg.solve(sums.site_information, rest[..., None])[..., 0]
+        decrement = _along(sums, steps)
+        if before is not None:
+            # Where the model is far off full steps overshoot; the slope along the last step says by how much.
+            slope = _along(sums, before)
+            shrink = float(np.clip(shrink * promised / (promised - slope), 0.05, 1.0)) if slope < promised else 1.0
+        done = decrement < DECREMENT * max(sums.misfit, 1.0)
+        length = 1.0 if done else shrink
+        while not _possible(baseline, frames, shared + length * steps[0]):
+            length /= 2
+            if length < 1e-6:
+                return nothing
+        shared, local = shared + length * steps[0], local + length * steps[1]
+        if done:
+            return JointFit(shared, np.sqrt(np.diag(np.linalg.inv(schur))), local, True)
+        shrink, before, promised = length, steps, decrement
+    return nothing
 
 
-def _evaluate(frames, baseline: Baseline, sensor: SensorModel, shared, local):
-    """Negative log likelihood, and the blocks of Fisher information and score: shared, between, local."""
-    gain, count = sensor.gain_dn_per_e, len(local)
-    floor = sensor.read_noise_e**2 + ROUNDING_VARIANCE / gain**2
-    cost = 0.0
-    s_shared, s_local = np.zeros(3), np.zeros((count, 2))
-    i_shared, i_between, i_local = np.zeros((3, 3)), np.zeros((count, 3, 2)), np.zeros((count, 2, 2))
+def _along(sums: Sums, steps: tuple[np.ndarray, np.ndarray]) -> float:
+    return float(sums.score @ steps[0] + np.sum(sums.site_score * steps[1]))
+
+
+def _possible(baseline: Baseline, frames: Sequence[SiteFrame], shared: np.ndarray) -> bool:
+    """Whether every frame has light and a width."""
+    times = np.array([f.exposure_s for f in frames])
+    return bool(shared[2] > 0 and np.min(baseline.sigma(times, *shared[:2])) > 0.3)
+
+
+def _evaluate(frames, baseline: Baseline, sensor: SensorModel, shared: np.ndarray, local: np.ndarray) -> Sums:
+    count, law = len(local), law_of(sensor)
+    score, site_score = np.zeros(3), np.zeros((count, 2))
+    information, between, site_information = np.zeros((3, 3)), np.zeros((count, 3, 2)), np.zeros((count, 2, 2))
+    chi2 = pixels = 0.0
+
     for frame in frames:
-        data = frame.pixels()
-        side = data.shape[0]
-        x, y = (
-            frame.left + np.arange(side, dtype=float)[None, :],
-            frame.top + np.arange(side, dtype=float)[:, None],
-        )
 
-        def light(p1, p2, peak, x0, y0, x=x, y=y, exposure=frame.exposure_s):
-            return baseline.light(x, y, exposure, p1, p2, peak, x0, y0)
+        def spot(p1, p2, peak, t=frame.exposure_s):
+            """Peak [DN] and 1/σ_g² [1/px²] of this frame."""
+            return np.array([peak * baseline.relative_peak(t, p1, p2), baseline.sigma(t, p1, p2) ** -2])
 
-        at = (*shared, *local[frame.site])
-        moments = reading(light(*at), frame.exposure_s, sensor)
-        valid = np.isfinite(data)
-        expected = np.maximum((moments.mean - sensor.black_level_dn) / gain + floor, 1e-6)[valid]
-        observed = np.maximum((data[valid] - sensor.black_level_dn) / gain + floor, 0.0)
-        cost += float(np.sum(expected - observed * np.log(expected)))
-        slopes = jacobian(light, at)[:, valid] * (moments.response[valid] / gain)
-        weighted = slopes / expected
-        score, information = weighted @ (observed - expected), weighted @ slopes.T
-        s_shared += score[:3]
-        s_local[frame.site] += score[3:]
-        i_shared += information[:3, :3]
-        i_between[frame.site] += information[:3, 3:]
-        i_local[frame.site] += information[3:, 3:]
-    return cost, (i_shared, i_between, i_local), (s_shared, s_local)
+        amplitude, curvature = spot(*shared)
+        x, y = local[frame.site] - (frame.left, frame.top)
+        dark = sensor.black_level_dn + sensor.gain_dn_per_e * sensor.dark_current_e_per_s * frame.exposure_s
+        theta = np.array([amplitude, x, y, curvature, 0.0, curvature, dark])
+        image = np.ascontiguousarray(frame.pixels(), dtype=float)
+        own, matrix, own_chi2, used = one_pass(image, theta, LIKELIHOOD, law, baseline.top_hat)
+        slopes = jacobian(spot, shared).T
+        # From (amplitude, x0, y0, a, b, c, offset) to (p1, p2, peak) and (x0, y0): the law moves a and c alike.
+        chart = np.zeros((7, 5))
+        chart[0, :3], chart[3, :3], chart[5, :3] = slopes[0], slopes[1], slopes[1]
+        chart[1, 3] = chart[2, 4] = 1.0
+        own, matrix = chart.T @ own, chart.T @ matrix @ chart
+        score += own[:3]
+        information += matrix[:3, :3]
+        site_score[frame.site] += own[3:]
+        between[frame.site] += matrix[:3, 3:]
+        site_information[frame.site] += matrix[3:, 3:]
+        chi2, pixels = chi2 + own_chi2, pixels + used
+    return Sums(score, site_score, information, between, site_information, chi2 / max(pixels, 1))
 
 
-def _reduced(information, damping: float):
+def _reduced(sums: Sums) -> tuple[np.ndarray, np.ndarray]:
     """Information of the shared parameters with the centres eliminated (Schur complement), and what that needed."""
-    i_shared, i_between, i_local = information
-    inflate = 1 + damping
-    local = i_local + damping * np.einsum("sij,ij->sij", i_local, np.eye(2)) + 1e-12 * np.eye(2)
-    weight = np.einsum("sij,sjk->sik", i_between, np.linalg.inv(local))
-    schur = i_shared + (inflate - 1) * np.diag(np.diag(i_shared)) - np.einsum("sij,skj->ik", weight, i_between)
-    return schur, weight, local
-
-
-def _step(information, score, damping: float):
-    schur, weight, local = _reduced(information, damping)
-    s_shared, s_local = score
-    shared = np.linalg.solve(schur, s_shared - np.einsum("sij,sj->i", weight, s_local))
-    rest = s_local - np.einsum("sij,i->sj", information[1], shared)
-    return shared, np.linalg.solve(local, rest[..., None])[..., 0]
-
-
-def _errors(information) -> np.ndarray:
-    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(_reduced(information, 0.0)[0])), 0.0))
+    weight = np.einsum("sij,sjk->sik", sums.between, np.linalg.inv(sums.site_information))
+    return sums.information - np.einsum("sij,skj->ik", weight, sums.between), weight

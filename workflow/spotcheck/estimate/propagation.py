@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import brentq
 
-from spotcheck.estimate.spotfit import fit_spot
+from spotcheck.estimate.spotfit import NAMES, fit_spots
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.sensor import SensorModel
 from spotcheck.model.simulate import expected_maximum
@@ -63,8 +63,5 @@ def simulate_and_fit(baseline: Baseline, p1: float, p2: float, peak: float, expo
     A Gaussian fitted to a top hat is some 4 % wider than the Gaussian under it: simulate → fit misses its own input.
     """
     pixel = np.arange(side, dtype=float)
-    widths = []
-    for t in exposure_s:
-        light = baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2)
-        widths.append(fit_spot(light, t, None).value[7])
-    return np.array(widths)
+    light = (baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2) for t in exposure_s)
+    return fit_spots(light, None, weighting="equal").value[:, NAMES.index("sigma_mean")]

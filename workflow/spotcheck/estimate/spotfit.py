@@ -1,16 +1,27 @@
-"""Unweighted least-squares fit of a 2D Gaussian with free centre, two widths, orientation, amplitude and offset.
+"""The spot fit: an elliptical Gaussian with free centre, two widths, orientation, amplitude and offset.
 
-The paper's estimator. Errors are those of this estimator under the sensor's noise (a sandwich), not the inverse
-Hessian, which would hold for white noise alone. The minimum is searched in the elements of the inverse covariance
-matrix, in which a round spot is no special point; widths and orientation follow from them.
+Maximum likelihood under the sensor's law of a reading (`model.law`): shot, dark and read noise, gain, rounding; clipped
+pixels by the probability of being clipped; NaN pixels are left out. With equal weights it is the paper's estimator,
+unweighted least squares, and needs no sensor.
 """
 
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.model.sensor import SensorModel, reading
-from spotcheck.model.spot import elliptical_gaussian
+from spotcheck.estimate.scoring import EQUAL, LIKELIHOOD, VARIANCE, Law, law_of, one_pass
+from spotcheck.estimate.search import (
+    NARROWEST,
+    chart_of,
+    constrained,
+    find_start,
+    least_squares,
+    theta_of,
+    to_the_root,
+)
+from spotcheck.model import spot
+from spotcheck.model.sensor import SensorModel
 from spotcheck.store import flag
 
 PARAMETERS = {
@@ -23,172 +34,229 @@ PARAMETERS = {
     "offset": ("DN", "fitted offset under the Gaussian"),
     "sigma_mean": ("pixel", "direction-averaged width, mean of the long and the short axis"),
 }
-MAX_ITERATIONS = 100
-# Converged when the step is below this part of the parameters' own scale; far below any standard error.
-STEP_TOLERANCE = 1e-6
+NAMES = tuple(PARAMETERS)
+WEIGHTINGS = {"likelihood": LIKELIHOOD, "equal": EQUAL}
+# A spot has an orientation when its axes differ by more than noise makes of a round one: this χ² of 2 degrees of
+# freedom is exceeded by one round spot in 1000.
+ROUND = 13.8
+# A width or an amplitude known to no better than this part of itself was not measured.
+KNOWN = 0.5
+# Variance that a pixel's own width adds to a spot's [px²].
+PIXEL_VARIANCE = 1 / 12
 
 
-class SpotFit(NamedTuple):
-    """Values and standard errors in the order of `PARAMETERS` (centre relative to the crop), χ² per degree of
-    freedom."""
+class Fits(NamedTuple):
+    """Values and standard errors [n, 8] in the order of `PARAMETERS` (orientation in degrees), covariance [n, 7, 7] of
+    the first seven (orientation in rad), χ² per degree of freedom [n], `store` status flags [n] (0: usable)."""
 
     value: np.ndarray
     stderr: np.ndarray
-    chi2_reduced: float
-    status: int
+    covariance: np.ndarray
+    chi2_reduced: np.ndarray
+    status: np.ndarray
 
 
-NO_FIT = SpotFit(np.full(8, np.nan), np.full(8, np.nan), np.nan, flag("not_converged"))
+class Design(NamedTuple):
+    """What is fitted: which of the seven are free, the values of the others (orientation in rad), ties and shapes."""
+
+    free: np.ndarray
+    held: np.ndarray
+    circular: bool
+    top_hat: bool
+
+    @property
+    def shaped(self) -> bool:
+        """With all seven free the search runs in the inverse covariance, where a round spot is no special point."""
+        return not bool(self.free.all())
 
 
-def fit_spot(crop: np.ndarray, exposure_s: float, sensor: SensorModel | None) -> SpotFit:
-    """Fit one crop [rows, columns] in DN; NaN pixels are left out.
+def fit_spots(
+    images: Iterable[np.ndarray],
+    sensor: SensorModel | None,
+    *,
+    weighting: str = "likelihood",
+    top_hat: bool = False,
+    integrated: bool = False,
+    fixed: Mapping[str, float] | None = None,
+    circular: bool = False,
+) -> Fits:
+    """Fit one spot in each of `images`, [rows, columns] in DN; NaN pixels are left out.
 
-    Without a sensor model the noise is taken from the residuals, as white, and χ² is NaN.
+    Dark current needs no exposure: it is part of the offset. `fixed` holds parameters at given values (centres relative
+    to the image, orientation in degrees); their standard error is 0. `circular` ties both widths together. `top_hat`
+    fits the Gaussian under a plateau (Eqs. 39–40). `integrated`: light is integrated over each pixel, not sampled at
+    its centre; amplitude and widths are those of the light before, to 1e-5 of the peak for σ ≥ 3 px.
+
+    With equal weights the errors are those that the sensor's noise causes, or without a sensor those of white noise as
+    large as the residuals (χ² is then NaN). Where the status says `not_converged` all is NaN. A spot that is round
+    within its noise has an orientation with infinite standard error.
+
+    Raises ValueError for a likelihood without a sensor, and for combinations that mean nothing.
     """
-    rows, columns = np.nonzero(np.isfinite(crop))
-    data = crop[rows, columns].astype(float)
-    start = _start(crop) if data.size > 7 else None
-    if start is None:
-        return NO_FIT
-    theta, converged = _minimise(columns.astype(float), rows.astype(float), data, start)
-    value = _natural(theta)
-    if not converged or value is None:
-        return NO_FIT
-    model, jac = _model(theta, columns, rows)
-    residual = data - model
-    normal = np.linalg.pinv(jac @ jac.T)
-    if sensor is None:
-        covariance = normal * (residual @ residual) / (data.size - 7)
-        chi2 = np.nan
+    if weighting not in WEIGHTINGS:
+        raise ValueError(f"weighting: {weighting!r} is none of {', '.join(WEIGHTINGS)}")
+    if weighting == "likelihood" and sensor is None:
+        raise ValueError("sensor: the likelihood needs a gain and a read noise; without them use equal weights")
+    design = _design(dict(fixed or {}), circular, top_hat, integrated)
+    law, shapes, outcomes = law_of(sensor), [], []
+    for image in images:
+        pixels = np.ascontiguousarray(image, dtype=float)
+        shapes.append(pixels.shape)
+        outcomes.append(_search(pixels, law, WEIGHTINGS[weighting], sensor is not None, design))
+    size = int(design.free.sum())
+    points, covariance, chi2 = (
+        np.array([outcome[k] for outcome in outcomes]).reshape(len(outcomes), *shape)
+        for k, shape in enumerate(((7,), (size, size), ()))
+    )
+    return _natural(points, covariance, chi2, np.array(shapes).reshape(-1, 2), design, integrated)
+
+
+def _design(held: dict[str, float], circular: bool, top_hat: bool, integrated: bool) -> Design:
+    if unknown := set(held) - set(NAMES[:7]):
+        raise ValueError(f"fixed: {', '.join(sorted(unknown))} is none of {', '.join(NAMES[:7])}")
+    if circular and {"sigma_minor", "orientation"} & set(held):
+        raise ValueError("fixed: a circular spot has one width, sigma_major, and no orientation")
+    if integrated and (top_hat or "amplitude" in held):
+        raise ValueError("integrated: not together with a top hat or a fixed amplitude")
+    for name, value in held.items():
+        if not np.isfinite(value) or (name.startswith("sigma") and value < NARROWEST):
+            raise ValueError(f"fixed: {name} is {value!r}; a finite number, and for a width at least {NARROWEST} px")
+    free = np.array([name not in held for name in NAMES[:7]])
+    values = np.array([held.get(name, 0.0) for name in NAMES[:7]], dtype=float)
+    values[5] = np.radians(values[5])
+    if circular:
+        free[4:6] = False
+    if integrated:
+        values[3:5] = np.sqrt(values[3:5] ** 2 + PIXEL_VARIANCE)
+    return Design(free, values, circular, top_hat)
+
+
+def _search(pixels: np.ndarray, law: Law, weighting: int, known_noise: bool, design: Design):
+    """Point [7], covariance of the free parameters and χ² per degree of freedom of one image; NaN without a root."""
+    free, shaped, circular, flat = design.free, design.shaped, design.circular, design.top_hat
+    size = int(free.sum())
+    nothing = np.full(7, np.nan), np.full((size, size), np.nan), np.nan
+    point, found = find_start(pixels, law, flat)
+    if not found:
+        return nothing
+    if shaped:
+        point = constrained(point, free, circular, design.held)
+        point = least_squares(pixels, point, law, flat, free, shaped, circular)
+    point, information, chi2, used, good = to_the_root(pixels, point, weighting, law, flat, free, shaped, circular)
+    if not good:
+        return nothing
+    covariance, freedom = _inverse(information), max(used - size, 1)
+    if weighting == EQUAL and known_noise:
+        chart = chart_of(point, free, shaped, circular)
+        _, spread, chi2, used = one_pass(pixels, theta_of(point, shaped), VARIANCE, law, flat)
+        covariance, freedom = covariance @ (chart.T @ spread @ chart) @ covariance, max(used - size, 1)
+    elif weighting == EQUAL:
+        covariance, chi2 = covariance * chi2 / freedom, np.nan
+    return point, covariance, chi2 / freedom
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """Inverse of a positive definite matrix, scaled by its diagonal first: its units differ by many powers of ten."""
+    scale = 1 / np.sqrt(np.diag(information))
+    return np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+
+
+def _natural(points, covariance, chi2, shapes, design: Design, integrated: bool) -> Fits:
+    """From points of the search to the order of `PARAMETERS`."""
+    count, free = len(points), design.free
+    if design.shaped:
+        value, slopes = points.copy(), np.broadcast_to(np.eye(7), (count, 7, 7)).copy()
+        if design.circular:
+            slopes[:, 4, 3] = 1.0
+        round_ = np.zeros(count, bool)
     else:
-        light = np.maximum(model - sensor.black_level_dn, 0.0)
-        variance = reading(light, exposure_s, sensor).variance
-        # A clipped pixel has no variance of its own; rounding is the least that is left.
-        variance = np.maximum(variance, 1 / 12)
-        covariance = normal @ (jac * variance) @ jac.T @ normal
-        chi2 = float(np.sum(residual**2 / variance) / (data.size - 7))
-    to_natural = _natural_jacobian(theta)
-    stderr = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", to_natural, covariance, to_natural), 0.0))
-    return SpotFit(value, stderr, chi2, _limits(value, crop.shape))
+        value, slopes = _widths(points)
+        round_ = _is_round(points, covariance)
+    if integrated:
+        _without_pixel(value, slopes)
+    slopes = slopes[:, :, free]
+    own = slopes @ covariance @ slopes.transpose(0, 2, 1)
+    mean = (own[:, 3, 3] + own[:, 4, 4] + 2 * own[:, 3, 4]) / 4
+    variance = np.concatenate([np.einsum("nii->ni", own), mean[:, None]], axis=1)
+    stderr = np.sqrt(np.maximum(variance, 0.0))
+    if design.circular:
+        round_[:] = np.isfinite(value[:, 0])
+    own[round_, 5, :] = own[round_, :, 5] = 0.0
+    own[round_, 5, 5] = stderr[round_, 5] = np.inf
+    value = np.append(value, value[:, 3:5].mean(axis=1, keepdims=True), axis=1)
+    value[:, 5] = np.degrees(value[:, 5]) % 180.0
+    stderr[:, 5] = np.degrees(stderr[:, 5])
+    return Fits(value, stderr, own, chi2, _status(value, stderr, shapes))
 
 
-def _limits(value: np.ndarray, shape: tuple[int, ...]) -> int:
-    amplitude, x, y, major, minor = value[:5]
-    trusted = amplitude > 0 and minor > 0.3 and major < max(shape) and 0 <= x < shape[1] and 0 <= y < shape[0]
-    return 0 if trusted else flag("at_limit")
+def _widths(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitude, centre, widths, orientation [rad], offset of θ [n, 7], and their derivatives [n, 7, 7]."""
+    a, b, c = theta[:, 3], theta[:, 4], theta[:, 5]
+    half, mean = (a - c) / 2, (a + c) / 2
+    spread = np.hypot(half, b)
+    orientation = np.arctan2(-b, -half) / 2
+    u, v = np.cos(orientation), np.sin(orientation)
+    curvature = np.stack([mean - spread, mean + spread])
+    value = theta.copy()
+    value[:, 3:5], value[:, 5] = curvature.T**-0.5, orientation
+    slopes = np.broadcast_to(np.eye(7), (len(theta), 7, 7)).copy()
+    along, across = np.stack([u * u, 2 * u * v, v * v]), np.stack([v * v, -2 * u * v, u * u])
+    slopes[:, 3, 3:6] = (-0.5 * curvature[0] ** -1.5 * along).T
+    slopes[:, 4, 3:6] = (-0.5 * curvature[1] ** -1.5 * across).T
+    turn = np.stack([-u * v, u * u - v * v, u * v])
+    slopes[:, 5, 3:6] = (turn / -np.maximum(2 * spread, 1e-300)).T
+    return value, slopes
 
 
-def _start(crop: np.ndarray) -> np.ndarray | None:
-    """Start from moments of the light above half its maximum: amplitude, x, y, a, b, c, offset; None without light."""
-    # A quartile, not the median: in an overexposed crop most pixels read full scale.
-    offset = float(np.nanquantile(crop, 0.25))
-    filled = np.where(np.isfinite(crop), crop, offset)
-    smooth = (
-        filled + np.roll(filled, 1, 0) + np.roll(filled, -1, 0) + np.roll(filled, 1, 1) + np.roll(filled, -1, 1)
-    ) / 5
-    signal = smooth - offset
-    if not signal.max() > 0:
-        return None
-    rows, columns = np.nonzero(signal > signal.max() / 2)
-    weight = signal[rows, columns]
-    x, y = np.average(columns, weights=weight), np.average(rows, weights=weight)
-    # The light above half maximum covers 2 π σ² ln 2: robust where a threshold cuts second moments.
-    sigma = max(np.sqrt(rows.size / (2 * np.pi * np.log(2))), 0.5)
-    return np.array([float(signal.max()), x, y, sigma**-2, 0.0, sigma**-2, offset])
-
-
-def _model(theta: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Model values and their derivatives [7, pixels] for θ = amplitude, x0, y0, a, b, c, offset."""
-    amplitude, x0, y0, a, b, c, offset = theta
-    dx, dy = x - x0, y - y0
-    gauss = np.exp(-(a * dx * dx + 2 * b * dx * dy + c * dy * dy) / 2)
-    light = amplitude * gauss
-    jac = np.empty((7, dx.size))
-    jac[0] = gauss
-    jac[1] = light * (a * dx + b * dy)
-    jac[2] = light * (b * dx + c * dy)
-    jac[3] = -light * dx * dx / 2
-    jac[4] = -light * dx * dy
-    jac[5] = -light * dy * dy / 2
-    jac[6] = 1.0
-    return light + offset, jac
-
-
-def _minimise(x, y, data, theta) -> tuple[np.ndarray, bool]:
-    """Levenberg–Marquardt with Marquardt's scaling. Returns θ and whether the last step was negligible."""
-    damping = 1e-3
-    model, jac = _model(theta, x, y)
-    residual = data - model
-    cost = residual @ residual
-    for _ in range(MAX_ITERATIONS):
-        hessian, gradient = jac @ jac.T, jac @ residual
-        scale = np.diag(hessian).copy()
-        while True:
-            step = np.linalg.solve(hessian + damping * np.diag(scale + 1e-30), gradient)
-            trial = theta + step
-            positive = trial[3] > 0 and trial[5] > 0 and trial[3] * trial[5] > trial[4] ** 2
-            if positive:
-                trial_model, trial_jac = _model(trial, x, y)
-                trial_residual = data - trial_model
-                trial_cost = trial_residual @ trial_residual
-                if trial_cost <= cost:
-                    break
-            damping *= 8
-            if damping > 1e12:
-                # The undamped step decides: a damped one is small anywhere.
-                return theta, _negligible(np.linalg.pinv(hessian) @ gradient, theta)
-        negligible = _negligible(step, theta)
-        theta, jac, residual, cost = trial, trial_jac, trial_residual, trial_cost
-        damping = max(damping / 8, 1e-12)
-        if negligible:
-            return theta, True
-    return theta, False
-
-
-def _negligible(step: np.ndarray, theta: np.ndarray) -> bool:
-    """Compares each step with its parameter's scale: the amplitude, the width, the curvature."""
-    amplitude, _, _, a, _, c, _ = np.abs(theta)
-    width, curvature = (a * c) ** -0.25, np.sqrt(a * c)
-    scale = np.array([amplitude, width, width, curvature, curvature, curvature, amplitude])
-    return bool(np.all(np.abs(step) <= STEP_TOLERANCE * scale))
-
-
-def _natural(theta: np.ndarray) -> np.ndarray | None:
-    """From θ to the order of `PARAMETERS`; None where θ is no Gaussian."""
-    amplitude, x0, y0, a, b, c, offset = theta
-    if not np.all(np.isfinite(theta)) or a * c <= b * b:
-        return None
-    covariance = np.linalg.inv([[a, b], [b, c]])
-    (small, large), vectors = np.linalg.eigh(covariance)
-    major, minor = np.sqrt(large), np.sqrt(small)
-    orientation = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])) % 180.0
-    return np.array([amplitude, x0, y0, major, minor, orientation, offset, (major + minor) / 2])
-
-
-def _natural_jacobian(theta: np.ndarray) -> np.ndarray:
-    """d natural / d θ [8, 7] by central differences; the orientation of a round spot has no derivative and gets
-    infinity."""
-    out = np.zeros((8, 7))
-    for k in range(7):
-        step = 1e-6 * max(abs(theta[k]), np.sqrt(theta[3] * theta[5]) if 3 <= k <= 5 else 1e-3)
-        ends = []
-        for sign in (1, -1):
-            shifted = theta.copy()
-            shifted[k] += sign * step
-            ends.append(_natural(shifted))
-        if ends[0] is None or ends[1] is None:
-            return np.full((8, 7), np.nan)
-        difference = ends[0] - ends[1]
-        difference[5] = (difference[5] + 90) % 180 - 90
-        out[:, k] = difference / (2 * step)
+def _is_round(theta: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Whether (a − c)/2 and b are 0 within their errors, which makes the spot round [n]."""
+    form = np.zeros((2, 7))
+    form[0, 3], form[0, 5], form[1, 4] = 0.5, -0.5, 1.0
+    ellipse = theta @ form.T
+    known = np.isfinite(theta[:, 0])
+    out = np.zeros(len(theta), bool)
+    out[known] = (
+        np.einsum(
+            "ni,ni->n",
+            ellipse[known],
+            np.linalg.solve(form @ covariance[known] @ form.T, ellipse[known][..., None])[..., 0],
+        )
+        < ROUND
+    )
     return out
 
 
-def model_image(value: np.ndarray, side: int) -> np.ndarray:
-    """Fitted Gaussian [side, side] in DN for values in the order of `PARAMETERS`, centre relative to the crop."""
+def _without_pixel(value: np.ndarray, slopes: np.ndarray) -> None:
+    """Take the pixel's own width off, in place: σ² − 1/12 along each axis, the peak raised as the area shrinks."""
+    seen = value[:, 3:5].copy()
+    own = np.sqrt(np.maximum(seen**2 - PIXEL_VARIANCE, 1e-6))
+    raised = np.prod(seen, axis=1) / np.prod(own, axis=1)
+    # d ln A = d ln(σ seen) − d ln(σ own), with σ own dσ own = σ seen dσ seen
+    for k in (0, 1):
+        share = 1 / seen[:, k] - seen[:, k] / own[:, k] ** 2
+        slopes[:, 0, :] += (value[:, 0] * share)[:, None] * slopes[:, 3 + k, :]
+    slopes[:, 0, :] *= raised[:, None]
+    slopes[:, 3:5, :] *= (seen / own)[:, :, None]
+    value[:, 0] *= raised
+    value[:, 3:5] = own
+
+
+def _status(value: np.ndarray, stderr: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Flags [n]: no root; or an amplitude, width or centre outside what the image can tell."""
+    amplitude, x, y, major, minor = value[:, :5].T
+    rows, columns = shapes.T
+    with np.errstate(invalid="ignore"):
+        trusted = (amplitude > 0) & (minor > 0.3) & (major < shapes.max(axis=1))
+        trusted &= (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
+        trusted &= np.all(stderr[:, [0, 3, 4]] <= KNOWN * np.abs(value[:, [0, 3, 4]]), axis=1)
+    return np.where(np.isnan(amplitude), flag("not_converged"), np.where(trusted, 0, flag("at_limit")))
+
+
+def model_image(value: np.ndarray, side: int, top_hat: bool = False) -> np.ndarray:
+    """Fitted spot [side, side] in DN for values in the order of `PARAMETERS`, centre relative to the crop."""
     amplitude, x, y, major, minor, orientation, offset, _ = value
     pixel = np.arange(side, dtype=float)
-    return elliptical_gaussian(
-        pixel[None, :], pixel[:, None], amplitude, x, y, major, minor, np.radians(orientation), offset
+    light = spot.elliptical_gaussian(
+        pixel[None, :], pixel[:, None], amplitude, x, y, major, minor, np.radians(orientation)
     )
+    return (spot.top_hat(light, amplitude) if top_hat else light) + offset

@@ -8,6 +8,7 @@ import xarray as xr
 
 from spotcheck import metrics, store
 from spotcheck.crops import usable
+from spotcheck.estimate.fits import preferred
 from spotcheck.figures.results import Results, Unavailable
 
 # A fit with one of these flags has no width or centre that could be drawn.
@@ -39,7 +40,7 @@ def crop(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray | None:
 
 def spot(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> Spot | None:
     """The fitted spot in the light-centred crop of one cell, or None without a fit."""
-    own, fit = (ds.sel(centring="light").isel(index) for ds in (crops, fits))
+    own, fit = crops.sel(centring="light").isel(index), preferred(fits).isel(index)
     numbers = [float(fit[n]) for n in ("y_centre", "x_centre", "sigma_major", "sigma_minor", "orientation")]
     if not np.isfinite(numbers).all() or int(fit["status"]) & UNTRUSTED:
         return None

@@ -72,7 +72,9 @@ def total(results: Results) -> style.Drawing:
 
 def _metric(results: Results, name: str, ylabel: str, what: str, paper: str) -> style.Drawing:
     """One metric: measured with error bars, simulated dashed in the same colour."""
-    ds = results.get("metrics").sel(centring="light")
+    # Beside the paper's figures its own estimator, elsewhere the better one.
+    every = results.get("metrics")
+    ds = every.sel(centring="light", fit="least_squares" if results.like_paper() else every.attrs["preferred"])
     design = series.design_of(ds, store.grid_dims(results.get("metrics")))
     values, left_out = ds[name], 0
     if name in FROM_FIT:

@@ -78,7 +78,7 @@ def _clipped_normal(mean, variance, variance_slope, low: float, high: float, rou
     if np.isneginf(low) and np.isposinf(high):
         return Reading(mean, variance + rounding, np.ones_like(mean))
     # Where the noise is much below a DN there is nothing to integrate over: rounding then counts as noise of its own.
-    fine = np.less(variance, 0.3**2)
+    fine = np.less(np.real(variance), 0.3**2)
     variance = variance + np.where(fine, rounding, 0.0)
     whole = np.where(fine, 0.0, rounding)
     sd = np.sqrt(np.maximum(variance, 1e-300))
@@ -99,14 +99,3 @@ def _clipped_normal(mean, variance, variance_slope, low: float, high: float, rou
 
 def _normal_pdf(z):
     return np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
-
-
-def draw(light_dn, exposure_s: float, sensor: SensorModel, rng: np.random.Generator) -> np.ndarray:
-    """Random readings [DN, uint16] under `light_dn`, the whole chain (Eq. 23: H = S + B + W).
-
-    # ASSUME: µ_d of Eq. 16 is a count (dark current times exposure); the paper gives it in e-/s.
-    """
-    electrons = rng.poisson(light_dn / sensor.gain_dn_per_e + sensor.dark_current_e_per_s * exposure_s)
-    signal = np.minimum(electrons, sensor.full_well_e) + rng.normal(0.0, sensor.read_noise_e, np.shape(light_dn))
-    dn = np.rint(sensor.gain_dn_per_e * signal + sensor.black_level_dn)
-    return np.clip(dn, 0, min(sensor.full_scale_dn, 65535)).astype(np.uint16)

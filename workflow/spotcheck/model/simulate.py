@@ -1,19 +1,38 @@
 """Random frames of the baseline, and the expected maximum of one."""
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 from scipy.special import log_ndtr
 
-from spotcheck.model.sensor import SensorModel, draw, reading
+from spotcheck.model.draws import draw_readings
+from spotcheck.model.sensor import SensorModel, reading
 
 
 def frame_generators(seed: int, count: int) -> list[np.random.Generator]:
     """One independent generator a frame, from one seed: equal frames whatever the order or number of cores."""
-    return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(count)]
+    return [np.random.Generator(np.random.SFC64(child)) for child in np.random.SeedSequence(seed).spawn(count)]
 
 
-def frame(light_dn: np.ndarray, exposure_s: float, sensor: SensorModel, rng: np.random.Generator) -> np.ndarray:
-    """One random frame [rows, columns] in DN under a mean light [DN]."""
-    return draw(light_dn, exposure_s, sensor, rng)
+def frames(
+    light_dn: Iterable[np.ndarray],
+    exposure_s: float,
+    sensor: SensorModel,
+    generators: Iterable[np.random.Generator],
+) -> Iterator[np.ndarray]:
+    """Random frames [rows, columns] in DN (uint16), one for each mean light [rows, columns] in DN and generator; ends
+    with the shorter of the two.
+
+    The whole chain (Eq. 23: H = S + B + W) with its exact law; one frame at a time is in memory.
+
+    # ASSUME: µ_d of Eq. 16 is a count (dark current times exposure); the paper gives it in e-/s.
+    """
+    dark_e = sensor.dark_current_e_per_s * exposure_s
+    for light, rng in zip(light_dn, generators, strict=False):
+        mean = np.ascontiguousarray(light, dtype=float)
+        readings = np.empty(mean.shape, np.uint16)
+        draw_readings(mean.reshape(-1), dark_e, sensor, rng, readings.reshape(-1))
+        yield readings
 
 
 def expected_maximum(light_dn: np.ndarray, exposure_s: float, sensor: SensorModel) -> float:

@@ -12,8 +12,11 @@ import xarray as xr
 from spotcheck import optics, store
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
+from spotcheck.estimate.fits import preferred
+from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.estimate.spotfit import PARAMETERS
+from spotcheck.figures import style
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.pages import write_page
 from spotcheck.pages.table3 import parameters
@@ -44,9 +47,11 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "sensor": _sensor(files.get("sensor")),
         "calibration": _calibration(files.get("calibration")),
         "caustic": _caustic(files.get("caustic")),
+        "precision": _precision(files.get("precision")),
         "flagged": _flagged(dataset, files.get("fits")),
         "parameters": parameters(dataset, files, TOP_HAT_RADIUS),
         "fits": _fits(dataset, files.get("fits")),
+        "fit_text": _fit_text(files.get("fits")),
         "levels": _levels(dataset, files),
         "numbers": _numbers(results / "paper_numbers.csv"),
         "sources": [(name, ds.attrs.get("code_version", "")) for name, ds in files.items()],
@@ -120,7 +125,7 @@ def _fits(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, list[str
     if fits is None:
         return []
     dims = tuple(axis.name for axis in dataset.axes)
-    own = fits.sel(centring="light").transpose(*dims)
+    own = preferred(fits).transpose(*dims)
     rows = []
     for index, frame in list(dataset.cells())[:MOST_FITS]:
         at = own.isel(dict(zip(dims, index, strict=True)))
@@ -132,6 +137,10 @@ def _fits(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, list[str
         chi2 = float(at["chi2_reduced"])
         rows.append((frame.label, [*cells, "–" if np.isnan(chi2) else f"{chi2:.3g}"]))
     return rows
+
+
+def _fit_text(fits: xr.Dataset | None) -> str:
+    return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['preferred']}"])
 
 
 def _levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
@@ -173,11 +182,37 @@ def _caustic(ds: xr.Dataset | None) -> str | None:
     )
 
 
+def _precision(ds: xr.Dataset | None) -> dict[str, Any] | None:
+    """The sentence, and scatter over bound of every condition."""
+    if ds is None or "skipped" in ds.attrs:
+        return None
+    dims = [str(d) for d in ds["frames_measured"].dims]
+    rows = []
+    for at in np.ndindex(*(ds.sizes[d] for d in dims)):
+        own = ds.isel(dict(zip(dims, at, strict=True)))
+        places = [f"{d} {float(own[d]):.4g} {_unit(ds[d])}".strip() for d in dims if d in ds.coords]
+        cells = []
+        for source in ("measured", "simulated"):
+            cells.append(str(int(own[f"frames_{source}"])))
+            for name in ("sigma_mean", "amplitude"):
+                ratio, error = (float(own[f"{q}_{source}"].sel(parameter=name)) for q in ("ratio", "ratio_stderr"))
+                cells.append(style.plus_minus(ratio, error) if np.isfinite(ratio) else "–")
+            cells.insert(-2, _number(own[f"scatter_{source}"].sel(parameter="sigma_mean"), ".3g"))
+            cells.insert(-2, _number(own[f"bound_{source}"].sel(parameter="sigma_mean"), ".3g"))
+        rows.append((", ".join(places) or "all frames", cells))
+    return {"sentence": sentence(ds), "rows": rows}
+
+
+def _unit(coordinate: xr.DataArray) -> str:
+    units = str(coordinate.attrs.get("units", ""))
+    return {"degree": "°", "1": ""}.get(units, units)
+
+
 def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
     """Frames that something kept from use, with the flags' meanings."""
     if fits is None:
         return []
-    status = fits["status"].sel(centring="light").transpose(*(axis.name for axis in dataset.axes)).values
+    status = preferred(fits)["status"].transpose(*(axis.name for axis in dataset.axes)).values
     out = []
     for index, frame in dataset.cells():
         reasons = [

@@ -9,7 +9,7 @@ from spotcheck.paper.results import CENTRING, Results
 
 def _propagation(results: Results) -> tuple[np.ndarray, np.ndarray]:
     """p1, p2 [angle, repeat] in px from the fits of the crops at the maximum."""
-    fits = results.file("fits").sel(centring=CENTRING)
+    fits = results.file("fits").sel(centring=CENTRING, fit="least_squares")
     width = fits["sigma_mean"].transpose("angle", "repeat", "exposure").values
     return regress(width, fits["exposure"].values, results.baseline.laser_px)
 

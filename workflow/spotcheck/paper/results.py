@@ -35,7 +35,7 @@ class Results:
     @cached_property
     def metrics(self) -> xr.Dataset:
         """Metrics of both sources, from the crops at the maximum."""
-        return self.file("metrics").sel(centring=CENTRING).load()
+        return self.file("metrics").sel(centring=CENTRING, fit="least_squares").load()
 
     @cached_property
     def measured(self) -> xr.Dataset:

@@ -1,0 +1,27 @@
+rule precision:
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        fits=[rules.fit.output[0], rules.fit_simulated.output[0]],
+        calibration=rules.calibrate.output,
+        sensor=rules.sensor.output,
+    output:
+        f"{OUT}/precision.nc",
+    log:
+        f"{OUT}/logs/precision.log",
+    benchmark:
+        f"{OUT}/benchmarks/precision.tsv"
+    conda:
+        "../envs/spotcheck.yaml"
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=10,
+    params:
+        folder=dataset_folder,
+        code=code("precision"),
+    message:
+        "Scatter and bounds of {DATASET.name}"
+    shell:
+        "spotcheck precision {params.folder:q} --fits {input.fits:q} --calibration {input.calibration:q}"
+        " --sensor {input.sensor:q} --output {output:q} 2>&1 | tee {log:q}"

@@ -1,0 +1,482 @@
+"""One pass over the pixels of an image: score and Fisher information of a spot, compiled.
+
+θ = amplitude [DN], x0, y0 [px], the elements a, b, c [1/px²] of the inverse covariance, offset [DN]; a round spot is no
+special point of it. The light is A exp(−(a dx² + 2 b dx dy + c dy²)/2) (cut to a plateau with `top_hat`), the mean
+reading without clips light + offset. Every derivative is that Gaussian times a polynomial in dx and dy, so one pass has
+only to sum weighted powers of them: score and information follow from 15 + 6 + 1 and 6 + 1 sums.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from spotcheck.model.law import IMPROBABLE, faint_law
+from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.model.spot import TOP_HAT_LEVEL
+
+# What the pixels of a pass weigh: nothing, their information, or (for the errors of equal weights) their variance.
+EQUAL, LIKELIHOOD, VARIANCE = 0, 1, 2
+# Standardised distance to a clip beyond which it never acts.
+FAR = 6.0
+# The faint table ends where mean, variance and information of a reading are those of the plain law, the latter two to
+# this part.
+PLAIN = 0.02
+
+# Sums may be taken in any order and divisions need no check for 0: both let the compiler use vector instructions. NaN
+# keeps its meaning, as it marks masked pixels.
+compiled = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+
+
+class Law(NamedTuple):
+    """A sensor for the compiled code: gain [DN/e-], read variance and rounding variance [e-²], black level [DN], full
+    scale [DN], full well [e-], and the faint table: P and ∂P/∂ν × step [level, reading], 1/I [e-²], mean [DN] and
+    variance [DN²] of each level."""
+
+    gain: float
+    read_variance: float
+    rounding: float
+    black: float
+    full_scale: float
+    full_well: float
+    lowest: float
+    step: float
+    highest: float
+    probability: np.ndarray
+    slope: np.ndarray
+    inverse: np.ndarray
+    mean: np.ndarray
+    spread: np.ndarray
+
+
+def law_of(sensor: SensorModel | None) -> Law:
+    """Tables of a sensor; without one, a placeholder that equal weights never look at."""
+    if sensor is None:
+        empty = np.ones((2, 2))
+        return Law(1.0, 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, 1.0, 0.0, empty, empty, *(np.ones(2) for _ in range(3)))
+    table = faint_law(sensor)
+    gain, read_variance = sensor.gain_dn_per_e, sensor.read_noise_e**2
+    rounding = ROUNDING_VARIANCE / gain**2
+    likely = table.probability > IMPROBABLE
+    information = np.sum(np.where(likely, table.slope**2 / np.where(likely, table.probability, 1.0), 0.0), axis=1)
+    # Between levels 1/I is nearly straight: ν + σ² where nothing clips.
+    inverse = 1 / np.clip(information, 1e-12, None)
+    if read_variance == 0:
+        # Without light and noise every reading is certain, and the sum above 0/0: the limit instead.
+        inverse[0] = max(2 * inverse[1] - inverse[2], 1e-9)
+    # A reading that is certain has no variance; rounding is the least that is left.
+    spread = np.maximum(table.variance, ROUNDING_VARIANCE)
+    # Above the last level where it matters, the table gives way to the plain law, which is faster.
+    variance = np.maximum(table.levels, 0.0) + read_variance + rounding
+    bias = np.abs(table.mean - gain * table.levels - sensor.black_level_dn) / np.sqrt(spread)
+    matters = (bias > 1e-3) | (np.abs(spread / gain**2 / variance - 1) > PLAIN) | (variance > (1 + PLAIN) * inverse)
+    needed = max(int(np.flatnonzero(matters | (table.levels < 1.0))[-1]) + 2, 2)
+    keep = slice(0, min(needed, len(variance)))
+    return Law(
+        # Floats all: an integer among them would be a type of its own, and compiled again.
+        float(gain),
+        float(read_variance),
+        float(rounding),
+        float(sensor.black_level_dn),
+        float(sensor.full_scale_dn),
+        float(sensor.full_well_e),
+        float(table.lowest_e),
+        float(table.step_e),
+        float(table.levels[keep][-1]),
+        np.ascontiguousarray(table.probability[keep]),
+        np.ascontiguousarray(table.slope[keep]) * table.step_e,
+        inverse[keep],
+        table.mean[keep],
+        spread[keep],
+    )
+
+
+@compiled
+def _plain_below(law):
+    """Mean electrons below which neither the well nor full scale acts [e-]."""
+    top = min((law.full_scale - 0.5 - law.black) / law.gain, law.full_well)
+    if top == np.inf:
+        return np.inf
+    # ν + 6 √(ν + noise) = top
+    noise = law.read_variance + law.rounding
+    return top - FAR * math.sqrt(max(top + noise + FAR * FAR / 4, 0.0)) + FAR * FAR / 2 if top > 0 else -np.inf
+
+
+@compiled
+def _hazard(a):
+    """φ(a)/Q(a) of the standard normal law."""
+    if a > 8.0:
+        return a + 1.0 / a
+    return math.exp(-a * a / 2) * 0.3989422804014327 / (0.5 * math.erfc(a * 0.7071067811865476))
+
+
+@compiled
+def _bright(reading, electrons, law):
+    """Score [1/e-], information [1/e-²] and χ² (−1: next to a clip) of a reading above the faint table.
+
+    Poisson, shifted by the variance of read noise and rounding; at full scale the probability of being clipped.
+    """
+    variance = electrons + law.read_variance + law.rounding
+    signal = (reading - law.black) / law.gain
+    residual = signal - electrons
+    if electrons > law.full_well - FAR * math.sqrt(law.full_well) or signal > law.full_well - FAR * math.sqrt(
+        law.read_variance + law.rounding
+    ):
+        return _at_well(signal, electrons, law)
+    sd = math.sqrt(variance)
+    a = ((law.full_scale - 0.5 - law.black) / law.gain - electrons) / sd
+    if a > FAR and reading < law.full_scale:
+        return residual / variance, 1.0 / variance, residual * residual / variance
+    hazard = _hazard(a)
+    pdf = math.exp(-a * a / 2) * 0.3989422804014327
+    information = (0.5 * math.erfc(-a * 0.7071067811865476) - pdf * (a - hazard)) / variance
+    score = hazard / sd if reading >= law.full_scale else residual / variance
+    return score, max(information, 0.0), -1.0
+
+
+@compiled
+def _at_well(signal, electrons, law):
+    """As `_bright` near the full well: the electrons, cut at the well, plus read noise.
+
+    The reading's density is that of electrons below the well and their noise, plus a peak at the well of weight P(n ≥
+    well); its width is left out of the derivative, as everywhere.
+    """
+    noise = law.read_variance + law.rounding
+    sd = math.sqrt(electrons)
+    total = electrons + noise
+    # Of the electrons given the reading: mean and standard deviation.
+    middle, width = (electrons * noise + signal * electrons) / total, math.sqrt(electrons * noise / total)
+    u, w = (law.full_well - middle) / width, (law.full_well - electrons) / sd
+    density = math.exp(-((signal - electrons) ** 2) / (2 * total)) / math.sqrt(total)
+    below = density * 0.5 * math.erfc(-u * 0.7071067811865476)
+    peak = math.exp(-((signal - law.full_well) ** 2) / (2 * noise)) / math.sqrt(noise)
+    above = peak * 0.5 * math.erfc(w * 0.7071067811865476)
+    slope = below * (signal - electrons) / total
+    slope -= density * math.exp(-u * u / 2) * 0.3989422804014327 * (noise / total) / width
+    slope += peak * math.exp(-w * w / 2) * 0.3989422804014327 / sd
+    pdf = math.exp(-w * w / 2) * 0.3989422804014327
+    information = (0.5 * math.erfc(-w * 0.7071067811865476) - pdf * (w - _hazard(w))) / total
+    if below + above < 1e-280:
+        return (signal - electrons) / total, max(information, 0.0), -1.0
+    return slope / (below + above), max(information, 0.0), -1.0
+
+
+@compiled
+def _faint(reading, electrons, law):
+    """Score, information and χ² of a reading from the faint table.
+
+    Between two levels P is the cubic with their values and slopes, and the score that of its logarithm.
+    """
+    at = (electrons - law.lowest) / law.step
+    if at < 0.0:
+        return _below(reading, electrons, law)
+    i = min(int(at), law.inverse.size - 2)
+    f = at - i
+    y = int(reading + 0.5)
+    information = 1 / ((1 - f) * law.inverse[i] + f * law.inverse[i + 1])
+    residual = reading - (1 - f) * law.mean[i] - f * law.mean[i + 1]
+    chi2 = residual * residual / ((1 - f) * law.spread[i] + f * law.spread[i + 1])
+    if y < law.probability.shape[1]:
+        p, q, s, t = law.probability[i, y], law.probability[i + 1, y], law.slope[i, y], law.slope[i + 1, y]
+        rise = q - p
+        chance = p + f * (s + f * (3 * rise - 2 * s - t + f * (s + t - 2 * rise)))
+        slope = s + f * (2 * (3 * rise - 2 * s - t) + 3 * f * (s + t - 2 * rise))
+        if chance > 0.1 * min(p, q) and chance > IMPROBABLE:
+            return slope / (chance * law.step), information, chi2
+        # Many electrons where none is expected: the cubic of a higher power may dip below 0.
+        chance = (1 - f) * p + f * q
+        if chance > IMPROBABLE:
+            return ((1 - f) * s + f * t) / (chance * law.step), information, chi2
+    signal = (reading - law.black) / law.gain
+    return (signal - electrons) / (max(electrons, 0.0) + law.read_variance + law.rounding), information, chi2
+
+
+@compiled
+def _below(reading, electrons, law):
+    """As `_faint` for a mean below its lowest level, where the black level was stated too high: read noise alone, and
+    the probability of being clipped at black."""
+    variance = law.read_variance + law.rounding
+    sd = math.sqrt(variance)
+    residual = (reading - law.black) / law.gain - electrons
+    a = (electrons + (law.black - 0.5) / law.gain) / sd
+    if a > FAR and reading > 0.0:
+        return residual / variance, 1.0 / variance, residual * residual / variance
+    hazard, pdf = _hazard(a), math.exp(-a * a / 2) * 0.3989422804014327
+    information = (0.5 * math.erfc(-a * 0.7071067811865476) - pdf * (a - hazard)) / variance
+    return (-hazard / sd if reading <= 0.0 else residual / variance), max(information, 1e-12), -1.0
+
+
+@compiled
+def pixel_information(electrons, law):
+    """Information [1/e-²] on each of the mean `electrons` [pixels] in its reading."""
+    out = np.empty(electrons.size)
+    for k in range(electrons.size):
+        if electrons[k] < law.highest:
+            _, out[k], _ = _faint(0.0, electrons[k], law)
+        else:
+            _, out[k], _ = _bright(law.black + law.gain * electrons[k], electrons[k], law)
+    return out
+
+
+@compiled
+def _gaussian_row(theta, y, row):
+    """exp(−q/2) along a row: from its highest pixel outwards, one product for the value and one for its ratio."""
+    x0, a, b, c = theta[1], theta[3], theta[4], theta[5]
+    dy = y - theta[2]
+    size = row.size
+    highest = int(min(max(round(x0 - b * dy / a), 0.0), size - 1.0))
+    dx = highest - x0
+    start = math.exp(-(a * dx * dx + 2 * b * dx * dy + c * dy * dy) / 2)
+    bend = math.exp(-a)
+    row[highest] = start
+    value, ratio = start, math.exp(-(a * (2 * dx + 1) + 2 * b * dy) / 2)
+    for k in range(highest + 1, size):
+        value *= ratio
+        ratio *= bend
+        row[k] = value
+    value, ratio = start, math.exp(-(a * (1 - 2 * dx) - 2 * b * dy) / 2)
+    for k in range(highest - 1, -1, -1):
+        value *= ratio
+        ratio *= bend
+        row[k] = value
+
+
+@compiled
+def _residuals(readings, mean, weight, score):
+    """Equal weights along a row: weight 1 and score y − µ, 0 where masked; Σ residual² and its pixels."""
+    total, used = 0.0, 0
+    for k in range(readings.size):
+        reading = float(readings[k])
+        known = reading == reading
+        weight[k] = 1.0 if known else 0.0
+        score[k] = reading - mean[k] if known else 0.0
+        total += score[k] * score[k]
+        used += known
+    return total, used
+
+
+@compiled
+def _plain(readings, electrons, law, weight, score):
+    """Along a row without a pixel near a clip or in the faint table: shifted Poisson law; χ² and its pixels."""
+    total, used = 0.0, 0
+    noise, per_dn, dark = law.read_variance + law.rounding, 1 / law.gain, law.black / law.gain
+    for k in range(readings.size):
+        reading = float(readings[k])
+        known = reading == reading
+        w = 1 / (electrons[k] + noise)
+        residual = reading * per_dn - dark - electrons[k]
+        weight[k] = w if known else 0.0
+        score[k] = residual * w if known else 0.0
+        total += residual * residual * w if known else 0.0
+        used += known
+    return total, used
+
+
+@compiled
+def _mixed(readings, electrons, law, weight, score):
+    """Along any other row, pixel by pixel."""
+    total, used = 0.0, 0
+    for k in range(readings.size):
+        reading = float(readings[k])
+        if reading != reading:
+            weight[k] = score[k] = 0.0
+            continue
+        if electrons[k] < law.highest:
+            score[k], weight[k], chi2 = _faint(reading, electrons[k], law)
+        else:
+            score[k], weight[k], chi2 = _bright(reading, electrons[k], law)
+        if chi2 >= 0.0:
+            total += chi2
+            used += 1
+    return total, used
+
+
+@compiled
+def _variances(readings, mean, electrons, law, weight, score):
+    """Along a row the variance [DN²] of each reading, both clips and the rounding included; χ² and its pixels."""
+    total, used = 0.0, 0
+    for k in range(readings.size):
+        reading = float(readings[k])
+        score[k] = 0.0
+        if reading != reading:
+            weight[k] = 0.0
+            continue
+        if electrons[k] < law.highest:
+            at = max((electrons[k] - law.lowest) / law.step, 0.0)
+            i = min(int(at), law.inverse.size - 2)
+            variance = law.spread[i] + (at - i) * (law.spread[i + 1] - law.spread[i])
+        else:
+            top = min(law.full_scale, law.black + law.gain * law.full_well)
+            normal = law.gain**2 * (electrons[k] + law.read_variance + law.rounding)
+            variance = normal * _clipped_spread((top - mean[k]) / math.sqrt(normal))
+        # A clipped pixel has no variance of its own; rounding is the least that is left.
+        weight[k] = max(variance, ROUNDING_VARIANCE)
+        total += (reading - mean[k]) ** 2 / weight[k]
+        used += 1
+    return total, used
+
+
+@compiled
+def _clipped_spread(b):
+    """Variance of a standard normal number that is cut at b."""
+    if b > FAR:
+        return 1.0
+    pdf, above = math.exp(-b * b / 2) * 0.3989422804014327, 0.5 * math.erfc(b * 0.7071067811865476)
+    first = b * above - pdf
+    return max(b * b * above + (1 - above) - b * pdf - first * first, 0.0)
+
+
+@compiled
+def _powers(row, weight, score, x0):
+    """Sums along a row: w g² dx^0…4, w g dx^0…2, w, s g dx^0…2, s."""
+    p0 = p1 = p2 = p3 = p4 = q0 = q1 = q2 = z = t0 = t1 = t2 = r = 0.0
+    for k in range(row.size):
+        dx = k - x0
+        d2 = dx * dx
+        w, s, g = weight[k], score[k], row[k]
+        wg, sg = w * g, s * g
+        wgg = wg * g
+        z += w
+        r += s
+        p0 += wgg
+        p1 += wgg * dx
+        p2 += wgg * d2
+        p3 += wgg * (d2 * dx)
+        p4 += wgg * (d2 * d2)
+        q0 += wg
+        q1 += wg * dx
+        q2 += wg * d2
+        t0 += sg
+        t1 += sg * dx
+        t2 += sg * d2
+    return (p0, p1, p2, p3, p4), (q0, q1, q2), z, (t0, t1, t2), r
+
+
+@compiled
+def _plateau(row, weight, score):
+    """Of the pixels on the plateau, whose light follows the amplitude alone: Σ w g², w g, s g, w, s. Their row, weight
+    and score are then set to 0."""
+    two = one = pull = zero = rest = 0.0
+    for k in range(row.size):
+        if row[k] > TOP_HAT_LEVEL:
+            two += weight[k] * TOP_HAT_LEVEL**2
+            one += weight[k] * TOP_HAT_LEVEL
+            pull += score[k] * TOP_HAT_LEVEL
+            zero += weight[k]
+            rest += score[k]
+            weight[k] = score[k] = 0.0
+    return two, one, pull, zero, rest
+
+
+@compiled
+def _sums(image, theta, weighting, law, top_hat):
+    """Sums of one pass: `two`[i, j] = Σ w g² dx^i dy^j, `one` of w g, `zero` of w, `score_one` of s g, `score_zero` of
+    s, and Σ residual² or χ² with the number of pixels in it."""
+    two, one, score_one = np.zeros((5, 5)), np.zeros((3, 3)), np.zeros((3, 3))
+    zero = score_zero = chi2 = 0.0
+    used = 0
+    rows, columns = image.shape
+    row, mean, weight, score = np.empty(columns), np.empty(columns), np.empty(columns), np.empty(columns)
+    electrons = np.empty(columns)
+    cut = TOP_HAT_LEVEL if top_hat else 2.0
+    plain_below = _plain_below(law)
+    for j in range(rows):
+        _gaussian_row(theta, float(j), row)
+        lowest, highest = np.inf, -np.inf
+        for k in range(columns):
+            mean[k] = theta[0] * min(row[k], cut) + theta[6]
+            electrons[k] = (mean[k] - law.black) / law.gain
+            lowest, highest = min(lowest, electrons[k]), max(highest, electrons[k])
+        if weighting == EQUAL:
+            chi2_row, used_row = _residuals(image[j], mean, weight, score)
+        elif weighting == VARIANCE:
+            chi2_row, used_row = _variances(image[j], mean, electrons, law, weight, score)
+        elif lowest >= law.highest and highest < plain_below:
+            chi2_row, used_row = _plain(image[j], electrons, law, weight, score)
+        else:
+            chi2_row, used_row = _mixed(image[j], electrons, law, weight, score)
+        chi2 += chi2_row
+        used += used_row
+        if top_hat:
+            flat_two, flat_one, flat_pull, flat_zero, flat_rest = _plateau(row, weight, score)
+            two[0, 0] += flat_two
+            one[0, 0] += flat_one
+            score_one[0, 0] += flat_pull
+            zero += flat_zero
+            score_zero += flat_rest
+        p, q, z, t, r = _powers(row, weight, score, theta[1])
+        zero += z
+        score_zero += r
+        power = 1.0
+        for m in range(5):
+            for n in range(5 - m):
+                two[n, m] += p[n] * power
+            for n in range(3 - m):
+                one[n, m] += q[n] * power
+                score_one[n, m] += t[n] * power
+            power *= j - theta[2]
+    return two, one, zero, score_one, score_zero, chi2, used
+
+
+# Powers of dx and dy of the six monomials 1, dx, dy, dx², dx dy, dy².
+_POWERS_X = np.array([0, 1, 0, 2, 1, 0])
+_POWERS_Y = np.array([0, 0, 1, 0, 1, 2])
+
+
+@compiled
+def one_pass(image, theta, weighting, law, top_hat):
+    """Score [7] and information [7, 7] of θ, and χ² with the number of pixels in it.
+
+    With `EQUAL` weights these are Jᵀ(y − µ), JᵀJ and Σ(y − µ)² in DN; with `LIKELIHOOD` those of the sensor's law; with
+    `VARIANCE` 0, J V Jᵀ for variances V of the readings, and χ².
+    """
+    two, one, zero, score_one, score_zero, chi2, used = _sums(image, theta, weighting, law, top_hat)
+    amplitude, a, b, c = theta[0], theta[3], theta[4], theta[5]
+    # Derivatives of the light as polynomials (rows: A, x0, y0, a, b, c; columns: monomials) times g.
+    poly = np.zeros((6, 6))
+    poly[0, 0] = 1.0
+    poly[1, 1], poly[1, 2] = amplitude * a, amplitude * b
+    poly[2, 1], poly[2, 2] = amplitude * b, amplitude * c
+    poly[3, 3], poly[4, 4], poly[5, 5] = -amplitude / 2, -amplitude, -amplitude / 2
+    inner, edge, pull = np.empty((6, 6)), np.empty(6), np.empty(6)
+    for k in range(6):
+        edge[k] = one[_POWERS_X[k], _POWERS_Y[k]]
+        pull[k] = score_one[_POWERS_X[k], _POWERS_Y[k]]
+        for m in range(6):
+            inner[k, m] = two[_POWERS_X[k] + _POWERS_X[m], _POWERS_Y[k] + _POWERS_Y[m]]
+    score, information = np.empty(7), np.empty((7, 7))
+    score[:6], score[6] = times(poly, pull), score_zero
+    information[:6, :6] = congruent(poly.T, inner)
+    information[:6, 6] = information[6, :6] = times(poly, edge)
+    information[6, 6] = zero
+    if weighting == LIKELIHOOD:
+        score /= law.gain
+        information /= law.gain * law.gain
+    return score, information, chi2, used
+
+
+@compiled
+def times(matrix, vector):
+    """M v. Plain loops: a call of BLAS for seven numbers would double the time of compilation."""
+    out = np.zeros(matrix.shape[0])
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            out[i] += matrix[i, j] * vector[j]
+    return out
+
+
+@compiled
+def congruent(chart, matrix):
+    """Cᵀ M C."""
+    size, inner = chart.shape[1], chart.shape[0]
+    half, out = np.zeros((inner, size)), np.zeros((size, size))
+    for i in range(inner):
+        for j in range(size):
+            for k in range(inner):
+                half[i, j] += matrix[i, k] * chart[k, j]
+    for i in range(size):
+        for j in range(size):
+            for k in range(inner):
+                out[i, j] += chart[k, i] * half[k, j]
+    return out
