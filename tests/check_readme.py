@@ -1,21 +1,25 @@
-"""Holds the numbers that the README quotes against a file that a rule wrote: check_readme.py README.md numbers.md"""
+"""Holds what the README quotes against a file that a run wrote: check_readme.py README.md BLOCK file.md [--write]
 
+A block stands between `<!-- BLOCK: … -->` and `<!-- /BLOCK -->`.
+"""
+
+import re
 import sys
 from pathlib import Path
 
-START, END = "<!-- numbers: written by `make check-numbers`, not by hand -->\n", "<!-- /numbers -->"
 
-
-def quoted(readme: str) -> str:
-    """What stands between the marks of the README."""
-    return readme.split(START)[1].split(END)[0]
+def pattern(block: str) -> re.Pattern[str]:
+    """The block with its marks, in three groups: mark, content, mark."""
+    return re.compile(rf"(<!-- {block}: [^\n]* -->\n)(.*?)(<!-- /{block} -->)", re.DOTALL)
 
 
 if __name__ == "__main__":
-    readme, numbers = (Path(argument) for argument in sys.argv[1:3])
-    text, computed = readme.read_text(encoding="utf-8"), numbers.read_text(encoding="utf-8")
-    if quoted(text) != computed:
-        if "--write" in sys.argv:
-            readme.write_text(text.replace(START + quoted(text) + END, START + computed + END), encoding="utf-8")
-        else:
-            sys.exit(f"{readme}: quotes other numbers than {numbers}; run with --write and commit")
+    readme, block, source = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
+    text, computed = readme.read_text(encoding="utf-8"), source.read_text(encoding="utf-8")
+    found = pattern(block).search(text)
+    if found is None:
+        sys.exit(f"{readme}: has no block {block}")
+    if found[2] != computed:
+        if "--write" not in sys.argv:
+            sys.exit(f"{readme}: quotes something else than {source}; run with --write and commit")
+        readme.write_text(text[: found.start(2)] + computed + text[found.end(2) :], encoding="utf-8")

@@ -145,9 +145,9 @@ def _markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> li
 
 
 def as_summary(parts: Sequence[Part]) -> str:
-    """All figures that have to reach something, as one Markdown table with the count under it."""
-    judged = [row for part in parts for row in figure_rows(part) if row[-1]]
-    return "\n".join([*_markdown_table(COLUMNS, judged), "", f"{summary(parts)}.", ""])
+    """All figures as one Markdown table with the count under it."""
+    rows = [row for part in parts for row in figure_rows(part)]
+    return "\n".join([*_markdown_table(COLUMNS, rows), "", f"{summary(parts)}.", ""])
 
 
 def all_musts_reached(parts: Sequence[Part]) -> bool:

@@ -83,6 +83,7 @@ CASES = {
     "black level": (SENSOR, (400, 800), 40.0, False, "likelihood", NONE, NONE),
     "full scale": (QUIET._replace(full_scale_dn=300.0), (400, 800), 25.0, False, "likelihood", (0.04, 0.07), NONE),
     "full well": (QUIET._replace(full_well_e=560.0), (400, 800), 25.0, False, "likelihood", (0.04, 0.07), NONE),
+    "quiet and dark": (SensorModel(2.0, 1.0, black_level_dn=100.0), (200, 400), 100.0, False, "likelihood", NONE, NONE),
     "top hat": (SENSOR, (400, 800), 42.0, True, "likelihood", NONE, NONE),
     "equal weights": (SENSOR, (400, 800), 40.0, False, "equal", NONE, NONE),
     "equal weights, quiet": (QUIET, (100, 600), 25.0, False, "equal", NONE, NONE),
@@ -93,7 +94,7 @@ CASES = {
 def test_values_scatter_about_the_truth_as_the_errors_say(case):
     """300 random spots a sensor: pulls of all eight parameters, χ² of the seven with their covariance, χ² of the frame.
 
-    Each within 4.5 standard errors: false alarm 7e-6, over all 162 numbers 1e-3.
+    Each within 4.5 standard errors: false alarm 7e-6, over all 180 numbers 1e-3.
     """
     sensor, amplitudes, offset, top_hat, weighting, clipped, dark = case
     rng, count, (rows, columns) = np.random.default_rng(5), 300, (48, 46)
@@ -115,6 +116,25 @@ def test_values_scatter_about_the_truth_as_the_errors_say(case):
     # Rounding counts as 1/12 DN² of noise even where electrons are whole DN, which takes 0.3 % off at a few electrons.
     degrees = rows * columns - 7
     assert fits.chi2_reduced.mean() == pytest.approx(1, abs=4.5 * np.sqrt(2 / degrees / count) + 0.003)
+
+
+@pytest.mark.parametrize("gain", [1.0, 4.0])
+@pytest.mark.parametrize("read_noise", [0.3, 0.5])
+def test_dark_pixels_that_count_electrons(read_noise, gain):
+    """Read noise below an electron, no light beside the spot: nearly every fit is usable, and right but for its offset.
+
+    Where light ends the law has a kink, and the offset's error is that of one side. From 0.3 electrons on, of dark
+    current say, it is right too. False alarm as in `assert_standard`.
+    """
+    sensor = SensorModel(gain, read_noise, black_level_dn=100.0)
+    for dark, columns in ((0.0, [0, 1, 2, 3, 4, 5, 7]), (0.3, range(8))):
+        truth = np.array([150 * gain, *TRUTH[1:6], 100 + dark * gain])
+        fits = fit_spots(frames_of(truth, 200, 3, sensor), sensor)
+        good = fits.status == 0
+        assert good.mean() >= 0.97
+        pulls = pulls_of(fits, truth)[good]
+        assert_standard(pulls[:, list(columns)], allowance=0.06)
+        assert np.sqrt((pulls[:, 6] ** 2).mean()) < 4
 
 
 @pytest.mark.parametrize("sensor", [SENSOR, QUIET, None], ids=["paper", "quiet", "none"])
@@ -597,6 +617,16 @@ def test_a_black_level_that_is_wrong(wrong, sensor, weighting):
     # Where light is below 0 the law has a kink, and a fit in ten may not settle: then it says so.
     assert np.count_nonzero(~good) <= 3 and misfit[good].max() < 2
     assert (np.abs(pulls_of(fits, truth)) < 10 * misfit[:, None])[good].all()
+
+
+@pytest.mark.parametrize("wrong", [5.0, 10.0, 12.0, 20.0, 40.0])
+@pytest.mark.parametrize("black", [0.0, 3.0])
+def test_a_black_level_that_is_too_high_where_black_clips(black, wrong):
+    """As above, with up to half of the dark pixels at 0: within 5 errors (false alarm of 1600 values 1e-3)."""
+    sensor = SENSOR._replace(black_level_dn=black)
+    truth = np.array([*TRUTH[:6], black])
+    fits = fit_spots(frames_of(truth, 20, 8, sensor), sensor._replace(black_level_dn=black + wrong))
+    assert (fits.status == 0).all() and (np.abs(pulls_of(fits, truth)) < 5).all()
 
 
 @pytest.mark.parametrize("amplitude", [2e3, 1e4, 1e5])

@@ -7,6 +7,7 @@ mean, and then goes through the chain. Tables are alias tables (Walker 1977, doi
 number and one look-up a draw, exact to rounding.
 """
 
+import math
 from functools import cache, lru_cache
 from typing import NamedTuple
 
@@ -130,9 +131,10 @@ def _faint(electrons, uniform, level, keep, other, width, out, late):
             continue
         at = uniform[k] * width
         entry = int(at)
-        # Both are read before the choice: a choice between two loads is a jump that no processor can guess.
-        own, else_ = keep[level[k] * width + entry], other[level[k] * width + entry]
-        out[k] = entry if at - entry < own else else_
+        place = level[k] * width + entry
+        # 0 or 1 by the sign alone: a choice would be a jump, and one that no processor can guess.
+        moved = 0.5 + math.copysign(0.5, at - entry - keep[place])
+        out[k] = entry + int(moved * (other[place] - entry))
     return waiting
 
 
