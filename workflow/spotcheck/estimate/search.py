@@ -178,6 +178,11 @@ def to_the_root(image, point, weighting, law, top_hat, free, shaped, circular):
     """Fisher scoring: the point, information of the free parameters, χ² and its pixels, and whether the root was
     reached."""
     shrink, before, promised = 1.0, np.zeros(7), 0.0
+    if weighting != EQUAL and free[6]:
+        # Far below 0 every reading is 0, and knows nothing of the offset any more.
+        lowest = -2 * law.gain * math.sqrt(law.read_variance + law.rounding)
+        point = point.copy()
+        point[6] = max(point[6], lowest)
     for n in range(MAX_ITERATIONS):
         if not _possible(point, shaped):
             break
@@ -196,6 +201,10 @@ def to_the_root(image, point, weighting, law, top_hat, free, shaped, circular):
             # along the last step says by how much.
             slope = times(chart_of(point, free, shaped, circular).T, score) @ before[free]
             shrink = min(1.0, max(shrink * promised / (promised - slope), 0.05)) if slope < promised else 1.0
+        for k in (0, 6):
+            # No more than half of the spot at a time: where little is known, a step can be of any size.
+            if shrink * abs(step[k]) > abs(point[0]) / 2:
+                shrink = abs(point[0] / step[k]) / 2
         before, promised = step, decrement
         trial = _moved(point, shrink * step, circular)
         while not _possible(trial, shaped):
