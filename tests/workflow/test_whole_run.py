@@ -48,7 +48,8 @@ def test_equal_inputs_give_equal_files(small_run, tmp_path):
     twin.mkdir()
     for name in ("manifest.csv", "instrument.yaml", "rig.yaml"):
         (twin / name).write_bytes((dataset / name).read_bytes())
-    run = snakemake("compare", "bounds", "precision", "--cores", "1", config={"dataset": twin, "results": tmp_path / "results"})
+    where = {"dataset": twin, "results": tmp_path / "results"}
+    run = snakemake("compare", "bounds", "precision", "--cores", "1", config=where)
     assert run.returncode == 0, run.stdout + run.stderr
     first, second = (sorted(p.rglob("*.tif")) for p in (dataset, twin))
     assert len(first) == 18
