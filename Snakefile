@@ -20,6 +20,7 @@ include: "workflow/rules/compare.smk"
 include: "workflow/rules/bounds.smk"
 include: "workflow/rules/precision.smk"
 include: "workflow/rules/caustic.smk"
+include: "workflow/rules/verdict.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/paper.smk"
 include: "workflow/rules/notebooks.smk"
@@ -36,3 +37,8 @@ rule all:
 rule paper_numbers:
     input:
         rules.paper.output,
+
+
+rule verdict:
+    input:
+        rules.judge.output.verdict,

@@ -1,4 +1,5 @@
 # The dataset of this run, checked before any rule is planned, and the two functions that rules share.
+import json
 import os
 import sys
 from pathlib import Path
@@ -52,6 +53,7 @@ if SPOTS:
         "metrics",
         "bounds",
         "precision",
+        "discrepancy",
     )
     RESULTS += [f"{OUT}/{name}.nc" for name in stages]
     RESULTS += [f"{OUT}/caustic.nc"] if "z_m" in DATASET.instrument.conditions else []

@@ -40,6 +40,13 @@ def notebook_modules(path: Path, root: Path = ROOT) -> list[str]:
     return sorted(_imports(code, root))
 
 
+def _discovered(path: Path | None) -> list[Path]:
+    """Files that a package imports because they lie in its folder, as the vocabulary of effects does."""
+    if path is None or path.name != "__init__.py" or "iter_modules" not in path.read_text(encoding="utf-8"):
+        return []
+    return sorted(own for own in path.parent.glob("*.py") if own != path)
+
+
 def _imports(source: str, root: Path) -> set[str]:
     found: set[str] = set()
     for node in ast.walk(ast.parse(source)):
@@ -50,6 +57,7 @@ def _imports(source: str, root: Path) -> set[str]:
         else:
             continue
         found.update(name for name in names if module_file(name, root))
+    found |= {f"{name}.{own.stem}" for name in found for own in _discovered(module_file(name, root))}
     # Importing a.b.c runs a/__init__.py and a/b/__init__.py as well.
     return found | {name.rsplit(".", k)[0] for name in found for k in range(1, name.count(".") + 1)}
 

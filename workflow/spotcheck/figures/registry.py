@@ -6,7 +6,9 @@ from typing import NamedTuple
 from spotcheck.figures import (
     bounds,
     caustic,
+    discrepancy,
     images,
+    located,
     metric_plots,
     overview,
     precision,
@@ -33,7 +35,10 @@ class Entry(NamedTuple):
 PAIR = ("crops", "fits", "simulated/crops", "simulated/fits")
 MISSED = ("crops", "fits", "simulated")
 METRICS = ("metrics", "simulated")
+MISSING = ("discrepancy",)
 CALIBRATION, IMAGES, QUALITY, PRECISION, GAP, BEAM = "Calibration", "Images", "Metrics", "Bounds", "Residuals", "Beam"
+# The report shows these beside the verdict.
+VERDICT = "What is missing"
 
 FIGURES = (
     Entry("overview", "At a glance", None, IMAGES, PAIR, overview.draw),
@@ -53,5 +58,9 @@ FIGURES = (
     Entry("precision", "How precisely a frame measures", None, PRECISION, ("precision",), precision.draw),
     Entry("residuals", "Residual images", None, GAP, MISSED, residuals.images),
     Entry("residual-profiles", "Radial profiles and their residual", None, GAP, MISSED, profiles.draw),
+    Entry("missing-where", "Where simulation and measurement disagree", None, VERDICT, MISSING, located.where),
+    Entry("missing-evidence", "How well each effect explains it", None, VERDICT, MISSING, located.evidence),
+    Entry("missing-residuals", "Residual before and after", None, VERDICT, MISSING, discrepancy.residuals),
+    Entry("missing-gap", "The gap by condition", None, VERDICT, MISSING, discrepancy.gap),
     Entry("caustic", "Caustic of the beam", None, BEAM, ("caustic",), caustic.draw),
 )

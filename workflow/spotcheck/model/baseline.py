@@ -24,9 +24,13 @@ class Baseline(NamedTuple):
     top_hat: bool
     longest_s: float
 
+    def propagation(self, exposure_s, p1, p2):
+        """p_b [px] (Eq. 8)."""
+        return propagation.beam_propagation(exposure_s, p1, p2)
+
     def sigma(self, exposure_s, p1, p2):
         """σ_g [px] (Eqs. 7–8)."""
-        return propagation.spot_sigma(propagation.beam_propagation(exposure_s, p1, p2), self.laser_px)
+        return propagation.spot_sigma(self.propagation(exposure_s, p1, p2), self.laser_px)
 
     def relative_peak(self, exposure_s, p1, p2):
         """Peak of the Gaussian as a fraction of that at the longest exposure.
@@ -36,9 +40,13 @@ class Baseline(NamedTuple):
         return self._law(exposure_s, p1, p2) / self._law(self.longest_s, p1, p2)
 
     def _law(self, exposure_s, p1, p2):
-        sigma = self.sigma(exposure_s, p1, p2)
+        return self.peak_law(exposure_s, self.propagation(exposure_s, p1, p2))
+
+    def peak_law(self, exposure_s, propagation_px):
+        """What the peak is proportional to, from p_b [px]: (p_b/σ_g)² or t/σ_g²."""
+        sigma = propagation.spot_sigma(propagation_px, self.laser_px)
         if self.photon_budget == "spot_area":
-            return (propagation.beam_propagation(exposure_s, p1, p2) / sigma) ** 2
+            return (propagation_px / sigma) ** 2
         return exposure_s / sigma**2
 
     def light(self, x, y, exposure_s, p1, p2, peak, x0, y0):

@@ -59,16 +59,16 @@ def reading(light_dn, exposure_s: float, sensor: SensorModel) -> Reading:
     """
     gain = sensor.gain_dn_per_e
     electrons = light_dn / gain + sensor.dark_current_e_per_s * exposure_s
-    well = _clipped_normal(electrons, electrons, 1.0, -np.inf, sensor.full_well_e, rounding=0.0)
+    well = clipped_normal(electrons, electrons, 1.0, -np.inf, sensor.full_well_e, rounding=0.0)
     mean = gain * well.mean + sensor.black_level_dn
     noise = gain**2 * (well.variance + sensor.read_noise_e**2)
     # Below the well a DN of mean brings K DN² of variance. Near it the variance falls again, which is left out: there
     # the converter's own clip is far away.
-    out = _clipped_normal(mean, noise, gain, 0.0, sensor.full_scale_dn, rounding=ROUNDING_VARIANCE)
+    out = clipped_normal(mean, noise, gain, 0.0, sensor.full_scale_dn, rounding=ROUNDING_VARIANCE)
     return Reading(out.mean, out.variance, out.response * well.response)
 
 
-def _clipped_normal(mean, variance, variance_slope, low: float, high: float, rounding: float) -> Reading:
+def clipped_normal(mean, variance, variance_slope, low: float, high: float, rounding: float) -> Reading:
     """Moments of clip(z, low, high) for normal z; response is d/d mean, with d variance / d mean = variance_slope.
 
     With `rounding` = 1/12, z is rounded to whole numbers before the clip. A sum over whole numbers is the midpoint

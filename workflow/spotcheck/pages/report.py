@@ -11,12 +11,15 @@ import xarray as xr
 
 from spotcheck import optics, store
 from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.sentence import condition_text, place_text, value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import preferred
 from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.estimate.spotfit import PARAMETERS
 from spotcheck.figures import style
+from spotcheck.figures.registry import VERDICT
+from spotcheck.model.effects import vocabulary
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.pages import write_page
 from spotcheck.pages.table3 import parameters
@@ -26,6 +29,8 @@ from spotcheck.paper.level import readings
 LARGEST_SVG = 400_000
 # Rows of the table of fits; all of them are in fits.nc.
 MOST_FITS = 200
+# Rows of the table of places; all of them are in verdict.json.
+MOST_PLACES = 12
 
 
 def write(dataset: Dataset, results: Path, path: Path) -> None:
@@ -35,6 +40,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
     stages = [(name, ds.attrs["skipped"]) for name, ds in files.items() if "skipped" in ds.attrs]
     if not dataset.spots:
         stages.append(("spots", "the manifest names no frame of kind spot: crops, fits and all that follows them"))
+    figures = [f | {"image": _image(results / "figures", f["name"])} for f in index["figures"]]
     content: dict[str, Any] = {
         "title": dataset.title,
         "dataset": dataset,
@@ -42,7 +48,9 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "not_recorded": [axis.name for axis in dataset.axes if axis.values is None] if dataset.spots else [],
         "skipped": stages,
         "skipped_figures": index["skipped"],
-        "figures": [f | {"image": _image(results / "figures", f["name"])} for f in index["figures"]],
+        "figures": [f for f in figures if f["category"] != VERDICT],
+        "missing": _missing(results / "verdict.json"),
+        "missing_figures": [f for f in figures if f["category"] == VERDICT],
         "chain": _image(results / "chain", "fig06"),
         "sensor": _sensor(files.get("sensor")),
         "calibration": _calibration(files.get("calibration")),
@@ -206,6 +214,64 @@ def _precision(ds: xr.Dataset | None) -> dict[str, Any] | None:
 def _unit(coordinate: xr.DataArray) -> str:
     units = str(coordinate.attrs.get("units", ""))
     return {"degree": "°", "1": ""}.get(units, units)
+
+
+def _missing(path: Path) -> dict[str, Any] | None:
+    """The verdict in rows of text."""
+    if not path.exists():
+        return None
+    verdict = json.loads(path.read_text(encoding="utf-8"))
+    effects = [
+        {
+            "name": own["name"],
+            "text": vocabulary()[own["name"]].sentence,
+            "values": [
+                f"{key} = {value_text(p['value'], p['stderr'], p['unit'])}" for key, p in own["parameters"].items()
+            ],
+            "rivals": [name for name in own["candidates"] if name != own["name"]],
+            "closed": _percent(own["gap_closed"]),
+        }
+        for own in verdict["effects"]
+    ]
+    gap = verdict["gap"]
+    shifts = [
+        (name, _plain(own["before"], ".4f"), value_text(own["after"], own["stderr"], own["unit"]))
+        for name, own in verdict["baseline_shift"].items()
+        if own["before"] is not None and effects
+    ]
+    places = [
+        (
+            row["block"],
+            place_text(row),
+            "all" if row["angle_deg"] is None else f"{row['angle_deg']:.4g}°",
+            "all" if row["exposure_s"] is None else value_text(row["exposure_s"], None, "s"),
+            f"{row['z']:.3g}".replace("-", "−"),
+            _percent(row["share"]),
+        )
+        for row in verdict["where"]
+    ]
+    return {
+        "status": verdict["status"].replace("_", " "),
+        "sentence": verdict["sentence"],
+        "effects": effects,
+        "explanations": [" + ".join(own) for own in verdict["explanations"][1:]],
+        "gap": [(key, _plain(gap[key])) for key in ("before", "after", "noise_floor")] if gap["on"] else [],
+        "gap_on": gap["on"],
+        "closed": _percent(gap["closed"]),
+        "shifts": shifts,
+        "places": places[:MOST_PLACES],
+        "more_places": len(places) - MOST_PLACES,
+        "advice": [(own["frames"], condition_text(own["condition"]), own["separates"]) for own in verdict["advice"]],
+        "not_assessed": [(own["effect"], own["why"]) for own in verdict["not_assessed"]],
+    }
+
+
+def _plain(value: float | None, form: str = ".3g") -> str:
+    return "–" if value is None else format(value, form).replace("-", "−")
+
+
+def _percent(part: float | None) -> str:
+    return "–" if part is None else f"{100 * part:.3g} %".replace("-", "−")
 
 
 def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:

@@ -1,0 +1,255 @@
+"""A case, drawn, cropped and judged in memory with the library's own functions: all that the suite knows of them."""
+
+import dataclasses
+import fcntl
+import json
+import math
+import signal
+import time
+import traceback
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rig import hidden
+from spotcheck import frames, instrument
+from spotcheck.discrepancy.calibration import Kind, calibrate, digest_of, stored
+from spotcheck.discrepancy.cells import Setting
+from spotcheck.discrepancy.detect import Null
+from spotcheck.discrepancy.extend import Tolerance
+from spotcheck.discrepancy.shots import Design, Shot, design_of
+from spotcheck.discrepancy.verdict import Judgement, discovery_design, judge, verdict_json
+from spotcheck.instrument import Instrument
+from spotcheck.model.baseline import of_instrument
+from spotcheck.model.sensor import SensorModel
+from tests.blind.by_command import differences
+from tests.blind.limit import limit_of
+from tests.blind.plan import Job
+from tests.blind.told import told_truth
+
+NullOf = Callable[[Design, Kind], Null]
+# As in config/config.yaml, so that the command line finds the same null laws.
+NULL_SEED, NULL_COUNT = 20210, 1500
+# A null set takes at most this long, a verdict too [s].
+NULL_SECONDS, PATIENCE = 0.8, 900
+TOLERANCE = Tolerance()
+# So many jobs at the plan's beginning also go through folder, TIFF and command line; one in so many by the workflow.
+BY_COMMAND, WHOLE = 130, 12
+
+
+class Set(NamedTuple):
+    """What an analysis may see of a case."""
+
+    shots: list[Shot]
+    setting: Setting
+    kind: Kind
+
+
+class Busy(Exception):
+    """Another process is at the null law that this job needs."""
+
+
+def record_of(job: Job, null_of: NullOf, tolerance: Tolerance = TOLERANCE, told: bool = True) -> dict[str, Any]:
+    """Draw and judge one case. An exception is an outcome like others; only `Busy` passes."""
+    out: dict[str, Any] = {"job": job._asdict(), "outcome": "judged", "truth": None, "verdict": None, "told": None}
+    start = time.perf_counter()
+    try:
+        case = hidden.draw_case(job.seed, job.kind, job.design)
+        out["truth"] = case.truth
+        if passed_over(job, case):
+            return out | {"outcome": "passed over"}
+        seen = set_of(case, job.budget)
+        drawn = time.perf_counter()
+        null = null_of(discovery_design(seen.shots)[0], seen.kind)
+        ready = time.perf_counter()
+        with _within(PATIENCE):
+            judgement = judge(seen.shots, seen.setting, seen.kind, lambda design, kind: null, tolerance)
+            verdict = verdict_json(judgement, f"{job.seed}", tolerance)
+        done = time.perf_counter()
+        out["seconds"] = {"draw": drawn - start, "null": ready - drawn, "judge": done - ready}
+        # Whatever was judged must be fit for a file.
+        out["verdict"] = json.loads(json.dumps(verdict, allow_nan=False))
+        if told:
+            out["told"], out["told_error"] = _told(judgement, case, seen.shots, tolerance)
+            out["seconds"]["told"] = time.perf_counter() - done
+    except Busy:
+        raise
+    except Exception as error:
+        out |= {"outcome": "error", "error": _said(error)}
+    return out
+
+
+def compared(record: dict[str, Any], nulls: "Nulls") -> dict[str, Any]:
+    """The record with what the command line says otherwise; as it is where that is not asked for."""
+    job = Job(**record["job"])
+    if nulls.keep or job.budget or job.number >= BY_COMMAND or record["outcome"] != "judged":
+        return record
+    start = time.perf_counter()
+    whole = job.number % WHOLE == 0
+    try:
+        apart = differences(job, record["verdict"], nulls.folder, nulls.count, nulls.seed, whole)
+    except Exception as error:
+        apart = [_said(error)]
+    return record | {"command": {"whole": whole, "differences": apart, "seconds": time.perf_counter() - start}}
+
+
+def _told(
+    judgement: Judgement, case: hidden.Case, shots: list[Shot], tolerance: Tolerance
+) -> tuple[dict[str, Any] | None, str]:
+    """What a model told the truth does; where that fails it is the suite's failure, not the verdict's."""
+    try:
+        with _within(PATIENCE):
+            own = told_truth(judgement, case.truth, shots)
+            if own is not None and len(case.truth["effects"]) == 1:
+                own["limit"] = limit_of(case, tolerance)
+            return json.loads(json.dumps(own, allow_nan=False)), ""
+    except Exception as error:
+        return None, _said(error)
+
+
+def _said(error: Exception) -> str:
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno} in {where.name})"
+
+
+def passed_over(job: Job, case: hidden.Case) -> bool:
+    """Sensors of 12 bit are judged in the default design alone: elsewhere they would double the null laws to be made.
+
+    The data sheet decides this, which an analysis may see.
+    """
+    return job.design != "default" and case.instrument["sensor"]["bit_depth"] != 10
+
+
+def set_of(case: hidden.Case, budget: str = "") -> Set:
+    """Crops of all frames, by the library's own search for the spot."""
+    data_sheet = instrument_of(case.instrument)
+    if budget:
+        model = dataclasses.replace(data_sheet.model, photon_budget=budget)
+        data_sheet = dataclasses.replace(data_sheet, model=model)
+    crop = data_sheet.crop_px
+    shots, shape = [], (0, 0)
+    for k, (row, frame) in enumerate(hidden.frames(case)):
+        spot = frames.light_centroid(frame, crop)
+        image, shape = frames.cut(frame, spot, crop), frame.shape
+        if not spot.found:
+            continue
+        left, top = spot.column - crop // 2, spot.row - crop // 2
+        shots.append(
+            Shot(
+                _number(row["angle_deg"]), _number(row["exposure_s"]), int(row["repeat"]), k, (), left, top, _is(image)
+            )
+        )
+    own = data_sheet.sensor
+    assert own.gain_dn_per_e is not None and own.read_noise_e is not None
+    full_scale = 2.0 ** (own.bit_depth or 0) - 1
+    sensor = SensorModel(
+        own.gain_dn_per_e, own.read_noise_e, own.dark_current_e_per_s,
+        np.inf if own.full_well_e is None else own.full_well_e, own.black_level_dn, full_scale, own.quantum_efficiency,
+    )  # fmt: skip
+    exposures = tuple(sorted({s.exposure_s for s in shots if s.exposure_s is not None}))
+    baseline = of_instrument(data_sheet, exposures)
+    rows, columns = shape
+    setting = Setting(baseline, sensor, float(rows), ((columns - 1) / 2, (rows - 1) / 2))
+    return Set(shots, setting, Kind(crop, own.bit_depth or 0, baseline.photon_budget, baseline.top_hat))
+
+
+def instrument_of(content: dict[str, Any]) -> Instrument:
+    """Instrument from the content of instrument.yaml."""
+    own = dict(content)
+    sections = {name: kind(**(own.pop(name, None) or {})) for name, kind in instrument.SECTIONS.items()}
+    return Instrument(**own, **sections)
+
+
+class Nulls:
+    """Null laws by design and kind, each made once and kept in a folder; two processes never make the same one."""
+
+    def __init__(self, folder: Path, count: int, keep: bool = False, deadline: float = math.inf) -> None:
+        """With `keep`, for tuning, laws outlive changes of the code and serve all sensors and photon budgets. None is
+        begun that would pass the deadline."""
+        self.folder, self.count, self.seed, self.keep, self.deadline = folder, count, NULL_SEED, keep, deadline
+        self._known: dict[str, Null] = {}
+
+    def null_for(self, design: Design, kind: Kind) -> Null:
+        """The null law; raises `Busy` while another process makes it, or where too little time is left to make it."""
+        design = canonical(design)
+        if self.keep:
+            kind = kind._replace(bit_depth=10, photon_budget="free" if kind.photon_budget == "free" else "linear")
+        key = f"{zlib.crc32(repr((_grid(design), kind)).encode()):08x}"
+        if key not in self._known:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with (self.folder / f"{key}.lock").open("w") as lock:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise Busy from None
+                self._known[key] = self._kept(key, design, kind) if self.keep else self._fresh(design, kind)
+        return self._known[key]
+
+    def _fresh(self, design: Design, kind: Kind) -> Null:
+        """By the code as it is now."""
+        if not (self.folder / digest_of(design, kind, self.count, self.seed)).exists():
+            self._in_time()
+        return stored(self.folder, design, kind, self.count, self.seed)
+
+    def _kept(self, key: str, design: Design, kind: Kind) -> Null:
+        """By whatever code first made it."""
+        path = self.folder / f"{key}-{self.count}.json"
+        if not path.exists():
+            self._in_time()
+            null = calibrate(design, kind, self.count, self.seed)
+            path.write_text(json.dumps([null.names, *(v.tolist() for v in null[1:])]), encoding="utf-8")
+        names, *numbers = json.loads(path.read_text(encoding="utf-8"))
+        return Null(tuple(names), *(np.array(v) for v in numbers))
+
+    def _in_time(self) -> None:
+        if time.time() + NULL_SECONDS * self.count > self.deadline:
+            raise Busy
+
+
+def _grid(design: Design) -> tuple:
+    conditions = [
+        (float(design.angle_deg[c]), float(design.exposure_s[c]), int(r))
+        for c, r in zip(design.condition, design.repeat, strict=True)
+    ]
+    return tuple(conditions)
+
+
+def canonical(design: Design) -> Design:
+    """The same grid with its frames in one order: a null law depends on the grid, not on who came first."""
+    at = np.lexsort((design.condition, design.repeat, design.place[design.condition]))
+    shots = [
+        Shot(
+            float(design.angle_deg[design.condition[k]]), float(design.exposure_s[design.condition[k]]),
+            int(design.repeat[k]), number, (), 0, 0, _is(np.zeros((1, 1))),
+        )
+        for number, k in enumerate(at)
+    ]  # fmt: skip
+    return design_of(shots)
+
+
+@contextmanager
+def _within(seconds: int) -> Iterator[None]:
+    """Raise TimeoutError in what takes longer."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"longer than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _is(image: np.ndarray) -> Callable[[], np.ndarray]:
+    return lambda: image
+
+
+def _number(value: Any) -> float | None:
+    return None if value in ("", None) else float(value)

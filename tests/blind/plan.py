@@ -1,0 +1,94 @@
+"""What is run: streams of cases that are dealt by their shares, so that every beginning of the plan is balanced.
+
+The plan has no end. A job's seed is the base seed plus its number, so that no two jobs share one.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import count, cycle
+from typing import NamedTuple
+
+from rig import hidden
+
+# ASSUME: everything below was used for tuning at one time or another.
+FIRST_FRESH = 1_000_000
+# The base seed of the published scores.
+PUBLISHED = 20_000_000
+# Where several designs have a part in a stream, how often each.
+NULL_DESIGNS = {
+    "default": 6, "two_exposures": 4, "three_repeats": 4, "one_exposure": 3, "one_site": 2, "single_frame": 2,
+}  # fmt: skip
+EFFECT_DESIGNS = {
+    "default": 12, "two_exposures": 1, "three_repeats": 2, "one_exposure": 1, "one_site": 1, "single_frame": 1,
+    "eight_angles": 1,
+}  # fmt: skip
+# Shares of the streams. Of 6000 jobs 2040 are null sets, 1860 have one strong effect (76 each).
+SHARES = {"none": 34, "strong": 31, "mid": 7, "faint": 8, "outside": 10, "two": 6, "three": 2, "four": 2}
+
+
+class Job(NamedTuple):
+    """One case: its number in the plan, seed, kind and design as `rig.hidden` has them; the photon budget it is judged
+    by, where that is not the stated one."""
+
+    number: int
+    seed: int
+    kind: str
+    design: str
+    budget: str = ""
+
+
+def plan(base: int = PUBLISHED, tuning: bool = False) -> Iterator[Job]:
+    """Jobs without end. Seeds that were used for tuning are refused unless the run is for tuning."""
+    if base < FIRST_FRESH and not tuning:
+        raise ValueError(f"seeds below {FIRST_FRESH:,} were used for tuning; give --tuning, or another base")
+    streams = {
+        "none": _nulls(),
+        "strong": _ones("strong"),
+        "mid": _ones("mid"),
+        "faint": _ones("faint"),
+        "outside": _outside(),
+        **{number: _several(number) for number in ("two", "three", "four")},
+    }
+    for number, name in enumerate(dealt(SHARES)):
+        yield Job(number, base + number, *next(streams[name]))
+
+
+def dealt(shares: dict[str, int]) -> Iterator[str]:
+    """Names without end, each as often as its share wants and spread evenly: the most overdue comes next."""
+    total, given = sum(shares.values()), dict.fromkeys(shares, 0)
+    for number in count(1):
+        name = max(shares, key=lambda own: shares[own] * number / total - given[own])
+        given[name] += 1
+        yield name
+
+
+def _nulls() -> Iterator[tuple[str, str, str]]:
+    """Null sets; every eighth is judged by a baseline that leaves each frame's light free."""
+    for number, design in enumerate(dealt(NULL_DESIGNS)):
+        yield "none", design, "free" if number % 8 == 7 and design in ("three_repeats", "one_exposure") else ""
+
+
+def _ones(level: str) -> Iterator[tuple[str, str]]:
+    """Every effect in turn, each through the designs on its own."""
+    return _rotated([f"one:{name}:{level}" for name in hidden.EFFECTS])
+
+
+def _outside() -> Iterator[tuple[str, str]]:
+    return _rotated([f"outside:{name}:strong" for name in hidden.OUTSIDE])
+
+
+def _several(number: str) -> Iterator[tuple[str, str]]:
+    return _rotated([f"{number}:strong"])
+
+
+def _rotated(kinds: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Kinds in turn. Each starts elsewhere in the row of designs, so that no round shows one design alone."""
+    designs = {kind: _offset(dealt(EFFECT_DESIGNS), 5 * k) for k, kind in enumerate(kinds)}
+    for kind in cycle(kinds):
+        design = next(designs[kind])
+        yield kind, design if hidden.possible(kind, design) else "default"
+
+
+def _offset(names: Iterator[str], steps: int) -> Iterator[str]:
+    for _ in range(steps):
+        next(names)
+    return names

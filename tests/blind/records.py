@@ -1,0 +1,58 @@
+"""Records: one JSON line a job, in a file that later calls at the same commit add to."""
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "results" / "blind"
+Record = dict[str, Any]
+
+
+# What scores depend on.
+CODE = ("workflow", "tests/blind", ":!workflow/docs")
+
+
+def commit() -> str:
+    """Short hash of the last commit that touched what scores depend on; `-dirty` where files differ from it."""
+    last = _git("rev-list", "-1", "--abbrev-commit", "--abbrev=12", "HEAD", "--", *CODE).strip()
+    return last + ("-dirty" if _git("status", "--porcelain", "--", *CODE).strip() else "")
+
+
+def read(path: Path) -> list[Record]:
+    """All records of a file, none if there is no file; a line cut short by a crash is left out."""
+    return list(_lines(path)) if path.exists() else []
+
+
+def _lines(path: Path) -> Iterator[Record]:
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            yield json.loads(line)
+        except json.JSONDecodeError:
+            continue
+
+
+class Writer:
+    """Adds records to a file, each on disk before the next."""
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
+        self._stream = path.open("a", encoding="utf-8")
+        if not whole:
+            self._stream.write("\n")
+
+    def add(self, record: Record) -> None:
+        """Write one record."""
+        self._stream.write(json.dumps(record, allow_nan=False) + "\n")
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True).stdout

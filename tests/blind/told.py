@@ -1,0 +1,91 @@
+"""What a model makes of the same frames that is told which effects are in them, and how well they can be told apart."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from spotcheck.discrepancy.explain import Account, account, is_component
+from spotcheck.discrepancy.extend import Findings, about, closer_account
+from spotcheck.discrepancy.isolability import isolation
+from spotcheck.discrepancy.look import Look
+from spotcheck.discrepancy.name import CONTAINS, assessable
+from spotcheck.discrepancy.shots import Shot, design_of, held_out
+from spotcheck.discrepancy.verdict import Judgement, parameters_of
+from spotcheck.discrepancy.verify import verify
+from spotcheck.model.effect import Effect, Present
+from spotcheck.model.effects import vocabulary
+
+# Where isolation is worth its time: signal-to-noise of the truth.
+STRONG = 90.0
+# A rival that is this far behind in −2 ln L on the data is further than 25 behind without their noise, by ten standard
+# deviations.
+CLEAR = 400.0
+
+
+def told_truth(judgement: Judgement, truth: dict[str, Any], shots: Sequence[Shot]) -> dict[str, Any] | None:
+    """Gap closed, parameters with errors, and isolation; None where there is nothing to tell."""
+    found = judgement.findings
+    entries = truth["effects"]
+    if found is None or not entries:
+        return None
+    own = account_of(found.look, entries)
+    out: dict[str, Any] = {"score": own.score - found.base.score}
+    if len(entries) == 1 and entries[0]["snr"] >= STRONG:
+        out["isolation"] = isolation_of(found, own)
+    if found.explanations:
+        out["closed"] = closed_by(found, own, shots)
+        near = about(shots_of_discovery(shots), found.look, own)
+        best = found._replace(best=(near, closer_account(near, own)))
+        out["parameters"] = {name: parameters_of(best, name) for name in own.names}
+    return out
+
+
+def account_of(look: Look, entries: Sequence[dict[str, Any]]) -> Account:
+    """The best account of the true effects, from their true parameters, over the library's forms and, for constants
+    that the truth does not hold, over its starts."""
+    trials = [_presents(look, vocabulary()[entry["name"]], entry["parameters"]) for entry in entries]
+    chosen = [own[0] for own in trials]
+    best = account(look, chosen)
+    for k, others in enumerate(trials):
+        for other in others[1:]:
+            trial = [*chosen[:k], other, *chosen[k + 1 :]]
+            found = account(look, trial)
+            if found.score < best.score:
+                best, chosen = found, trial
+    return best
+
+
+def _presents(look: Look, effect: Effect, given: dict[str, float]) -> list[Present]:
+    starts = list(effect.starts(look.problem.context)) or [tuple(0.0 for _ in effect.parameters)]
+    values = [
+        tuple(float(given.get(p.name, value)) for p, value in zip(effect.parameters, start, strict=True))
+        for start in starts
+    ]
+    forms = effect.forms[:1] if is_component(effect) else effect.forms
+    return [Present(effect, form, own) for form in forms for own in dict.fromkeys(values)]
+
+
+def closed_by(found: Findings, own: Account, shots: Sequence[Shot]) -> float | None:
+    """Part of the gap on unseen data that the account closes."""
+    whole = design_of(shots)
+    out = np.flatnonzero(held_out(whole.repeat))
+    unseen = [shots[int(k)] for k in out]
+    gap = verify(found.look, found.base, [own], unseen, whole.take(out) if len(out) else None)
+    return float(gap.closed) if np.isfinite(gap.closed) else None
+
+
+def shots_of_discovery(shots: Sequence[Shot]) -> list[Shot]:
+    """The frames that may choose the model."""
+    held = held_out(design_of(shots).repeat)
+    return [shot for shot, out in zip(shots, held, strict=True) if not out]
+
+
+def isolation_of(found: Findings, own: Account) -> dict[str, float]:
+    """−2 ln L by which every rival falls behind an account if that is the truth. Those that contain it do not count:
+    the simplest wins. Where all fall far behind on the data themselves, that is told instead: it is much faster."""
+    contains = {name for single in own.names for name in CONTAINS.get(single, ())} | {"", *own.names}
+    rivals = {name: score - (own.score - found.base.score) for name, (score, _) in found.evidence.items()}
+    if not rivals or min((v for k, v in rivals.items() if k not in contains), default=0.0) < CLEAR:
+        rivals = isolation(found.look, own, assessable(found.look)[0])
+    return {name: float(delta) for name, delta in rivals.items() if name not in contains}

@@ -1,0 +1,270 @@
+"""The vocabulary of effects: the dataset contract's words, strengths at which nothing happens, one file an effect."""
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+
+from spotcheck.cli import main
+from spotcheck.model import effects
+from spotcheck.model.chain import Law
+from spotcheck.model.effect import Place
+from spotcheck.model.effects import vocabulary
+from spotcheck.pages import effects as page
+from spotcheck.provenance import sources
+from tests.library.conftest import ROOT
+from tests.library.effect_cases import (
+    CONTEXTS,
+    ELLIPSES,
+    FRINGES,
+    GHOST,
+    HALO,
+    PEDESTALS,
+    SENSOR,
+    VIEW,
+    all_moments,
+    fast_light,
+    of,
+    title,
+)
+
+# The contract's table and "keys under parameters", with its units; constants of a form are not among them.
+CONTRACT = {
+    "saturation": {"level": "DN"},
+    "nonlinearity": {"q": "1"},
+    "black_clipping": {"threshold": "DN"},
+    "dark_offset": {"level": "DN"},
+    "background_gradient": {"level": "DN", "slope": "DN per 100 px", "direction": "deg"},
+    "super_gaussian": {"n": "1"},
+    "scatter_halo": {"fraction": "1", "radius": "px"},
+    "fibre_anisotropy": {"ratio": "1"},
+    "beam_ellipticity": {"ratio": "1", "direction": "deg"},
+    "angle_reflectance": {"d": "1", "gamma0": "deg"},
+    "photon_budget": {"q": "1"},
+    "shutter_offset": {"offset": "s"},
+    "spread_law": {"exponent": "1"},
+    "motion_blur": {"speed": "px/s", "direction": "deg"},
+    "interference_fringes": {"d": "1", "period": "px", "direction": "deg"},
+    "ghost_reflection": {"fraction": "1", "dx": "px", "dy": "px"},
+    "speckle": {"contrast": "1", "grain": "px"},
+    "excess_read_noise": {"total": "e-"},
+    "power_fluctuation": {"rms": "1"},
+    "laser_drift": {"total": "1"},
+    "pointing_jitter": {"rms": "px"},
+    "fixed_pattern": {"prnu": "1", "hot_pixels": "1"},
+    "row_noise": {"rms": "DN"},
+    "smear": {"fraction": "1"},
+}
+every_effect = pytest.mark.parametrize("name", CONTRACT)
+every_context = pytest.mark.parametrize("context", CONTEXTS.values(), ids=CONTEXTS)
+
+
+def test_the_vocabulary_is_the_contracts():
+    """24 names, in the contract's order, numbered from 1."""
+    assert list(vocabulary()) == list(CONTRACT)
+    assert [effect.number for effect in vocabulary().values()] == list(range(1, 25))
+    assert all(name == effect.name for name, effect in vocabulary().items())
+
+
+@every_effect
+def test_parameters_are_the_contracts(name):
+    """Keys and units; what a form adds is marked `inner`."""
+    effect = vocabulary()[name]
+    assert {p.name: p.unit for p in effect.parameters if not p.inner} == CONTRACT[name]
+    # The strength is one that a person is told.
+    assert not effect.parameters[0].inner
+
+
+@every_effect
+def test_an_effect_is_well_formed(name):
+    """What the rest of the library relies on."""
+    effect = vocabulary()[name]
+    assert effect.sentence[0].islower() and not effect.sentence.endswith(".")
+    assert len(set(effect.forms)) == len(effect.forms) > 0
+    assert set(effect.idle) <= set(effect.forms)
+    names = {p.name for p in effect.parameters}
+    assert len(names) == len(effect.parameters)
+    assert all(set(idle) <= names for idle in effect.idle.values())
+    assert set(effect.replaces) <= set(Law._fields)
+    assert (effect.scatter is None) == (effect.place is not Place.SCATTER)
+    assert callable(effect.function)
+
+
+@every_context
+@every_effect
+def test_bounds_hold_the_starts(name, context):
+    """One value a parameter, all within the bounds, which are in order; and the strength has room on either side."""
+    effect = vocabulary()[name]
+    low, high = effect.bounds(context).T
+    assert np.all(low < high)
+    for start in effect.starts(context):
+        assert len(start) == len(effect.parameters)
+        assert np.all(low <= start) and np.all(start <= high), (start, low, high)
+
+
+NEUTRAL = [
+    of("nonlinearity", q=0.0),
+    *(of("black_clipping", form, threshold=0.0) for form in ("subtracted", "dead zone")),
+    *(of("dark_offset", form, level=0.0) for form in ("light", "electronic")),
+    of("super_gaussian", n=1.0),
+    *(case._replace(values=case.values | {"fraction": 0.0}) for case in HALO),
+    *(case._replace(values=case.values | {"ratio": 1.0}) for case in ELLIPSES[:3]),
+    of("angle_reflectance", d=0.0, gamma0=30.0),
+    of("photon_budget", q=0.0),
+    of("shutter_offset", offset=0.0),
+    of("motion_blur", speed=0.0, direction=10.0),
+    *(case._replace(values=case.values | {"d": 0.0}) for case in FRINGES),
+    GHOST._replace(values=GHOST.values | {"fraction": 0.0}),
+    of("excess_read_noise", total=SENSOR.read_noise_e),
+    of("laser_drift", total=0.0),
+    of("row_noise", rms=0.0),
+    of("smear", fraction=0.0),
+]
+
+
+@pytest.mark.parametrize("case", NEUTRAL, ids=title)
+def test_an_effect_without_strength_changes_nothing(case):
+    """Mean and variance of every reading, to rounding: 1e-12 of a few hundred DN."""
+    view = VIEW._replace(wave_cos=0 * VIEW.wave_cos, wave_sin=0 * VIEW.wave_sin)
+    plain, own = all_moments([], view=view), all_moments([case], view=view)
+    np.testing.assert_allclose(own.mean, plain.mean, rtol=1e-11)
+    # ρ² is kept above 2e-12, so that its logarithm is finite; weights of a path sum to 1 to rounding.
+    np.testing.assert_allclose(own.variance, plain.variance, rtol=1e-11)
+
+
+@pytest.mark.parametrize("case", NEUTRAL, ids=title)
+def test_neutral_is_said_in_the_file(case):
+    """`neutral` is the value of the first parameter at which the test above saw nothing, within its bounds; NaN where
+    it depends on the sensor."""
+    effect = vocabulary()[case.name]
+    strength = case.values[effect.parameters[0].name]
+    low, high = effect.bounds(CONTEXTS["the paper's"])[0]
+    assert low <= strength <= high
+    assert effect.neutral == strength or np.isnan(effect.neutral)
+
+
+def test_effects_that_never_vanish_say_so():
+    """Saturation goes away as its level rises; a power law never is the logarithm."""
+    missing = set(CONTRACT) - {case.name for case in NEUTRAL}
+    drawn_only = {name for name, effect in vocabulary().items() if effect.scatter}
+    assert missing - drawn_only == {"saturation", "background_gradient", "spread_law"}
+    assert np.isinf(vocabulary()["saturation"].neutral) and np.isnan(vocabulary()["spread_law"].neutral)
+    far = all_moments([of("saturation", "sharp", level=1e9, knee=0.1)])
+    for got, want in zip(far, all_moments([]), strict=True):
+        np.testing.assert_allclose(got, want, rtol=1e-11)
+
+
+@pytest.mark.parametrize("form", ["light", "electronic"])
+def test_a_gradient_without_slope_is_a_dark_offset(form):
+    """The contract's "simplest wins" needs the two to be one there, and nothing at level 0."""
+    for level in (0.0, 12.0):
+        flat = all_moments([of("background_gradient", form, slope=0.0, level=level, direction=40.0)])
+        plain = all_moments([of("dark_offset", form, level=level)])
+        for got, want in zip(flat, plain, strict=True):
+            np.testing.assert_allclose(got, want, rtol=1e-12)
+
+
+# One effect, one file.
+
+EFFECTS_PAGE = ROOT / "workflow" / "docs" / "effects.md"
+
+
+@pytest.fixture
+def vignetting(tmp_path, monkeypatch):
+    """The page's own example, in a folder that is searched as well, for as long as a test lasts."""
+    blocks = EFFECTS_PAGE.read_text(encoding="utf-8").split("```python\n")
+    assert len(blocks) == 2
+    (tmp_path / "vignetting.py").write_text(blocks[1].split("```")[0], encoding="utf-8")
+    monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
+    vocabulary.cache_clear()
+    importlib.invalidate_caches()
+    yield vocabulary()["vignetting"]
+    sys.modules.pop(f"{effects.__name__}.vignetting")
+    del effects.vignetting
+    monkeypatch.undo()
+    vocabulary.cache_clear()
+
+
+def test_a_new_file_is_a_new_effect(vignetting):
+    """The example as it stands: last in the vocabulary, with bounds and a start, and at its place in the chain."""
+    assert list(vocabulary()) == [*CONTRACT, "vignetting"]
+    context = CONTEXTS["the paper's"]
+    (start,) = vignetting.starts(context)
+    low, high = vignetting.bounds(context).T
+    assert np.all(low <= start) and np.all(start <= high)
+    case = of("vignetting", a=0.3)
+    r2 = ((VIEW.x - 209.5) ** 2 + (VIEW.y - 149.5) ** 2) / 100**2
+    others = [HALO[1], GHOST]
+    np.testing.assert_allclose(
+        fast_light([*others, case]), fast_light(others) * np.maximum(1 - 0.3 * r2, 0), rtol=1e-12
+    )
+    # A pedestal does not pass the lens.
+    np.testing.assert_allclose(fast_light([case, PEDESTALS[0]]), fast_light([case]) + 17.0, rtol=1e-12)
+    assert (fast_light([of("vignetting", a=1.0)]) == 0).any()
+
+
+def test_a_new_effect_can_be_fitted(vignetting):
+    """Means of its own making give its strength back through `chain.moments`, by Gauss–Newton from its start."""
+    truth = all_moments([of("vignetting", a=0.08)])
+    (a,) = vignetting.starts(CONTEXTS["the paper's"])[0]
+    for _ in range(6):
+        now = all_moments([of("vignetting", a=a)])
+        slope = (all_moments([of("vignetting", a=a + 1e-4)]).mean - now.mean) / 1e-4
+        a += np.sum(slope * (truth.mean - now.mean) / now.variance) / np.sum(slope**2 / now.variance)
+    assert a == pytest.approx(0.08, rel=1e-6)
+
+
+def test_the_new_effect_is_gone_again():
+    """Tests do not change the vocabulary for each other."""
+    assert list(vocabulary()) == list(CONTRACT)
+    assert f"{effects.__name__}.vignetting" not in sys.modules
+
+
+def test_a_new_effect_is_on_the_page(vignetting):
+    """With its parameter, its bounds and its place."""
+    text = page.page(vocabulary().values())
+    own = text[text.index("## 25.") : text.index("## Adding an effect")]
+    assert "The light falls off from the frame's centre." in own
+    assert "| `a` | 1 | 0 | 1 | vanishes at 0 |" in own
+    assert "| modulation | multiplies all light so far | interference_fringes, vignetting |" in text
+
+
+def test_the_page_is_up_to_date(tmp_path, capsys):
+    """workflow/docs/effects.md is what `spotcheck effects` writes."""
+    main(["effects", "--output", str(tmp_path / "effects.md")])
+    assert (tmp_path / "effects.md").read_text(encoding="utf-8") == EFFECTS_PAGE.read_text(encoding="utf-8")
+    assert "24 effects" in capsys.readouterr().out
+
+
+def test_the_page_says_it_all():
+    """Every effect with number and sentence, every parameter with its unit, every form, every place; links that lead
+    somewhere; what a bound depends on in words."""
+    text = EFFECTS_PAGE.read_text(encoding="utf-8")
+    assert set(page.PLACES) == set(Place)
+    for effect in vocabulary().values():
+        own = text[text.index(f"## {effect.number}. [{effect.name}]") :].split("\n## ")[0]
+        assert effect.sentence[1:] in own and f"Place: {effect.place.value} " in own
+        assert all(f"| `{p.name}` | {p.unit} |" in own for p in effect.parameters)
+        assert all(f"`{form}`" in own for form in effect.forms if form)
+    for target in [part.split(")")[0] for part in text.split("](")[1:]]:
+        assert (EFFECTS_PAGE.parent / target).exists(), target
+    assert "| `offset` | s | −0.5 × shortest exposure | 0.5 × shortest exposure |" in text
+    assert "1000 × (read noise + 1)" in text
+
+
+def test_bounds_in_words():
+    """Sums in products keep their brackets; what is more than arithmetic is said to come from the data."""
+    assert page.bound(0.25) == "0.25" and page.bound(-np.inf) == "any"
+    assert page.bound(lambda c: -c.crop_px / 4) == "−crop / 4"
+    assert page.bound(lambda c: 2 - (c.crop_px + 1) * 3) == "2 − (crop + 1) × 3"
+    assert page.bound(lambda c: 1 / (c.peak_dn - c.full_scale_dn)) == "1 / (peak − full scale)"
+    assert page.bound(lambda c: c.peak_dn - (c.crop_px - 1)) == "peak − (crop − 1)"
+    assert page.bound(lambda c: max(c.peak_dn, 3.0)) == "set by the data"
+
+
+def test_code_digests_follow_the_effects():
+    """Effects are found, not imported by name, and an edit of one must re-run what used it all the same."""
+    covered = {path.name for path in sources("spotcheck.cli.effects")}
+    missing = [name for name in CONTRACT if f"{name}.py" not in covered]
+    assert missing == []

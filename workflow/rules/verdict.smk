@@ -1,0 +1,122 @@
+rule discrepancy:
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        crops=rules.crop.output,
+        sensor=rules.sensor.output,
+    output:
+        f"{OUT}/findings.json",
+    log:
+        f"{OUT}/logs/discrepancy.log",
+    benchmark:
+        f"{OUT}/benchmarks/discrepancy.tsv"
+    conda:
+        "../envs/spotcheck.yaml"
+    threads: 2
+    resources:
+        mem_mb=2000,
+        runtime=60,
+    params:
+        folder=dataset_folder,
+        calibrations=lambda wildcards: f"{config['results']}/_calibration",
+        simulations=config["null_simulations"],
+        seed=config["seed"],
+        tolerance=json.dumps(config["tolerance"]),
+        code=code("discrepancy"),
+    message:
+        "Looking for what the model of {DATASET.name} is missing; a new design is calibrated first"
+    shell:
+        "spotcheck discrepancy {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
+        " --calibrations {params.calibrations:q} --simulations {params.simulations} --seed {params.seed}"
+        " --workers {threads} --tolerance {params.tolerance:q} --output {output:q} 2>&1 | tee {log:q}"
+
+
+rule verify:
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        crops=rules.crop.output,
+        sensor=rules.sensor.output,
+        findings=rules.discrepancy.output,
+    output:
+        f"{OUT}/gap.nc",
+    log:
+        f"{OUT}/logs/verify.log",
+    benchmark:
+        f"{OUT}/benchmarks/verify.tsv"
+    conda:
+        "../envs/spotcheck.yaml"
+    threads: 1
+    resources:
+        mem_mb=2000,
+        runtime=30,
+    params:
+        folder=dataset_folder,
+        code=code("verify"),
+    message:
+        "Predicting unseen frames of {DATASET.name}"
+    shell:
+        "spotcheck verify {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
+        " --findings {input.findings:q} --output {output:q} 2>&1 | tee {log:q}"
+
+
+rule advise:
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        crops=rules.crop.output,
+        sensor=rules.sensor.output,
+        findings=rules.discrepancy.output,
+    output:
+        f"{OUT}/advice.json",
+    log:
+        f"{OUT}/logs/advise.log",
+    benchmark:
+        f"{OUT}/benchmarks/advise.tsv"
+    conda:
+        "../envs/spotcheck.yaml"
+    threads: 1
+    resources:
+        mem_mb=2000,
+        runtime=30,
+    params:
+        folder=dataset_folder,
+        code=code("advise"),
+    message:
+        "Looking for the next measurement for {DATASET.name}"
+    shell:
+        "spotcheck advise {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
+        " --findings {input.findings:q} --output {output:q} 2>&1 | tee {log:q}"
+
+
+rule judge:
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        crops=rules.crop.output,
+        sensor=rules.sensor.output,
+        findings=rules.discrepancy.output,
+        gap=rules.verify.output,
+        advice=rules.advise.output,
+    output:
+        verdict=f"{OUT}/verdict.json",
+        pictures=f"{OUT}/discrepancy.nc",
+    log:
+        f"{OUT}/logs/judge.log",
+    benchmark:
+        f"{OUT}/benchmarks/judge.tsv"
+    conda:
+        "../envs/spotcheck.yaml"
+    threads: 1
+    resources:
+        mem_mb=2000,
+        runtime=30,
+    params:
+        folder=dataset_folder,
+        code=code("verdict"),
+    message:
+        "Writing the verdict on {DATASET.name}"
+    shell:
+        "spotcheck verdict {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
+        " --findings {input.findings:q} --gap {input.gap:q} --advice {input.advice:q}"
+        " --pictures {output.pictures:q} --output {output.verdict:q} 2>&1 | tee {log:q}"

@@ -1,0 +1,16 @@
+"""`spotcheck effects`: the page of effects."""
+
+import argparse
+from pathlib import Path
+
+from spotcheck.pages import effects
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("--output", required=True, type=Path, help="effects.md to write")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write the page from the effects' own files."""
+    print(f"{args.output}: {effects.write(args.output)} effects")

@@ -1,0 +1,1 @@
+"""Where simulation and measurement disagree, and what is missing: detect, locate, name, extend, verify, advise."""

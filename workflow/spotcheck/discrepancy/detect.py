@@ -1,0 +1,105 @@
+"""Whether anything disagrees: statistics of what is left, each on its own scale, and one calibrated p-value.
+
+Every statistic is nearly standardised by theory already; simulated null sets give the rest (mean, spread and skewness
+of each, whatever is correlated). The test statistic is the smallest single p; its own law is that of the null sets.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from spotcheck.discrepancy.modes import Modes
+from spotcheck.discrepancy.noise import Observable
+
+# Where a fitted tail is no longer to be believed, one more decade means nothing.
+DEEPEST = 300.0
+
+
+class Null(NamedTuple):
+    """The law of the statistics without any effect: names, mean, spread and skewness of each, and the test statistic of
+    every null set, ascending."""
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    spread: np.ndarray
+    skew: np.ndarray
+    surprise: np.ndarray
+
+
+class Detection(NamedTuple):
+    """p = (1 + #)/(1 + N), how many null sets, the largest surprise (−log10 of the smallest single p), and that of
+    every statistic by name."""
+
+    p_value: float
+    n_simulations: int
+    surprise: float
+    by_statistic: dict[str, float]
+
+
+def statistics(
+    modes: Modes, chi2: float, freedom: int, seen: Sequence[Observable], together: float = 1.0
+) -> dict[str, float]:
+    """All statistics by name; large means disagreement. `together` is the number of blocks that scatter as one."""
+    out = {"mean: all blocks": (chi2 - freedom) / np.sqrt(2 * freedom * together)}
+    for name, z in zip(modes._fields, modes, strict=True):
+        own = z[z != 0]
+        if own.size:
+            out[f"mean: modes by {name}"] = _cubic(float((own**2).sum()), own.size)
+            if name in ("all", "grey"):
+                out[f"mean: largest mode by {name}"] = float(np.abs(own).max())
+    noise = [o for o in seen if o.block == "variance"]
+    if noise:
+        z = np.array([o.value / o.error for o in noise])
+        precision = np.array([o.error**-2 for o in noise])
+        out["variance: in all"] = abs(float((z * np.sqrt(precision)).sum() / np.sqrt(precision.sum())))
+        out["variance: all levels"] = _cubic(float((z**2).sum()), z.size)
+        labels = sorted({o.label for o in noise})
+        sums = [np.array([(o.value / o.error**2, o.error**-2) for o in noise if o.label == own]).sum(axis=0)
+                for own in labels]  # fmt: skip
+        out["variance: by level"] = _cubic(float(sum(a * a / b for a, b in sums)), len(labels))
+    bands = np.array([o.value / o.error for o in seen if o.label == "band"])
+    if bands.size:
+        out["spectrum: bands"] = _cubic(float((bands**2).sum()), bands.size)
+        out["spectrum: sum of bands"] = abs(float(bands.sum()))
+    for o in seen:
+        if o.block != "variance" and o.label != "band":
+            signed = o.label not in ("stripes", "hot", "outliers") and not o.label.startswith("code")
+            out[f"{o.block}: {o.label}"] = abs(o.value / o.error) if signed else o.value
+    return out
+
+
+def _cubic(total: float, count: int) -> float:
+    """A sum of squares as a nearly normal number (Wilson and Hilferty 1931, doi:10.1073/pnas.17.12.684)."""
+    return float(((total / count) ** (1 / 3) - 1 + 2 / (9 * count)) / np.sqrt(2 / (9 * count)))
+
+
+def null_of(samples: Sequence[dict[str, float]]) -> Null:
+    """The law that null sets show."""
+    names = tuple(dict.fromkeys(name for sample in samples for name in sample))
+    table = np.array([[sample.get(name, np.nan) for name in names] for sample in samples])
+    mean, spread = np.nanmean(table, axis=0), np.maximum(np.nanstd(table, axis=0), 1e-9)
+    skew = np.clip(np.asarray(stats.skew(table, axis=0, nan_policy="omit"), float), 0.05, 4.0)
+    null = Null(names, mean, spread, skew, np.zeros(0))
+    return null._replace(surprise=np.sort([max(surprises(null, sample).values()) for sample in samples]))
+
+
+def surprises(null: Null, found: dict[str, float]) -> dict[str, float]:
+    """−log10 p of every statistic by its fitted law (Pearson's third: normal with a skewness)."""
+    value = np.array([found.get(name, np.nan) for name in null.names])
+    z = (value - null.mean) / null.spread
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = -stats.pearson3.logsf(z, null.skew) / np.log(10)
+    # Far out the tail function runs dry: what is known is only that it is far.
+    depth = np.where(np.isfinite(depth), depth, np.where(z > 0, DEEPEST, 0.0))
+    depth = np.where(np.isnan(value), 0.0, np.minimum(depth, DEEPEST))
+    return dict(zip(null.names, depth.tolist(), strict=True))
+
+
+def detect(null: Null, found: dict[str, float]) -> Detection:
+    """Rank of the largest surprise among those of the null sets."""
+    by_statistic = surprises(null, found)
+    largest = max(by_statistic.values())
+    above = len(null.surprise) - int(np.searchsorted(null.surprise, largest, side="left"))
+    return Detection((1 + above) / (1 + len(null.surprise)), len(null.surprise), largest, by_statistic)

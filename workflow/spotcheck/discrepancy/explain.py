@@ -1,0 +1,357 @@
+"""What a set of effects makes of a look: one joint fit of condition means and of noise, and what it leaves over."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar, nnls
+
+from spotcheck.discrepancy.cells import pooled
+from spotcheck.discrepancy.detect import statistics
+from spotcheck.discrepancy.look import Look
+from spotcheck.discrepancy.modes import modes_of
+from spotcheck.discrepancy.noise import COMPONENTS, Observable, block_correlation, grained, scatter_of
+from spotcheck.discrepancy.refit import Latent, Model, Refit, refit
+from spotcheck.model.chain import Moments, offset_response
+from spotcheck.model.effect import Effect, Place, Present
+
+# Which component of variance an effect is.
+COMPONENT = {
+    "row_noise": "row",
+    "fixed_pattern": "pixel",
+    "speckle": "grain",
+    "power_fluctuation": "gain",
+    "pointing_jitter": "centre",
+}
+# Grains [px] among which a granular field's is sought, then refined.
+GRAINS = np.geomspace(0.5, 14.0, 12)
+# A predicted excess of noise is trusted to this part of itself: loads rest on block means and on the form of a field.
+TRUST = 0.03
+# The correlation of a granular field has no fixed form; what it does to anything but its own power is trusted less.
+TRUST_GRAIN = 0.3
+# Shape of observables that no component explains; they speak only in what is left over.
+MARKS = ("stripes", "hot", "outliers", "skewness")
+
+
+class Account(NamedTuple):
+    """Effects with their forms; the joint fit; variance components with standard errors; the grain [px]; −2 ln L of
+    everything with 2 for each free number of an effect; statistics and observables of what is left."""
+
+    effects: tuple[tuple[Effect, str], ...]
+    refit: Refit
+    component: dict[str, float]
+    component_error: dict[str, float]
+    grain: float
+    score: float
+    left: dict[str, float]
+    observables: list[Observable]
+    latent: Latent
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects, in order."""
+        return tuple(effect.name for effect, _ in self.effects)
+
+    @property
+    def refit_effects(self) -> tuple[tuple[Effect, str], ...]:
+        """Effects that the joint fit holds: all but those that only scatter."""
+        return tuple((p.effect, p.form) for p in self.refit.model.present)
+
+
+def is_component(effect: Effect) -> bool:
+    """Whether an effect is a component of variance rather than a change of the mean."""
+    return effect.name in COMPONENT
+
+
+def account(look: Look, present: Sequence[Present], start: Model | None = None, target: float = np.inf) -> Account:
+    """Fit `present` (values are starts; those of variance components do not matter) beside the base, from `start`;
+    `target` as
+    for `refit`."""
+    start = start or look.problem.start
+    direct = tuple(own for own in present if not is_component(own.effect) or own.effect.name == "row_noise")
+    active = [COMPONENT[own.effect.name] for own in present if is_component(own.effect)]
+    effects = tuple((own.effect, own.form) for own in direct)
+    start = start._replace(present=direct)
+    if any(own.effect.place is Place.NOISE for own in direct):
+        direct = _with_noise(look, direct, start)
+        start = start._replace(present=direct)
+    at = look.problem.evaluate(start)
+    component, error, grain = _components(look, active, expected_of(look, at, direct))
+    latent = _latent(look, component, grain, active)
+    fit = refit(look.problem, effects, start._replace(present=_with_rows(direct, component)), latent, target)
+    expected = expected_of(look, fit.moments, fit.model.present)
+    if active:
+        component, error, grain = _components(look, active, expected)
+        latent = _latent(look, component, grain, active)
+        model = fit.model._replace(present=_with_rows(fit.model.present, component))
+        fit = refit(look.problem, effects, model, latent, target)
+        expected = expected_of(look, fit.moments, fit.model.present)
+    names = {own.effect.name for own in present}
+    fresh = "interference_fringes" in names and not any(
+        p.effect.name == "interference_fringes" for p in look.problem.start.present
+    )
+    striped = _striped(look, fit.model.present) if fresh else np.zeros(len(look.observables))
+    seen, noise_score = _left_over(look, component, grain, expected, striped)
+    numbers = sum(max(len(e.parameters) - len(e.idle.get(form, ())), 1) for e, form in effects)
+    numbers += len(active) - ("row" in active) + ("grain" in active) + fit.model.wave.size
+    score = fit.score + noise_score + 2 * numbers + _occam(look, fit, component)
+    seen = [o for o in seen if not _settled(o, names, fresh)]
+    shared = _shared_variance(look, component, grain, fit)
+    modes = modes_of(look.cells, look.setting, fit.residual, fit.variance, look.problem.used, shared)
+    freedom = max(int(look.problem.used.sum()) - fit.freedom, 1)
+    # Blocks that scatter together are fewer numbers than blocks.
+    used = look.problem.used
+    together = float(np.mean((shared / fit.variance)[used])) if np.ndim(shared) else 0.0
+    left = statistics(modes, fit.chi2, freedom, seen, 1 + together)
+    # In the order in which they were given.
+    listed = tuple((p.effect, p.form) for p in present)
+    return Account(listed, fit, component, error, grain, score, left, seen, latent)
+
+
+def _with_rows(direct: tuple[Present, ...], component: dict[str, float]) -> tuple[Present, ...]:
+    """The effects with the row noise that the scatter of lines tells."""
+    rms = float(np.sqrt(component.get("row", 0.0)))
+    return tuple(own._replace(values=(rms,)) if own.effect.name == "row_noise" else own for own in direct)
+
+
+def _with_noise(look: Look, direct: tuple[Present, ...], start: Model) -> tuple[Present, ...]:
+    """The effects with the read noise that the scatter within blocks, and the means where black cuts it, tell."""
+    sensor = look.setting.sensor
+    problem = look.problem
+
+    def model(total: float) -> Model:
+        present = tuple(own._replace(values=(total,)) if own.effect.place is Place.NOISE else own for own in direct)
+        return start._replace(present=present)
+
+    def cost(log_total: float) -> float:
+        own = model(float(np.exp(log_total)))
+        at = problem.evaluate(own)
+        residual, variance = problem.residual(at), problem.variance(at, Latent())
+        means = float(np.sum((residual**2 / variance + np.log(variance / look.cells.variance))[problem.used]))
+        return means + _solve(look, [], expected_of(look, at, own.present), 1.0)[2]
+
+    least = np.log(max(sensor.read_noise_e, 0.1))
+    # The cost is flat far from its minimum: first a coarse grid, then inwards.
+    grid = least + np.linspace(0, 3, 13)
+    costs = [cost(v) for v in grid]
+    k = int(np.argmin(costs))
+    best = minimize_scalar(cost, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, 12)]), method="bounded",
+                           options={"xatol": 1e-5})  # fmt: skip
+    return model(float(np.exp(best.x))).present
+
+
+def expected_of(look: Look, at: Moments, present: Sequence[Present]) -> np.ndarray:
+    """Change of each observable that the model's own mean and noise bring: of the noise level by level, and of the
+    brightness from frame to frame where it runs with the order."""
+    problem, cells = look.problem, look.cells
+    ratio = pooled(at.variance) / problem.variance_start - 1
+    change = pooled(at.mean) - problem.mean_start
+    # What bends within a block is no noise: curvature leaves more than a plane takes.
+    side = look.measured.side
+    dy, dx = np.gradient(change, side, axis=(1, 2))
+    dyy, dxx, dxy = np.gradient(dy, side, axis=1), np.gradient(dx, side, axis=2), np.gradient(dx, side, axis=1)
+    bent = (dxx**2 + dyy**2) * side**4 / 720 + dxy**2 * (side**2 / 12) ** 2
+    ratio = ratio + bent / problem.variance_start
+    out = np.zeros(len(look.observables))
+    for k, o in enumerate(look.observables):
+        if o.block == "variance":
+            own = cells.level[o.condition] == int(o.label.split()[1])
+            own &= cells.pixels[o.condition] > 0
+            out[k] = float(np.mean(ratio[o.condition][own])) if own.any() else 0.0
+        elif o.label == "brightness":
+            out[k] = o.value - _scatter_beside(look, present)
+    more = _excess_noise(look, present) - _excess_noise(look, look.problem.start.present)
+    if more:
+        white = np.array([o.load[COMPONENTS.index("read")] * (o.block != "variance") for o in look.observables])
+        out += more * white
+    return out
+
+
+def _excess_noise(look: Look, present: Sequence[Present]) -> float:
+    """Read variance [DN²] over the stated one."""
+    sensor = look.setting.sensor
+    totals = [own.values[0] for own in present if own.effect.place is Place.NOISE]
+    return sum(sensor.gain_dn_per_e**2 * (total**2 - sensor.read_noise_e**2) for total in totals)
+
+
+def _scatter_beside(look: Look, present: Sequence[Present]) -> float:
+    """Scatter of brightness beside what runs with the order of acquisition within a condition."""
+    design, fits = look.measured.design, look.brightness
+    course = _course(look, present) - _course(look, look.problem.start.present)
+    chi2, freedom, _ = scatter_of(fits._replace(value=fits.value - course[:, None]), design.condition)
+    return chi2 / max(freedom, 1) - 1
+
+
+def _course(look: Look, present: Sequence[Present]) -> np.ndarray:
+    """Relative brightness of each frame to its condition's mean under effects that act frame by frame [frame]."""
+    design, view = look.measured.design, look.cells.view
+    out = np.zeros(len(design.condition))
+    for own in present:
+        if "order" in own.effect.needs:
+            frame = own.apply(view._replace(order=design.order))
+            mean = np.broadcast_to(own.apply(view), view.order.shape).ravel()[design.condition]
+            out += frame / mean - 1
+    return out
+
+
+def _plain(look: Look) -> np.ndarray:
+    """Observables that a component of variance may move."""
+    return np.array([o.label not in MARKS and not o.label.startswith("code") for o in look.observables])
+
+
+def _components(look: Look, active: Sequence[str], expected: np.ndarray):
+    """Active components by weighted least squares, none below 0, with standard errors, and the grain."""
+    if not active:
+        return {}, {}, 1.0
+    if "grain" not in active:
+        value, error, _ = _solve(look, active, expected, 1.0)
+        return dict(zip(active, value, strict=True)), dict(zip(active, error, strict=True)), 1.0
+    grain = min(GRAINS, key=lambda own: _solve(look, active, expected, own)[2])
+    grain = min(np.linspace(0.85 * grain, 1.18 * grain, 7), key=lambda own: _solve(look, active, expected, own)[2])
+    value, error, _ = _solve(look, active, expected, float(grain))
+    return dict(zip(active, value, strict=True)), dict(zip(active, error, strict=True)), float(grain)
+
+
+def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float):
+    index = [COMPONENTS.index(name) for name in active]
+    seen = look.observables
+    own = _plain(look)
+    loads = grained(seen, grain, look.measured.side)[:, index]
+    value = np.array([o.value for o in seen]) - expected
+    floor = np.array([o.floor for o in seen])
+    basic = np.array([o.error for o in seen])
+    form = np.array([0.0 if o.label == "site" else TRUST_GRAIN for o in seen])
+    found = np.zeros(len(active))
+    for _ in range(4 if active else 1):
+        excess = loads @ found
+        error = basic * (1 + np.maximum(excess + expected, 0) / floor) + TRUST * np.abs(excess)
+        if "grain" in active:
+            error = error + form * loads[:, list(active).index("grain")] * found[list(active).index("grain")]
+        scale = 1 / error[own]
+        size = np.maximum(np.linalg.norm(loads[own] * scale[:, None], axis=0), 1e-300)
+        if active:
+            found, _ = nnls(loads[own] * scale[:, None] / size, value[own] * scale)
+            found = found / size
+    rest = (value - loads @ found)[own] * scale
+    score = float((rest**2).sum() + 2 * np.log(error[own] / basic[own]).sum())
+    return found, 1 / size, score
+
+
+def _shared_variance(look: Look, component: dict[str, float], grain: float, fit: Refit) -> np.ndarray | float:
+    """Variance [DN²] that sums over many blocks have on top of that of each: neighbours in a granular field,
+    exposures of a site, and frames of a sensor scatter together."""
+    if not any(component.get(name) for name in ("grain", "pixel", "row")):
+        return 0.0
+    frames = np.maximum(look.cells.frames, 1)[:, None, None]
+    side = look.measured.side
+    places = np.bincount(look.cells.place)[look.cells.place][:, None, None]
+    light = pooled(fit.moments.mean) - look.setting.sensor.black_level_dn
+    relative = component.get("grain", 0.0) * max(2 * np.pi * grain**2, 1.0) / side**2 / frames * places
+    relative = relative + component.get("pixel", 0.0) / side**2 * len(look.cells.place)
+    response = offset_response(look.light, look.setting.sensor)
+    rows = component.get("row", 0.0) * response**2 / side / frames * light.shape[2]
+    return relative * light**2 + rows
+
+
+def _striped(look: Look, present: Sequence[Present]) -> np.ndarray:
+    """What stripes bring to each observable until a closer look takes each site's own phase off; good to a factor 2."""
+    depth, period = next(p.values[:2] for p in present if p.effect.name == "interference_fringes")
+    rows = look.measured.sums.pull.shape[1]
+    power = depth**2 / 2
+    out = np.zeros(len(look.observables))
+    for k, o in enumerate(look.observables):
+        if o.label == "band" and o.low / 1.6 <= period <= o.high * 1.6:
+            area = np.pi * (o.low**-2.0 - o.high**-2.0)
+            out[k] = power / area
+        elif o.label == "site":
+            out[k] = power
+        elif o.block in ("variance", "line"):
+            out[k] = power * o.load[COMPONENTS.index("pixel")] * min((look.measured.side / period) ** 2, 1.0)
+            out[k] *= rows if o.block == "line" else 1.0
+    return out
+
+
+def relief(look: Look, own: Account, effect: Effect) -> float:
+    """By how much −2 ln L of the noise may fall if a component of variance is added to an account, means unchanged;
+    gains and centres of the conditions are not counted."""
+    active = [*own.component, COMPONENT[effect.name]]
+    expected = expected_of(look, own.refit.moments, own.refit.model.present)
+    before = _solve(look, list(own.component), expected, own.grain)[2]
+    if COMPONENT[effect.name] in ("gain", "centre", "grain") and own.refit.chi2 > 1.05 * look.problem.used.sum():
+        # They also move the condition means, in ways that only the fit can tell.
+        return np.inf
+    return before - _solve(look, active, expected, own.grain)[2]
+
+
+def _latent(look: Look, component: dict[str, float], grain: float, active: Sequence[str]) -> Latent:
+    """What components of variance bring to a condition's mean."""
+    frames = np.maximum(look.cells.frames, 1)[:, None, None]
+    side = look.measured.side
+    relative = component.get("pixel", 0.0) / side**2
+    relative = relative + component.get("grain", 0.0) * block_correlation(grain, side) / frames
+    # Where black cuts readings an offset of a row moves them by less than itself.
+    response = offset_response(look.light, look.setting.sensor)
+    absolute = component.get("row", 0.0) * response**2 / side / frames
+    return Latent("gain" in active, "centre" in active, relative, absolute)
+
+
+def _occam(look: Look, fit: Refit, component: dict[str, float]) -> float:
+    """What free gains and centres of the conditions cost: their law is normal with the component's variance."""
+    cost = 0.0
+    frames = np.maximum(look.cells.frames, 1)
+    if "gain" in component and len(fit.model.gain) > 1:
+        own = fit.model.gain / fit.model.gain.mean() - 1
+        # With one frame a condition nothing but the gains themselves says how much they scatter.
+        variance = max(component["gain"], 1e-12) / frames
+        if component["gain"] <= 0 or (frames == 1).all():
+            variance = np.maximum(variance, np.mean(own**2))
+        error = _gain_error(look)
+        cost += float((own**2 / (variance + error)).sum() + np.log1p(variance / error).sum())
+    if "centre" in component:
+        place = look.cells.place
+        shift = fit.model.shift
+        variance = max(component["centre"], 1e-9) / frames
+        for p in np.unique(place):
+            own = shift[place == p] - shift[place == p].mean(axis=0)
+            cost += float((own**2 / variance[place == p, None]).sum())
+        cost += float(np.log1p(variance / 1e-5).sum())
+    return cost
+
+
+def _gain_error(look: Look) -> np.ndarray:
+    """Variance of each condition's own brightness."""
+    weight = np.where(look.problem.used, look.light**2 / look.cells.variance, 0.0).sum(axis=(1, 2))
+    return 1 / np.maximum(weight, 1e-300)
+
+
+def _left_over(look: Look, component: dict[str, float], grain: float, expected: np.ndarray, striped: np.ndarray):
+    """Observables less all that is accounted for, and −2 ln L of those that components may move."""
+    seen = look.observables
+    loads = grained(seen, grain, look.measured.side)
+    value = np.array([component.get(name, 0.0) for name in COMPONENTS])
+    excess = loads @ value
+    out, score = [], 0.0
+    granular = loads[:, COMPONENTS.index("grain")] * component.get("grain", 0.0)
+    for o, own, change, plain, field, stripes in zip(
+        seen, excess, expected, _plain(look), granular, striped, strict=True
+    ):
+        error = o.error * (1 + max(own + change, 0.0) / o.floor) + TRUST * (abs(own) + abs(change))
+        error += (0.0 if o.label == "site" else TRUST_GRAIN) * field + stripes
+        rest = o.value - own - change - stripes
+        out.append(o._replace(value=rest, error=error) if plain else o)
+        if plain:
+            score += float((rest / error) ** 2 + 2 * np.log(error / o.error))
+    return out, score
+
+
+def _settled(o: Observable, names: set[str], fresh: bool) -> bool:
+    """Marks that an effect in the model leaves by its nature; `fresh` fringes are not yet taken off."""
+    if o.label == "hot":
+        return "fixed_pattern" in names
+    if o.label == "skewness":  # clipped noise is skewed
+        return bool(names & {"saturation", "black_clipping", "nonlinearity"})
+    if "fixed_pattern" in names and o.label == "stripes":  # what sites share adds up as stripes would
+        return True
+    if "speckle" in names and o.label in ("outliers", "skewness"):  # a granular field has both
+        return True
+    return fresh and o.label in ("stripes", "outliers", "skewness")

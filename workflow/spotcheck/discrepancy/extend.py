@@ -1,0 +1,165 @@
+"""The loop: detect, name, add to the model, and look again, until nothing disagrees or nothing explains."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy.base import Base
+from spotcheck.discrepancy.cells import Setting
+from spotcheck.discrepancy.detect import Detection, Null, detect
+from spotcheck.discrepancy.explain import Account, account
+from spotcheck.discrepancy.look import Look, look_again, look_at
+from spotcheck.discrepancy.name import assessable, present_of, search
+from spotcheck.discrepancy.shots import Design, Shot
+
+# −log10 p from which on scatter, stripes or lines stand out clearly.
+CLEAR = 4.0
+
+
+class Tolerance(NamedTuple):
+    """What is not worth an alarm: rms of the mean's residual as a part of the peak, the same as a part of a pixel's
+    noise, and the excess of noise."""
+
+    of_peak: float = 0.002
+    of_noise: float = 0.02
+    alpha: float = 0.01
+
+
+class Size(NamedTuple):
+    """How large a disagreement is in its worst condition, free of noise: rms of the mean's residual over the peak, and
+    over a pixel's noise; excess of the noise's variance."""
+
+    of_peak: float
+    of_noise: float
+    excess_variance: float
+
+
+class Findings(NamedTuple):
+    """The first look and account, detection and size of the disagreement; the explanations that hold, best first; the
+    best account and what remains of it; every single effect's account; why others were not assessed; and for every
+    single effect −2 ln L over the base model's, and χ²."""
+
+    look: Look
+    base: Account
+    detection: Detection
+    size: Size
+    explanations: list[Account]
+    best: tuple[Look, Account] | None
+    rest: Detection
+    rest_size: Size
+    singles: dict[str, Account]
+    not_assessed: dict[str, str]
+    status: str
+    evidence: dict[str, tuple[float, float]]
+
+
+def investigate(
+    shots: Sequence[Shot], design: Design, base: Base, setting: Setting, null: Null, tolerance: Tolerance
+) -> Findings:
+    """All steps on the frames that may choose the model."""
+    look = look_at(shots, design, base, setting)
+    first = account(look, ())
+    detection = detect(null, first.left)
+    size = size_of(look, first)
+    effects, not_assessed = assessable(look)
+    if consistent(detection, size, tolerance):
+        return Findings(look, first, detection, size, [], None, detection, size, {}, not_assessed, "consistent", {})
+    looks: dict[tuple, Look] = {}
+
+    def near_to(leader: Account) -> Look:
+        key = tuple((effect.name, form) for effect, form in leader.effects)
+        if key not in looks:
+            looks[key] = about(shots, look, leader)
+        return looks[key]
+
+    def closer(leader: Account, own: Account) -> tuple[Account, bool]:
+        near = near_to(leader)
+        exact = closer_account(near, own)
+        good = fits(near, exact)
+        if not good and own.names == leader.names:
+            # At the first look blocks blur what tells forms of one effect apart.
+            other = best_form(near, exact)
+            if other.effects != exact.effects:
+                near = near_to(other)
+                exact = closer_account(near, other)
+                looks[tuple((effect.name, form) for effect, form in leader.effects)] = near
+                good = fits(near, exact)
+        return exact, good
+
+    def fits(near: Look, exact: Account) -> bool:
+        return consistent(detect(null, exact.left), size_of(near, exact), tolerance)
+
+    naming = search(look, effects, closer)
+    evidence = {n: (own.score - first.score, own.refit.chi2) for n, own in naming.singles.items()}
+    explanations = naming.holding
+    status = ("named" if len(explanations) == 1 else "ambiguous") if explanations else "unknown"
+    if not explanations:
+        return Findings(look, first, detection, size, [], None, detection, size, naming.singles, not_assessed, status,
+                        evidence)  # fmt: skip
+    near = near_to(explanations[0])
+    best = closer_account(near, explanations[0])
+    return Findings(look, first, detection, size, explanations, (near, best), detect(null, best.left),
+                    size_of(near, best), naming.singles, not_assessed, status, evidence)  # fmt: skip
+
+
+def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
+    """A closer look: about what an account expects of every pixel."""
+    return look_again(shots, look, leader.refit.model, leader.latent)
+
+
+def best_form(near: Look, own: Account) -> Account:
+    """The best account over all forms of each effect, one after the other, from the values at hand."""
+    for k, (effect, _) in enumerate(own.effects):
+        for form in effect.forms:
+            if form == own.effects[k][1] or effect.name == "interference_fringes":
+                continue
+            present = list(present_of(own))
+            present[k] = present[k]._replace(form=form)
+            other = account(near, present, own.refit.model, own.refit.score)
+            if other.score < own.score - 1:
+                own = other
+    return own
+
+
+def closer_account(near: Look, own: Account) -> Account:
+    """An account fitted again at a closer look. That takes each frame's own brightness and centre off where they
+    scatter; how much they do is what was seen before."""
+    exact = account(near, present_of(own), own.refit.model)
+    kept = {name: own.component[name] for name in ("gain", "centre") if name in own.component}
+    errors = {name: own.component_error[name] for name in kept}
+    return exact._replace(component=exact.component | kept, component_error=exact.component_error | errors)
+
+
+def consistent(detection: Detection, size: Size, tolerance: Tolerance) -> bool:
+    """Whether nothing disagrees, or too little to matter.
+
+    The tolerances are of the mean and of the noise; scatter, stripes and lines that stand out clearly always matter.
+    """
+    small = size.of_peak < tolerance.of_peak and size.of_noise < tolerance.of_noise
+    small &= abs(size.excess_variance) < 2 * tolerance.of_noise
+    other = max(v for k, v in detection.by_statistic.items() if not k.startswith(("mean", "variance")))
+    return detection.p_value >= tolerance.alpha or (small and other < CLEAR)
+
+
+def size_of(look: Look, own: Account) -> Size:
+    """Size of what is left of an account, in the worst condition."""
+    fit, cells = own.refit, look.cells
+    used = look.problem.used
+    top = float(np.max(look.light))
+    peak, noise = 0.0, 0.0
+    for c in range(len(cells.place)):
+        at = used[c]
+        if not at.any():
+            continue
+        excess = np.mean((fit.residual[c][at]) ** 2 - fit.variance[c][at])
+        error = np.sqrt(2 * np.mean(fit.variance[c][at] ** 2) / at.sum())
+        # Within two standard errors of nothing it is nothing.
+        peak = max(peak, np.sqrt(max(excess - 2 * error, 0.0)) / top)
+        z = fit.residual[c][at] ** 2 / fit.variance[c][at] - 1
+        over = np.mean(z) - 2 * np.sqrt(2 / at.sum())
+        noise = max(noise, np.sqrt(max(over, 0.0) / np.mean(cells.pixels[c][at])))
+    levels = [o for o in own.observables if o.block == "variance"]
+    weight = np.array([o.error**-2 for o in levels])
+    excess = float((weight * [o.value for o in levels]).sum() / weight.sum()) if levels else 0.0
+    return Size(float(peak), float(noise), excess)

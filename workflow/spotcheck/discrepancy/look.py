@@ -1,0 +1,132 @@
+"""One look at a set of frames about a model: sums, condition means, the refit of the model, and all that is left
+over."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy.base import Base
+from spotcheck.discrepancy.cells import Cells, Setting, cells_of, pooled
+from spotcheck.discrepancy.measure import Measured, measure
+from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, observables
+from spotcheck.discrepancy.pixels import Scene
+from spotcheck.discrepancy.refit import Latent, Model, Problem
+from spotcheck.discrepancy.shots import Design, Shot
+from spotcheck.discrepancy.stripes import amplitudes
+from spotcheck.model.chain import Free, light, moments, spot_state
+
+
+class Look(NamedTuple):
+    """What was seen: sums, cells, the problem that refits solve, the model's light at the blocks [DN], observables, and
+    what each frame says of its own brightness."""
+
+    setting: Setting
+    measured: Measured
+    cells: Cells
+    problem: Problem
+    light: np.ndarray
+    observables: list[Observable]
+    brightness: FrameFits
+
+
+def look_at(shots: Sequence[Shot], design: Design, base: Base, setting: Setting) -> Look:
+    """Look at frames about the base model."""
+    return _seen(measure(shots, design, base, setting.baseline, setting.sensor), setting, None)
+
+
+def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) -> Look:
+    """Look at the same frames about a model with effects: every pixel's own mean, every frame's own brightness and
+    place where those scatter."""
+    setting, design = before.setting, before.measured.design
+    base, expect = scenes(shots, before, model, latent)
+    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect)
+    return _seen(measured, setting, model)
+
+
+def _seen(measured: Measured, setting: Setting, model: Model | None) -> Look:
+    cells = cells_of(measured, setting)
+    problem = Problem(cells, setting, model, mask=~held_blocks(measured.design, cells.residual.shape))
+    at = pooled(problem.at_start.mean) - setting.sensor.black_level_dn
+    fits = frame_fits(measured, "brightness")
+    return Look(setting, measured, cells, problem, at, observables(measured, cells, at, setting.sensor), fits)
+
+
+def held_blocks(design: Design, shape: tuple[int, ...]) -> np.ndarray:
+    """Blocks [condition, row, column] that are kept unseen where nothing was repeated: every fourth square of 2 × 2."""
+    out = np.zeros(shape, bool)
+    if len(np.unique(design.repeat)) == 1:
+        y, x = np.arange(shape[1])[:, None] // 2, np.arange(shape[2])[None, :] // 2
+        out[:] = (y % 2 == 1) & (x % 2 == 1)
+    return out
+
+
+def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) -> tuple[Base, Callable[[int], Scene]]:
+    """Each frame's expectation under a model that was fitted to condition means, and the base moved along with it."""
+    setting, measured = before.setting, before.measured
+    design, base, view = measured.design, measured.base, before.cells.view
+    condition = design.condition
+    rows, columns = shots[0].pixels().shape
+    by_condition = len(model.shift) == design.conditions and len(model.shift) != design.places
+    shift = model.shift[condition] if by_condition else model.shift[design.place[condition]]
+    x0, y0 = base.x0 + shift[:, 0], base.y0 + shift[:, 1]
+    gain = model.gain[condition]
+    if latent.centre:
+        own = frame_fits(measured, "centre").value
+        x0, y0 = base.x0 + own[:, 0], base.y0 + own[:, 1]
+    if latent.gain:
+        own = frame_fits(measured, "brightness").value[:, 0]
+        now = np.asarray(spot_state(view, setting.baseline, model.base, model.present)[0])
+        gain = base.amplitude * (1 + own) / np.broadcast_to(now, (design.conditions, 1, 1))[condition, 0, 0]
+    stripes = next((p for p in model.present if p.effect.name == "interference_fringes" and p.form == "site"), None)
+    waves = np.zeros((design.sites, 2))
+    if stripes is not None:
+        waves = _waves(measured, stripes.named(), x0, y0)
+    moved = base._replace(x0=x0, y0=y0)
+
+    first = before.cells.base
+
+    def expect(k: int) -> Scene:
+        c = condition[k]
+        own = model.base
+        if isinstance(own, Free) and isinstance(first, Free):
+            # A frame's own spot keeps its ratio to its condition's.
+            ratio = base.amplitude[k] / first.amplitude[c], base.sigma[k] / first.sigma[c]
+            own = Free(own.amplitude[c : c + 1] * ratio[0], own.sigma[c : c + 1] * ratio[1])
+
+        def single(value: float) -> np.ndarray:
+            return np.full((1, 1, 1), value)
+
+        here = view._replace(
+            x=(measured.left[k] + np.arange(columns, dtype=float))[None, None, :],
+            y=(measured.top[k] + np.arange(rows, dtype=float))[None, :, None],
+            x0=single(x0[k] + measured.left[k]),
+            y0=single(y0[k] + measured.top[k]),
+            exposure_s=single(view.exposure_s[c, 0, 0]),
+            angle=single(view.angle[c, 0, 0]),
+            order=single(design.order[k] if np.isfinite(design.order[k]) else 0.5),
+            wave_cos=single(waves[design.site[k], 0]),
+            wave_sin=single(waves[design.site[k], 1]),
+            rows_each=1.0,
+        )
+        spot, _ = light(here, setting.baseline, own, model.present, gain[k])
+        at = moments(here, setting.baseline, own, model.present, setting.sensor, gain[k])
+        whole = (np.broadcast_to(v, (1, rows, columns))[0] for v in (at.mean, at.variance, spot))
+        return Scene(*map(np.ascontiguousarray, whole))
+
+    return moved, expect
+
+
+def _waves(measured: Measured, fringes: dict[str, float], x0: np.ndarray, y0: np.ndarray) -> np.ndarray:
+    """Amplitudes (cos, sin) about each site's spot, from what the site's exposures share."""
+    angle = np.deg2rad(fringes["direction"])
+    kx, ky = np.cos(angle) / fringes["period"], np.sin(angle) / fringes["period"]
+    own = amplitudes(measured, kx, ky)
+    out = np.zeros((len(own), 2))
+    for site in range(len(own)):
+        first = np.flatnonzero(measured.design.site == site)[0]
+        dx = x0[first] + measured.left[first] - measured.site_left[site]
+        dy = y0[first] + measured.top[first] - measured.site_top[site]
+        turned = own[site] * np.exp(2j * np.pi * (kx * dx + ky * dy))
+        out[site] = turned.real, -turned.imag
+    return out

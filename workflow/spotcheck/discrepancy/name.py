@@ -1,0 +1,266 @@
+"""Which effects explain what was seen: every one alone, then together, and all that the data cannot tell from them."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy.explain import Account, account, is_component, relief
+from spotcheck.discrepancy.look import Look
+from spotcheck.discrepancy.refit import basis, screened
+from spotcheck.model.effect import Effect, Present
+from spotcheck.model.effects import vocabulary
+
+# Rivals whose −2 ln L (with 2 a free number) is within this of the best cannot be told from it: 2.8 standard
+# deviations.
+TIED = 8.0
+# An effect stays in a model only if without it −2 ln L rises by more than this.
+EARNS = 10.0
+# An effect that promises less than this part of the best, to first order, is not fitted; but for those whose first
+# order says nothing.
+HOPELESS = 0.004
+ALWAYS = ("interference_fringes", "spread_law", "excess_read_noise", "ghost_reflection", "black_clipping", "saturation")
+# At the first look rivals are compared to this part of the gap they close: blocks blur what is strong.
+SLACK = 0.004
+LARGEST_CONTEST = 6
+# Effects that contain another as a special case: where both explain, the simpler is the name.
+LAWS = ("angle_reflectance", "photon_budget", "laser_drift", "shutter_offset")
+CONTAINS = {"dark_offset": ("background_gradient",)} | {law: ("power_fluctuation",) for law in LAWS}
+# One effect more must close this part of what is left, or it only mimics.
+WORTH = 0.2
+# How many explanations are followed to the next size, how many effects are tried beside each, and starts of each.
+BEAM, BESIDE, STARTS = 4, 5, 3
+MOST = 4
+
+
+# Fits an account about the expectation of another, and says whether it leaves nothing that matters.
+Closer = Callable[[Account, Account], tuple[Account, bool]]
+
+
+class Naming(NamedTuple):
+    """Accounts of sets of effects: the best of each size tried, the explanations that hold (best first), and every
+    single effect's account by name."""
+
+    best: Account | None
+    holding: list[Account]
+    singles: dict[str, Account]
+
+
+def assessable(look: Look) -> tuple[list[Effect], dict[str, str]]:
+    """Effects that the design can show, and why the others cannot be shown: both before the data are looked at."""
+    design = look.measured.design
+    law = look.measured.base.law is not None
+    exposures = len(np.unique(design.exposure_s[np.isfinite(design.exposure_s)]))
+    angles = len(np.unique(design.angle_deg[np.isfinite(design.angle_deg)]))
+    frames = len(design.condition)
+    per_site = np.bincount(design.site)
+    reasons = {
+        "exposure": "" if exposures > 1 else "all frames have one exposure",
+        "three exposures": "" if exposures > 2 else "two exposures fit any law of the width",
+        "angle": "" if angles > 2 else "fewer than three fibre angles",
+        "order": "" if np.isfinite(design.order).all() and frames > 2 else "the order of acquisition is not known",
+        "frames": "" if frames > 2 else "too few frames",
+        "exposures of a site": "" if per_site.max(initial=0) > 1 else "no site was seen more than once",
+        "law": "" if law else "the baseline leaves brightness and width of every frame free",
+    }
+    out, why = [], {}
+    for effect in vocabulary().values():
+        missing = next((reasons[need] for need in effect.needs if reasons[need]), "")
+        if missing:
+            why[effect.name] = missing
+        else:
+            out.append(effect)
+    return out, why
+
+
+def singles(look: Look, effects: Sequence[Effect]) -> dict[str, Account]:
+    """Every effect alone."""
+    empty = account(look, ())
+    span = basis(look.problem, empty.refit, (), empty.latent)
+    out: dict[str, Account] = {}
+    for effect in _promising(look, empty, effects, span):
+        target = min((own.refit.score for own in out.values()), default=np.inf)
+        found = _added(look, empty, effect, span, target)
+        if found is not None:
+            out[effect.name] = found
+    return out
+
+
+def _promising(look: Look, before: Account, effects: Sequence[Effect], span: np.ndarray) -> list[Effect]:
+    """Effects by what they promise to first order, best first."""
+    promise = {}
+    for effect in effects:
+        own = 0.0
+        if not is_component(effect) and effect.name != "interference_fringes":
+            first = [screened(look.problem, before.refit, span, effect, form)[:1] for form in effect.forms]
+            own = max((s[0][0] for s in first if s), default=0.0)
+        promise[effect.name] = own
+    least = HOPELESS * max(promise.values(), default=0.0)
+    chosen = [e for e in effects if promise[e.name] >= least or is_component(e) or e.name in ALWAYS]
+    return sorted(chosen, key=lambda effect: -promise[effect.name])
+
+
+def _added(
+    look: Look, before: Account, effect: Effect, span: np.ndarray | None = None, target: float = np.inf
+) -> Account | None:
+    """The best account of an effect added to another account, over its forms and starts."""
+    kept = present_of(before)
+    if is_component(effect):
+        blank = Present(effect, "", tuple(0.0 for _ in effect.parameters))
+        return account(look, (*kept, blank), before.refit.model)
+    if effect.name == "interference_fringes":
+        return _fringes(look, before, effect)
+    if any(set(effect.replaces) & set(own.effect.replaces) for own in kept):
+        return None
+    problem = look.problem
+    if span is None:
+        span = basis(problem, before.refit, before.refit_effects, before.latent)
+    best = None
+    first: tuple[float, ...] | None = None
+    for form in effect.forms:
+        promising = [values for _, values in screened(problem, before.refit, span, effect, form)]
+        starts = promising[:STARTS] if first is None else [first, promising[0]]
+        for values in starts:
+            found = account(look, (*kept, Present(effect, form, values)), before.refit.model, target)
+            target = min(target, found.refit.score)
+            if best is None or found.score < best.score:
+                best = found
+        assert best is not None
+        first = next(p.values for p in best.refit.model.present if p.effect.name == effect.name)
+    return best
+
+
+def present_of(own: Account) -> tuple[Present, ...]:
+    """The effects of an account with their values, in its order."""
+    values = {p.effect.name: p for p in own.refit.model.present}
+    blank = lambda effect: Present(effect, "", tuple(0.0 for _ in effect.parameters))  # noqa: E731
+    return tuple(values.get(effect.name) or blank(effect) for effect, _ in own.effects)
+
+
+def _fringes(look: Look, before: Account, effect: Effect) -> Account | None:
+    """Fringes from the highest peak of the sites' common spectrum, refined on the condition means."""
+    from spotcheck.discrepancy.stripes import peak
+
+    found = peak(look.measured)
+    values = (found.depth, found.period, found.direction, 0.0)
+    return account(look, (*present_of(before), Present(effect, "site", values)), before.refit.model)
+
+
+def search(look: Look, effects: Sequence[Effect], closer: Closer) -> Naming:
+    """From single effects upwards until a set holds; then all sets that cannot be told from the best.
+
+    Sets are ranked at the first look. Those in contest are then fitted again about the best one's own expectation of
+    every pixel, where what is compared is the small difference between them.
+    """
+    empty = account(look, ())
+    alone = singles(look, effects)
+    ranked = sorted(alone.values(), key=lambda own: own.score)
+    ranked = [own for own in ranked if own.score < empty.score]
+    best = None
+    for size in range(1, MOST + 1):
+        if not ranked:
+            break
+        best = _contest(ranked, empty, closer)
+        if best[0][1]:
+            break
+        if size == MOST:
+            break
+        by_means = sorted(ranked, key=lambda own: own.refit.score)[:2]
+        parents = list({own.names: own for own in (*ranked[: BEAM - 1], *by_means)}.values())
+        grown = _grown(look, parents, effects)
+        left = max(ranked[0].refit.chi2 - look.problem.used.sum(), 0.0)
+        if not grown or grown[0].score > ranked[0].score - max(EARNS, WORTH * left):
+            break
+        ranked = grown
+    if best is None:
+        return Naming(None, [], alone)
+    holding = [own for own, good in best if good]
+    if holding and len(holding[0].effects) > 1:
+        rivals = _rivals(look, holding[0], effects)
+        holding = [own for own, good in _contest([*holding, *rivals], empty, closer) if good]
+    return Naming(best[0][0], _simplest(holding), alone)
+
+
+def _contest(ranked: Sequence[Account], empty: Account, closer: Closer) -> list[tuple[Account, bool]]:
+    """Accounts that cannot be told from the best, best first, and whether each holds; the first alone where none does.
+
+    Leaders are the best by everything and the best by the means alone: what is off in the mean also shows in the
+    spectrum, and a closer look is what takes it off. Those in contest are compared about the leader's own expectation.
+    """
+    by_means = sorted(ranked, key=lambda own: own.refit.score)
+    leaders = list({own.names: own for own in (ranked[0], by_means[0], *ranked[1:2])}.values())
+    for leader in leaders:
+        first = closer(leader, leader)
+        if not first[1]:
+            continue
+        slack = TIED + SLACK * abs(empty.refit.score - leader.refit.score)
+        near = [own for own in ranked if own.refit.score < leader.refit.score + slack]
+        near += [own for own in ranked if own.score < leader.score + slack]
+        contest = list({own.names: own for own in near if own.names != leader.names}.values())[:LARGEST_CONTEST]
+        exact = sorted([first, *(closer(leader, own) for own in contest)], key=lambda item: item[0].score)
+        if exact[0][0].names != leader.names and exact[0][1]:
+            leader = exact[0][0]
+            again = [closer(leader, own) for own, _ in exact]
+            exact = sorted(again, key=lambda item: item[0].score)
+        exact = [item for item in exact if item[1]] or [first]
+        return [item for item in exact if item[0].score < exact[0][0].score + TIED]
+    return [(leaders[0], False)]
+
+
+def _simplest(holding: list[Account]) -> list[Account]:
+    """Without those that contain another of the list as a special case."""
+    names = [frozenset(own.names) for own in holding]
+    keep = []
+    for own, mine in zip(holding, names, strict=True):
+        contained = any(
+            len(mine - other) == len(other - mine) == 1
+            and set(mine - other) <= set(CONTAINS.get(next(iter(other - mine)), ()))
+            for other in names
+        )
+        if not contained:
+            keep.append(own)
+    return keep
+
+
+def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) -> list[Account]:
+    """Accounts of one effect more, best first: beside each parent the effects that promise most."""
+    seen: dict[frozenset, Account] = {}
+    for parent in parents:
+        span = basis(look.problem, parent.refit, parent.refit_effects, parent.latent)
+        promise = []
+        for effect in effects:
+            if effect.name in parent.names:
+                continue
+            if is_component(effect):
+                own = relief(look, parent, effect)
+            elif effect.name == "interference_fringes":
+                own = parent.left.get("spectrum: stripes", 0.0) ** 2 if "speckle" not in parent.names else 0.0
+            else:
+                firsts = [screened(look.problem, parent.refit, span, effect, form)[0][0] for form in effect.forms]
+                own = max(firsts, default=0.0)
+            promise.append((own, effect))
+        promise.sort(key=lambda item: -item[0])
+        target = min((own.refit.score for own in seen.values()), default=np.inf)
+        for own, effect in promise[:BESIDE]:
+            key = frozenset((*parent.names, effect.name))
+            if key in seen or own < EARNS:
+                continue
+            found = _added(look, parent, effect, span, target)
+            if found is not None:
+                seen[key] = found
+                target = min(target, found.refit.score)
+    return sorted(seen.values(), key=lambda own: own.score)
+
+
+def _rivals(look: Look, best: Account, effects: Sequence[Effect]) -> list[Account]:
+    """Every member swapped for every other effect."""
+    out = []
+    for leave in best.names:
+        kept = tuple(p for p in present_of(best) if p.effect.name != leave)
+        reduced = account(look, kept)
+        for effect in effects:
+            if effect.name not in best.names:
+                own = _added(look, reduced, effect, target=best.refit.score)
+                if own is not None:
+                    out.append(own)
+    return sorted(out, key=lambda own: own.score)

@@ -1,0 +1,71 @@
+"""What the loop found, as plain numbers that a file can hold, and back: later steps take it up from there."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from spotcheck.discrepancy.base import Base
+from spotcheck.discrepancy.cells import Setting
+from spotcheck.discrepancy.detect import Detection
+from spotcheck.discrepancy.explain import Account, account
+from spotcheck.discrepancy.extend import Findings, Size, about, closer_account
+from spotcheck.discrepancy.look import look_at
+from spotcheck.discrepancy.name import present_of
+from spotcheck.discrepancy.shots import Design, Shot
+from spotcheck.model.effect import Present
+from spotcheck.model.effects import vocabulary
+
+
+def saved_of(found: Findings) -> dict[str, Any]:
+    """Findings as numbers and texts."""
+    return {
+        "status": found.status,
+        "detection": _plain(found.detection._asdict()),
+        "size": _plain(found.size._asdict()),
+        "rest": _plain(found.rest._asdict()),
+        "rest_size": _plain(found.rest_size._asdict()),
+        "explanations": [
+            [{"name": p.effect.name, "form": p.form, "values": [float(v) for v in p.values]} for p in present_of(own)]
+            for own in found.explanations
+        ],
+        "singles": {name: {"score": float(own.score - found.base.score), "chi2": float(own.refit.chi2)}
+                    for name, own in found.singles.items()},
+        "not_assessed": found.not_assessed,
+    }  # fmt: skip
+
+
+def recalled(saved: dict[str, Any], shots: Sequence[Shot], design: Design, base: Base, setting: Setting) -> Findings:
+    """Findings again, from the frames that chose the model: fits are taken up where they ended."""
+    look = look_at(shots, design, base, setting)
+    first = account(look, ())
+    effects = vocabulary()
+    explanations: list[Account] = []
+    for own in saved["explanations"]:
+        present = [Present(effects[p["name"]], p["form"], tuple(p["values"])) for p in own]
+        explanations.append(account(look, present))
+    best = None
+    if explanations:
+        near = about(shots, look, explanations[0])
+        best = near, closer_account(near, explanations[0])
+    return Findings(
+        look,
+        first,
+        Detection(**saved["detection"]),
+        Size(**saved["size"]),
+        explanations,
+        best,
+        Detection(**saved["rest"]),
+        Size(**saved["rest_size"]),
+        {},
+        saved["not_assessed"],
+        saved["status"],
+        {name: (own["score"], own["chi2"]) for name, own in saved["singles"].items()},
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Numbers of Python's own."""
+    if isinstance(value, dict):
+        return {key: _plain(own) for key, own in value.items()}
+    return value.item() if isinstance(value, np.generic) else value

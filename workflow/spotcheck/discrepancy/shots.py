@@ -1,0 +1,135 @@
+"""The frames that a verdict looks at: what each is, which of them choose the model and which are kept to test it."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from spotcheck import store
+from spotcheck.crops import usable
+from spotcheck.dataset import Dataset
+from spotcheck.manifest import number_in
+
+
+class Shot(NamedTuple):
+    """One spot frame: fibre angle [deg] and exposure [s] (None: not recorded), repeat, place in the order of
+    acquisition (None: unknown), other conditions, where its crop lies on the sensor [px], and its pixels [row,
+    column] in DN, NaN where masked."""
+
+    angle_deg: float | None
+    exposure_s: float | None
+    repeat: int
+    order: int | None
+    conditions: tuple[float | None, ...]
+    left: int
+    top: int
+    pixels: Callable[[], np.ndarray]
+
+
+class Design(NamedTuple):
+    """Index arrays over the frames: `condition` (angle, exposure, other conditions), `site` (angle, repeat, other
+    conditions), `repeat`; the conditions' angles [deg] and exposures [s] (NaN: not recorded), the angle index of each
+    condition; `order` [frame] from 0 to 1, NaN where unknown."""
+
+    condition: np.ndarray
+    site: np.ndarray
+    repeat: np.ndarray
+    order: np.ndarray
+    angle_deg: np.ndarray
+    exposure_s: np.ndarray
+    place: np.ndarray
+
+    @property
+    def conditions(self) -> int:
+        """How many conditions there are."""
+        return len(self.angle_deg)
+
+    @property
+    def sites(self) -> int:
+        """How many sites there are."""
+        return int(self.site.max()) + 1
+
+    @property
+    def places(self) -> int:
+        """How many sets of sites with their own angle and other conditions there are."""
+        return int(self.place.max()) + 1
+
+    def take(self, frames: np.ndarray) -> "Design":
+        """The same conditions with some of the frames only; sites are numbered anew."""
+        site = np.unique(self.site[frames], return_inverse=True)[1]
+        return self._replace(
+            condition=self.condition[frames], site=site, repeat=self.repeat[frames], order=self.order[frames]
+        )
+
+
+def design_of(shots: Sequence[Shot]) -> Design:
+    """The design that a list of frames spans."""
+    keys = [(_or_nan(s.angle_deg), *map(_or_nan, s.conditions), _or_nan(s.exposure_s)) for s in shots]
+    conditions, condition = _numbered(keys)
+    _, site = _numbered([(key[:-1], s.repeat) for key, s in zip(keys, shots, strict=True)])
+    _, place = _numbered([key[:-1] for key in conditions])
+    known = [s.order for s in shots if s.order is not None]
+    span = max(known) - min(known) if len(known) == len(shots) and len(known) > 1 else 0
+    # A span says that the order of all is known.
+    order = np.array([((s.order or 0) - min(known)) / span if span else np.nan for s in shots])
+    angles = np.array([key[0] for key in conditions], float)
+    exposures = np.array([key[-1] for key in conditions], float)
+    return Design(condition, site, np.array([s.repeat for s in shots]), order, angles, exposures, place)
+
+
+def held_out(repeat: np.ndarray) -> np.ndarray:
+    """Which frames are kept unseen until the model stands: of six repeats or more every third, else none."""
+    values = np.unique(repeat)
+    if len(values) < 6:
+        return np.zeros(len(repeat), bool)
+    return np.isin(repeat, values[2::3])
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else float(value) + 0.0  # no minus zero
+
+
+def _numbered(keys: list) -> tuple[list, np.ndarray]:
+    """Distinct keys in ascending order, and the number of each; NaN equals NaN."""
+    texts = [repr(key) for key in keys]
+    distinct = sorted(dict(zip(texts, keys, strict=True)).items(), key=lambda item: (_sortable(item[1]), item[0]))
+    number = {text: k for k, (text, _) in enumerate(distinct)}
+    return [key for _, key in distinct], np.array([number[text] for text in texts])
+
+
+def _sortable(key) -> tuple:
+    flat = [part for piece in key for part in (piece if isinstance(piece, tuple) else (piece,))]
+    return tuple(-1e300 if np.isnan(v) else v for v in flat)
+
+
+def shots_of(dataset: Dataset, crops: xr.Dataset) -> list[Shot]:
+    """Every usable spot frame of a dataset, from its crops around the light; pixels are read when asked for."""
+    images = crops["image"].sel(centring="light")
+    left, top, status = (crops[name].sel(centring="light") for name in ("left", "top", "status"))
+    place = {id(frame): k for k, frame in enumerate(dataset.spots)}
+    dims = store.grid_dims(crops)
+    out = []
+    for index, frame in dataset.cells():
+        at = dict(zip(dims, index, strict=True))
+        if not usable(status.isel(at)):
+            continue
+        conditions = tuple(number_in(frame.extra[name]) for name in dataset.instrument.conditions)
+        out.append(
+            Shot(
+                frame.angle_deg,
+                frame.exposure_s,
+                frame.repeat or 0,
+                place[id(frame)] if dataset.instrument.order_known else None,
+                conditions,
+                int(left.isel(at)),
+                int(top.isel(at)),
+                partial(_pixels, images, at),
+            )
+        )
+    return sorted(out, key=lambda shot: -1 if shot.order is None else shot.order)
+
+
+def _pixels(images: xr.DataArray, at: dict[str, int]) -> np.ndarray:
+    return images.isel(at).values

@@ -1,0 +1,200 @@
+"""The whole chain with effects, in the order that the dataset contract fixes: mean and variance of readings at points.
+
+Light: shape → top hat → motion blur → + halo, ghost → × fringes → + pedestal. Sensor: shot noise with dark current →
++ smear → well → + read noise → K → non-linearity → + black level → + row noise → black clipping → rounding, both clips.
+Random fields (speckle, pixel gains, brightness and centre of a frame) have no mean of their own.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.model import spot
+from spotcheck.model.baseline import Baseline
+from spotcheck.model.converter import convert
+from spotcheck.model.effect import Place, Present
+from spotcheck.model.sensor import SensorModel, clipped_normal
+
+
+class View(NamedTuple):
+    """What some frames (views) see. Points lie on a grid: x [view, 1, column], y [view, row, 1] in px of the sensor;
+    all else is [view, 1, 1]: spot centre x0, y0 [px], exposure [s], fibre angle [rad], place in the order of
+    acquisition (0 to 1), and amplitudes (cos, sin) of fringes whose phase is anew at each site.
+
+    Scalars: the longest exposure and the reference exposure of the spread law [s], the frame's centre and rows [px],
+    and how many rows of pixels each row of points stands for.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    x0: np.ndarray
+    y0: np.ndarray
+    exposure_s: np.ndarray
+    angle: np.ndarray
+    order: np.ndarray
+    wave_cos: np.ndarray
+    wave_sin: np.ndarray
+    longest_s: float
+    reference_s: float
+    frame_x: float
+    frame_y: float
+    frame_rows: float
+    rows_each: float
+
+
+class Law(NamedTuple):
+    """Parameters of the baseline: p1, p2 [px], and the peak [DN] at the longest exposure."""
+
+    p1: float
+    p2: float
+    peak: float
+
+
+class Free(NamedTuple):
+    """The baseline without a law: peak [DN] and σ_g [px] of every view [view, 1, 1]."""
+
+    amplitude: np.ndarray
+    sigma: np.ndarray
+
+
+class Moments(NamedTuple):
+    """Mean [DN] and variance [DN²] of the readings [view, row, column]."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+
+
+def true_exposure(view: View, present: Sequence[Present]):
+    """Exposure [s] of every view that light, dark current and motion had."""
+    exposure = view.exposure_s
+    for own in _at(present, Place.EXPOSURE):
+        exposure = own.apply(view, exposure)
+    return exposure
+
+
+def spot_state(view: View, baseline: Baseline, base: Law | Free, present: Sequence[Present], gain=1.0):
+    """Peak [DN] and σ_g [px] of every view, with the effects that act on exposure, width and brightness; `gain`
+    multiplies the peak."""
+    if isinstance(base, Free):
+        amplitude, sigma = base.amplitude, base.sigma
+    else:
+        exposure = true_exposure(view, present)
+        propagation = baseline.propagation(exposure, base.p1, base.p2)
+        longest = baseline.propagation(view.longest_s, base.p1, base.p2)
+        for own in _at(present, Place.WIDTH):
+            reference = baseline.propagation(view.reference_s, base.p1, base.p2)
+            propagation = own.apply(view, reference, exposure / view.reference_s)
+            longest = own.apply(view, reference, view.longest_s / view.reference_s)
+        sigma = propagation + baseline.laser_px
+        amplitude = base.peak * baseline.peak_law(exposure, propagation) / baseline.peak_law(view.longest_s, longest)
+    for own in _at(present, Place.BRIGHTNESS):
+        amplitude = amplitude * own.apply(view)
+    return amplitude * gain, sigma
+
+
+def light(view: View, baseline: Baseline, base: Law | Free, present: Sequence[Present], gain=1.0):
+    """Light [DN] of the spot with all that belongs to it, and of pedestals that are light."""
+    amplitude, sigma = spot_state(view, baseline, base, present, gain)
+    metrics, profiles = _at(present, Place.METRIC), _at(present, Place.PROFILE)
+
+    def sharp(shift_x, shift_y):
+        dx, dy = view.x - view.x0 - shift_x, view.y - view.y0 - shift_y
+        if not metrics and not profiles:
+            two = 2 * sigma * sigma
+            shape = amplitude * np.exp(-dx * dx / two) * np.exp(-dy * dy / two)
+        else:
+            for own in metrics:
+                dx, dy = own.apply(view, dx, dy)
+            half = (dx * dx + dy * dy) / (2 * sigma * sigma)
+            for own in profiles:
+                half = own.apply(view, half)
+            shape = amplitude * np.exp(-half)
+        return np.minimum(shape, spot.top_hat_level(amplitude)) if baseline.top_hat else shape
+
+    def blurred(shift_x, shift_y):
+        paths = _at(present, Place.BLUR)
+        if not paths:
+            return sharp(shift_x, shift_y)
+        total = 0.0
+        # One path only: two smears in a row would need every pair of their shifts, and the vocabulary has one.
+        for dx, dy, weight in paths[0].apply(view._replace(exposure_s=true_exposure(view, present))):
+            total = total + weight * sharp(shift_x + dx, shift_y + dy)
+        return total
+
+    total = blurred(0.0, 0.0)
+    for own in _at(present, Place.ADDED):
+        total = total + own.apply(view, blurred, amplitude, sigma)
+    for own in _at(present, Place.MODULATION):
+        total = total * own.apply(view)
+    beside = 0.0
+    for own in _at(present, Place.PEDESTAL):
+        if own.form != "electronic":
+            beside = beside + own.apply(view)
+    return total, beside
+
+
+def moments(
+    view: View,
+    baseline: Baseline,
+    base: Law | Free,
+    present: Sequence[Present],
+    sensor: SensorModel,
+    brightness=1.0,
+) -> Moments:
+    """Mean and variance of every reading; `brightness` [view, 1, 1] multiplies each view's peak."""
+    own_light, beside = light(view, baseline, base, present, brightness)
+    gain = sensor.gain_dn_per_e
+    electrons = (own_light + beside) / gain + sensor.dark_current_e_per_s * true_exposure(view, present)
+    variance = np.maximum(electrons, 0.0)
+    for own in _at(present, Place.CHARGE):
+        electrons = own.apply(view, electrons)
+    mean, variance = gain * electrons, gain**2 * variance
+    read = sensor.read_noise_e**2
+    for own in _at(present, Place.NOISE):
+        read = own.apply(read)
+    read = gain**2 * read
+    if np.isfinite(sensor.full_well_e):
+        at_well = clipped_normal(mean, variance, gain, -np.inf, gain * sensor.full_well_e, rounding=0.0)
+        mean, variance = at_well.mean, at_well.variance
+    for own in _at(present, Place.WELL):
+        mean, variance = own.apply(mean, variance, read)
+    variance = variance + read
+    for own in _at(present, Place.RESPONSE):
+        mean, variance = own.apply(mean, variance, sensor.full_scale_dn)
+    mean = mean + sensor.black_level_dn
+    for own in _at(present, Place.PEDESTAL):
+        if own.form == "electronic":
+            mean = mean + own.apply(view)
+    out, spread = (np.array(v, float) for v in np.broadcast_arrays(mean, variance))
+    zones = _at(present, Place.DIGITAL)
+    lowest = float(zones[0].apply()) if zones else 0.0
+    black, dead = (lowest, 0.0) if zones and zones[0].form == "subtracted" else (0.0, lowest)
+    out -= black
+    highest = float(min(sensor.full_scale_dn, 1e9))
+    rows = sum(own.values[0] ** 2 for own in present if own.effect.scatter and own.effect.scatter.of == "row")
+    if rows:
+        # Rows that scatter move the mean where black cuts them; the variance given is that of pixels within a row.
+        shifted, wider = out.copy(), spread + rows
+        convert(shifted.reshape(-1), wider.reshape(-1), highest, dead)
+        convert(out.reshape(-1), spread.reshape(-1), highest, dead)
+        return Moments(shifted, spread)
+    convert(out.reshape(-1), spread.reshape(-1), highest, dead)
+    return Moments(out, spread)
+
+
+def offset_response(light_dn: np.ndarray, sensor: SensorModel) -> np.ndarray:
+    """d mean reading / d offset [1] of a small offset behind the gain, under `light_dn` [DN]: below 1 where black or
+    full scale cut readings, and uneven where noise is finer than a DN."""
+    step = 0.02
+    variance = sensor.gain_dn_per_e * np.maximum(light_dn, 0.0) + (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2
+    ends = []
+    for sign in (-1, 1):
+        mean, spread = np.array(light_dn + sensor.black_level_dn + sign * step, float), np.array(variance, float)
+        convert(mean.reshape(-1), spread.reshape(-1), float(min(sensor.full_scale_dn, 1e9)), 0.0)
+        ends.append(mean)
+    return (ends[1] - ends[0]) / (2 * step)
+
+
+def _at(present: Sequence[Present], place: Place) -> list[Present]:
+    return [own for own in present if own.effect.place is place]

@@ -1,0 +1,22 @@
+"""Dark offset: a uniform pedestal, of ambient light or of the black level."""
+
+import numpy as np
+
+from spotcheck.model.effect import Effect, Parameter, Place
+
+
+def pedestal(view, *, level, form):
+    """Pedestal [DN]; as `light` it brings shot noise, as `electronic` it does not (the chain sees to that)."""
+    return np.broadcast_to(np.asarray(level, float), view.x0.shape)
+
+
+EFFECT = Effect(
+    number=4,
+    name="dark_offset",
+    sentence="a uniform pedestal lies under the frame: ambient light, or a higher black level",
+    place=Place.PEDESTAL,
+    parameters=(Parameter("level", "DN", 0.0, lambda c: 0.5 * c.full_scale_dn),),
+    starts=lambda c: [(1.0,)],
+    function=pedestal,
+    forms=("light", "electronic"),
+)

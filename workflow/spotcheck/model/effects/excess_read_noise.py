@@ -1,0 +1,24 @@
+"""Excess read noise: more signal-independent white noise than stated."""
+
+import numpy as np
+
+from spotcheck.model.effect import Effect, Parameter, Place
+
+
+def noise(read_variance, *, total):
+    """Read variance [e-²] of `total` [e- rms], which takes the place of the stated one."""
+    return total * total + 0 * read_variance
+
+
+EFFECT = Effect(
+    number=18,
+    name="excess_read_noise",
+    sentence="the sensor's signal-independent noise is larger than stated",
+    place=Place.NOISE,
+    parameters=(Parameter("total", "e-", lambda c: c.read_noise_e, lambda c: 1000 * (c.read_noise_e + 1)),),
+    starts=lambda c: [(1.05 * c.read_noise_e + 0.1,)],
+    function=noise,
+    neutral=np.nan,
+    # The scatter of pixels tells it, not the means: the joint fit of the means leaves it as it is.
+    idle={"": ("total",)},
+)

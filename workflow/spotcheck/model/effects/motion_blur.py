@@ -1,0 +1,32 @@
+"""Motion blur: a uniform smear of a length that grows with exposure."""
+
+import numpy as np
+
+from spotcheck.model.effect import Effect, Parameter, Place
+
+# Gauss–Legendre nodes over the path; a plateau's edge needs more of them than a smooth spot.
+NODES = 12
+
+
+def path(view, *, speed, direction):
+    """Shifts [px] along the path, centred on the spot, and their weights; `speed` [px/s], `direction` [deg]."""
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    angle, half = np.deg2rad(direction), speed * view.exposure_s / 2
+    return [
+        (half * node * np.cos(angle), half * node * np.sin(angle), w / 2)
+        for node, w in zip(nodes, weights, strict=True)
+    ]
+
+
+EFFECT = Effect(
+    number=14,
+    name="motion_blur",
+    sentence="the spot moves during the exposure and is smeared",
+    place=Place.BLUR,
+    parameters=(
+        Parameter("speed", "px/s", 0.0, lambda c: 100 * c.sigma_px / c.shortest_s),
+        Parameter("direction", "deg", -np.inf, np.inf),
+    ),
+    starts=lambda c: [(0.1 * c.sigma_px / c.shortest_s, direction) for direction in (0.0, 45.0, 90.0, 135.0)],
+    function=path,
+)

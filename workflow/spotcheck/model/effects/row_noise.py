@@ -1,0 +1,22 @@
+"""Row noise: whole rows scatter together, anew in every frame."""
+
+from spotcheck.model.effect import Effect, Parameter, Place, Scatter
+
+
+def offsets(rows, rng, *, rms):
+    """Offset [DN] of each row of one frame."""
+    return rms * rng.standard_normal(rows)
+
+
+EFFECT = Effect(
+    number=23,
+    name="row_noise",
+    sentence="whole rows scatter together, anew in every frame",
+    place=Place.SCATTER,
+    parameters=(Parameter("rms", "DN", 0.0, lambda c: 0.2 * c.full_scale_dn),),
+    starts=lambda c: [(0.2,)],
+    function=offsets,
+    scatter=Scatter("row", "frame"),
+    # The scatter of lines tells it; the means see it only where black cuts it.
+    idle={"": ("rms",)},
+)
