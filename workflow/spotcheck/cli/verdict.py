@@ -50,8 +50,10 @@ def run(args: argparse.Namespace) -> None:
             judgement = Judgement(findings_of(saved, ready), gap_from(gap), advice, "")
     verdict = verdict_json(judgement, found.name, tolerance)
     if judgement.findings is not None:
-        verdict["where"] = where(judgement.findings.look, judgement.findings.base, tolerance.alpha)
-    verdict["sentence"] = sentence(verdict)
+        verdict["where"] = where(
+            judgement.findings.look, judgement.findings.base, tolerance.alpha, judgement.findings.detection
+        )
+    verdict["sentence"] = sentence(verdict, tolerance)
     inputs = [args.crops, args.sensor, args.findings, args.gap, args.advice]
     pictures = dataset_of(judgement, verdict, found)
     store.write(pictures, args.pictures, code=provenance.code_digest(__name__), inputs=inputs)

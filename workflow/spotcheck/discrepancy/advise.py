@@ -111,5 +111,5 @@ def separations(
     start = rival.refit.model
     shift = np.zeros_like(shift)
     shift[: len(start.shift)] = start.shift[: len(shift)]
-    fit = refit(asimov, rival.refit_effects, start._replace(shift=shift, gain=gain), rival.latent)
+    fit = refit(asimov, rival.refit_effects, start._replace(shift=shift, gain=gain))
     return fit.chi2, False

@@ -119,7 +119,7 @@ def holm(log_p: np.ndarray) -> np.ndarray:
     what."""
     order = np.argsort(log_p, kind="stable")
     count = len(log_p)
-    stepped = np.maximum.accumulate(log_p[order] + np.log(count - np.arange(count)) * 0)
+    stepped = np.maximum.accumulate(log_p[order] + np.log(count - np.arange(count)))
     out = np.empty(count)
     out[order] = np.minimum(stepped, 0.0)
     return out

@@ -164,7 +164,7 @@ def evidence(results: Results) -> style.Drawing:
         ax.plot(at[role == r], y[role == r], "D" if r == 1 else "o", color=ROLES[r][0], markersize=4.5, clip_on=False)
     ax.axvline(tied, color="black", linewidth=0.9, linestyle=(0, (5, 3)))
     ax.axvline(max(nothing, 1.0), color="black", linewidth=0.9, linestyle=(0, (1, 1.5)))
-    ax.set(xscale="log", xlim=(1.0, end * 1.3), xlabel="behind the best / −2 ln L")
+    ax.set(xscale="log", xlim=(1.0, end * 1.3), xlabel="behind the best at first look / −2 ln L")
     place = {"transform": ax.get_xaxis_transform(), "fontsize": 8, "va": "bottom", "in_layout": False}
     ax.text(1.0, 1.005, "tied", ha="left", **place)
     ax.text(end * 1.3, 1.005, "nothing added", ha="right", **place)
@@ -184,6 +184,10 @@ def evidence(results: Results) -> style.Drawing:
         " holds if what it leaves is no more than chance or tolerance allow, seen pixel by pixel; blocks of pixels, as"
         " here, blur what is strong."
     )
-    if not (role > 0).any():
+    if not (role == 1).any():
         caption += " None holds."
+    else:
+        ahead = [n.replace("\n", " ") for n, b, r in zip(names, behind, role, strict=True) if r != 1 and b < behind[0]]
+        if ahead:
+            caption += f" Ahead at this first look, but failing pixel by pixel: {', '.join(ahead)}."
     return style.Drawing(figure, caption)

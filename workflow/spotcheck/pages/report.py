@@ -229,7 +229,7 @@ def _missing(path: Path) -> dict[str, Any] | None:
                 f"{key} = {value_text(p['value'], p['stderr'], p['unit'])}" for key, p in own["parameters"].items()
             ],
             "rivals": [name for name in own["candidates"] if name != own["name"]],
-            "closed": _percent(own["gap_closed"]),
+            "closed": _percent(_at_most_all(own["gap_closed"])),
         }
         for own in verdict["effects"]
     ]
@@ -257,7 +257,7 @@ def _missing(path: Path) -> dict[str, Any] | None:
         "explanations": [" + ".join(own) for own in verdict["explanations"][1:]],
         "gap": [(key, _plain(gap[key])) for key in ("before", "after", "noise_floor")] if gap["on"] else [],
         "gap_on": gap["on"],
-        "closed": _percent(gap["closed"]),
+        "closed": _percent(_at_most_all(gap["closed"])),
         "shifts": shifts,
         "places": places[:MOST_PLACES],
         "more_places": len(places) - MOST_PLACES,
@@ -268,6 +268,11 @@ def _missing(path: Path) -> dict[str, Any] | None:
 
 def _plain(value: float | None, form: str = ".3g") -> str:
     return "–" if value is None else format(value, form).replace("-", "−")
+
+
+def _at_most_all(part: float | None) -> float | None:
+    """Noise may close a gap by more than all of it."""
+    return None if part is None else min(part, 1.0)
 
 
 def _percent(part: float | None) -> str:
