@@ -23,6 +23,7 @@ from tests.blind.plan import PUBLISHED, Job, plan
 # A job that has to wait lets so many others pass.
 LATER = 40
 _nulls: judge_case.Nulls
+_patience: float
 
 
 def main() -> None:
@@ -58,6 +59,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--base", type=int, help=f"base seed (default {PUBLISHED}, the published one)")
     parser.add_argument("--kinds", default="", help="only kinds that contain one of these, with commas between")
     parser.add_argument("--nulls", type=int, default=judge_case.NULL_COUNT, help="null sets of a null law")
+    parser.add_argument("--patience", type=float, default=judge_case.PATIENCE, help="longest verdict [s of a core]")
     parser.add_argument(
         "--tuning", action="store_true", help="allow small seeds; results/blind/tuning, nothing published"
     )
@@ -78,7 +80,7 @@ def todo(args: argparse.Namespace, seen: set[int]) -> list[Job]:
 def run(jobs: list[Job], args: argparse.Namespace, deadline: float) -> Iterator[records.Record]:
     """Records as they come. Jobs whose null law another process is making come again a little later."""
     queue = deque(jobs)
-    start = (records.RESULTS / "_calibration", args.nulls, args.tuning, deadline)
+    start = (args.patience, records.RESULTS / "_calibration", args.nulls, args.tuning, deadline)
     # Fresh processes: no threads of the parent, no half-filled caches.
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(args.workers, fresh, ready, start) as pool:
@@ -96,16 +98,17 @@ def run(jobs: list[Job], args: argparse.Namespace, deadline: float) -> Iterator[
                     yield record
 
 
-def ready(*start: Any) -> None:
+def ready(patience: float, *start: Any) -> None:
     """Set up a process."""
-    global _nulls
-    _nulls = judge_case.Nulls(*start)
+    global _nulls, _patience
+    _nulls, _patience = judge_case.Nulls(*start), patience
 
 
 def work(job: Job) -> tuple[Job, records.Record | None]:
     """One job; None where its null law is not to be had now."""
     try:
-        return job, judge_case.compared(judge_case.record_of(job, _nulls.null_for), _nulls)
+        record = judge_case.record_of(job, _nulls.null_for, patience=_patience)
+        return job, judge_case.compared(record, _nulls)
     except judge_case.Busy:
         time.sleep(2)
         return job, None

@@ -29,8 +29,8 @@ CONTAINS = {"dark_offset": ("background_gradient",)} | {law: ("power_fluctuation
 # One effect more must close this part of what is left, or it only mimics.
 WORTH = 0.2
 # How many explanations are followed to the next size, how many effects are tried beside each, and starts of each.
-BEAM, BESIDE, STARTS = 4, 5, 3
-MOST = 4
+BEAM, BESIDE, STARTS = 4, 4, 3
+MOST = 3
 
 
 # Fits an account about the expectation of another, and says whether it leaves nothing that matters.
