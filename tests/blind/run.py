@@ -57,7 +57,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--limit", type=int, help="look no further than the first so many jobs of the plan")
     parser.add_argument("--base", type=int, help=f"base seed (default {PUBLISHED}, the published one)")
-    parser.add_argument("--kinds", default="", help="only kinds that contain one of these, with commas between")
+    parser.add_argument("--kinds", default="", help="only kinds with all these words, such as one,strong")
     parser.add_argument("--nulls", type=int, default=judge_case.NULL_COUNT, help="null sets of a null law")
     parser.add_argument("--patience", type=float, default=judge_case.PATIENCE, help="longest verdict [s of a core]")
     parser.add_argument(
@@ -74,7 +74,7 @@ def todo(args: argparse.Namespace, seen: set[int]) -> list[Job]:
     base = args.base if args.base is not None else PUBLISHED
     wanted = [own for own in args.kinds.split(",") if own]
     jobs = islice(plan(base, args.tuning), args.limit or 20_000)
-    return [j for j in jobs if j.seed not in seen and (not wanted or any(own in j.kind for own in wanted))]
+    return [j for j in jobs if j.seed not in seen and (not wanted or set(wanted) <= set(j.kind.split(":")))]
 
 
 def run(jobs: list[Job], args: argparse.Namespace, deadline: float) -> Iterator[records.Record]:
