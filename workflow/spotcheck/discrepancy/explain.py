@@ -12,7 +12,7 @@ from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.modes import modes_of
 from spotcheck.discrepancy.noise import COMPONENTS, Observable, block_correlation, grained, scatter_of
 from spotcheck.discrepancy.refit import Latent, Model, Refit, refit
-from spotcheck.model.chain import Moments, offset_response
+from spotcheck.model.chain import Moments
 from spotcheck.model.effect import Effect, Place, Present
 
 # Which component of variance an effect is.
@@ -177,7 +177,8 @@ def _excess_noise(look: Look, present: Sequence[Present]) -> float:
 def _scatter_beside(look: Look, present: Sequence[Present]) -> float:
     """Scatter of brightness beside what runs with the order of acquisition within a condition."""
     design, fits = look.measured.design, look.brightness
-    course = _course(look, present) - _course(look, look.problem.start.present)
+    # A frame's own brightness is told against the base spot at every look.
+    course = _course(look, present)
     chi2, freedom, _ = scatter_of(fits._replace(value=fits.value - course[:, None]), design.condition)
     return chi2 / max(freedom, 1) - 1
 
@@ -248,8 +249,7 @@ def _shared_variance(look: Look, component: dict[str, float], grain: float, fit:
     light = pooled(fit.moments.mean) - look.setting.sensor.black_level_dn
     relative = component.get("grain", 0.0) * max(2 * np.pi * grain**2, 1.0) / side**2 / frames * places
     relative = relative + component.get("pixel", 0.0) / side**2 * len(look.cells.place)
-    response = offset_response(look.light, look.setting.sensor)
-    rows = component.get("row", 0.0) * response**2 / side / frames * light.shape[2]
+    rows = component.get("row", 0.0) * look.response**2 / side / frames * light.shape[2]
     return relative * light**2 + rows
 
 
@@ -290,8 +290,7 @@ def _latent(look: Look, component: dict[str, float], grain: float, active: Seque
     relative = component.get("pixel", 0.0) / side**2
     relative = relative + component.get("grain", 0.0) * block_correlation(grain, side) / frames
     # Where black cuts readings an offset of a row moves them by less than itself.
-    response = offset_response(look.light, look.setting.sensor)
-    absolute = component.get("row", 0.0) * response**2 / side / frames
+    absolute = component.get("row", 0.0) * look.response**2 / side / frames
     return Latent("gain" in active, "centre" in active, relative, absolute)
 
 
@@ -346,12 +345,14 @@ def _left_over(look: Look, component: dict[str, float], grain: float, expected: 
 
 def _settled(o: Observable, names: set[str], fresh: bool) -> bool:
     """Marks that an effect in the model leaves by its nature; `fresh` fringes are not yet taken off."""
-    if o.label == "hot":
-        return "fixed_pattern" in names
-    if o.label == "skewness":  # clipped noise is skewed
-        return bool(names & {"saturation", "black_clipping", "nonlinearity"})
-    if "fixed_pattern" in names and o.label == "stripes":  # what sites share adds up as stripes would
-        return True
-    if "speckle" in names and o.label in ("outliers", "skewness"):  # a granular field has both
-        return True
-    return fresh and o.label in ("stripes", "outliers", "skewness")
+    if o.label.startswith("code"):  # where a level clips, readings gather at one code
+        return "saturation" in names
+    marked = {
+        "hot": {"fixed_pattern"},
+        # Clipped noise is skewed and has tails of its own; so has a granular field, so have hot pixels.
+        "skewness": {"saturation", "black_clipping", "nonlinearity", "speckle", "fixed_pattern"},
+        "outliers": {"saturation", "black_clipping", "speckle", "fixed_pattern"},
+        # What sites or rows share adds up as stripes would.
+        "stripes": {"fixed_pattern", "row_noise"},
+    }
+    return bool(names & marked.get(o.label, set())) or (fresh and o.label in ("stripes", "outliers", "skewness"))

@@ -105,7 +105,8 @@ def investigate(
 
 def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
     """A closer look: about what an account expects of every pixel."""
-    return look_again(shots, look, leader.refit.model, leader.latent)
+    hot = "fixed_pattern" in leader.names and look.measured.common
+    return look_again(shots, look, leader.refit.model, leader.latent, hot)
 
 
 def best_form(near: Look, own: Account) -> Account:
@@ -125,7 +126,7 @@ def best_form(near: Look, own: Account) -> Account:
 def closer_account(near: Look, own: Account) -> Account:
     """An account fitted again at a closer look. That takes each frame's own brightness and centre off where they
     scatter; how much they do is what was seen before."""
-    exact = account(near, present_of(own), own.refit.model)
+    exact = account(near, present_of(own), own.refit.model._replace(shift=near.problem.start.shift))
     kept = {name: own.component[name] for name in ("gain", "centre") if name in own.component}
     errors = {name: own.component_error[name] for name in kept}
     return exact._replace(component=exact.component | kept, component_error=exact.component_error | errors)

@@ -8,24 +8,28 @@ import numpy as np
 
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Cells, Setting, cells_of, pooled
-from spotcheck.discrepancy.measure import Measured, measure
-from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, observables
+from spotcheck.discrepancy.measure import Measured, frame_scores, measure
+from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, hot_field, observables
 from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import Latent, Model, Problem
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import amplitudes
-from spotcheck.model.chain import Free, light, moments, spot_state
+from spotcheck.model.chain import Free, light, moments, offset_response, spot_state
+
+# Steps towards each frame's own centre.
+NEARER = 2
 
 
 class Look(NamedTuple):
-    """What was seen: sums, cells, the problem that refits solve, the model's light at the blocks [DN], observables, and
-    what each frame says of its own brightness."""
+    """What was seen: sums, cells, the problem that refits solve, the model's light at the blocks [DN], what a reading
+    there follows of an offset, observables, and what each frame says of its own brightness."""
 
     setting: Setting
     measured: Measured
     cells: Cells
     problem: Problem
     light: np.ndarray
+    response: np.ndarray
     observables: list[Observable]
     brightness: FrameFits
 
@@ -35,13 +39,33 @@ def look_at(shots: Sequence[Shot], design: Design, base: Base, setting: Setting)
     return _seen(measure(shots, design, base, setting.baseline, setting.sensor), setting, None)
 
 
-def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) -> Look:
+def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent, hot: bool = False) -> Look:
     """Look at the same frames about a model with effects: every pixel's own mean, every frame's own brightness and
-    place where those scatter."""
+    place where those scatter; with `hot` also what hot pixels bring."""
     setting, design = before.setting, before.measured.design
     base, expect = scenes(shots, before, model, latent)
-    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect)
-    return _seen(measured, setting, model)
+    if hot:
+        expect = _with_hot(expect, before.measured)
+    astray = np.zeros((len(shots), 2))
+    if latent.centre:
+        common = _moved(before, model)
+        astray = np.stack([base.x0 - common.x0, base.y0 - common.y0], axis=1)
+    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect)._replace(astray=astray)
+    # The base has moved: no shift is left.
+    return _seen(measured, setting, model._replace(shift=0 * model.shift))
+
+
+def _with_hot(expect: Callable[[int], Scene], measured: Measured) -> Callable[[int], Scene]:
+    """Expectation of each frame with the offsets of the sensor's hot pixels."""
+    field = hot_field(measured)
+    rows, columns = measured.sums.row.shape[1], measured.sums.column.shape[1]
+
+    def with_hot(k: int) -> Scene:
+        scene = expect(k)
+        top, left = int(measured.top[k]) - measured.corner[0], int(measured.left[k]) - measured.corner[1]
+        return scene._replace(mean=scene.mean + field[top : top + rows, left : left + columns])
+
+    return with_hot
 
 
 def _seen(measured: Measured, setting: Setting, model: Model | None) -> Look:
@@ -49,7 +73,11 @@ def _seen(measured: Measured, setting: Setting, model: Model | None) -> Look:
     problem = Problem(cells, setting, model, mask=~held_blocks(measured.design, cells.residual.shape))
     at = pooled(problem.at_start.mean) - setting.sensor.black_level_dn
     fits = frame_fits(measured, "brightness")
-    return Look(setting, measured, cells, problem, at, observables(measured, cells, at, setting.sensor), fits)
+    present = problem.start.present
+    row = max((own.values[0] for own in present if own.effect.name == "row_noise"), default=0.0)
+    response = offset_response(problem.light(problem.start), setting.sensor, row)
+    seen = observables(measured, cells, at, response, setting.baseline.top_hat)
+    return Look(setting, measured, cells, problem, at, response, seen, fits)
 
 
 def held_blocks(design: Design, shape: tuple[int, ...]) -> np.ndarray:
@@ -67,13 +95,11 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
     design, base, view = measured.design, measured.base, before.cells.view
     condition = design.condition
     rows, columns = shots[0].pixels().shape
-    by_condition = len(model.shift) == design.conditions and len(model.shift) != design.places
-    shift = model.shift[condition] if by_condition else model.shift[design.place[condition]]
-    x0, y0 = base.x0 + shift[:, 0], base.y0 + shift[:, 1]
-    gain = model.gain[condition]
+    moved = _moved(before, model)
     if latent.centre:
-        own = frame_fits(measured, "centre").value
-        x0, y0 = base.x0 + own[:, 0], base.y0 + own[:, 1]
+        moved = with_own_centres(shots, measured, moved, setting)
+    x0, y0 = moved.x0, moved.y0
+    gain = model.gain[condition]
     if latent.gain:
         own = frame_fits(measured, "brightness").value[:, 0]
         now = np.asarray(spot_state(view, setting.baseline, model.base, model.present)[0])
@@ -82,7 +108,6 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
     waves = np.zeros((design.sites, 2))
     if stripes is not None:
         waves = _waves(measured, stripes.named(), x0, y0)
-    moved = base._replace(x0=x0, y0=y0)
 
     first = before.cells.base
 
@@ -115,6 +140,23 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
         return Scene(*map(np.ascontiguousarray, whole))
 
     return moved, expect
+
+
+def _moved(before: Look, model: Model) -> Base:
+    """The base of a look with the centres that a model found."""
+    design, base = before.measured.design, before.measured.base
+    by_condition = len(model.shift) == design.conditions and len(model.shift) != design.places
+    shift = model.shift[design.condition if by_condition else design.place[design.condition]]
+    return base._replace(x0=base.x0 + shift[:, 0], y0=base.y0 + shift[:, 1])
+
+
+def with_own_centres(shots: Sequence[Shot], measured: Measured, base: Base, setting: Setting) -> Base:
+    """A base with every frame's own centre, near that given."""
+    for _ in range(NEARER):
+        score, information = frame_scores(shots, measured.design, base, setting.baseline, setting.sensor)
+        step = frame_fits(measured._replace(base=base, score=score, information=information), "centre").value
+        base = base._replace(x0=base.x0 + step[:, 0], y0=base.y0 + step[:, 1])
+    return base
 
 
 def _waves(measured: Measured, fringes: dict[str, float], x0: np.ndarray, y0: np.ndarray) -> np.ndarray:

@@ -57,7 +57,8 @@ class Sums(NamedTuple):
 class Measured(NamedTuple):
     """Sums about a model, the base spots, score [frame, 7] and information [frame, 7, 7] of each frame's own spot (the
     parameters of `scoring`), side of a block [px], the corner (row, column) of the window on the sensor, whether sites
-    share it, and where each crop and each site's window lies [px]."""
+    share it, where each crop and each site's window lies [px], and how far each frame's own centre, about which it was
+    looked at, lies from its site's [frame, (x, y)] in px."""
 
     design: Design
     base: Base
@@ -71,6 +72,7 @@ class Measured(NamedTuple):
     top: np.ndarray
     site_left: np.ndarray
     site_top: np.ndarray
+    astray: np.ndarray
 
 
 def block_side(crop_px: int) -> int:
@@ -111,9 +113,7 @@ def measure(
     ]
     sums = Sums(*parts)
     expect = expect or base_scenes(shots, design, base, baseline, sensor)
-    law = law_of(sensor)
     dark_variance = (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + ROUNDING_VARIANCE
-    score, information = np.zeros((count, 7)), np.zeros((count, 7, 7))
     for k, shot in enumerate(shots):
         image = np.ascontiguousarray(shot.pixels(), dtype=np.float64)
         scene, site = expect(k), design.site[k]
@@ -123,12 +123,25 @@ def measure(
             image, *scene, sensor.black_level_dn, dark_variance, sensor.gain_dn_per_e**2, side,
             *(part[k] for part in sums[:14]), sums.pull[site], sums.weight[site], *sums[16:], at, chip_at,
         )  # fmt: skip
+    score, information = frame_scores(shots, design, base, baseline, sensor)
+    return Measured(design, base, sums, score, information, side, corner, common, left, top, site_left, site_top,
+                    np.zeros((count, 2)))  # fmt: skip
+
+
+def frame_scores(
+    shots: Sequence[Shot], design: Design, base: Base, baseline: Baseline, sensor: SensorModel
+) -> tuple[np.ndarray, np.ndarray]:
+    """Score [frame, 7] and information [frame, 7, 7] of each frame's own spot at the base's."""
+    law = law_of(sensor)
+    score, information = np.zeros((len(shots), 7)), np.zeros((len(shots), 7, 7))
+    for k, shot in enumerate(shots):
+        image = np.ascontiguousarray(shot.pixels(), dtype=np.float64)
         exposure = design.exposure_s[design.condition[k]]
         curvature = base.sigma[k] ** -2.0
         dark = sensor.black_level_dn + sensor.gain_dn_per_e * sensor.dark_current_e_per_s * np.nan_to_num(exposure)
         theta = np.array([base.amplitude[k], base.x0[k], base.y0[k], curvature, 0.0, curvature, dark])
         score[k], information[k], _, _ = one_pass(image, theta, LIKELIHOOD, law, baseline.top_hat)
-    return Measured(design, base, sums, score, information, side, corner, common, left, top, site_left, site_top)
+    return score, information
 
 
 def base_scenes(

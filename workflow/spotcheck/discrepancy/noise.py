@@ -15,14 +15,15 @@ from spotcheck.discrepancy.cells import LEVELS, Cells
 from spotcheck.discrepancy.measure import Measured
 from spotcheck.discrepancy.pixels import CODES
 from spotcheck.discrepancy.shots import Design
-from spotcheck.model.chain import offset_response
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.spot import TOP_HAT_LEVEL
 
 # Variance components: white noise [DN²], row offsets [DN²], pixel gains [1], a granular field of each site [1],
 # brightness of a frame [1], its centre [px²].
 COMPONENTS = ("read", "row", "pixel", "grain", "gain", "centre")
 # Bounds between bands of spatial frequency [cycles/px]. Below the first the mean's own refit acts.
 BANDS = np.array([0.03, 0.045, 0.065, 0.09, 0.125, 0.175, 0.25, 0.35, 0.5, 0.71])
+# Frequencies nearer to an axis than this [cycles/px] are left to rows and columns.
+AXIS = 0.015
 # Side of the box whose mean is taken off a field to leave its finest structure [px].
 BOX = 5
 HOT = 7.0
@@ -47,13 +48,15 @@ class Observable(NamedTuple):
     load: np.ndarray
 
 
-def observables(measured: Measured, cells: Cells, light: np.ndarray, sensor: SensorModel) -> list[Observable]:
-    """All observables; `light` [condition, row, column] is the model's at the blocks."""
-    response = offset_response(light, sensor)
+def observables(
+    measured: Measured, cells: Cells, light: np.ndarray, response: np.ndarray, top_hat: bool
+) -> list[Observable]:
+    """All observables; `light` [condition, row, column] is the model's at the blocks, `response` what a reading there
+    follows of an offset."""
     out = _levels(measured, cells, light, response)
     out += _fields(measured)
     out += _lines(measured, response)
-    out += _frames(measured, light, response)
+    out += _frames(measured, light, response, top_hat)
     out += _readings(measured)
     return [o for o in out if np.isfinite(o.value) and np.isfinite(o.error) and np.isfinite(o.load).all()]
 
@@ -150,9 +153,11 @@ def _fields(measured: Measured) -> list[Observable]:
     ky, kx = fft.fftfreq(rows)[:, None], fft.rfftfreq(columns)[None, :]
     radius = np.hypot(kx, ky)
     twice = np.where((kx > 0) & (kx < 0.5), 2.0, 1.0) + 0 * ky
+    # Rows and columns that scatter together lie on the axes.
+    aslant = (np.abs(kx) >= AXIS) & (np.abs(ky) >= AXIS)
     out = []
     for low, high in pairwise(BANDS):
-        at = (radius >= low) & (radius < high)
+        at = (radius >= low) & (radius < high) & aslant
         share = twice[at] / twice[at].sum()
         value = (float((power[at] * share).sum()) - noise) / squared
         modes = twice[at].sum() / 2 * window
@@ -220,10 +225,16 @@ def _shared(measured: Measured, squared: float) -> list[Observable]:
 
 def hot_pixels(measured: Measured) -> int:
     """Pixels that are off in all frames alike, far beyond their neighbours."""
+    return int(np.count_nonzero(hot_field(measured)))
+
+
+def hot_field(measured: Measured) -> np.ndarray:
+    """By how much each of them is off [row, column of the window] in DN, 0 elsewhere."""
     sums = measured.sums
-    dark = sums.dark_weight > 0
-    z = np.where(dark, sums.dark_pull / np.sqrt(np.where(dark, sums.dark_weight, 1.0)), 0.0)
-    return int(np.count_nonzero(np.abs(z - ndimage.median_filter(z, BOX)) > HOT))
+    weight = np.where(sums.dark_weight > 0, sums.dark_weight, 1.0)
+    z = np.where(sums.dark_weight > 0, sums.dark_pull / np.sqrt(weight), 0.0)
+    off = z - ndimage.median_filter(z, BOX)
+    return np.where(np.abs(off) > HOT, off / np.sqrt(weight), 0.0)
 
 
 def _window(measured: Measured, site: int, chip: tuple[int, ...], part: tuple[int, ...]):
@@ -242,15 +253,18 @@ def _lines(measured: Measured, response: np.ndarray) -> list[Observable]:
         ("row", sums.row, sums.row_weight, sums.row_light, measured.top, measured.corner[0]),
         ("column", sums.column, sums.column_weight, sums.column_light, measured.left, measured.corner[1]),
     )
-    # An offset of a whole row moves a reading that black cuts less than by itself.
-    inverse = 1 / np.maximum(sums.variance, 1e-6)
-    passed = float(((response[measured.design.condition] * inverse).sum() / inverse.sum()) ** 2)
+    # What an offset of 1 DN of a whole row brings to its sum, less where black cuts readings.
+    per_dn = response[measured.design.condition] / np.where(sums.pixels > 0, sums.variance, np.inf)
+    by_row = per_dn.sum(axis=2) * measured.side
+    by_row = np.repeat(by_row, measured.side, axis=1) ** 2
+    by_row = np.pad(by_row, ((0, 0), (0, sums.row.shape[1] - by_row.shape[1])), mode="edge")
     for name, pull, weight, lit, first, corner in lines:
         known = np.maximum(weight, 1e-300)
+        solid = weight > 0.05 * weight.max()
         white = float(np.mean(_mean_white(sums)))
-        value, used = _second(pull / np.sqrt(known), weight > 0.05 * weight.max())
-        per_light = float(np.mean(lit / known))
-        row = float(np.mean(weight)) * passed if name == "row" else 0.0
+        value, used = _second(pull / np.sqrt(known), solid)
+        per_light = float(np.mean((lit / known)[solid]))
+        row = float(np.mean((by_row / known)[solid])) if name == "row" else 0.0
         out.append(Observable("line", f"{name}s of a frame", None, np.nan, np.nan, "", value, 2 / np.sqrt(used), 1.0,
                               _load(read=white, row=row, pixel=per_light, grain=per_light)))  # fmt: skip
         if not measured.common:
@@ -261,10 +275,10 @@ def _lines(measured: Measured, response: np.ndarray) -> list[Observable]:
             at = slice(first[k] - corner, first[k] - corner + pull.shape[1])
             total[at] += pull[k]
             total_weight[at] += weight[k]
-            squares[at] += weight[k] ** 2
+            squares[at] += by_row[k] if name == "row" else 0.0
         full = total_weight > 0.5 * total_weight.max()
         value, kept = _second((total / np.sqrt(np.maximum(total_weight, 1e-300)))[None], full[None])
-        row = float(np.mean(squares[full] / total_weight[full])) * passed if name == "row" else 0.0
+        row = float(np.mean(squares[full] / total_weight[full]))
         out.append(Observable("line", f"{name}s of the sensor", None, np.nan, np.nan, "", value, 2 / np.sqrt(kept), 1.0,
                               _load(read=white, row=row, pixel=per_light * len(pull), grain=per_light)))  # fmt: skip
     return out
@@ -320,6 +334,8 @@ def frame_fits(measured: Measured, name: str) -> FrameFits:
     inverse = np.zeros_like(matrix)
     inverse[known] = np.linalg.inv(matrix[known])
     value = np.einsum("fij,fj->fi", inverse, pull)[:, : len(own)]
+    if name == "centre":
+        value = value + measured.astray
     return FrameFits(value, np.einsum("fii->fi", inverse)[:, : len(own)], known)
 
 
@@ -363,11 +379,11 @@ def pointing_of(fits: FrameFits, design: Design) -> tuple[float, int, float]:
     return chi2, freedom, load
 
 
-def _frames(measured: Measured, light: np.ndarray, response: np.ndarray) -> list[Observable]:
+def _frames(measured: Measured, light: np.ndarray, response: np.ndarray, top_hat: bool) -> list[Observable]:
     """Scatter of brightness, centre, width, roundness and pedestal from frame to frame of a condition or site."""
     design = measured.design
     out = []
-    loads = _frame_loads(measured, light, response)
+    loads = _frame_loads(measured, light, response, top_hat)
     for name in QUANTITIES:
         if measured.base.law is None and name in ("brightness", "width"):
             continue  # free in every frame
@@ -388,7 +404,7 @@ def _frames(measured: Measured, light: np.ndarray, response: np.ndarray) -> list
     return out
 
 
-def _frame_loads(measured: Measured, light: np.ndarray, response: np.ndarray) -> dict[str, np.ndarray]:
+def _frame_loads(measured: Measured, light: np.ndarray, response: np.ndarray, top_hat: bool) -> dict[str, np.ndarray]:
     """By how much each quantity of a frame scatters more for unit components `row`, `pixel` and `grain` (without its
     grain factor), over its own variance: mean over the conditions."""
     design, base, side = measured.design, measured.base, measured.side
@@ -404,7 +420,10 @@ def _frame_loads(measured: Measured, light: np.ndarray, response: np.ndarray) ->
         mu, width = np.maximum(light[c], 0.0), base.sigma[own].mean()
         shapes = (1 + 0 * mu, dx / width**2, dy / width**2, (dx**2 + dy**2) / width**2, (dx**2 - dy**2) / width**2,
                   dx * dy / width**2)  # fmt: skip
-        slopes = np.stack([*(mu * s for s in shapes), 1 + 0 * mu])
+        # On the plateau of a top hat nothing but brightness and pedestal shows.
+        steep = mu * (np.exp(-(dx**2 + dy**2) / (2 * width**2)) < (TOP_HAT_LEVEL if top_hat else 2.0))
+        # Where black cuts readings, light moves them as little as an offset does.
+        slopes = np.stack([mu, *(steep * s for s in shapes[1:]), 1 + 0 * mu]) * response[c]
         score = slopes * inverse
         information = pixels * np.einsum("iyx,jyx->ij", score, slopes)
         by_light = pixels * np.einsum("iyx,jyx->ij", score * mu, score * mu)

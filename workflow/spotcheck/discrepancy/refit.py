@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import Cells, Setting, pooled
-from spotcheck.model.chain import Free, Law, Moments, moments
+from spotcheck.model.chain import Free, Law, Moments, View, light, moments
 from spotcheck.model.effect import Context, Effect, Present
 
 ITERATIONS = 25
@@ -82,6 +82,23 @@ class Problem:
 
     def evaluate(self, model: Model) -> Moments:
         """Moments at the points of every cell."""
+        view = self._view(model)
+        base = model.base
+        if np.any(model.gain != 1):
+            gain = model.gain[:, None, None]
+            # A gain acts on the peak of every view; the law's own peak is one number.
+            return moments(view, self.setting.baseline, base, model.present, self.setting.sensor, gain)
+        return moments(view, self.setting.baseline, base, model.present, self.setting.sensor)
+
+    def light(self, model: Model) -> np.ndarray:
+        """Light [DN] of every cell, which black and full scale do not cut."""
+        own, beside = light(
+            self._view(model), self.setting.baseline, model.base, model.present, model.gain[:, None, None]
+        )
+        return pooled(own + beside)
+
+    def _view(self, model: Model) -> View:
+        """The cells' view with the model's centres and waves."""
         view = self.cells.view
         where = self.cells.place if len(model.shift) == int(self.cells.place.max()) + 1 else slice(None)
         shift = model.shift[where]
@@ -89,12 +106,7 @@ class Problem:
         if len(model.wave):
             wave = model.wave[self.cells.place]
             view = view._replace(wave_cos=wave[:, 0, None, None], wave_sin=wave[:, 1, None, None])
-        base = model.base
-        if np.any(model.gain != 1):
-            gain = model.gain[:, None, None]
-            # A gain acts on the peak of every view; the law's own peak is one number.
-            return moments(view, self.setting.baseline, base, model.present, self.setting.sensor, gain)
-        return moments(view, self.setting.baseline, base, model.present, self.setting.sensor)
+        return view
 
     def residual(self, at: Moments) -> np.ndarray:
         """Residual of each cell from the model [DN]: measured at the base, minus the model's change."""

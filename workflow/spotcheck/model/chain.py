@@ -58,6 +58,13 @@ class Free(NamedTuple):
     sigma: np.ndarray
 
 
+# An offset of so little [DN] moves a mean in proportion.
+SMALL_DN = 0.02
+# Offsets of rows, in their rms, and how often each stands for (Gauss and Hermite).
+ROW_NODES, ROW_WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
+ROW_WEIGHTS = ROW_WEIGHTS / ROW_WEIGHTS.sum()
+
+
 class Moments(NamedTuple):
     """Mean [DN] and variance [DN²] of the readings [view, row, column]."""
 
@@ -175,25 +182,32 @@ def moments(
     rows = sum(own.values[0] ** 2 for own in present if own.effect.scatter and own.effect.scatter.of == "row")
     if rows:
         # Rows that scatter move the mean where black cuts them; the variance given is that of pixels within a row.
-        shifted, wider = out.copy(), spread + rows
-        convert(shifted.reshape(-1), wider.reshape(-1), highest, dead)
-        convert(out.reshape(-1), spread.reshape(-1), highest, dead)
-        return Moments(shifted, spread)
+        parts = []
+        for node in np.sqrt(rows) * ROW_NODES:
+            moved, within = out + node, spread.copy()
+            convert(moved.reshape(-1), within.reshape(-1), highest, dead)
+            parts.append((moved, within))
+        return Moments(*np.tensordot(ROW_WEIGHTS, parts, 1))
     convert(out.reshape(-1), spread.reshape(-1), highest, dead)
     return Moments(out, spread)
 
 
-def offset_response(light_dn: np.ndarray, sensor: SensorModel) -> np.ndarray:
-    """d mean reading / d offset [1] of a small offset behind the gain, under `light_dn` [DN]: below 1 where black or
-    full scale cut readings, and uneven where noise is finer than a DN."""
-    step = 0.02
+def offset_response(light_dn: np.ndarray, sensor: SensorModel, rms_dn: float = 0.0) -> np.ndarray:
+    """By how much the mean reading moves [1] with an offset behind the gain, under `light_dn` [DN]: below 1 where black
+    or full scale cut readings, and uneven where noise is finer than a DN.
+
+    Root of the variance of the mean over that of a normal offset of `rms_dn` [DN]; for 0 the slope.
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(2 if rms_dn < SMALL_DN else 9)
+    weights = weights / weights.sum()
     variance = sensor.gain_dn_per_e * np.maximum(light_dn, 0.0) + (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2
-    ends = []
-    for sign in (-1, 1):
-        mean, spread = np.array(light_dn + sensor.black_level_dn + sign * step, float), np.array(variance, float)
+    moved = []
+    for node in max(rms_dn, SMALL_DN) * nodes:
+        mean, spread = np.array(light_dn + sensor.black_level_dn + node, float), np.array(variance, float)
         convert(mean.reshape(-1), spread.reshape(-1), float(min(sensor.full_scale_dn, 1e9)), 0.0)
-        ends.append(mean)
-    return (ends[1] - ends[0]) / (2 * step)
+        moved.append(mean)
+    about = np.stack(moved) - np.tensordot(weights, moved, 1)
+    return np.sqrt(np.tensordot(weights, about**2, 1)) / max(rms_dn, SMALL_DN)
 
 
 def _at(present: Sequence[Present], place: Place) -> list[Present]:
