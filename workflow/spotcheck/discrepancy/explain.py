@@ -177,8 +177,7 @@ def _excess_noise(look: Look, present: Sequence[Present]) -> float:
 def _scatter_beside(look: Look, present: Sequence[Present]) -> float:
     """Scatter of brightness beside what runs with the order of acquisition within a condition."""
     design, fits = look.measured.design, look.brightness
-    # A frame's own brightness is told against the base spot at every look.
-    course = _course(look, present)
+    course = _course(look, present) - _course(look, look.problem.start.present)
     chi2, freedom, _ = scatter_of(fits._replace(value=fits.value - course[:, None]), design.condition)
     return chi2 / max(freedom, 1) - 1
 
@@ -348,10 +347,10 @@ def _settled(o: Observable, names: set[str], fresh: bool) -> bool:
     if o.label.startswith("code"):  # where a level clips, readings gather at one code
         return "saturation" in names
     marked = {
-        "hot": {"fixed_pattern"},
+        "hot": {"fixed_pattern", "row_noise"},
         # Clipped noise is skewed and has tails of its own; so has a granular field, so have hot pixels.
         "skewness": {"saturation", "black_clipping", "nonlinearity", "speckle", "fixed_pattern"},
-        "outliers": {"saturation", "black_clipping", "speckle", "fixed_pattern"},
+        "outliers": {"saturation", "black_clipping", "speckle", "fixed_pattern", "row_noise"},
         # What sites or rows share adds up as stripes would.
         "stripes": {"fixed_pattern", "row_noise"},
     }

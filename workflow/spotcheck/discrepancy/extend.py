@@ -105,8 +105,8 @@ def investigate(
 
 def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
     """A closer look: about what an account expects of every pixel."""
-    hot = "fixed_pattern" in leader.names and look.measured.common
-    return look_again(shots, look, leader.refit.model, leader.latent, hot)
+    prnu = float(np.sqrt(leader.component["pixel"])) if "pixel" in leader.component and look.measured.common else None
+    return look_again(shots, look, leader.refit.model, leader.latent, prnu)
 
 
 def best_form(near: Look, own: Account) -> Account:

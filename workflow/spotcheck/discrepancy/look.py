@@ -8,12 +8,13 @@ import numpy as np
 
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Cells, Setting, cells_of, pooled
-from spotcheck.discrepancy.measure import Measured, frame_scores, measure
+from spotcheck.discrepancy.measure import Measured, measure, spot_of
 from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, hot_field, observables
 from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import Latent, Model, Problem
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import amplitudes
+from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.chain import Free, light, moments, offset_response, spot_state
 
 # Steps towards each frame's own centre.
@@ -39,25 +40,24 @@ def look_at(shots: Sequence[Shot], design: Design, base: Base, setting: Setting)
     return _seen(measure(shots, design, base, setting.baseline, setting.sensor), setting, None)
 
 
-def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent, hot: bool = False) -> Look:
+def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent, prnu: float | None = None) -> Look:
     """Look at the same frames about a model with effects: every pixel's own mean, every frame's own brightness and
-    place where those scatter; with `hot` also what hot pixels bring."""
+    place where those scatter; with `prnu`, the rms of the pixels' gains, also what hot pixels bring."""
     setting, design = before.setting, before.measured.design
     base, expect = scenes(shots, before, model, latent)
-    if hot:
-        expect = _with_hot(expect, before.measured)
-    astray = np.zeros((len(shots), 2))
-    if latent.centre:
-        common = _moved(before, model)
-        astray = np.stack([base.x0 - common.x0, base.y0 - common.y0], axis=1)
-    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect)._replace(astray=astray)
+    if prnu is not None:
+        expect = _with_hot(expect, before.measured, prnu)
+    common = _moved(before, model)
+    gain = own_gain(before, model, latent) / model.gain[design.condition] - 1
+    given = np.stack([gain, base.x0 - common.x0, base.y0 - common.y0], axis=1)
+    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect)._replace(given=given)
     # The base has moved: no shift is left.
     return _seen(measured, setting, model._replace(shift=0 * model.shift))
 
 
-def _with_hot(expect: Callable[[int], Scene], measured: Measured) -> Callable[[int], Scene]:
+def _with_hot(expect: Callable[[int], Scene], measured: Measured, prnu: float) -> Callable[[int], Scene]:
     """Expectation of each frame with the offsets of the sensor's hot pixels."""
-    field = hot_field(measured)
+    field = hot_field(measured, prnu)
     rows, columns = measured.sums.row.shape[1], measured.sums.column.shape[1]
 
     def with_hot(k: int) -> Scene:
@@ -99,11 +99,7 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
     if latent.centre:
         moved = with_own_centres(shots, measured, moved, setting)
     x0, y0 = moved.x0, moved.y0
-    gain = model.gain[condition]
-    if latent.gain:
-        own = frame_fits(measured, "brightness").value[:, 0]
-        now = np.asarray(spot_state(view, setting.baseline, model.base, model.present)[0])
-        gain = base.amplitude * (1 + own) / np.broadcast_to(now, (design.conditions, 1, 1))[condition, 0, 0]
+    gain = own_gain(before, model, latent)
     stripes = next((p for p in model.present if p.effect.name == "interference_fringes" and p.form == "site"), None)
     waves = np.zeros((design.sites, 2))
     if stripes is not None:
@@ -142,6 +138,17 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
     return moved, expect
 
 
+def own_gain(before: Look, model: Model, latent: Latent) -> np.ndarray:
+    """Factor [frame] on the model's brightness: each frame's own where those scatter, else its condition's."""
+    measured, setting = before.measured, before.setting
+    condition = measured.design.condition
+    if not latent.gain:
+        return model.gain[condition]
+    own = frame_fits(measured, "brightness").value[:, 0]
+    now = np.asarray(spot_state(before.cells.view, setting.baseline, model.base, model.present)[0])
+    return measured.base.amplitude * (1 + own) / np.broadcast_to(now, (len(model.gain), 1, 1))[condition, 0, 0]
+
+
 def _moved(before: Look, model: Model) -> Base:
     """The base of a look with the centres that a model found."""
     design, base = before.measured.design, before.measured.base
@@ -152,9 +159,17 @@ def _moved(before: Look, model: Model) -> Base:
 
 def with_own_centres(shots: Sequence[Shot], measured: Measured, base: Base, setting: Setting) -> Base:
     """A base with every frame's own centre, near that given."""
+    law = law_of(setting.sensor)
+    images = [np.ascontiguousarray(shot.pixels(), dtype=np.float64) for shot in shots]
     for _ in range(NEARER):
-        score, information = frame_scores(shots, measured.design, base, setting.baseline, setting.sensor)
-        step = frame_fits(measured._replace(base=base, score=score, information=information), "centre").value
+        spots = [spot_of(k, measured.design, base, setting.sensor) for k in range(len(shots))]
+        scores = [
+            one_pass(image, spot, LIKELIHOOD, law, setting.baseline.top_hat)
+            for image, spot in zip(images, spots, strict=True)
+        ]
+        score, information = (np.array([own[part] for own in scores]) for part in range(2))
+        near = measured._replace(base=base, score=score, information=information, given=0 * measured.given)
+        step = frame_fits(near, "centre").value
         base = base._replace(x0=base.x0 + step[:, 0], y0=base.y0 + step[:, 1])
     return base
 

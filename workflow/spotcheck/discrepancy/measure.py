@@ -10,7 +10,9 @@ from spotcheck.discrepancy.pixels import CODES, Scene, add_frame, fill_scene, ta
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.baseline import Baseline
+from spotcheck.model.chain import offset_response
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.model.spot import TOP_HAT_LEVEL
 
 # Blocks along a crop: 8 px of 240.
 BLOCKS = 30
@@ -28,8 +30,7 @@ class Sums(NamedTuple):
     number, Σ (µr/v)², Σ (µ²/v)², Σ (µ/v)²)].
 
     Fields: `pull`, `weight` [site, row, column] Σ µr/v and Σ µ²/v over the frames of a site, in its own window; over
-    the whole set on the sensor [row, column] `square`, `square_weight` the sums of their squares frame by frame,
-    `dark_pull`, `dark_weight` Σ r/v and Σ 1/v.
+    the whole set on the sensor [row, column] `dark_pull`, `dark_weight`, `dark_light` Σ r/v, Σ 1/v and Σ µ/v.
     """
 
     residual: np.ndarray
@@ -48,17 +49,16 @@ class Sums(NamedTuple):
     totals: np.ndarray
     pull: np.ndarray
     weight: np.ndarray
-    square: np.ndarray
-    square_weight: np.ndarray
     dark_pull: np.ndarray
     dark_weight: np.ndarray
+    dark_light: np.ndarray
 
 
 class Measured(NamedTuple):
     """Sums about a model, the base spots, score [frame, 7] and information [frame, 7, 7] of each frame's own spot (the
     parameters of `scoring`), side of a block [px], the corner (row, column) of the window on the sensor, whether sites
-    share it, where each crop and each site's window lies [px], and how far each frame's own centre, about which it was
-    looked at, lies from its site's [frame, (x, y)] in px."""
+    share it, where each crop and each site's window lies [px], and by how much the brightness and centre that a frame
+    was given of its own differ from the model's [frame, (relative, x px, y px)]."""
 
     design: Design
     base: Base
@@ -72,7 +72,7 @@ class Measured(NamedTuple):
     top: np.ndarray
     site_left: np.ndarray
     site_top: np.ndarray
-    astray: np.ndarray
+    given: np.ndarray
 
 
 def block_side(crop_px: int) -> int:
@@ -109,39 +109,63 @@ def measure(
         np.zeros((count, len(CODES) + 1, int(CODES[-1]))),
         np.zeros((count, 6)),
         *(np.zeros(sites, np.float32) for _ in range(2)),
-        *(np.zeros(window) for _ in range(4)),
+        *(np.zeros(window) for _ in range(3)),
     ]
     sums = Sums(*parts)
-    expect = expect or base_scenes(shots, design, base, baseline, sensor)
+    at_base = base_scenes(shots, design, base, baseline, sensor)
+    law = law_of(sensor)
+    faint = np.linspace(0.0, 16.0 * (1 + sensor.gain_dn_per_e * sensor.read_noise_e), 400)
+    response = faint, offset_response(faint, sensor)
+    score, information = np.zeros((count, 7)), np.zeros((count, 7, 7))
     dark_variance = (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + ROUNDING_VARIANCE
     for k, shot in enumerate(shots):
         image = np.ascontiguousarray(shot.pixels(), dtype=np.float64)
-        scene, site = expect(k), design.site[k]
+        scene, site = expect(k) if expect else at_base(k), design.site[k]
         chip_at = (int(top[k]) - corner[0], int(left[k]) - corner[1]) if common else (0, 0)
         at = (int(top[k] - site_top[site]), int(left[k] - site_left[site]))
         add_frame(  # type: ignore[call-arg]
             image, *scene, sensor.black_level_dn, dark_variance, sensor.gain_dn_per_e**2, side,
             *(part[k] for part in sums[:14]), sums.pull[site], sums.weight[site], *sums[16:], at, chip_at,
         )  # fmt: skip
-    score, information = frame_scores(shots, design, base, baseline, sensor)
-    return Measured(design, base, sums, score, information, side, corner, common, left, top, site_left, site_top,
-                    np.zeros((count, 2)))  # fmt: skip
-
-
-def frame_scores(
-    shots: Sequence[Shot], design: Design, base: Base, baseline: Baseline, sensor: SensorModel
-) -> tuple[np.ndarray, np.ndarray]:
-    """Score [frame, 7] and information [frame, 7, 7] of each frame's own spot at the base's."""
-    law = law_of(sensor)
-    score, information = np.zeros((len(shots), 7)), np.zeros((len(shots), 7, 7))
-    for k, shot in enumerate(shots):
-        image = np.ascontiguousarray(shot.pixels(), dtype=np.float64)
-        exposure = design.exposure_s[design.condition[k]]
-        curvature = base.sigma[k] ** -2.0
-        dark = sensor.black_level_dn + sensor.gain_dn_per_e * sensor.dark_current_e_per_s * np.nan_to_num(exposure)
-        theta = np.array([base.amplitude[k], base.x0[k], base.y0[k], curvature, 0.0, curvature, dark])
+        theta = spot_of(k, design, base, sensor)
         score[k], information[k], _, _ = one_pass(image, theta, LIKELIHOOD, law, baseline.top_hat)
-    return score, information
+        if expect:
+            # What the model has over the base spot is no sign of another brightness, place or width.
+            mean = scene.mean
+            spot = at_base(k)
+            follows = np.interp(spot.light, *response)
+            score[k] -= pull_of(follows * (mean - spot.mean) / spot.variance, theta, baseline.top_hat)
+    return Measured(design, base, sums, score, information, side, corner, common, left, top, site_left, site_top,
+                    np.zeros((count, 3)))  # fmt: skip
+
+
+def spot_of(k: int, design: Design, base: Base, sensor: SensorModel) -> np.ndarray:
+    """Parameters of the base's spot of frame `k`, as `scoring` has them."""
+    exposure = np.nan_to_num(design.exposure_s[design.condition[k]])
+    curvature = base.sigma[k] ** -2.0
+    dark = sensor.black_level_dn + sensor.gain_dn_per_e * sensor.dark_current_e_per_s * exposure
+    return np.array([base.amplitude[k], base.x0[k], base.y0[k], curvature, 0.0, curvature, dark])
+
+
+def pull_of(weighted: np.ndarray, theta: np.ndarray, top_hat: bool) -> np.ndarray:
+    """Σ of weighted residuals [row, column] in 1/DN times the slopes of the spot's light, in the order of `scoring`."""
+    amplitude, x0, y0, a, _, c, _ = theta
+    dx, dy = np.arange(weighted.shape[1]) - x0, np.arange(weighted.shape[0]) - y0
+    along, across = np.exp(-c * dy**2 / 2), np.exp(-a * dx**2 / 2)
+    plateau = 0.0
+    if top_hat:
+        high = along[:, None] * across[None] > TOP_HAT_LEVEL
+        plateau = TOP_HAT_LEVEL * float(weighted[high].sum())
+        rest = float(weighted.sum())
+        weighted = np.where(high, 0.0, weighted)
+    else:
+        rest = float(weighted.sum())
+
+    def total(power_x: int, power_y: int) -> float:
+        return float((along * dy**power_y) @ weighted @ (across * dx**power_x))
+
+    by_shape = (a * total(1, 0), c * total(0, 1), -total(2, 0) / 2, -total(1, 1), -total(0, 2) / 2)
+    return np.array([total(0, 0) + plateau, *(amplitude * own for own in by_shape), rest])
 
 
 def base_scenes(

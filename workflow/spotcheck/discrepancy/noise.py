@@ -54,7 +54,7 @@ def observables(
     """All observables; `light` [condition, row, column] is the model's at the blocks, `response` what a reading there
     follows of an offset."""
     out = _levels(measured, cells, light, response)
-    out += _fields(measured)
+    out += _fields(measured, light, response)
     out += _lines(measured, response)
     out += _frames(measured, light, response, top_hat)
     out += _readings(measured)
@@ -135,7 +135,7 @@ def _levels(measured: Measured, cells: Cells, light: np.ndarray, response: np.nd
     return out
 
 
-def _fields(measured: Measured) -> list[Observable]:
+def _fields(measured: Measured, light: np.ndarray, response: np.ndarray) -> list[Observable]:
     """Power of what a site's exposures share by spatial frequency, and of what all sites share on the sensor."""
     sums = measured.sums
     pull, weight = sums.pull, sums.weight
@@ -172,7 +172,11 @@ def _fields(measured: Measured) -> list[Observable]:
     mean = np.bincount(ring.ravel(), power.ravel(), RINGS + 1) / counts
     contrast = peaked / np.maximum(mean[ring], 1e-300)
     out.append(Observable("spectrum", "stripes", None, np.nan, np.nan, "", float(contrast.max()), 1.0, 1.0, _load()))
-    out += _shared(measured, squared)
+    # Of a row's own offset the finest structure keeps four fifths.
+    condition = measured.design.condition
+    moved = (light * response)[condition] / np.where(sums.pixels > 0, sums.variance, np.inf)
+    by_row = 0.8 * measured.side**2 * float((moved**2).sum())
+    out += _shared(measured, squared, by_row)
     return out
 
 
@@ -185,12 +189,13 @@ def _fine_noise(squares: np.ndarray) -> np.ndarray:
     return (1 - 2 / BOX**2) * squares + ndimage.uniform_filter(squares, BOX, mode="constant") / BOX**2
 
 
-def _shared(measured: Measured, squared: float) -> list[Observable]:
-    """Fine structure that exposures of a site share, that sites share on the sensor, and that dark pixels keep."""
+def _shared(measured: Measured, squared: float, by_row: float) -> list[Observable]:
+    """Fine structure that exposures of a site share, that sites share on the sensor, and that dark pixels keep.
+    `by_row` is what offsets of rows of 1 DN bring to it."""
     sums, design = measured.sums, measured.design
-    chip = np.zeros(sums.square.shape)
-    chip_weight = np.zeros(sums.square.shape)
-    own_chip, own_weight = np.zeros(sums.square.shape), np.zeros(sums.square.shape)
+    chip = np.zeros(sums.dark_pull.shape)
+    chip_weight = np.zeros(sums.dark_pull.shape)
+    own_chip, own_weight = np.zeros(sums.dark_pull.shape), np.zeros(sums.dark_pull.shape)
     site_total = 0.0
     for site in range(design.sites):
         part = _fine(sums.pull[site].astype(float))
@@ -208,7 +213,7 @@ def _shared(measured: Measured, squared: float) -> list[Observable]:
     white = float(sums.totals[:, 5].sum()) / squared
     value, error = (site_total - noise) / (left * squared), np.sqrt(2 / squared)
     floor = noise / (left * squared)
-    load = _load(read=white, pixel=1.0, grain=1.0)
+    load = _load(read=white, row=by_row / (left * squared), pixel=1.0, grain=1.0)
     out.append(Observable("spectrum", "site", None, np.nan, np.nan, "", value, error, floor, load))
     norm = left * float((chip_weight**2 - own_weight).sum())
     if measured.common and norm > 1e-6 * squared:
@@ -223,18 +228,19 @@ def _shared(measured: Measured, squared: float) -> list[Observable]:
     return out
 
 
-def hot_pixels(measured: Measured) -> int:
-    """Pixels that are off in all frames alike, far beyond their neighbours."""
-    return int(np.count_nonzero(hot_field(measured)))
+def hot_pixels(measured: Measured, prnu: float) -> int:
+    """Pixels that are off in all frames alike, far beyond their neighbours and what gains of rms `prnu` bring."""
+    return int(np.count_nonzero(hot_field(measured, prnu)))
 
 
-def hot_field(measured: Measured) -> np.ndarray:
+def hot_field(measured: Measured, prnu: float) -> np.ndarray:
     """By how much each of them is off [row, column of the window] in DN, 0 elsewhere."""
     sums = measured.sums
     weight = np.where(sums.dark_weight > 0, sums.dark_weight, 1.0)
     z = np.where(sums.dark_weight > 0, sums.dark_pull / np.sqrt(weight), 0.0)
     off = z - ndimage.median_filter(z, BOX)
-    return np.where(np.abs(off) > HOT, off / np.sqrt(weight), 0.0)
+    by_gain = prnu**2 * sums.dark_light**2 / weight
+    return np.where(np.abs(off) > HOT * np.sqrt(1 + by_gain), off / np.sqrt(weight), 0.0)
 
 
 def _window(measured: Measured, site: int, chip: tuple[int, ...], part: tuple[int, ...]):
@@ -315,6 +321,8 @@ QUANTITIES = {
     "pedestal": ([6], [0, 3]),
 }
 
+GIVEN = {"brightness": slice(0, 1), "centre": slice(1, 3)}
+
 
 def frame_fits(measured: Measured, name: str) -> FrameFits:
     """One quantity of every frame, from its own score and information."""
@@ -334,8 +342,9 @@ def frame_fits(measured: Measured, name: str) -> FrameFits:
     inverse = np.zeros_like(matrix)
     inverse[known] = np.linalg.inv(matrix[known])
     value = np.einsum("fij,fj->fi", inverse, pull)[:, : len(own)]
-    if name == "centre":
-        value = value + measured.astray
+    # What a frame was given of its own still counts, so that a model that says nothing of it is asked as before.
+    if name in GIVEN:
+        value = value + measured.given[:, GIVEN[name]]
     return FrameFits(value, np.einsum("fii->fi", inverse)[:, : len(own)], known)
 
 

@@ -91,7 +91,7 @@ def fill_scene(amplitude, x0, y0, sigma, top_hat, gain, dark_e, step, means, var
 def add_frame(
     image, mean, variance, light, black, dark_variance, third, side,
     residual, spread, count, rough, rough_dof, fourth, row, row_weight, row_light, column, column_weight,
-    column_light, comb, totals, pull, weight, square, square_weight, dark_pull, dark_weight, at, chip_at,
+    column_light, comb, totals, pull, weight, dark_pull, dark_weight, dark_light, at, chip_at,
 ):  # fmt: skip
     """Add one frame to the sums of `measure.Sums`. `side` is that of a block [px]; `at`, `chip_at` are (row, column) of
     the crop's corner in the windows of the site's and the chip's fields; `dark_variance` [DN²] that of a reading
@@ -131,10 +131,9 @@ def add_frame(
             totals[5] += lw * lw
             pull[at[0] + j, at[1] + k] += own * rw
             weight[at[0] + j, at[1] + k] += own * lw
-            square[chip_at[0] + j, chip_at[1] + k] += (own * rw) ** 2
-            square_weight[chip_at[0] + j, chip_at[1] + k] += (own * lw) ** 2
             dark_pull[chip_at[0] + j, chip_at[1] + k] += rw
             dark_weight[chip_at[0] + j, chip_at[1] + k] += w
+            dark_light[chip_at[0] + j, chip_at[1] + k] += lw
             if y > CODE_FLOOR and mean[j, k] > max(CODE_FLOOR, black) + 6 * sd:
                 wide = 0
                 while wide < CODE_VARIANCE.size and variance[j, k] > CODE_VARIANCE[wide]:
