@@ -101,6 +101,7 @@ rule judge:
     output:
         verdict=f"{OUT}/verdict.json",
         pictures=f"{OUT}/discrepancy.nc",
+        model=f"{OUT}/model.yaml",
     log:
         f"{OUT}/logs/judge.log",
     benchmark:
@@ -119,4 +120,4 @@ rule judge:
     shell:
         "spotcheck verdict {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
         " --findings {input.findings:q} --gap {input.gap:q} --advice {input.advice:q}"
-        " --pictures {output.pictures:q} --output {output.verdict:q} 2>&1 | tee {log:q}"
+        " --pictures {output.pictures:q} --model {output.model:q} --output {output.verdict:q} 2>&1 | tee {log:q}"

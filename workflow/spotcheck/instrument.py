@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from spotcheck.errors import InputError
 from spotcheck.manifest import REQUIRED_COLUMNS
-from spotcheck.schema import breach_of, read_yaml
+from spotcheck.schema import breach_of, read_keys
 
 # No condition may bear the name of a standard column, or of a dimension or variable of the results.
 RESERVED = {
@@ -32,7 +30,7 @@ RESERVED = {
     *("row_mean", "column_mean", "amplitude", "x_centre", "y_centre", "sigma_major", "sigma_minor", "orientation"),
     *("offset", "sigma_mean", "chi2_reduced", "p1", "p2", "peak", "laser_width", "likelihood_converged", "mean_light"),
     *("sigma", "maximum", "sum", "speckle_contrast", "peak_ratio", "psnr", "law", "fine_exposure", "photons"),
-    *("axis", "power", "other_power", "coefficient", "origin", "scatter"),
+    *("axis", "power", "other_power", "coefficient", "origin", "scatter", "mean_reading"),
 }
 
 
@@ -120,23 +118,7 @@ def read_instrument(path: Path) -> Instrument:
     """Instrument of `path`; all defaults when the file does not exist. Raises `InputError`."""
     if not path.exists() and not path.is_symlink():
         return Instrument()
-    if not path.is_file():
-        raise InputError(f"{path.name}: is no file; it must be YAML with `key: value` lines")
-    try:
-        content = read_yaml(path)
-        content = {} if content is None else content
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "not YAML"
-        raise InputError(f"{path.name}{line}: {problem}; it must be YAML with `key: value` lines") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8") from None
-    except (ValueError, RecursionError) as error:
-        reason = str(error).splitlines()[0][:80]
-        raise InputError(f"{path.name}: a value cannot be read ({reason}); it must be a number, text or list") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path.name}: holds no keys; it must be YAML with `key: value` lines")
+    content = read_keys(path)
     # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
     content = {k: ({} if v is None and k in SECTIONS else v) for k, v in content.items()}
     if breach := breach_of(content, "instrument"):

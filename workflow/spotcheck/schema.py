@@ -9,6 +9,8 @@ import yaml
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError, best_match
 
+from spotcheck.errors import InputError
+
 SCHEMAS = Path(__file__).parents[1] / "schemas"
 
 
@@ -22,6 +24,27 @@ def breach_of(content: dict[str, Any], name: str) -> str | None:
     schema = read_schema(name)
     breach = best_match(Draft202012Validator(schema).iter_errors(content))
     return None if breach is None else _explain(breach, schema)
+
+
+def read_keys(path: Path) -> dict[str, Any]:
+    """Keys and values of a YAML file; an empty one has none. Raises `InputError`."""
+    if not path.is_file():
+        raise InputError(f"{path.name}: is no file; it must be YAML with `key: value` lines")
+    try:
+        content = read_yaml(path)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not YAML"
+        raise InputError(f"{path.name}{line}: {problem}; it must be YAML with `key: value` lines") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8") from None
+    except (ValueError, RecursionError) as error:
+        reason = str(error).splitlines()[0][:80]
+        raise InputError(f"{path.name}: a value cannot be read ({reason}); it must be a number, text or list") from None
+    if content is not None and not isinstance(content, dict):
+        raise InputError(f"{path.name}: holds no keys; it must be YAML with `key: value` lines")
+    return content or {}
 
 
 def read_yaml(path: Path) -> Any:
@@ -84,7 +107,10 @@ def _explain(error: ValidationError, schema: dict[str, Any]) -> str:
         kind |= {"integer": "a whole number", "boolean": "true or false", "string": "text"}
         return f"key {key} is {error.instance!r}; it must be {kind[error.validator_value]}"
     if error.validator == "enum":
-        return f"key {key} is {error.instance!r}; it must be one of {', '.join(error.validator_value)}"
+        return f"key {key} is {error.instance!r}; it must be one of {', '.join(map(str, error.validator_value))}"
+    if error.validator == "required":
+        missing = next(own for own in error.validator_value if own not in error.instance)
+        return f"key {key}.{missing} is missing" if key else f"key {missing} is missing"
     bound = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most"}.get(str(error.validator))
     if bound:
         return f"key {key} is {error.instance!r}; it must be {bound} {error.validator_value}"

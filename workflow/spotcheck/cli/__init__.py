@@ -15,7 +15,7 @@ COMMANDS = {
     "sensor": "settle the sensor: data sheet where it speaks, frames where they allow",
     "fit": "fit a 2D Gaussian to every crop",
     "calibrate": "p1, p2 and the peak from fits and frames",
-    "simulate": "the paper's model at the calibrated parameters, as a dataset folder",
+    "simulate": "the paper's model at the calibrated parameters, or an extended one, as a dataset folder",
     "compare": "metrics of measured and simulated frames side by side",
     "bounds": "Cramér-Rao bounds over exposure and photons",
     "precision": "scatter over repeats against the bound, and the best exposure",

@@ -1,27 +1,39 @@
-"""`spotcheck simulate`: simulated.nc and the folder of simulated frames."""
+"""`spotcheck simulate`: a file of mean images and the folder of simulated frames."""
 
 import argparse
 from pathlib import Path
 
 from spotcheck import dataset, provenance, simulation, store
+from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.sensor import model_of
+from spotcheck.model.extended import read_model
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
     parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--calibration", required=True, help="calibration.nc")
-    parser.add_argument("--fits", required=True, help="fits.nc")
+    parser.add_argument("--calibration", help="calibration.nc; not with --model")
+    parser.add_argument("--fits", help="fits.nc; not with --model")
+    parser.add_argument("--model", help="model.yaml: simulate the extended model instead of the paper's")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
     parser.add_argument("--seed", type=int, required=True, help="seed of the random draws")
     parser.add_argument("--folder", required=True, help="folder of the simulated dataset")
-    parser.add_argument("--output", required=True, help="simulated.nc to write")
+    parser.add_argument("--output", required=True, help="simulated.nc or extended.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:
     """Simulate every frame of the grid."""
     found = dataset.load(args.dataset)
+    if args.seed < 0:
+        raise InputError(f"--seed: is {args.seed}; it must be 0 or above")
+    (_extended if args.model else _paper)(args, found)
+    print(f"{found.name}: {len(found.spots)} frames simulated")
+
+
+def _paper(args: argparse.Namespace, found: dataset.Dataset) -> None:
+    if not args.calibration or not args.fits:
+        raise InputError("simulate: what to simulate is missing; give --calibration and --fits, or --model")
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
         lawful = simulation.has_law(calibration)
         states = simulation.spot_states(found, calibration, fits)
@@ -38,4 +50,25 @@ def run(args: argparse.Namespace) -> None:
         code=provenance.code_digest(__name__),
         inputs=[args.calibration, args.fits, args.sensor],
     )
-    print(f"{found.name}: {len(found.spots)} frames simulated")
+
+
+def _extended(args: argparse.Namespace, found: dataset.Dataset) -> None:
+    if args.calibration or args.fits:
+        raise InputError("simulate: --model holds all parameters; give either it, or --calibration and --fits")
+    path = Path(args.model)
+    model = read_model(path)
+    with store.read(args.sensor) as sensor:
+        own = model_of(sensor)
+    if own is None:
+        raise InputError(f"{Path(args.sensor).name}: gain or read noise is unknown, and {path.name} cannot do without")
+    simulation.simulate_extended(
+        found,
+        model,
+        own,
+        Path(args.folder),
+        Path(args.output),
+        name=path.name,
+        seed=args.seed,
+        code=provenance.code_digest(__name__),
+        inputs=[args.model, args.sensor],
+    )
