@@ -11,6 +11,7 @@ from spotcheck.discrepancy.pixels import (
     CODE_FLOOR,
     CODE_VARIANCE,
     CODES,
+    FREE,
     OUTLIER,
     STEP_DN,
     add_frame,
@@ -74,7 +75,7 @@ def nothing(rows: int, columns: int, side: int) -> Sums:
     blocks = [np.zeros((rows // side, columns // side)) for _ in range(6)]
     lines = [np.zeros(n) for n in (rows,) * 3 + (columns,) * 3]
     tables = [np.zeros((len(CODES) + 1, int(CODES[-1]))), np.zeros(6)]
-    fields = [np.zeros(SITE) for _ in range(2)] + [np.zeros(CHIP) for _ in range(4)]
+    fields = [np.zeros(SITE) for _ in range(2)] + [np.zeros(CHIP) for _ in range(3)]
     return Sums(*blocks, *lines, *tables, *fields)
 
 
@@ -112,6 +113,11 @@ def plainly(frame: Frame, side: int) -> Sums:
                 third = (THIRD * light[own] / variance[own] ** 1.5).sum()
                 out.totals[1] += ((z[own] - z[own].mean()) ** 3).sum() - third
                 out.totals[2] += side**2
+    # Light whose noise a level cuts speaks in blocks alone.
+    cut = (light >= 6 * np.sqrt(DARK_VARIANCE)) & (variance <= FREE * (DARK_VARIANCE + np.sqrt(THIRD) * light))
+    assert 0 < np.sum(used & cut) < np.sum(used)
+    everything, used = used, used & ~cut
+    r, w, mu = (np.where(used, own, 0.0) for own in (r, w, mu))
     for axis, line in ((1, ("row", "row_weight", "row_light")), (0, ("column", "column_weight", "column_light"))):
         for name, value in zip(line, (r * w, w, (mu * w) ** 2), strict=True):
             getattr(out, name)[:] = value.sum(axis=axis)
@@ -120,9 +126,8 @@ def plainly(frame: Frame, side: int) -> Sums:
     site = (slice(AT[0], AT[0] + rows), slice(AT[1], AT[1] + columns))
     chip = (slice(CHIP_AT[0], CHIP_AT[0] + rows), slice(CHIP_AT[1], CHIP_AT[1] + columns))
     out.pull[site], out.weight[site] = mu * r * w, mu * mu * w
-    out.square[chip], out.square_weight[chip] = (mu * r * w) ** 2, (mu * mu * w) ** 2
-    out.dark_pull[chip], out.dark_weight[chip] = r * w, w
-    lit = used & (np.nan_to_num(image) > CODE_FLOOR)
+    out.dark_pull[chip], out.dark_weight[chip], out.dark_light[chip] = r * w, w, mu * w
+    lit = everything & (np.nan_to_num(image) > CODE_FLOOR)
     lit &= mean > max(CODE_FLOOR, BLACK) + 6 * np.sqrt(variance)
     which = (variance[lit][:, None] > CODE_VARIANCE).sum(axis=1)
     np.add.at(out.comb, (which, image[lit].astype(int) % CODES[-1]), 1)

@@ -95,6 +95,7 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     numbers = sum(max(len(e.parameters) - len(e.idle.get(form, ())), 1) for e, form in effects)
     numbers += len(active) - ("row" in active) + ("grain" in active) + fit.model.wave.size
     score = fit.score + noise_score + 2 * numbers + _occam(look, fit, component)
+    score += 0.0 if "fixed_pattern" in names else look.hot
     seen = [o for o in seen if not _settled(o, names, fresh)]
     shared = _shared_variance(look, component, grain, fit)
     modes = modes_of(look.cells, look.setting, fit.residual, fit.variance, look.problem.used, shared)
@@ -279,7 +280,8 @@ def relief(look: Look, own: Account, effect: Effect) -> float:
     if COMPONENT[effect.name] in ("gain", "centre", "grain") and own.refit.chi2 > 1.05 * look.problem.used.sum():
         # They also move the condition means, in ways that only the fit can tell.
         return np.inf
-    return before - _solve(look, active, expected, own.grain)[2]
+    hot = look.hot if effect.name == "fixed_pattern" else 0.0
+    return before - _solve(look, active, expected, own.grain)[2] + hot
 
 
 def _latent(look: Look, component: dict[str, float], grain: float, active: Sequence[str]) -> Latent:

@@ -1,6 +1,6 @@
 """The loop: detect, name, add to the model, and look again, until nothing disagrees or nothing explains."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,8 @@ from spotcheck.discrepancy.shots import Design, Shot
 
 # −log10 p from which on scatter, stripes or lines stand out clearly.
 CLEAR = 4.0
+# Where less than this many times the expected χ² is left, it may be an edge's that blocks do not resolve.
+NEARLY = 3.0
 
 
 class Tolerance(NamedTuple):
@@ -79,7 +81,7 @@ def investigate(
         good = fits(near, exact)
         if not good and own.names == leader.names:
             # At the first look blocks blur what tells forms of one effect apart.
-            other = best_form(near, exact)
+            other, near = best_form(near, exact, near_to)
             if other.effects != exact.effects:
                 near = near_to(other)
                 exact = closer_account(near, other)
@@ -109,18 +111,25 @@ def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
     return look_again(shots, look, leader.refit.model, leader.latent, prnu)
 
 
-def best_form(near: Look, own: Account) -> Account:
-    """The best account over all forms of each effect, one after the other, from the values at hand."""
+def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> tuple[Account, Look]:
+    """The best account over all forms of each effect, one after the other, from the values at hand; and its look.
+
+    Where a form has an edge, nothing but its own expectation of every pixel says how good it is.
+    """
+    edged = "saturation" in own.names and own.refit.chi2 < NEARLY * near.problem.used.sum()
     for k, (effect, _) in enumerate(own.effects):
         for form in effect.forms:
             if form == own.effects[k][1] or effect.name == "interference_fringes":
                 continue
             present = list(present_of(own))
             present[k] = present[k]._replace(form=form)
-            other = account(near, present, own.refit.model, own.refit.score)
+            other, look = account(near, present, own.refit.model, own.refit.score), near
+            if edged and effect.name == "saturation":
+                look = near_to(other)
+                other = closer_account(look, other)
             if other.score < own.score - 1:
-                own = other
-    return own
+                own, near = other, look
+    return own, near
 
 
 def closer_account(near: Look, own: Account) -> Account:

@@ -9,7 +9,7 @@ import numpy as np
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Cells, Setting, cells_of, pooled
 from spotcheck.discrepancy.measure import Measured, measure, spot_of
-from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, hot_field, observables
+from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, hot_field, hot_power, observables
 from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import Latent, Model, Problem
 from spotcheck.discrepancy.shots import Design, Shot
@@ -23,7 +23,8 @@ NEARER = 2
 
 class Look(NamedTuple):
     """What was seen: sums, cells, the problem that refits solve, the model's light at the blocks [DN], what a reading
-    there follows of an offset, observables, and what each frame says of its own brightness."""
+    there follows of an offset, observables, what each frame says of its own brightness, and χ² of pixels that are hot
+    whatever their gain."""
 
     setting: Setting
     measured: Measured
@@ -33,6 +34,7 @@ class Look(NamedTuple):
     response: np.ndarray
     observables: list[Observable]
     brightness: FrameFits
+    hot: float
 
 
 def look_at(shots: Sequence[Shot], design: Design, base: Base, setting: Setting) -> Look:
@@ -52,7 +54,9 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     given = np.stack([gain, base.x0 - common.x0, base.y0 - common.y0], axis=1)
     measured = measure(shots, design, base, setting.baseline, setting.sensor, expect)._replace(given=given)
     # The base has moved: no shift is left.
-    return _seen(measured, setting, model._replace(shift=0 * model.shift))
+    near = _seen(measured, setting, model._replace(shift=0 * model.shift))
+    # What was taken off still speaks against who knows nothing of it.
+    return near._replace(hot=before.hot)
 
 
 def _with_hot(expect: Callable[[int], Scene], measured: Measured, prnu: float) -> Callable[[int], Scene]:
@@ -77,7 +81,7 @@ def _seen(measured: Measured, setting: Setting, model: Model | None) -> Look:
     row = max((own.values[0] for own in present if own.effect.name == "row_noise"), default=0.0)
     response = offset_response(problem.light(problem.start), setting.sensor, row)
     seen = observables(measured, cells, at, response, setting.baseline.top_hat)
-    return Look(setting, measured, cells, problem, at, response, seen, fits)
+    return Look(setting, measured, cells, problem, at, response, seen, fits, hot_power(measured))
 
 
 def held_blocks(design: Design, shape: tuple[int, ...]) -> np.ndarray:

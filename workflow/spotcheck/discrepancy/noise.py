@@ -27,6 +27,7 @@ AXIS = 0.015
 # Side of the box whose mean is taken off a field to leave its finest structure [px].
 BOX = 5
 HOT = 7.0
+HOT_GAIN = 0.1
 # Rings of spatial frequency, over whose mean stripes must rise: fine enough for the steepest spectrum of grain.
 RINGS = 120
 
@@ -231,6 +232,12 @@ def _shared(measured: Measured, squared: float, by_row: float) -> list[Observabl
 def hot_pixels(measured: Measured, prnu: float) -> int:
     """Pixels that are off in all frames alike, far beyond their neighbours and what gains of rms `prnu` bring."""
     return int(np.count_nonzero(hot_field(measured, prnu)))
+
+
+def hot_power(measured: Measured) -> float:
+    """χ² of the pixels that are off by more than any gain or grain of `HOT_GAIN` brings."""
+    weight = np.maximum(measured.sums.dark_weight, 0.0)
+    return float((hot_field(measured, HOT_GAIN) ** 2 * weight).sum())
 
 
 def hot_field(measured: Measured, prnu: float) -> np.ndarray:

@@ -22,6 +22,9 @@ OUTLIER = 5.0
 # Readings with less variance [DN²] than this (1/12 is the rounding's own) repeat one number: they say little, and
 # what they say hangs on the noise's law far from its middle.
 CERTAIN = 0.12
+# Light whose noise a level cuts to less than this part of itself has heavy tails: only the blocks' own means and
+# variances look at it.
+FREE = 0.4
 # Periods of the converter's code [DN] whose comb in the readings is looked for, and the variance [DN²] from which on
 # noise smooths the comb of an even converter away (3 rad rms of phase).
 CODES = np.array([2, 4, 8, 16, 32])
@@ -99,6 +102,7 @@ def add_frame(
     rows, columns = image.shape
     blocks_y, blocks_x = residual.shape
     sums = np.zeros((blocks_x, 12))
+    per_electron, lit = math.sqrt(third), 6 * math.sqrt(dark_variance)
     middle = (side - 1) / 2
     for j in range(rows):
         by = j // side
@@ -117,23 +121,24 @@ def add_frame(
             rw = r * w
             own = light[j, k]
             lw = own * w
-            row[j] += rw
-            row_weight[j] += w
-            row_light[j] += lw * lw
-            column[k] += rw
-            column_weight[k] += w
-            column_light[k] += lw * lw
-            # Where black cuts the law of a reading its tail is that of the noise before the cut.
-            if abs(r) > OUTLIER * math.sqrt(max(variance[j, k], dark_variance)):
-                totals[0] += 1
-            totals[3] += (own * rw) ** 2
-            totals[4] += (own * lw) ** 2
-            totals[5] += lw * lw
-            pull[at[0] + j, at[1] + k] += own * rw
-            weight[at[0] + j, at[1] + k] += own * lw
-            dark_pull[chip_at[0] + j, chip_at[1] + k] += rw
-            dark_weight[chip_at[0] + j, chip_at[1] + k] += w
-            dark_light[chip_at[0] + j, chip_at[1] + k] += lw
+            if own < lit or variance[j, k] > FREE * (dark_variance + per_electron * own):
+                row[j] += rw
+                row_weight[j] += w
+                row_light[j] += lw * lw
+                column[k] += rw
+                column_weight[k] += w
+                column_light[k] += lw * lw
+                # Where black cuts the law of a reading its tail is that of the noise before the cut.
+                if abs(r) > OUTLIER * math.sqrt(max(variance[j, k], dark_variance)):
+                    totals[0] += 1
+                totals[3] += (own * rw) ** 2
+                totals[4] += (own * lw) ** 2
+                totals[5] += lw * lw
+                pull[at[0] + j, at[1] + k] += own * rw
+                weight[at[0] + j, at[1] + k] += own * lw
+                dark_pull[chip_at[0] + j, chip_at[1] + k] += rw
+                dark_weight[chip_at[0] + j, chip_at[1] + k] += w
+                dark_light[chip_at[0] + j, chip_at[1] + k] += lw
             if y > CODE_FLOOR and mean[j, k] > max(CODE_FLOOR, black) + 6 * sd:
                 wide = 0
                 while wide < CODE_VARIANCE.size and variance[j, k] > CODE_VARIANCE[wide]:
