@@ -29,6 +29,8 @@ GRAINS = np.geomspace(0.5, 14.0, 12)
 TRUST = 0.03
 # The correlation of a granular field has no fixed form; what it does to anything but its own power is trusted less.
 TRUST_GRAIN = 0.3
+# Observables of what scatters from frame to frame and has a component of its own.
+SCATTER = ("brightness", "centre")
 # Shape of observables that no component explains; they speak only in what is left over.
 MARKS = ("stripes", "hot", "outliers", "skewness")
 
@@ -339,7 +341,11 @@ def _left_over(look: Look, component: dict[str, float], grain: float, expected: 
         error += (0.0 if o.label == "site" else TRUST_GRAIN) * field + stripes
         rest = o.value - own - change - stripes
         out.append(o._replace(value=rest, error=error) if plain else o)
-        if plain:
+        if o.label in SCATTER:
+            # Its own likelihood: squares of `freedom` normal numbers of variance 1 + own.
+            freedom, ratio = 2 / o.error**2, 1 + max(own, 0.0)
+            score += freedom * ((1 + o.value - change) / ratio + np.log(ratio) - 1)
+        elif plain:
             score += float((rest / error) ** 2 + 2 * np.log(error / o.error))
     return out, score
 

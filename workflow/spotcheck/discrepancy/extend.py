@@ -11,10 +11,13 @@ from spotcheck.discrepancy.detect import Detection, Null, detect
 from spotcheck.discrepancy.explain import Account, account
 from spotcheck.discrepancy.look import Look, look_again, look_at
 from spotcheck.discrepancy.name import assessable, present_of, search
+from spotcheck.discrepancy.refit import NO_WAVE
 from spotcheck.discrepancy.shots import Design, Shot
+from spotcheck.discrepancy.stripes import peak
 
 # −log10 p from which on scatter, stripes or lines stand out clearly.
 CLEAR = 4.0
+FRINGES = "interference_fringes"
 # Where less than this many times the expected χ² is left, it may be an edge's that blocks do not resolve.
 NEARLY = 3.0
 
@@ -108,7 +111,16 @@ def investigate(
 def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
     """A closer look: about what an account expects of every pixel."""
     prnu = float(np.sqrt(leader.component["pixel"])) if "pixel" in leader.component and look.measured.common else None
-    return look_again(shots, look, leader.refit.model, leader.latent, prnu)
+    model = leader.refit.model
+    others = tuple(own for own in model.present if own.effect.name != FRINGES)
+    if 0 < len(others) < len(model.present):
+        # Blocks do not resolve short stripes, and other effects turn their peak: it is sought again without these.
+        look = look_again(shots, look, model._replace(present=others, wave=NO_WAVE), leader.latent, prnu)
+        found = peak(look.measured)
+        values = (found.depth, found.period, found.direction, 0.0)
+        present = tuple(own if own in others else own._replace(values=values) for own in model.present)
+        model = model._replace(present=present, shift=0 * model.shift)
+    return look_again(shots, look, model, leader.latent, prnu)
 
 
 def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> tuple[Account, Look]:
@@ -119,7 +131,7 @@ def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> t
     edged = "saturation" in own.names and own.refit.chi2 < NEARLY * near.problem.used.sum()
     for k, (effect, _) in enumerate(own.effects):
         for form in effect.forms:
-            if form == own.effects[k][1] or effect.name == "interference_fringes":
+            if form == own.effects[k][1] or effect.name == FRINGES:
                 continue
             present = list(present_of(own))
             present[k] = present[k]._replace(form=form)
@@ -135,7 +147,9 @@ def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> t
 def closer_account(near: Look, own: Account) -> Account:
     """An account fitted again at a closer look. That takes each frame's own brightness and centre off where they
     scatter; how much they do is what was seen before."""
-    exact = account(near, present_of(own), own.refit.model._replace(shift=near.problem.start.shift))
+    found = {p.effect.name: p.values for p in near.problem.start.present if p.effect.name == FRINGES}
+    present = [p._replace(values=found.get(p.effect.name, p.values)) for p in present_of(own)]
+    exact = account(near, present, own.refit.model._replace(shift=near.problem.start.shift))
     kept = {name: own.component[name] for name in ("gain", "centre") if name in own.component}
     errors = {name: own.component_error[name] for name in kept}
     return exact._replace(component=exact.component | kept, component_error=exact.component_error | errors)

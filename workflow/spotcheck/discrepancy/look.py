@@ -52,6 +52,7 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     common = _moved(before, model)
     gain = own_gain(before, model, latent) / model.gain[design.condition] - 1
     given = np.stack([gain, base.x0 - common.x0, base.y0 - common.y0], axis=1)
+    given[:, 1:] += before.measured.given[:, 1:]
     measured = measure(shots, design, base, setting.baseline, setting.sensor, expect)._replace(given=given)
     # The base has moved: no shift is left.
     near = _seen(measured, setting, model._replace(shift=0 * model.shift))

@@ -174,11 +174,29 @@ def search(look: Look, effects: Sequence[Effect], closer: Closer) -> Naming:
         ranked = grown
     if best is None:
         return Naming(None, [], alone)
+    best = _beside_scatter(look, best, effects, empty, closer)
     holding = [own for own, good in best if good]
     if holding and len(holding[0].effects) > 1:
         rivals = _rivals(look, holding[0], effects)
         holding = [own for own, good in _contest([*holding, *rivals], empty, closer) if good]
     return Naming(best[0][0], _simplest(holding), alone)
+
+
+def _beside_scatter(
+    look: Look, best: list[tuple[Account, bool]], effects: Sequence[Effect], empty: Account, closer: Closer
+) -> list[tuple[Account, bool]]:
+    """The contest with a law of the brightness added, where that earns its place: free gains hold without it, for they
+    scatter as any law does."""
+    leader, good = best[0]
+    if not good or "power_fluctuation" not in leader.names:
+        return best
+    laws = [effect for effect in effects if effect.name in LAWS and effect.name not in leader.names]
+    kept = account(look, present_of(leader))
+    grown = [own for own in (_added(look, kept, law) for law in laws) if own and own.score < kept.score - EARNS]
+    if not grown:
+        return best
+    found = _contest(sorted(grown, key=lambda own: own.score), empty, closer)
+    return found if found[0][1] else best
 
 
 def _contest(ranked: Sequence[Account], empty: Account, closer: Closer) -> list[tuple[Account, bool]]:
