@@ -169,7 +169,7 @@ class Nulls:
     """Null laws by design and kind, each made once and kept in a folder; two processes never make the same one."""
 
     def __init__(self, folder: Path, count: int, keep: bool = False, deadline: float = math.inf) -> None:
-        """With `keep`, for tuning, laws outlive changes of the code and serve all sensors and photon budgets. None is
+        """With `keep`, for tuning, laws outlive changes of the code and serve both photon budgets. None is
         begun that would pass the deadline."""
         self.folder, self.count, self.seed, self.keep, self.deadline = folder, count, NULL_SEED, keep, deadline
         self._known: dict[str, Null] = {}
@@ -178,7 +178,7 @@ class Nulls:
         """The null law; raises `Busy` while another process makes it, or where too little time is left to make it."""
         design = canonical(design)
         if self.keep:
-            kind = kind._replace(bit_depth=10, photon_budget="free" if kind.photon_budget == "free" else "linear")
+            kind = kind._replace(photon_budget="free" if kind.photon_budget == "free" else "linear")
         key = f"{zlib.crc32(repr((_grid(design), kind)).encode()):08x}"
         if key not in self._known:
             self.folder.mkdir(parents=True, exist_ok=True)

@@ -411,8 +411,8 @@ def _frames(measured: Measured, light: np.ndarray, response: np.ndarray, top_hat
         if not freedom:
             continue
         component = {"brightness": "gain", "centre": "centre"}.get(name)
-        row, _, grain = loads[name]
-        own_load = _load(row=row, grain=grain)
+        row, read, grain = loads[name]
+        own_load = _load(read=read, row=row, grain=grain)
         if component:
             own_load = own_load + _load(**{component: load / freedom})
         out.append(Observable("frame", name, None, np.nan, np.nan, "", chi2 / freedom - 1, np.sqrt(2 / freedom), 1.0,
@@ -421,7 +421,7 @@ def _frames(measured: Measured, light: np.ndarray, response: np.ndarray, top_hat
 
 
 def _frame_loads(measured: Measured, light: np.ndarray, response: np.ndarray, top_hat: bool) -> dict[str, np.ndarray]:
-    """By how much each quantity of a frame scatters more for unit components `row`, `pixel` and `grain` (without its
+    """By how much each quantity of a frame scatters more for unit components `row`, `read` and `grain` (without its
     grain factor), over its own variance: mean over the conditions."""
     design, base, side = measured.design, measured.base, measured.side
     totals = {name: np.zeros(3) for name in QUANTITIES}
@@ -445,14 +445,14 @@ def _frame_loads(measured: Measured, light: np.ndarray, response: np.ndarray, to
         by_light = pixels * np.einsum("iyx,jyx->ij", score * mu, score * mu)
         lines = (score * response[c]).sum(axis=2) * side
         by_row = side * lines @ lines.T
+        by_noise = pixels * np.einsum("iyx,jyx->ij", score, score)
         for name, (mine, beside) in QUANTITIES.items():
             index = np.ix_([*mine, *beside], [*mine, *beside])
             inner = np.linalg.pinv(information[index])
             size = len(mine)
             variance = np.diag(inner)[:size]
-            for k, matrix in enumerate((by_row, by_light)):
+            for k, matrix in enumerate((by_row, by_noise, by_light)):
                 totals[name][k] += np.mean(np.diag(inner @ matrix[index] @ inner)[:size] / variance) / len(present)
-            totals[name][2] = totals[name][1]
     return totals
 
 
