@@ -12,7 +12,7 @@ from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.extend import Findings, Tolerance
 from spotcheck.discrepancy.saved import recalled
-from spotcheck.discrepancy.shots import Design, Shot, shots_of
+from spotcheck.discrepancy.shots import Design, Shot, design_of, left_out, never_chose, shots_of
 from spotcheck.discrepancy.verdict import prepared
 from spotcheck.errors import InputError
 from spotcheck.estimate.sensor import model_of
@@ -20,7 +20,8 @@ from spotcheck.model.baseline import of_instrument
 
 
 class OpenSet(NamedTuple):
-    """All usable frames, those that may choose the model, their design and base, and what stays the same."""
+    """All usable frames, those that may choose the model, their design and base, what stays the same, and what the
+    dataset holds that no verdict rests on ("" if nothing)."""
 
     shots: list[Shot]
     chosen: list[Shot]
@@ -28,10 +29,15 @@ class OpenSet(NamedTuple):
     base: Base
     setting: Setting
     kind: Kind
+    beware: str
 
 
 def open_set(found: Dataset, crops: xr.Dataset, sensor: xr.Dataset) -> OpenSet | str:
     """The frames of a dataset, ready to be judged; or why they cannot be."""
+    shots = shots_of(found, crops)
+    missing = left_out(found, crops)
+    if not shots:
+        return missing
     model = model_of(sensor)
     if model is None:
         return "gain or read noise of the sensor is unknown, and the frames do not tell them"
@@ -42,14 +48,18 @@ def open_set(found: Dataset, crops: xr.Dataset, sensor: xr.Dataset) -> OpenSet |
     setting = Setting(baseline, model, float(rows), ((columns - 1) / 2, (rows - 1) / 2))
     bits = int(np.ceil(np.log2(model.full_scale_dn + 1)))
     kind = Kind(found.instrument.crop_px, bits, baseline.photon_budget, baseline.top_hat)
-    shots = shots_of(found, crops)
+    remarks = [remark for remark in (missing, never_chose(design_of(shots)), sensor.attrs.get("remark", "")) if remark]
     ready = prepared(shots, setting, kind)
-    return ready if isinstance(ready, str) else OpenSet(shots, *ready, setting, kind)
+    if isinstance(ready, str):
+        return "; ".join([ready, *remarks])
+    return OpenSet(shots, *ready, setting, kind, "; ".join(remarks))
 
 
 def findings_of(saved: dict, ready: OpenSet) -> Findings:
     """What the loop found, taken up from its file."""
-    return recalled(saved, ready.chosen, ready.design, ready.base, ready.setting)
+    again = recalled(saved, ready.chosen, ready.design, ready.base, ready.setting)
+    # What no effect was assessed on stands beside the effects that were not assessed.
+    return again._replace(not_assessed=({"all": ready.beware} if ready.beware else {}) | again.not_assessed)
 
 
 def tolerance_of(text: str) -> Tolerance:

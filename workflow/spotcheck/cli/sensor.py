@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import crops, dataset, provenance, store
+from spotcheck import crops, dataset, frames, provenance, store
 from spotcheck.estimate import sensor
 
 
@@ -24,8 +24,14 @@ def run(args: argparse.Namespace) -> None:
             for index in crops.cells(own, store.grid_dims(images))
             if crops.usable(own["status"].isel(index))
         )
-        darks = table["mean"].values[table["kind"].values == "dark"]
-        settled = sensor.resolve(found, int(table["container_bits"]), usable, darks)
+        darks = (frames.reduce_frame(frames.read(found, own)) for own in found.frames if own.kind == "dark")
+        beside = (
+            frames.Surround(*(images[name].isel(index).values for name in frames.Surround._fields))
+            for index in crops.cells(images, store.grid_dims(images))
+            if not int(own["status"].isel(index)) & store.flag("missing")
+        )
+        dark = sensor.judge_darks(darks, beside, float(table["full_scale"]))
+        settled = sensor.resolve(found, int(table["container_bits"]), usable, *dark)
     inputs = [args.crops, args.frames, found.folder / "instrument.yaml"]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:

@@ -15,6 +15,9 @@ from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law
 from spotcheck.model.sensor import SensorModel
 
+# A spot wider than this part of its crop cannot be told from a background.
+WIDEST = 0.7
+
 
 class Base(NamedTuple):
     """Peak [DN], σ_g [px], centre x0, y0 [px of the crop] of every frame, and the law they follow (None: each its
@@ -30,7 +33,9 @@ class Base(NamedTuple):
         """The base as the chain takes it, one view a condition."""
         if self.law is not None:
             return self.law
-        mean = [np.array([v[design.condition == c].mean() for c in range(design.conditions)]) for v in self[:2]]
+        own = [design.condition == c for c in range(design.conditions)]
+        # A condition of which all frames are kept unseen is not fitted, but must not hinder the others.
+        mean = [np.array([v[at].mean() if at.any() else v.mean() for at in own]) for v in self[:2]]
         return Free(*(m[:, None, None] for m in mean))
 
 
@@ -43,7 +48,7 @@ def spots_of(shots: Sequence[Shot], sensor: SensorModel, top_hat: bool) -> np.nd
 def base_of(spots: np.ndarray, corners: np.ndarray, design: Design, baseline: Baseline, crop_px: int) -> Base | None:
     """The base through single spots; `corners` [frame, (left, top)] of the crops. None where no spot can be used."""
     trusted = spots[:, 4] > 0
-    trusted &= (spots[:, 3] < 0.7 * crop_px) & (np.abs(spots[:, 1:3] - crop_px / 2) < crop_px / 2).all(axis=1)
+    trusted &= (spots[:, 3] < WIDEST * crop_px) & (np.abs(spots[:, 1:3] - crop_px / 2) < crop_px / 2).all(axis=1)
     if not trusted.any():
         return None
     amplitude, sigma = spots[:, 0].copy(), spots[:, 3].copy()

@@ -49,6 +49,8 @@ def sentence(verdict: dict[str, Any], tolerance: Limits | None = None) -> str:
         "not_assessed": _nothing_tested,
     }
     parts = tellers[verdict["status"]](verdict, tolerance)
+    if verdict["status"] != "not_assessed":
+        parts.append(_left_out(verdict))
     return " ".join(part for part in parts if part)
 
 
@@ -167,8 +169,18 @@ def _unknown(verdict: dict[str, Any], _: Limits | None) -> list[str]:
 
 
 def _nothing_tested(verdict: dict[str, Any], _: Limits | None) -> list[str]:
-    whole = [own["why"] for own in verdict["not_assessed"] if own["effect"] == "all"]
+    whole = _of_all(verdict)
     return [f"Nothing could be tested: {_list(whole, '; ') or 'no test was possible'}.", _not_shown(verdict)]
+
+
+def _of_all(verdict: dict[str, Any]) -> list[str]:
+    """What keeps every effect alike from being assessed."""
+    return [own["why"] for own in verdict["not_assessed"] if own["effect"] == "all"]
+
+
+def _left_out(verdict: dict[str, Any]) -> str:
+    """What the verdict does not rest on, although the dataset has it."""
+    return f"Beware: {_list(_of_all(verdict), '; ')}." if _of_all(verdict) else ""
 
 
 def _disagreement(verdict: dict[str, Any]) -> list[str]:

@@ -1,5 +1,6 @@
 """The frames that a verdict looks at: what each is, which of them choose the model and which are kept to test it."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -129,6 +130,34 @@ def shots_of(dataset: Dataset, crops: xr.Dataset) -> list[Shot]:
             )
         )
     return sorted(out, key=lambda shot: -1 if shot.order is None else shot.order)
+
+
+def left_out(dataset: Dataset, crops: xr.Dataset) -> str:
+    """How many spot frames cannot be looked at, and why; "" where all can."""
+    total = len(dataset.spots)
+    if not total:
+        return "the manifest names no spot frame, and what flats and darks alone can show is not assessed"
+    status, dims = crops["status"].sel(centring="light"), store.grid_dims(crops)
+    flags = [int(status.isel(dict(zip(dims, index, strict=True)))) for index, _ in dataset.cells()]
+    reasons = Counter(text for own in flags for bit, (_, text) in store.STATUS.items() if own & bit & store.UNUSABLE)
+    if not reasons:
+        return ""
+    count = sum(not usable(own) for own in flags)
+    whole = f"none of {total} spot frames can" if count == total else f"{count} of {total} spot frames cannot"
+    whole = "the only spot frame cannot" if total == 1 else whole
+    parts = [text if len(reasons) == 1 else f"{number}: {text}" for text, number in reasons.items()]
+    return f"{whole} be used ({'; '.join(parts)})"
+
+
+def never_chose(design: Design) -> str:
+    """Which frames stand for conditions of which all are kept unseen; "" where there is none."""
+    out = held_out(design.repeat)
+    blind = np.setdiff1d(np.arange(design.conditions), design.condition[~out])
+    if not blind.size:
+        return ""
+    count = int(np.isin(design.condition, blind).sum())
+    which = f"{count} frames belong" if count > 1 else "1 frame belongs"
+    return f"{which} to conditions of which every frame is kept unseen: they may test a model, but did not choose it"
 
 
 def _pixels(images: xr.DataArray, at: dict[str, int]) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.advise import Advice, advise
-from spotcheck.discrepancy.base import Base, base_of, spots_of
+from spotcheck.discrepancy.base import WIDEST, Base, base_of, spots_of
 from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
@@ -66,7 +66,10 @@ def prepared(shots: Sequence[Shot], setting: Setting, kind: Kind) -> tuple[list[
     spots = spots_of(chosen, setting.sensor, setting.baseline.top_hat)
     corners = np.array([(s.left, s.top) for s in chosen], float)
     base = base_of(spots, corners, design, setting.baseline, kind.crop_px)
-    return (chosen, design, base) if base is not None else "no spot could be fitted in any frame"
+    if base is not None:
+        return chosen, design, base
+    wide = bool((spots[:, 3] >= WIDEST * kind.crop_px).any())
+    return "no spot could be fitted in any frame" + (": it is as wide as its crop" if wide else "")
 
 
 def gap_of(found: Findings, shots: Sequence[Shot]) -> Gap:
@@ -180,7 +183,7 @@ def _scatter_parameters(found: Findings, own: Account, name: str) -> dict[str, d
     if name == "speckle":
         out["grain"] = {"value": own.grain, "stderr": None, "unit": "px"}
     if name == "fixed_pattern":
-        out["hot_pixels"] = {"value": hot_pixels(found.look.measured), "stderr": None, "unit": "1"}
+        out["hot_pixels"] = {"value": hot_pixels(found.look.measured, root), "stderr": None, "unit": "1"}
     return out
 
 

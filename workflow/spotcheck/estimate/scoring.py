@@ -20,6 +20,9 @@ from spotcheck.model.spot import TOP_HAT_LEVEL
 EQUAL, LIKELIHOOD, VARIANCE = 0, 1, 2
 # Standardised distance to a clip beyond which it never acts.
 FAR = 6.0
+# A reading less likely than this (7 standard deviations off) scores by the normal law. It is not the model's: its exact
+# score says by how many powers of ten, grows without bounds, and would outweigh all others.
+UNLIKELY = 1e-12
 # The faint table ends where mean, variance and information of a reading are those of the plain law, the latter two to
 # this part.
 PLAIN = 0.02
@@ -182,11 +185,11 @@ def _faint(reading, electrons, law):
         rise = q - p
         chance = p + f * (s + f * (3 * rise - 2 * s - t + f * (s + t - 2 * rise)))
         slope = s + f * (2 * (3 * rise - 2 * s - t) + 3 * f * (s + t - 2 * rise))
-        if chance > 0.1 * min(p, q) and chance > IMPROBABLE:
+        if chance > 0.1 * min(p, q) and chance > UNLIKELY:
             return slope / (chance * law.step), information, chi2
         # Many electrons where none is expected: the cubic of a higher power may dip below 0.
         chance = (1 - f) * p + f * q
-        if chance > IMPROBABLE:
+        if chance > UNLIKELY:
             return ((1 - f) * s + f * t) / (chance * law.step), information, chi2
     signal = (reading - law.black) / law.gain
     return (signal - electrons) / (max(electrons, 0.0) + law.read_variance + law.rounding), information, chi2

@@ -2,6 +2,7 @@
 reason."""
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -9,7 +10,7 @@ import xarray as xr
 from spotcheck import store
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.noise import NoiseCurve, gain_from_curve, noise_curve
-from spotcheck.frames import full_scale
+from spotcheck.frames import Surround, full_scale
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
 QUANTITIES = {
@@ -22,11 +23,48 @@ QUANTITIES = {
     "full_scale_dn": ("DN", "largest reading of the converter"),
 }
 
+# A dark frame holds light that reads more than the darkest by this part of full scale; less does not matter.
+LIT = 1e-3
+
+
+class Darks(NamedTuple):
+    """Level [DN] of each dark frame without light in it, and what is wrong with the others ("" if nothing)."""
+
+    levels: list[float]
+    remark: str
+
+
+def level_of(frame: Surround) -> float:
+    """What a frame reads in most of its rows, columns or blocks [DN]: a spot and hot pixels hardly move it."""
+    return float(min(np.nanmedian(values) for values in frame))
+
+
+def judge_darks(darks: Iterable[Surround], spots: Iterable[Surround], full_scale_dn: float) -> Darks:
+    """Which dark frames are dark. Light only adds to a reading: no frame, beside its spot, reads less than black; and
+    a dark frame reads alike all over."""
+    found = [(level_of(frame), float(np.mean(frame.row_mean))) for frame in darks]
+    if not found:
+        return Darks([], "")
+    darkest = min([*(level for level, _ in found), *(level_of(frame) for frame in spots)])
+    good = [level for level, mean in found if max(level, mean) <= darkest + LIT * full_scale_dn]
+    if len(good) == len(found):
+        return Darks(good, "")
+    brightest = max(mean for _, mean in found)
+    lit = f"{len(found) - len(good)} of {len(found)} dark frames hold light"
+    why = f"they read up to {brightest:.4g} DN on average, where black is {darkest:.4g} DN at most"
+    taken = "that of the others" if good else "not taken from them"
+    return Darks(good, f"{lit} ({why}), so the black level is {taken}")
+
 
 def resolve(
-    dataset: Dataset, container_bits: int, crops: Iterable[np.ndarray], dark_means: Sequence[float] = ()
+    dataset: Dataset,
+    container_bits: int,
+    crops: Iterable[np.ndarray],
+    dark_means: Sequence[float] = (),
+    remark: str = "",
 ) -> xr.Dataset:
-    """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown."""
+    """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown. With a
+    `remark` on the dark frames wherever the black level would come from them."""
     given = dataset.instrument.sensor
     highest = full_scale(dataset.instrument, container_bits)
     value: dict[str, float | None] = {name: getattr(given, name, None) for name in QUANTITIES}
@@ -38,6 +76,9 @@ def resolve(
         value["black_level_dn"] = float(np.mean(dark_means))
         stderr["black_level_dn"] = float(np.std(dark_means, ddof=1) / np.sqrt(count)) if count > 1 else np.nan
         source["black_level_dn"] = f"mean of {count} dark frame{'s' if count > 1 else ''}"
+    remark = "" if dataset.instrument.source("sensor.black_level_dn") != "default" else remark
+    if remark:
+        source["black_level_dn"] += f"; {remark}"
     if given.bit_depth is None:
         source["full_scale_dn"] = f"container of {container_bits} bit (sensor.bit_depth is missing)"
     if value["full_well_e"] is None:
@@ -45,6 +86,7 @@ def resolve(
     if value["gain_dn_per_e"] is None or value["read_noise_e"] is None:
         _from_frames(value, stderr, source, crops, highest)
     ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
+    ds.attrs["remark"] = remark
     for name, (units, long_name) in QUANTITIES.items():
         known = value[name]
         number = np.nan if known is None else float(known)
