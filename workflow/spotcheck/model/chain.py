@@ -2,13 +2,16 @@
 
 Light: shape → top hat → motion blur → + halo, ghost → × fringes → + pedestal. Sensor: shot noise with dark current →
 + smear → well → + read noise → K → non-linearity → + black level → + row noise → black clipping → rounding, both clips.
-Random fields (speckle, pixel gains, brightness and centre of a frame) have no mean of their own.
+Random fields (pixel gains, brightness and centre of a frame, fine speckle) have no mean of their own; coarse speckle has
+one behind whatever bends.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammainc, gammaincinv
 
 from spotcheck.model import spot
 from spotcheck.model.baseline import Baseline
@@ -64,12 +67,19 @@ SMALL_DN = 0.02
 ROW_NODES, ROW_WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 ROW_WEIGHTS = ROW_WEIGHTS / ROW_WEIGHTS.sum()
 
+# Granular fields of less contrast than this leave means as they are: what bends, bends by C² µ² f″/2.
+COARSE = 0.1
+# Bins of a granular field's law, and levels of light at which its averages are looked up.
+GRAIN_NODES, LOOKED_UP = 16, 600
+
 
 class Moments(NamedTuple):
-    """Mean [DN] and variance [DN²] of the readings [view, row, column]."""
+    """Mean [DN] and variance [DN²] of the readings [view, row, column]. Where a coarse granular field is in the model:
+    the variance [DN²] of what a reading would be on average at its own grain; `variance` is about that."""
 
     mean: np.ndarray
     variance: np.ndarray
+    granular: np.ndarray | None = None
 
 
 def true_exposure(view: View, present: Sequence[Present]):
@@ -151,6 +161,73 @@ def moments(
 ) -> Moments:
     """Mean and variance of every reading; `brightness` [view, 1, 1] multiplies each view's peak."""
     own_light, beside = light(view, baseline, base, present, brightness)
+    contrast = grain_contrast(present)
+    if contrast < COARSE:
+        return _readings(view, own_light, beside, present, sensor)
+    return _through_grain(view, own_light, beside, present, sensor, contrast)
+
+
+def grain_contrast(present: Sequence[Present]) -> float:
+    """Contrast of the granular field among the effects; 0 without one."""
+    return max((own.values[0] for own in present if own.effect.name == "speckle"), default=0.0)
+
+
+def _through_grain(
+    view: View, own_light, beside, present: Sequence[Present], sensor: SensorModel, contrast: float
+) -> Moments:
+    """Moments of readings under light that a granular field multiplies: averages over the law of its factor.
+
+    What follows the light acts on each reading alone, so the averages are a function of the light, made once for each
+    exposure and looked up. Only where the sensor mixes pixels, or a pedestal is uneven, is every point averaged itself.
+    """
+    factors, weights = grain_law(contrast)
+
+    def averaged(view: View, own_light, beside) -> Moments:
+        parts = [_readings(view, own_light * factor, beside, present, sensor)[:2] for factor in factors]
+        mean, variance = np.tensordot(weights, parts, 1)
+        return Moments(mean, variance, np.tensordot(weights, [(own - mean) ** 2 for own, _ in parts], 1))
+
+    if _at(present, Place.CHARGE) or np.size(beside) > 1:
+        # ASSUME: the light that smear spreads over a column is that of its mean field: a column holds many grains.
+        return averaged(view, own_light, beside)
+    exposures, which = np.unique(np.ravel(view.exposure_s), return_inverse=True)
+    highest = max(float(np.max(own_light)), 1.0)
+    # Even steps of the root: read noise at the dark end, the bend further up, and shot noise everywhere.
+    knots = highest * np.linspace(0.0, 1.0, LOOKED_UP) ** 2
+    one = np.zeros((1, 1, 1))
+    small = view._replace(x=np.zeros((1, 1, LOOKED_UP)), y=one, x0=one, y0=one, order=one, angle=one,
+                          wave_cos=one, wave_sin=one)  # fmt: skip
+    out = [np.empty(own_light.shape) for _ in Moments._fields]
+    for k, exposure in enumerate(exposures):
+        table = averaged(small._replace(exposure_s=exposure + one), knots[None, None, :], beside)
+        own = which == k if len(which) == len(own_light) else slice(None)
+        place = np.sqrt(np.maximum(own_light[own], 0.0) / highest) * (LOOKED_UP - 1)
+        left = np.minimum(place.astype(int), LOOKED_UP - 2)
+        part = place - left
+        for values, column in zip(out, table, strict=True):
+            line = np.ravel(column)
+            values[own] = line[left] * (1 - part) + line[left + 1] * part
+    return Moments(*out)
+
+
+@lru_cache(maxsize=64)
+def grain_law(contrast: float) -> tuple[np.ndarray, np.ndarray]:
+    """Factors of a granular field of that contrast, and how often each stands for.
+
+    # ASSUME: intensities of summed independent speckle patterns, a gamma law of shape 1/C² (Goodman, Speckle
+    # Phenomena in Optics, 2nd ed., sec. 3.3). Mean factors of bins of probability, the finer the nearer to both ends.
+    """
+    shape = contrast**-2.0
+    edges = np.sin(np.pi / 2 * np.linspace(0, 1, GRAIN_NODES + 1)) ** 2
+    weights = np.diff(edges)
+    factors = np.diff(gammainc(shape + 1, gammaincinv(shape, edges))) / weights
+    # What scatters within a bin is given back to the bins, so that mean and contrast are exact.
+    spread = np.sqrt(weights @ (factors - 1) ** 2)
+    return np.maximum(1 + (factors - 1) * contrast / spread, 0.0), weights
+
+
+def _readings(view: View, own_light, beside, present: Sequence[Present], sensor: SensorModel) -> Moments:
+    """What the sensor makes of light [DN] without grain."""
     gain = sensor.gain_dn_per_e
     electrons = (own_light + beside) / gain + sensor.dark_current_e_per_s * true_exposure(view, present)
     variance = np.maximum(electrons, 0.0)
