@@ -5,20 +5,23 @@ is a condition of its own, on a cut around the spot, so that an effect of shape 
 alone. What the law itself says (`angle_reflectance`, `photon_budget`, …) cannot be assessed so.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting, pooled
-from spotcheck.discrepancy.look import Look, look_at, scenes
+from spotcheck.discrepancy.look import Look, look_again, look_at
 from spotcheck.discrepancy.measure import BLOCKS
+from spotcheck.discrepancy.name import BESIDE, EARNS, MOST, assessable
 from spotcheck.discrepancy.noise import block_correlation
-from spotcheck.discrepancy.refit import NOTHING, Latent, Model, Refit, refit
+from spotcheck.discrepancy.pixels import Scene
+from spotcheck.discrepancy.refit import NOTHING, Latent, Refit, basis, refit, screened
 from spotcheck.discrepancy.shots import Design, Shot
-from spotcheck.model.chain import COARSE, Free
+from spotcheck.model.chain import COARSE, Free, Law, View, grain_contrast, light, moments
 from spotcheck.model.effect import Effect, Place, Present
 from spotcheck.model.effects import vocabulary
 
@@ -35,16 +38,25 @@ FREE_TO_SHOW = 0.5
 # Readings this many times over the noise show grain.
 LIT = 5.0
 LEAST_PIXELS = 400
+# An effect must bring this part of all that −2 ln L falls.
+LARGE = 0.05
+# Effects that are always tried: their first order says little.
+ALWAYS = ("saturation",)
 # Places in the chain where an effect changes the shape of the mean spot or of the reading.
 SHAPES = (Place.METRIC, Place.PROFILE, Place.BLUR, Place.ADDED, Place.PEDESTAL, Place.CHARGE, Place.WELL,
           Place.RESPONSE, Place.DIGITAL)  # fmt: skip
 
 
 class Grain(NamedTuple):
-    """A granular field: contrast [1], and the part of a pixel's variance that the mean of a block keeps."""
+    """A granular field: contrast [1], the part of a pixel's variance that the mean of a block keeps, and the part that
+    exposures of a site share (NaN: no site shows grain in two)."""
 
     contrast: float
     together: float
+    shared: float = np.nan
+
+
+NO_GRAIN = Grain(0.0, 0.3)
 
 
 class Stage(NamedTuple):
@@ -96,6 +108,11 @@ def flanks_of(shots: Sequence[Shot], black_dn: float) -> tuple[np.ndarray, np.nd
     return amplitude, sigma
 
 
+def widest_of(shots: Sequence[Shot], setting: Setting) -> float:
+    """σ_g [px] of the widest spot, by its flanks."""
+    return float(flanks_of(shots, setting.sensor.black_level_dn)[1].max())
+
+
 def stage_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting, widest: float) -> Stage:
     """A first look at some frames, each its own, on cuts that hold spots of σ_g up to `widest` [px]."""
     crop = min(shots[0].pixels().shape)
@@ -107,8 +124,10 @@ def stage_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
     look = look_at(cut, freed_design(design), own, setting)
     # Where light may be far above what is read, the readings say where a level is to be sought.
     brightest = float(np.max((pooled(look.problem.at_start.mean) + look.cells.residual)[look.problem.used]))
-    look.problem.context = look.problem.context._replace(peak_dn=brightest - setting.sensor.black_level_dn)
-    grain = Grain(_first_contrast(look), 0.3)
+    look.problem.context = look.problem.context._replace(
+        peak_dn=brightest - setting.sensor.black_level_dn, sigma_px=float(np.median(sigma))
+    )
+    grain = NO_GRAIN._replace(contrast=_first_contrast(look))
     return Stage(cut, look, Free(amplitude[:, None, None], sigma[:, None, None]), grain)
 
 
@@ -143,14 +162,21 @@ def grain_px(grain: Grain, side: int) -> float:
     return float(np.interp(grain.together, [block_correlation(g, side) for g in sizes], sizes))
 
 
-def fitted(stage: Stage, present: Sequence[Present], base: Free | None = None, shift: np.ndarray | None = None) -> Refit:
+def fitted(
+    stage: Stage,
+    present: Sequence[Present],
+    base: Law | Free | None = None,
+    shift: np.ndarray | None = None,
+    target: float = np.inf,
+    fixed: bool = False,
+) -> Refit:
     """Frames' own brightness, width and centre beside effects, from their values and a base (the look's own without)."""
     problem = stage.look.problem
     present = with_grain(present, stage.grain, stage.look.measured.side)
     start = problem.start._replace(present=present)
     start = start if base is None else start._replace(base=base)
     start = start if shift is None else start._replace(shift=shift)
-    return refit(problem, [(own.effect, own.form) for own in present], start, latent_of(stage))
+    return refit(problem, [(own.effect, own.form) for own in present], start, latent_of(stage), target, fixed)
 
 
 def latent_of(stage: Stage) -> Latent:
@@ -158,34 +184,222 @@ def latent_of(stage: Stage) -> Latent:
     return Latent(together=stage.grain.together) if stage.grain.contrast >= COARSE else NOTHING
 
 
-def grain_of(stage: Stage, model: Model) -> Grain:
-    """Contrast and correlation of what the pixels of lit flanks scatter about a model, as a part of their light."""
-    side, black = stage.look.measured.side, stage.look.setting.sensor.black_level_dn
-    present = with_grain(model.present, stage.grain._replace(contrast=max(stage.grain.contrast, 2 * COARSE)), side)
-    _, expect = scenes(stage.shots, stage.look, model._replace(present=present), latent_of(stage))
+def expectation(
+    shots: Sequence[Shot], design: Design, base: Base, present: Sequence[Present], setting: Setting
+) -> Callable[[int], Scene]:
+    """What effects and each frame's own spot expect of every pixel of a frame."""
+    rows, columns = shots[0].pixels().shape
+    exposures = np.nan_to_num(design.exposure_s, nan=1.0)
+    known = design.exposure_s[np.isfinite(design.exposure_s)]
+    reference = float(np.exp(np.mean(np.log(np.unique(known))))) if known.size else 1.0
+
+    def single(value: float) -> np.ndarray:
+        return np.full((1, 1, 1), float(value))
+
+    def expect(k: int) -> Scene:
+        left, top, c = shots[k].left, shots[k].top, design.condition[k]
+        view = View(
+            (left + np.arange(columns, dtype=float))[None, None, :],
+            (top + np.arange(rows, dtype=float))[None, :, None],
+            single(left + base.x0[k]),
+            single(top + base.y0[k]),
+            single(exposures[c]),
+            single(np.deg2rad(np.nan_to_num(design.angle_deg[c]))),
+            single(np.nan_to_num(design.order[k], nan=0.5)),
+            single(0.0),
+            single(0.0),
+            float(exposures.max()),
+            reference,
+            *setting.frame_centre,
+            setting.frame_rows,
+            1.0,
+        )
+        own = Free(single(base.amplitude[k]), single(base.sigma[k]))
+        at = moments(view, setting.baseline, own, present, setting.sensor)
+        if at.granular is None:
+            lit = light(view, setting.baseline, own, present)[0]
+        else:
+            lit = np.sqrt(at.granular) / grain_contrast(present)
+        return Scene(*(np.ascontiguousarray(np.broadcast_to(v, (1, rows, columns))[0]) for v in (*at[:2], lit)))
+
+    return expect
+
+
+def base_of_fit(stage: Stage, fit: Refit) -> Base:
+    """Each frame's own spot as a fit has it, on the cut."""
+    base, free = stage.look.measured.base, fit.model.base
+    assert isinstance(free, Free)
+    shift = fit.model.shift[stage.look.measured.design.place]
+    return base._replace(amplitude=free.amplitude.ravel(), sigma=free.sigma.ravel(), x0=base.x0 + shift[:, 0],
+                         y0=base.y0 + shift[:, 1])  # fmt: skip
+
+
+def grain_of(stage: Stage, fit: Refit, frames: np.ndarray | None = None) -> Grain:
+    """Contrast and correlation of what the pixels of lit flanks scatter about a fit, as a part of their light; of some
+    `frames` [frame, bool] only."""
+    look = stage.look
+    side, black = look.measured.side, look.setting.sensor.black_level_dn
+    present = with_grain(fit.model.present, stage.grain._replace(contrast=max(stage.grain.contrast, 2 * COARSE)), side)
+    expect = expectation(stage.shots, look.measured.design, base_of_fit(stage, fit), present, look.setting)
     squares, noise, means, mean_noise, pixels, blocks = np.zeros(6)
+    site, seen = look.measured.design.site, []
     for k, shot in enumerate(stage.shots):
+        if frames is not None and not frames[k]:
+            continue
         scene = expect(k)
         shown = scene.light > FREE_TO_SHOW * (scene.mean - black)
         shown &= scene.light > LIT * np.sqrt(scene.variance)
-        light = np.where(shown, scene.light, 1.0)
-        own = np.where(shown, (shot.pixels() - scene.mean) / light, 0.0)
-        white = np.where(shown, scene.variance / light**2, 0.0)
+        lit = np.where(shown, scene.light, 1.0)
+        own = np.where(shown, (shot.pixels() - scene.mean) / lit, 0.0)
+        white = np.where(shown, scene.variance / lit**2, 0.0)
         squares, noise, pixels = squares + (own**2).sum(), noise + white.sum(), pixels + shown.sum()
         full = _blocks(shown, side).all(axis=(1, 3))
         means += (_blocks(own, side).mean(axis=(1, 3))[full] ** 2).sum()
         mean_noise += _blocks(white, side).sum(axis=(1, 3))[full].sum() / side**4
         blocks += full.sum()
+        seen.append((site[k], shot.left, shot.top, own, shown, white))
     if pixels < LEAST_PIXELS or blocks < LEAST_PIXELS / side**2:
-        return Grain(0.0, 0.3)
+        return NO_GRAIN
     whole, of_means = (squares - noise) / pixels, (means - mean_noise) / blocks
     # What is as smooth as a block is no grain: only a part within blocks counts.
     if whole - max(of_means, 0.0) < COARSE**2:
-        return Grain(0.0, 0.3)
-    return Grain(float(np.sqrt(min(whole, 1.0))), float(np.clip(of_means / whole, 1 / side**2, 1.0)))
+        return NO_GRAIN
+    together = float(np.clip(of_means / whole, 1 / side**2, 1.0))
+    return Grain(float(np.sqrt(min(whole, 1.0))), together, _shared(seen))
+
+
+def _shared(seen: Sequence[tuple]) -> float:
+    """Part of the variance of what is `seen` (site, left, top, relative residual, where, variance of the noise) that two
+    frames of a site have in common."""
+    common = own = 0.0
+    for (site, left, top, a, lit_a, white_a), (other, left_b, top_b, b, lit_b, white_b) in combinations(seen, 2):
+        dx, dy = left_b - left, top_b - top
+        rows, columns = a.shape
+        if site != other or abs(dx) >= columns or abs(dy) >= rows:
+            continue
+        first = slice(max(dy, 0), rows + min(dy, 0)), slice(max(dx, 0), columns + min(dx, 0))
+        second = slice(max(-dy, 0), rows + min(-dy, 0)), slice(max(-dx, 0), columns + min(-dx, 0))
+        both = lit_a[first] & lit_b[second]
+        if np.count_nonzero(both) < LEAST_PIXELS / 4:
+            continue
+        u, v = a[first][both], b[second][both]
+        common += float(u @ v)
+        own += float(np.sqrt(max(u @ u - white_a[first][both].sum(), 0) * max(v @ v - white_b[second][both].sum(), 0)))
+    return common / own if own > 0 else np.nan
 
 
 def _blocks(values: np.ndarray, side: int) -> np.ndarray:
     """An image as [row of blocks, row, column of blocks, column]."""
     rows, columns = (n // side for n in values.shape)
     return values[: rows * side, : columns * side].reshape(rows, side, columns, side)
+
+
+class Evidence(NamedTuple):
+    """What speaks for an effect among freed frames: the rise of −2 ln L without it; the best other effect in its place,
+    and the rise that is left with that one."""
+
+    name: str
+    rise: float
+    rival: str
+    rival_rise: float
+
+
+def candidates(look: Look) -> list[Effect]:
+    """Effects that the shape of freed frames can show."""
+    return [own for own in assessable(look)[0] if own.place in SHAPES]
+
+
+def excess(fit: Refit, used: int) -> float:
+    """χ² over what noise alone leaves."""
+    return max(fit.chi2 - (used - fit.freedom), 0.0)
+
+
+def tried(stage: Stage, before: Refit, effect: Effect, target: float = np.inf) -> Refit | None:
+    """The best fit of an effect added to a fit; only the start that promises most of each form."""
+    problem = stage.look.problem
+    effects = [(own.effect, own.form) for own in before.model.present]
+    if any(set(effect.replaces) & set(own.replaces) for own, _ in effects):
+        return None
+    span = basis(problem, before, effects, latent_of(stage))
+    best: Refit | None = None
+    forms = effect.forms if effect.place is Place.METRIC else effect.forms[:1]
+    for form in forms:
+        _, values = screened(problem, before, span, effect, form)[0]
+        present = (*before.model.present, Present(effect, form, values))
+        own = fitted(stage, present, before.model.base, before.model.shift, target)
+        if effect.place is Place.WELL:
+            # Light may be far above where the signal stops: the flanks know.
+            other = fitted(stage, present, stage.flanks, before.model.shift, target)
+            own = min(own, other, key=lambda fit: fit.score)
+        best = own if best is None or own.score < best.score else best
+    return best
+
+
+def promising(stage: Stage, before: Refit, effects: Sequence[Effect]) -> list[Effect]:
+    """The effects that to first order promise most beside a fit, and those whose first order says little."""
+    problem = stage.look.problem
+    names = {own.effect.name for own in before.model.present}
+    span = basis(problem, before, [(own.effect, own.form) for own in before.model.present], latent_of(stage))
+    others = [own for own in effects if own.name not in names]
+    promise = {own.name: screened(problem, before, span, own, own.forms[0])[0][0] for own in others}
+    ranked = sorted(others, key=lambda own: -promise[own.name])
+    return [own for k, own in enumerate(ranked) if k < BESIDE or own.name in ALWAYS]
+
+
+def best_added(stage: Stage, before: Refit, effects: Sequence[Effect], target: float = np.inf) -> Refit | None:
+    """The best fit of one effect more."""
+    best: Refit | None = None
+    for effect in promising(stage, before, effects):
+        own = tried(stage, before, effect, min(target, best.score if best else np.inf))
+        if own is not None and (best is None or own.score < best.score):
+            best = own
+    return best
+
+
+def grown(stage: Stage, effects: Sequence[Effect]) -> tuple[Stage, Refit]:
+    """Effects added one after the other, each that which explains most, as long as each is worth it."""
+    best = fitted(stage, ())
+    total = 0.0
+    for _ in range(MOST):
+        ahead = best_added(stage, best, effects)
+        gain = best.score - ahead.score if ahead is not None else 0.0
+        total += gain
+        if ahead is None or gain < max(EARNS, LARGE * total):
+            break
+        stage = stage._replace(grain=grain_of(stage, ahead))
+        best = fitted(stage, ahead.model.present, ahead.model.base, ahead.model.shift)
+    return stage, best
+
+
+def closer(stage: Stage, fit: Refit, fixed: bool = False) -> tuple[Stage, Refit]:
+    """A look about what a fit expects of every pixel, with the fit there; with `fixed` effects and grain stay."""
+    for _ in range(1 if fixed else 2):
+        look = look_again(stage.shots, stage.look, fit.model, latent_of(stage))
+        look.problem.context = stage.look.problem.context
+        stage, shift = stage._replace(look=look), 0 * fit.model.shift
+        if not fixed:
+            stage = stage._replace(grain=grain_of(stage, fit._replace(model=fit.model._replace(shift=shift))))
+        fit = fitted(stage, fit.model.present, fit.model.base, shift, fixed=fixed)
+    return stage, fit
+
+
+def evidence_of(stage: Stage, best: Refit, effects: Sequence[Effect]) -> list[Evidence]:
+    """Of every effect of shape in a fit: what is lost without it, and what the best other effect wins back."""
+    out = []
+    for own in best.model.present:
+        if own.effect.name == "speckle":
+            continue
+        present = tuple(p for p in best.model.present if p is not own)
+        without = fitted(stage, present, best.model.base, best.model.shift)
+        if own.effect.place is Place.WELL:
+            # Light far above where the signal stops was only found with it.
+            other = fitted(stage, present, stage.look.measured.base.of_condition(stage.look.measured.design))
+            without = min(without, other, key=lambda fit: fit.score)
+        others = [e for e in effects if e.name != own.effect.name]
+        rival = best_added(stage, without, others, best.score)
+        name = rival.model.present[-1].effect.name if rival else ""
+        if rival is not None and name == "speckle":
+            name = rival.model.present[-2].effect.name
+        lost = rival.score if rival is not None and rival.score < without.score else without.score
+        out.append(Evidence(own.effect.name, without.score - best.score, name, lost - best.score))
+    return out

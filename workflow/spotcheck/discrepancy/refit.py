@@ -22,6 +22,8 @@ RENEWED = 4
 CREEP = 0.03
 # Relative steps of the differences.
 TINY = 1e-5
+# Peak [DN] of a spot that is free, least and most, and its least width [px].
+LEAST_DN, MOST_DN, LEAST_PX = 1e-3, 1e8, 0.2
 NO_WAVE = np.zeros((0, 2))
 
 
@@ -297,7 +299,8 @@ class _Chart:
             else [p.values[k] for p, moving in zip(model.present, self.inner, strict=True) for k in moving]
         )
         if isinstance(model.base, Free):
-            base = [*model.base.amplitude.ravel(), *model.base.sigma.ravel()]
+            # Where light stops at a level, what is seen follows the logarithm of the peak.
+            base = [*np.log(np.maximum(model.base.amplitude.ravel(), LEAST_DN)), *model.base.sigma.ravel()]
         else:
             base = [getattr(model.base, name) for name in self.law]
         shift = model.shift
@@ -321,7 +324,7 @@ class _Chart:
         n = self.conditions
         base: Law | Free
         if isinstance(self.start.base, Free):
-            base = Free(point[at : at + n][:, None, None], point[at + n : at + 2 * n][:, None, None])
+            base = Free(np.exp(point[at : at + n])[:, None, None], point[at + n : at + 2 * n][:, None, None])
             at += 2 * n
         else:
             base = self.start.base._replace(**{name: float(v) for name, v in zip(self.law, point[at:], strict=False)})
@@ -339,6 +342,10 @@ class _Chart:
         """A vector with effects within their bounds and a base that has light and width."""
         out = point.copy()
         out[: self.count] = np.clip(out[: self.count], self.bounds[: self.count, 0], self.bounds[: self.count, 1])
+        if self.free:
+            middle = self.count + self.conditions
+            out[self.count : middle] = np.clip(out[self.count : middle], np.log(LEAST_DN), np.log(MOST_DN))
+            out[middle : middle + self.conditions] = np.maximum(out[middle : middle + self.conditions], LEAST_PX)
         return out
 
     def slopes(self, point: np.ndarray, at: Moments, before: np.ndarray | None = None) -> np.ndarray:

@@ -178,18 +178,25 @@ def _through_grain(
     """Moments of readings under light that a granular field multiplies: averages over the law of its factor.
 
     What follows the light acts on each reading alone, so the averages are a function of the light, made once for each
-    exposure and looked up. Only where the sensor mixes pixels, or a pedestal is uneven, is every point averaged itself.
+    exposure and looked up.
     """
     factors, weights = grain_law(contrast)
+    if np.size(beside) and np.ptp(beside) == 0:
+        beside = float(np.ravel(beside)[0])
+    mixing = [own for own in present if own.effect.place is Place.CHARGE or own.effect.name == "background_gradient"]
+    if mixing:
+        # ASSUME: what mixes pixels or is uneven is faint beside the light that bends, so it adds up with the grain.
+        plain = [own for own in present if own not in mixing]
+        rest = _through_grain(view, own_light, 0.0, plain, sensor, contrast)
+        whole, part = _readings(view, own_light, beside, present, sensor), _readings(view, own_light, 0.0, plain, sensor)
+        return Moments(rest.mean + whole.mean - part.mean, np.maximum(rest.variance + whole.variance - part.variance,
+                       0.1 * rest.variance), rest.granular)  # fmt: skip
 
-    def averaged(view: View, own_light, beside) -> Moments:
+    def averaged(view: View, own_light) -> Moments:
         parts = [_readings(view, own_light * factor, beside, present, sensor)[:2] for factor in factors]
         mean, variance = np.tensordot(weights, parts, 1)
         return Moments(mean, variance, np.tensordot(weights, [(own - mean) ** 2 for own, _ in parts], 1))
 
-    if _at(present, Place.CHARGE) or np.size(beside) > 1:
-        # ASSUME: the light that smear spreads over a column is that of its mean field: a column holds many grains.
-        return averaged(view, own_light, beside)
     exposures, which = np.unique(np.ravel(view.exposure_s), return_inverse=True)
     highest = max(float(np.max(own_light)), 1.0)
     # Even steps of the root: read noise at the dark end, the bend further up, and shot noise everywhere.
@@ -199,7 +206,7 @@ def _through_grain(
                           wave_cos=one, wave_sin=one)  # fmt: skip
     out = [np.empty(own_light.shape) for _ in Moments._fields]
     for k, exposure in enumerate(exposures):
-        table = averaged(small._replace(exposure_s=exposure + one), knots[None, None, :], beside)
+        table = averaged(small._replace(exposure_s=exposure + one), knots[None, None, :])
         own = which == k if len(which) == len(own_light) else slice(None)
         place = np.sqrt(np.maximum(own_light[own], 0.0) / highest) * (LOOKED_UP - 1)
         left = np.minimum(place.astype(int), LOOKED_UP - 2)
