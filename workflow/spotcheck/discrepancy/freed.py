@@ -11,6 +11,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting, pooled
@@ -40,6 +41,10 @@ LIT = 5.0
 LEAST_PIXELS = 400
 # An effect must bring this part of all that −2 ln L falls.
 LARGE = 0.05
+# Times that the weights of a fit are taken anew.
+WEIGHED = 2
+# The blocks that tell an effect have this part of what it changes.
+TELLING = 0.9
 # Effects that are always tried: their first order says little.
 ALWAYS = ("saturation",)
 # Places in the chain where an effect changes the shape of the mean spot or of the reading.
@@ -60,12 +65,15 @@ NO_GRAIN = Grain(0.0, 0.3)
 
 
 class Stage(NamedTuple):
-    """A look at freed frames, the flanks' own (peak [DN], σ_g [px]) of every frame, and the grain."""
+    """A look at freed frames, the flanks' own (peak [DN], σ_g [px]) of every frame, the grain, and the variance [DN²]
+    of every block that all fits are weighed and compared with, whatever their model says of it: grain scatters so much
+    that a wrong model could excuse itself with it."""
 
     shots: list[Shot]
     look: Look
     flanks: Free
     grain: Grain
+    variance: np.ndarray
 
 
 def freed_design(design: Design) -> Design:
@@ -128,7 +136,7 @@ def stage_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
         peak_dn=brightest - setting.sensor.black_level_dn, sigma_px=float(np.median(sigma))
     )
     grain = NO_GRAIN._replace(contrast=_first_contrast(look))
-    return Stage(cut, look, Free(amplitude[:, None, None], sigma[:, None, None]), grain)
+    return Stage(cut, look, Free(amplitude[:, None, None], sigma[:, None, None]), grain, _seen_variance(look, grain))
 
 
 def _cut(shot: Shot, at: int, side: int) -> np.ndarray:
@@ -146,6 +154,17 @@ def _first_contrast(look: Look) -> float:
         return 0.0
     within = sums.rough[lit] / sums.rough_dof[lit] * sums.variance[lit] - noise[lit]
     return float(np.sqrt(max(np.median(within / reading[lit] ** 2), 0.0)))
+
+
+def _seen_variance(look: Look, grain: Grain) -> np.ndarray:
+    """Variance [DN²] of the mean of every block by what its own pixels, and its neighbours', scatter about a plane:
+    before any model is at hand."""
+    sums, variance = look.measured.sums, look.cells.variance
+    if grain.contrast < COARSE:
+        return variance
+    dof = np.maximum(sums.rough_dof, 1)
+    within = ndimage.uniform_filter(sums.rough / dof * sums.variance, (0, 3, 3), mode="nearest")
+    return np.maximum(variance, grain.together / (1 - grain.together) * within)
 
 
 def with_grain(present: Sequence[Present], grain: Grain, side: int) -> tuple[Present, ...]:
@@ -170,7 +189,7 @@ def fitted(
     target: float = np.inf,
     fixed: bool = False,
 ) -> Refit:
-    """Frames' own brightness, width and centre beside effects, from their values and a base (the look's own without)."""
+    """Frames' own brightness, width and centre beside effects, from their values and a base (else the look's own)."""
     problem = stage.look.problem
     present = with_grain(present, stage.grain, stage.look.measured.side)
     start = problem.start._replace(present=present)
@@ -180,8 +199,33 @@ def fitted(
 
 
 def latent_of(stage: Stage) -> Latent:
-    """What grain brings to a block's mean."""
-    return Latent(together=stage.grain.together) if stage.grain.contrast >= COARSE else NOTHING
+    """The variance that all fits of a stage share."""
+    return Latent(known=stage.variance)
+
+
+def weighed(stage: Stage, fit: Refit) -> Stage:
+    """With the variance of blocks that a fit and the grain foretell."""
+    problem = stage.look.problem
+    present = with_grain(fit.model.present, stage.grain, stage.look.measured.side)
+    at = problem.evaluate(fit.model._replace(present=present))
+    variance = problem.variance(at, NOTHING)
+    if at.granular is not None:
+        variance = variance + stage.grain.together * pooled(at.granular)
+    return stage._replace(variance=variance)
+
+
+def settled(stage: Stage, fit: Refit, fixed: bool = False) -> tuple[Stage, Refit]:
+    """A fit with the weights that it foretells itself; with `fixed` effects and grain stay.
+
+    Weights follow the means, and nothing is learnt from the variance: quasi-likelihood (Wedderburn 1974,
+    doi:10.1093/biomet/61.3.439).
+    """
+    for _ in range(WEIGHED):
+        if not fixed:
+            stage = stage._replace(grain=grain_of(stage, fit))
+        stage = weighed(stage, fit)
+        fit = fitted(stage, fit.model.present, fit.model.base, fit.model.shift, fixed=fixed)
+    return stage, fit
 
 
 def expectation(
@@ -269,8 +313,8 @@ def grain_of(stage: Stage, fit: Refit, frames: np.ndarray | None = None) -> Grai
 
 
 def _shared(seen: Sequence[tuple]) -> float:
-    """Part of the variance of what is `seen` (site, left, top, relative residual, where, variance of the noise) that two
-    frames of a site have in common."""
+    """Part of the variance of what is `seen` (site, left, top, relative residual, where, variance of the noise) that
+    two frames of a site have in common."""
     common = own = 0.0
     for (site, left, top, a, lit_a, white_a), (other, left_b, top_b, b, lit_b, white_b) in combinations(seen, 2):
         dx, dy = left_b - left, top_b - top
@@ -295,13 +339,14 @@ def _blocks(values: np.ndarray, side: int) -> np.ndarray:
 
 
 class Evidence(NamedTuple):
-    """What speaks for an effect among freed frames: the rise of −2 ln L without it; the best other effect in its place,
-    and the rise that is left with that one."""
+    """What speaks for an effect among freed frames: the rise of χ² without it; the best other effect in its place, and
+    the rise that is left with that one; and the excess of χ² that the best fit leaves where the effect acts."""
 
     name: str
     rise: float
     rival: str
     rival_rise: float
+    left: float
 
 
 def candidates(look: Look) -> list[Effect]:
@@ -366,21 +411,26 @@ def grown(stage: Stage, effects: Sequence[Effect]) -> tuple[Stage, Refit]:
         total += gain
         if ahead is None or gain < max(EARNS, LARGE * total):
             break
-        stage = stage._replace(grain=grain_of(stage, ahead))
-        best = fitted(stage, ahead.model.present, ahead.model.base, ahead.model.shift)
-    return stage, best
+        best = ahead
+    return settled(stage, best) if best.model.present else (stage, best)
 
 
 def closer(stage: Stage, fit: Refit, fixed: bool = False) -> tuple[Stage, Refit]:
     """A look about what a fit expects of every pixel, with the fit there; with `fixed` effects and grain stay."""
-    for _ in range(1 if fixed else 2):
-        look = look_again(stage.shots, stage.look, fit.model, latent_of(stage))
-        look.problem.context = stage.look.problem.context
-        stage, shift = stage._replace(look=look), 0 * fit.model.shift
-        if not fixed:
-            stage = stage._replace(grain=grain_of(stage, fit._replace(model=fit.model._replace(shift=shift))))
-        fit = fitted(stage, fit.model.present, fit.model.base, shift, fixed=fixed)
-    return stage, fit
+    look = look_again(stage.shots, stage.look, fit.model, latent_of(stage))
+    look.problem.context = stage.look.problem.context
+    moved = fit._replace(model=fit.model._replace(shift=0 * fit.model.shift))
+    return settled(stage._replace(look=look), moved, fixed)
+
+
+def _left_where_it_acts(best: Refit, without: Refit, stage: Stage) -> float:
+    """Excess of χ² of a fit in the blocks that tell one effect: those with most of what it changes."""
+    used = stage.look.problem.used
+    changed = ((best.residual - without.residual) ** 2 / stage.variance)[used]
+    squares = (best.residual**2 / stage.variance)[used]
+    order = np.argsort(-changed)
+    telling = order[: int(np.searchsorted(np.cumsum(changed[order]), TELLING * changed.sum())) + 1]
+    return float(max((squares[telling] - 1).sum(), 0.0))
 
 
 def evidence_of(stage: Stage, best: Refit, effects: Sequence[Effect]) -> list[Evidence]:
@@ -401,5 +451,6 @@ def evidence_of(stage: Stage, best: Refit, effects: Sequence[Effect]) -> list[Ev
         if rival is not None and name == "speckle":
             name = rival.model.present[-2].effect.name
         lost = rival.score if rival is not None and rival.score < without.score else without.score
-        out.append(Evidence(own.effect.name, without.score - best.score, name, lost - best.score))
+        left = _left_where_it_acts(best, without, stage)
+        out.append(Evidence(own.effect.name, without.score - best.score, name, lost - best.score, left))
     return out

@@ -22,12 +22,12 @@ from spotcheck.discrepancy.freed import (
     candidates,
     closer,
     evidence_of,
-    excess,
     expectation,
     fitted,
     grain_of,
     grain_px,
     grown,
+    settled,
     spread_sites,
     stage_of,
     widest_of,
@@ -35,6 +35,7 @@ from spotcheck.discrepancy.freed import (
 )
 from spotcheck.discrepancy.look import Look, look_about
 from spotcheck.discrepancy.modes import modes_of
+from spotcheck.discrepancy.name import EARNS
 from spotcheck.discrepancy.noise import block_correlation
 from spotcheck.discrepancy.refit import Problem, Refit, refit
 from spotcheck.discrepancy.shots import Design, Shot
@@ -44,9 +45,9 @@ from spotcheck.model.chain import grain_contrast
 from spotcheck.model.effect import Place, Present
 from spotcheck.model.effects import vocabulary
 
-# An effect is rightly named only if what all leave over is less than this part of what it closes, and if no other
-# effect in its place closes more than this part of it.
-LEFT, RIVAL = 0.01, 0.75
+# An effect is rightly named only if what is left where it acts is less than this part of what it closes, and if no
+# other effect in its place closes more than this part of it.
+LEFT, RIVAL = 0.1, 0.25
 # Grain is rightly named only if exposures of a site share this part of it.
 SHARED = 0.5
 
@@ -96,8 +97,7 @@ def freed_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
         return None
     stage, best = closer(stage, best)
     evidence = evidence_of(stage, best, effects)
-    left = excess(best, int(stage.look.problem.used.sum()))
-    right = {own.name for own in evidence if rightly(own, left)}
+    right = {own.name for own in evidence if rightly(own)}
     if not right:
         return None
     present = tuple(own for own in best.model.present if own.effect.name in right)
@@ -115,9 +115,9 @@ def freed_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
     return Freed(present, errors, tuple(own for own in evidence if own.name in right), frames, grain, p1, p2)
 
 
-def rightly(own: Evidence, left: float) -> bool:
-    """Whether an effect that is one of the best set may be called by its name beside `left`, the excess of χ²."""
-    return own.rise > 0 and left < LEFT * own.rise and own.rival_rise > (1 - RIVAL) * own.rise
+def rightly(own: Evidence) -> bool:
+    """Whether an effect that is one of the best set may be called by its name."""
+    return own.rise > EARNS and own.left < LEFT * own.rise and own.rival_rise > (1 - RIVAL) * own.rise
 
 
 def part_of_base(base: Base, frames: np.ndarray) -> Base:
@@ -178,7 +178,7 @@ def spots(
         at = shots[int(frames[0])].pixels().shape[0] - stage.shots[0].pixels().shape[0]
         stage = stage._replace(grain=regrained(grain, side, stage.look.measured.side))
         fit = best_spots(stage, present)
-        stage, fit = closer(stage, fit, fixed=True)
+        stage, fit = closer(*settled(stage, fit, fixed=True), fixed=True)
         moved = base_of_fit(stage, fit)
         for name in ("amplitude", "sigma", "x0", "y0"):
             getattr(out, name)[frames] = getattr(moved, name) + (max(at // 2, 0) if name in ("x0", "y0") else 0)
@@ -256,9 +256,7 @@ def left_of(freed: Freed, shots: Sequence[Shot], first: Look) -> Left:
     return Left(look, fit, statistics(modes, chi2, int(used.sum()), []))
 
 
-def gap_of_freed(
-    freed: Freed, first: Account, look: Look, unseen: Sequence[Shot], design: Design | None
-) -> Gap | None:
+def gap_of_freed(freed: Freed, first: Account, look: Look, unseen: Sequence[Shot], design: Design | None) -> Gap | None:
     """Unseen frames under the law, and with each frame's brightness and width its own: without effects, with one, with
     two, … Effects keep their values. None where no frames were kept unseen."""
     if not unseen or design is None:
@@ -277,7 +275,7 @@ def gap_of_freed(
         grain = next((own.values for own in present if own.effect.name == "speckle"), None)
         together = block_correlation(grain[1], side) if grain else 0.0
         stage = stage._replace(grain=Grain(grain[0] if grain else 0.0, together))
-        fits.append(best_spots(stage, present))
+        fits.append(settled(stage, best_spots(stage, present), fixed=True)[1])
     used = problem.used
     total = int(used.sum())
     chi2 = np.array([fit.chi2 for fit in fits]) / total

@@ -29,14 +29,14 @@ NO_WAVE = np.zeros((0, 2))
 
 class Latent(NamedTuple):
     """Free numbers that random effects bring: a gain of every condition, a centre of every condition; and the relative
-    variance a cell mean has on top (speckle, pixel gains), as (µ² × this). `together` is the part of a pixel's granular
-    variance that a cell mean keeps, where the model has it."""
+    variance a cell mean has on top (speckle, pixel gains), as (µ² × this). `known` is the whole variance of each cell
+    mean [DN²], where it is not to follow the model of a fit."""
 
     gain: bool = False
     centre: bool = False
     relative: np.ndarray | float = 0.0
     absolute: np.ndarray | float = 0.0
-    together: np.ndarray | float = 0.0
+    known: np.ndarray | None = None
 
 
 NOTHING = Latent()
@@ -118,10 +118,11 @@ class Problem:
 
     def variance(self, at: Moments, latent: Latent) -> np.ndarray:
         """Variance of each cell mean [DN²]: the base's own, scaled by the model's change of the noise."""
+        if latent.known is not None:
+            return latent.known
         out = self.cells.variance * (pooled(at.variance) / self.variance_start)
         light = pooled(at.mean) - self.setting.sensor.black_level_dn
-        out = out + latent.relative * light**2 + latent.absolute
-        return out if at.granular is None else out + latent.together * pooled(at.granular)
+        return out + latent.relative * light**2 + latent.absolute
 
     def _context(self) -> Context:
         baseline, sensor, cells = self.setting.baseline, self.setting.sensor, self.cells
@@ -173,9 +174,11 @@ def refit(
     used = problem.used
     raw = None
     for iteration in range(ITERATIONS):
-        # The base's own slopes hardly change from step to step; an effect's may, and so may all that grain moves.
-        raw = chart.slopes(point, at, None if iteration % RENEWED == 0 or at.granular is not None else raw)
-        slopes, rest = _standardised(raw, problem.residual(at), variance, used)
+        # The base's own slopes hardly change from step to step; an effect's may.
+        raw = chart.slopes(point, at, None if iteration % RENEWED == 0 else raw)
+        weight = np.sqrt(1 / variance[used])
+        slopes = raw[:, used] * weight
+        rest = problem.residual(at)[used] * weight
         matrix, pull = slopes @ slopes.T, slopes @ rest
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         normal, force = matrix / np.outer(scale, scale), pull / scale
@@ -206,8 +209,7 @@ def refit(
 def basis(problem: Problem, fit: Refit, effects: Sequence[tuple[Effect, str]], latent: Latent = NOTHING) -> np.ndarray:
     """Orthonormal directions [direction, used cell], in standard deviations, that the fit's own numbers span."""
     chart = _Chart(problem, effects, fit.model, latent, False)
-    raw = chart.slopes(chart.point(fit.model), fit.moments)[:, :, : problem.used.shape[1]]
-    slopes = raw[:, problem.used] / np.sqrt(fit.variance[problem.used])
+    slopes = chart.slopes(chart.point(fit.model), fit.moments)[:, problem.used] / np.sqrt(fit.variance[problem.used])
     _, size, right = np.linalg.svd(
         slopes / np.linalg.norm(slopes, axis=1, keepdims=True).clip(1e-300), full_matrices=False
     )
@@ -233,21 +235,6 @@ def screened(problem: Problem, fit: Refit, span: np.ndarray, effect: Effect, for
 def _score(problem: Problem, residual: np.ndarray, variance: np.ndarray) -> float:
     used = problem.used
     return float(np.sum(residual[used] ** 2 / variance[used] + np.log(variance[used] / problem.cells.variance[used])))
-
-
-def _standardised(raw: np.ndarray, residual: np.ndarray, variance: np.ndarray, used: np.ndarray):
-    """Slopes [parameter, number] and residuals [number], in standard deviations, of used cells.
-
-    Where slopes of the variance follow those of the mean, r²/v counts as a second number of a cell, of mean 1 and
-    variance 2: a step is then one of Fisher scoring for normal means whose variance the model itself tells.
-    """
-    rows = used.shape[1]
-    weight = np.sqrt(1 / variance[used])
-    slopes, rest = raw[:, :, :rows][:, used] * weight, residual[used] * weight
-    if raw.shape[2] > rows:
-        slopes = np.concatenate([slopes, raw[:, :, rows:][:, used] * weight**2 / np.sqrt(2)], axis=1)
-        rest = np.concatenate([rest, (rest**2 - 1) / np.sqrt(2)])
-    return slopes, rest
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
@@ -350,21 +337,12 @@ class _Chart:
 
     def slopes(self, point: np.ndarray, at: Moments, before: np.ndarray | None = None) -> np.ndarray:
         """∂ cell mean/∂ vector [parameter, condition, row, column]; with those of a step `before`, only the effects'
-        own are taken anew. With a coarse granular field as many rows of ∂ variance/∂ vector follow."""
+        own are taken anew."""
         problem, mean = self.problem, at.mean
-        granular = at.granular is not None
-        variance = problem.variance(at, self.latent) if granular else None
+        out = np.zeros((len(point), *problem.cells.residual.shape)) if before is None else before
 
         def change(trial: np.ndarray, h: float) -> np.ndarray:
-            moved = problem.evaluate(self.model(trial))
-            own = pooled(moved.mean - mean) / h
-            if variance is None:
-                return own
-            return np.concatenate([own, (problem.variance(moved, self.latent) - variance) / h], axis=1)
-
-        count, rows, columns = problem.cells.residual.shape
-        shape = (len(point), count, rows * (1 + granular), columns)
-        out = np.zeros(shape) if before is None else before
+            return pooled(problem.evaluate(self.model(trial)).mean - mean) / h
 
         shared = self.count + (0 if self.free else len(self.law))
         for k in range(shared if before is None else self.count):

@@ -2,8 +2,8 @@
 
 Light: shape → top hat → motion blur → + halo, ghost → × fringes → + pedestal. Sensor: shot noise with dark current →
 + smear → well → + read noise → K → non-linearity → + black level → + row noise → black clipping → rounding, both clips.
-Random fields (pixel gains, brightness and centre of a frame, fine speckle) have no mean of their own; coarse speckle has
-one behind whatever bends.
+Random fields (pixel gains, brightness and centre of a frame, fine speckle) have no mean of their own; coarse speckle
+has one behind whatever bends.
 """
 
 from collections.abc import Sequence
@@ -71,6 +71,8 @@ ROW_WEIGHTS = ROW_WEIGHTS / ROW_WEIGHTS.sum()
 COARSE = 0.1
 # Bins of a granular field's law, and levels of light at which its averages are looked up.
 GRAIN_NODES, LOOKED_UP = 16, 600
+# Places of effects on which a reading depends when its light is given.
+BEHIND_LIGHT = (Place.EXPOSURE, Place.PEDESTAL, Place.WELL, Place.NOISE, Place.RESPONSE, Place.DIGITAL, Place.SCATTER)
 
 
 class Moments(NamedTuple):
@@ -180,7 +182,6 @@ def _through_grain(
     What follows the light acts on each reading alone, so the averages are a function of the light, made once for each
     exposure and looked up.
     """
-    factors, weights = grain_law(contrast)
     if np.size(beside) and np.ptp(beside) == 0:
         beside = float(np.ravel(beside)[0])
     mixing = [own for own in present if own.effect.place is Place.CHARGE or own.effect.name == "background_gradient"]
@@ -188,33 +189,57 @@ def _through_grain(
         # ASSUME: what mixes pixels or is uneven is faint beside the light that bends, so it adds up with the grain.
         plain = [own for own in present if own not in mixing]
         rest = _through_grain(view, own_light, 0.0, plain, sensor, contrast)
-        whole, part = _readings(view, own_light, beside, present, sensor), _readings(view, own_light, 0.0, plain, sensor)
-        return Moments(rest.mean + whole.mean - part.mean, np.maximum(rest.variance + whole.variance - part.variance,
-                       0.1 * rest.variance), rest.granular)  # fmt: skip
-
-    def averaged(view: View, own_light) -> Moments:
-        parts = [_readings(view, own_light * factor, beside, present, sensor)[:2] for factor in factors]
-        mean, variance = np.tensordot(weights, parts, 1)
-        return Moments(mean, variance, np.tensordot(weights, [(own - mean) ** 2 for own, _ in parts], 1))
-
+        whole = _readings(view, own_light, beside, present, sensor)
+        part = _readings(view, own_light, 0.0, plain, sensor)
+        variance = np.maximum(rest.variance + whole.variance - part.variance, 0.1 * rest.variance)
+        return Moments(rest.mean + whole.mean - part.mean, variance, rest.granular)
     exposures, which = np.unique(np.ravel(view.exposure_s), return_inverse=True)
-    highest = max(float(np.max(own_light)), 1.0)
-    # Even steps of the root: read noise at the dark end, the bend further up, and shot noise everywhere.
-    knots = highest * np.linspace(0.0, 1.0, LOOKED_UP) ** 2
-    one = np.zeros((1, 1, 1))
-    small = view._replace(x=np.zeros((1, 1, LOOKED_UP)), y=one, x0=one, y0=one, order=one, angle=one,
-                          wave_cos=one, wave_sin=one)  # fmt: skip
+    # By powers of two, so that a table serves many models.
+    highest = 2.0 ** np.ceil(np.log2(max(float(np.max(own_light)), 1.0)))
+    behind = tuple(own for own in present if own.effect.place in BEHIND_LIGHT)
+    names = tuple((own.effect.name, own.form, own.values) for own in behind)
     out = [np.empty(own_light.shape) for _ in Moments._fields]
     for k, exposure in enumerate(exposures):
-        table = averaged(small._replace(exposure_s=exposure + one), knots[None, None, :])
+        key = (names, sensor, contrast, float(exposure), float(beside), float(highest))
+        table = _grain_table(_Case(key, behind, view))
         own = which == k if len(which) == len(own_light) else slice(None)
-        place = np.sqrt(np.maximum(own_light[own], 0.0) / highest) * (LOOKED_UP - 1)
+        place = np.sqrt(np.maximum(own_light[own], 0.0) * ((LOOKED_UP - 1) ** 2 / highest))
         left = np.minimum(place.astype(int), LOOKED_UP - 2)
         part = place - left
-        for values, column in zip(out, table, strict=True):
-            line = np.ravel(column)
-            values[own] = line[left] * (1 - part) + line[left + 1] * part
+        for values, line in zip(out, table, strict=True):
+            step = np.diff(line)
+            values[own] = line[left] + step[left] * part
     return Moments(*out)
+
+
+class _Case:
+    """What a table of readings behind grain depends on (`key`), with the effects and a view that make it."""
+
+    def __init__(self, key: tuple, behind: tuple[Present, ...], view: View):
+        self.key, self.behind, self.view = key, behind, view
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Case) and self.key == other.key
+
+
+@lru_cache(maxsize=512)
+def _grain_table(case: _Case) -> Moments:
+    """Moments of readings behind grain over even steps of the root of light, up to the highest: fine at the dark end,
+    where read noise acts, and where light bends."""
+    _, sensor, contrast, exposure, beside, highest = case.key
+    factors, weights = grain_law(contrast)
+    knots = highest * np.linspace(0.0, 1.0, LOOKED_UP) ** 2
+    one = np.zeros((1, 1, 1))
+    view = case.view._replace(x=np.zeros((1, 1, LOOKED_UP)), exposure_s=exposure + one,
+                              **dict.fromkeys(("y", "x0", "y0", "order", "angle", "wave_cos", "wave_sin"), one))  # fmt: skip
+    under = (knots * factors[:, None])[:, None, :]
+    parts = _readings(view, under, beside, case.behind, sensor)
+    means, variances = parts.mean[:, 0], parts.variance[:, 0]
+    mean = weights @ means
+    return Moments(mean, weights @ variances, weights @ (means - mean) ** 2)
 
 
 @lru_cache(maxsize=64)
