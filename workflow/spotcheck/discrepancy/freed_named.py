@@ -14,6 +14,7 @@ from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import statistics
 from spotcheck.discrepancy.explain import Account
 from spotcheck.discrepancy.freed import (
+    NO_GRAIN,
     SITES,
     Evidence,
     Grain,
@@ -27,6 +28,7 @@ from spotcheck.discrepancy.freed import (
     grain_of,
     grain_px,
     grown,
+    latent_of,
     settled,
     spread_sites,
     stage_of,
@@ -177,20 +179,19 @@ def spots(
         stage = stage_of([shots[k] for k in frames], design.take(frames), own, setting, widest)
         at = shots[int(frames[0])].pixels().shape[0] - stage.shots[0].pixels().shape[0]
         stage = stage._replace(grain=regrained(grain, side, stage.look.measured.side))
-        fit = best_spots(stage, present)
-        stage, fit = closer(*settled(stage, fit, fixed=True), fixed=True)
+        stage, fit = closer(*settled(*with_best_spots(stage, present), fixed=True), fixed=True)
         moved = base_of_fit(stage, fit)
         for name in ("amplitude", "sigma", "x0", "y0"):
             getattr(out, name)[frames] = getattr(moved, name) + (max(at // 2, 0) if name in ("x0", "y0") else 0)
     return out
 
 
-def best_spots(stage: Stage, present: Sequence[Present]) -> Refit:
-    """Each frame's own spot beside effects that keep their values."""
+def with_best_spots(stage: Stage, present: Sequence[Present]) -> tuple[Stage, Refit]:
+    """A stage with each frame's own spot beside effects that keep their values."""
     fit = fitted(stage, present, fixed=True)
     if any(own.effect.place is Place.WELL for own in present):
         fit = min(fit, fitted(stage, present, stage.flanks, fixed=True), key=lambda own: own.score)
-    return fit
+    return stage, fit
 
 
 def regrained(grain: Grain, side: int, other: int) -> Grain:
@@ -267,15 +268,20 @@ def gap_of_freed(freed: Freed, first: Account, look: Look, unseen: Sequence[Shot
     base = base_of(found, corners, design, setting.baseline, min(unseen[0].pixels().shape))
     assert base is not None  # the discovery frames of the same set had a base
     stage = stage_of(unseen, design, base, setting, widest_of(unseen, setting))
-    problem, side = stage.look.problem, stage.look.measured.side
+    problem = stage.look.problem
+    grain = NO_GRAIN
+    if freed.grain is not None:
+        together = block_correlation(freed.grain[1], stage.look.measured.side)
+        grain = Grain(freed.grain[0], together)
+    # All are measured by what the whole model leaves to chance.
+    stage, whole = settled(*with_best_spots(stage._replace(grain=grain), freed.whole), fixed=True)
     law = problem.start._replace(base=first.refit.model.base, present=())
-    fits = [refit(problem, (), law, fixed=True)]
-    for count in range(len(freed.present) + 1):
+    fits = [refit(problem, (), law, latent_of(stage), fixed=True)]
+    for count in range(len(freed.present)):
         present = freed.present[:count]
-        grain = next((own.values for own in present if own.effect.name == "speckle"), None)
-        together = block_correlation(grain[1], side) if grain else 0.0
-        stage = stage._replace(grain=Grain(grain[0] if grain else 0.0, together))
-        fits.append(settled(stage, best_spots(stage, present), fixed=True)[1])
+        bare = stage if any(own.effect.name == "speckle" for own in present) else stage._replace(grain=NO_GRAIN)
+        fits.append(with_best_spots(bare, present)[1])
+    fits.append(whole)
     used = problem.used
     total = int(used.sum())
     chi2 = np.array([fit.chi2 for fit in fits]) / total

@@ -233,8 +233,8 @@ def _grain_table(case: _Case) -> Moments:
     factors, weights = grain_law(contrast)
     knots = highest * np.linspace(0.0, 1.0, LOOKED_UP) ** 2
     one = np.zeros((1, 1, 1))
-    view = case.view._replace(x=np.zeros((1, 1, LOOKED_UP)), exposure_s=exposure + one,
-                              **dict.fromkeys(("y", "x0", "y0", "order", "angle", "wave_cos", "wave_sin"), one))  # fmt: skip
+    nowhere = dict.fromkeys(("y", "x0", "y0", "order", "angle", "wave_cos", "wave_sin"), one)
+    view = case.view._replace(x=np.zeros((1, 1, LOOKED_UP)), exposure_s=exposure + one, **nowhere)
     under = (knots * factors[:, None])[:, None, :]
     parts = _readings(view, under, beside, case.behind, sensor)
     means, variances = parts.mean[:, 0], parts.variance[:, 0]
