@@ -22,7 +22,7 @@ from spotcheck.discrepancy.noise import block_correlation
 from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import NOTHING, Latent, Refit, basis, refit, screened
 from spotcheck.discrepancy.shots import Design, Shot
-from spotcheck.model.chain import COARSE, Free, Law, View, grain_contrast, light, moments
+from spotcheck.model.chain import COARSE, Free, Law, View, grain_contrast, granular_variance, light, moments
 from spotcheck.model.effect import Effect, Place, Present
 from spotcheck.model.effects import vocabulary
 
@@ -207,10 +207,10 @@ def weighed(stage: Stage, fit: Refit) -> Stage:
     """With the variance of blocks that a fit and the grain foretell."""
     problem = stage.look.problem
     present = with_grain(fit.model.present, stage.grain, stage.look.measured.side)
-    at = problem.evaluate(fit.model._replace(present=present))
-    variance = problem.variance(at, NOTHING)
-    if at.granular is not None:
-        variance = variance + stage.grain.together * pooled(at.granular)
+    model = fit.model._replace(present=present)
+    variance = problem.variance(problem.evaluate(model), NOTHING)
+    if stage.grain.contrast >= COARSE:
+        variance = variance + stage.grain.together * problem.granular(model)
     return stage._replace(variance=variance)
 
 
@@ -260,11 +260,13 @@ def expectation(
         )
         own = Free(single(base.amplitude[k]), single(base.sigma[k]))
         at = moments(view, setting.baseline, own, present, setting.sensor)
-        if at.granular is None:
+        if grain_contrast(present) < COARSE:
             lit = light(view, setting.baseline, own, present)[0]
         else:
-            lit = np.sqrt(at.granular) / grain_contrast(present)
-        return Scene(*(np.ascontiguousarray(np.broadcast_to(v, (1, rows, columns))[0]) for v in (*at[:2], lit)))
+            # Of a granular field a reading shows what gets through whatever bends.
+            granular = granular_variance(view, setting.baseline, own, present, setting.sensor)
+            lit = np.sqrt(granular) / grain_contrast(present)
+        return Scene(*(np.ascontiguousarray(np.broadcast_to(v, (1, rows, columns))[0]) for v in (*at, lit)))
 
     return expect
 

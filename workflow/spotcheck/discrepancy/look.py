@@ -14,7 +14,7 @@ from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import Latent, Model, Problem
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import amplitudes
-from spotcheck.model.chain import Free, grain_contrast, light, moments, offset_response, spot_state
+from spotcheck.model.chain import Free, light, moments, offset_response, spot_state
 
 # Steps towards each frame's own centre.
 NEARER = 2
@@ -78,8 +78,6 @@ def _seen(measured: Measured, setting: Setting, model: Model | None) -> Look:
     cells = cells_of(measured, setting)
     problem = Problem(cells, setting, model, mask=~held_blocks(measured.design, cells.residual.shape))
     at = pooled(problem.at_start.mean) - setting.sensor.black_level_dn
-    if problem.at_start.granular is not None:
-        at = np.sqrt(pooled(problem.at_start.granular)) / grain_contrast(problem.start.present)
     fits = frame_fits(measured, "brightness")
     present = problem.start.present
     row = max((own.values[0] for own in present if own.effect.name == "row_noise"), default=0.0)
@@ -144,9 +142,6 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
         )
         spot, _ = light(here, setting.baseline, own, model.present, gain[k])
         at = moments(here, setting.baseline, own, model.present, setting.sensor, gain[k])
-        if at.granular is not None:
-            # Of a granular field a reading shows what gets through whatever bends.
-            spot = np.sqrt(at.granular) / grain_contrast(model.present)
         whole = (np.broadcast_to(v, (1, rows, columns))[0] for v in (at.mean, at.variance, spot))
         return Scene(*map(np.ascontiguousarray, whole))
 

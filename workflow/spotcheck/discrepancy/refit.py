@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import Cells, Setting, pooled
-from spotcheck.model.chain import Free, Law, Moments, View, light, moments
+from spotcheck.model.chain import Free, Law, Moments, View, granular_variance, light, moments
 from spotcheck.model.effect import Context, Effect, Present
 
 ITERATIONS = 25
@@ -100,6 +100,13 @@ class Problem:
             self._view(model), self.setting.baseline, model.base, model.present, model.gain[:, None, None]
         )
         return pooled(own + beside)
+
+    def granular(self, model: Model) -> np.ndarray:
+        """Variance [DN²] of pixels from grain to grain, mean over every cell."""
+        own = granular_variance(
+            self._view(model), self.setting.baseline, model.base, model.present, self.setting.sensor
+        )
+        return pooled(own)
 
     def _view(self, model: Model) -> View:
         """The cells' view with the model's centres and waves."""

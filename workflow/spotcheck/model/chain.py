@@ -76,12 +76,19 @@ BEHIND_LIGHT = (Place.EXPOSURE, Place.PEDESTAL, Place.WELL, Place.NOISE, Place.R
 
 
 class Moments(NamedTuple):
-    """Mean [DN] and variance [DN²] of the readings [view, row, column]. Where a coarse granular field is in the model:
-    the variance [DN²] of what a reading would be on average at its own grain; `variance` is about that."""
+    """Mean [DN] and variance [DN²] of the readings [view, row, column]."""
 
     mean: np.ndarray
     variance: np.ndarray
-    granular: np.ndarray | None = None
+
+
+class BehindGrain(NamedTuple):
+    """Mean [DN] of readings behind a granular field, their variance [DN²] about what each reads on average at its own
+    grain, and the variance of that."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+    granular: np.ndarray
 
 
 def true_exposure(view: View, present: Sequence[Present]):
@@ -161,12 +168,24 @@ def moments(
     sensor: SensorModel,
     brightness=1.0,
 ) -> Moments:
-    """Mean and variance of every reading; `brightness` [view, 1, 1] multiplies each view's peak."""
+    """Mean and variance of every reading; `brightness` [view, 1, 1] multiplies each view's peak. The variance is that
+    about a reading's own grain, where a granular field is in the model."""
     own_light, beside = light(view, baseline, base, present, brightness)
     contrast = grain_contrast(present)
     if contrast < COARSE:
         return _readings(view, own_light, beside, present, sensor)
-    return _through_grain(view, own_light, beside, present, sensor, contrast)
+    return Moments(*_through_grain(view, own_light, beside, present, sensor, contrast)[:2])
+
+
+def granular_variance(
+    view: View, baseline: Baseline, base: Law | Free, present: Sequence[Present], sensor: SensorModel
+) -> np.ndarray:
+    """Variance [DN²] of readings [view, row, column] from grain to grain; 0 where no coarse field is in the model."""
+    own_light, beside = light(view, baseline, base, present)
+    contrast = grain_contrast(present)
+    if contrast < COARSE:
+        return np.zeros(own_light.shape)
+    return _through_grain(view, own_light, beside, present, sensor, contrast).granular
 
 
 def grain_contrast(present: Sequence[Present]) -> float:
@@ -176,7 +195,7 @@ def grain_contrast(present: Sequence[Present]) -> float:
 
 def _through_grain(
     view: View, own_light, beside, present: Sequence[Present], sensor: SensorModel, contrast: float
-) -> Moments:
+) -> BehindGrain:
     """Moments of readings under light that a granular field multiplies: averages over the law of its factor.
 
     What follows the light acts on each reading alone, so the averages are a function of the light, made once for each
@@ -192,13 +211,13 @@ def _through_grain(
         whole = _readings(view, own_light, beside, present, sensor)
         part = _readings(view, own_light, 0.0, plain, sensor)
         variance = np.maximum(rest.variance + whole.variance - part.variance, 0.1 * rest.variance)
-        return Moments(rest.mean + whole.mean - part.mean, variance, rest.granular)
+        return BehindGrain(rest.mean + whole.mean - part.mean, variance, rest.granular)
     exposures, which = np.unique(np.ravel(view.exposure_s), return_inverse=True)
     # By powers of two, so that a table serves many models.
     highest = 2.0 ** np.ceil(np.log2(max(float(np.max(own_light)), 1.0)))
     behind = tuple(own for own in present if own.effect.place in BEHIND_LIGHT)
     names = tuple((own.effect.name, own.form, own.values) for own in behind)
-    out = [np.empty(own_light.shape) for _ in Moments._fields]
+    out = [np.empty(own_light.shape) for _ in BehindGrain._fields]
     for k, exposure in enumerate(exposures):
         key = (names, sensor, contrast, float(exposure), float(beside), float(highest))
         table = _grain_table(_Case(key, behind, view))
@@ -209,7 +228,7 @@ def _through_grain(
         for values, line in zip(out, table, strict=True):
             step = np.diff(line)
             values[own] = line[left] + step[left] * part
-    return Moments(*out)
+    return BehindGrain(*out)
 
 
 class _Case:
@@ -226,7 +245,7 @@ class _Case:
 
 
 @lru_cache(maxsize=512)
-def _grain_table(case: _Case) -> Moments:
+def _grain_table(case: _Case) -> BehindGrain:
     """Moments of readings behind grain over even steps of the root of light, up to the highest: fine at the dark end,
     where read noise acts, and where light bends."""
     _, sensor, contrast, exposure, beside, highest = case.key
@@ -239,7 +258,7 @@ def _grain_table(case: _Case) -> Moments:
     parts = _readings(view, under, beside, case.behind, sensor)
     means, variances = parts.mean[:, 0], parts.variance[:, 0]
     mean = weights @ means
-    return Moments(mean, weights @ variances, weights @ (means - mean) ** 2)
+    return BehindGrain(mean, weights @ variances, weights @ (means - mean) ** 2)
 
 
 @lru_cache(maxsize=64)
