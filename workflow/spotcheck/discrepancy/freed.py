@@ -342,13 +342,15 @@ def _blocks(values: np.ndarray, side: int) -> np.ndarray:
 
 class Evidence(NamedTuple):
     """What speaks for an effect among freed frames: the rise of χ² without it; the best other effect in its place, and
-    the rise that is left with that one; and the excess of χ² that the best fit leaves where the effect acts."""
+    the rise that is left with that one; the excess of χ² that the best fit leaves where the effect acts, and in how
+    many blocks that is."""
 
     name: str
     rise: float
     rival: str
     rival_rise: float
     left: float
+    blocks: int
 
 
 def candidates(look: Look) -> list[Effect]:
@@ -425,14 +427,14 @@ def closer(stage: Stage, fit: Refit, fixed: bool = False) -> tuple[Stage, Refit]
     return settled(stage._replace(look=look), moved, fixed)
 
 
-def _left_where_it_acts(best: Refit, without: Refit, stage: Stage) -> float:
-    """Excess of χ² of a fit in the blocks that tell one effect: those with most of what it changes."""
+def _left_where_it_acts(best: Refit, without: Refit, stage: Stage) -> tuple[float, int]:
+    """Excess of χ² of a fit in the blocks that tell one effect, those with most of what it changes; how many."""
     used = stage.look.problem.used
     changed = ((best.residual - without.residual) ** 2 / stage.variance)[used]
     squares = (best.residual**2 / stage.variance)[used]
     order = np.argsort(-changed)
     telling = order[: int(np.searchsorted(np.cumsum(changed[order]), TELLING * changed.sum())) + 1]
-    return float(max((squares[telling] - 1).sum(), 0.0))
+    return float(max((squares[telling] - 1).sum(), 0.0)), len(telling)
 
 
 def evidence_of(stage: Stage, best: Refit, effects: Sequence[Effect]) -> list[Evidence]:
@@ -453,6 +455,6 @@ def evidence_of(stage: Stage, best: Refit, effects: Sequence[Effect]) -> list[Ev
         if rival is not None and name == "speckle":
             name = rival.model.present[-2].effect.name
         lost = rival.score if rival is not None and rival.score < without.score else without.score
-        left = _left_where_it_acts(best, without, stage)
-        out.append(Evidence(own.effect.name, without.score - best.score, name, lost - best.score, left))
+        left, blocks = _left_where_it_acts(best, without, stage)
+        out.append(Evidence(own.effect.name, without.score - best.score, name, lost - best.score, left, blocks))
     return out

@@ -50,6 +50,9 @@ from spotcheck.model.effects import vocabulary
 # An effect is rightly named only if what is left where it acts is less than this part of what it closes, and if no
 # other effect in its place closes more than this part of it.
 LEFT, RIVAL = 0.1, 0.25
+# Where hardly more than noise is left, a rival may close more: it is enough that it falls this far short in χ², and by
+# this many times what is left.
+SHORT, TIMES = 100.0, 10.0
 # Grain is rightly named only if exposures of a site share this part of it.
 SHARED = 0.5
 
@@ -92,7 +95,7 @@ def freed_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
     """What can rightly be named where each frame's brightness and width are its own; None if nothing."""
     widest = widest_of(shots, setting)
     chosen = np.flatnonzero(np.isin(design.site, spread_sites(design)))
-    stage = stage_of([shots[k] for k in chosen], design.take(chosen), part_of_base(base, chosen), setting, widest)
+    stage = stage_of([shots[int(k)] for k in chosen], design.take(chosen), part_of_base(base, chosen), setting, widest)
     effects = candidates(stage.look)
     stage, best = grown(stage, effects)
     if not best.model.present:
@@ -108,8 +111,11 @@ def freed_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
     present = tuple(own for own in best.model.present if own.effect.name in right or own.effect.name == "speckle")
     errors = errors_of(stage, best)
     frames = spots(shots, design, base, setting, widest, present, stage.grain, stage.look.measured.side)
-    p1, p2 = line_of(frames.sigma, design, setting.baseline)
-    grain = next((own.values for own in present if own.effect.name == "speckle"), None)
+    p1 = p2 = None
+    if len(right) == len(evidence):
+        # Beside shapes without a name widths mean little.
+        p1, p2 = line_of(frames.sigma, design, setting.baseline)
+    grain = next(((own.values[0], own.values[1]) for own in present if own.effect.name == "speckle"), None)
     # What is anew in every exposure is no speckle.
     if not grain_of(stage, best).shared > SHARED:
         errors = tuple(own for own, p in zip(errors, present, strict=True) if p.effect.name != "speckle")
@@ -119,7 +125,10 @@ def freed_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
 
 def rightly(own: Evidence) -> bool:
     """Whether an effect that is one of the best set may be called by its name."""
-    return own.rise > EARNS and own.left < LEFT * own.rise and own.rival_rise > (1 - RIVAL) * own.rise
+    if own.rise < EARNS or own.left > LEFT * own.rise:
+        return False
+    adequate = own.left < own.blocks
+    return own.rival_rise > (max(SHORT, TIMES * own.left) if adequate else (1 - RIVAL) * own.rise)
 
 
 def part_of_base(base: Base, frames: np.ndarray) -> Base:
@@ -172,11 +181,12 @@ def spots(
     side: int,
 ) -> Base:
     """Each frame's own spot beside effects that keep their values, a few sites at a time."""
-    out = Base(*(np.zeros(len(shots)) for _ in range(4)), None)
+    zero = np.zeros(len(shots))
+    out = Base(zero, zero.copy(), zero.copy(), zero.copy(), None)
     for first in range(0, design.sites, SITES):
         frames = np.flatnonzero((design.site >= first) & (design.site < first + SITES))
         own = part_of_base(base, frames)
-        stage = stage_of([shots[k] for k in frames], design.take(frames), own, setting, widest)
+        stage = stage_of([shots[int(k)] for k in frames], design.take(frames), own, setting, widest)
         at = shots[int(frames[0])].pixels().shape[0] - stage.shots[0].pixels().shape[0]
         stage = stage._replace(grain=regrained(grain, side, stage.look.measured.side))
         stage, fit = closer(*settled(*with_best_spots(stage, present), fixed=True), fixed=True)
@@ -314,7 +324,7 @@ def recalled_freed(saved: dict[str, Any]) -> Freed:
     effects = vocabulary()
     present = tuple(Present(effects[p["name"]], p["form"], tuple(p["values"])) for p in saved["effects"])
     errors = tuple(tuple(p["errors"]) for p in saved["effects"])
-    base = Base(*(np.array(saved["base"][name]) for name in Base._fields[:4]), None)
+    base = Base(**{name: np.array(own) for name, own in saved["base"].items()}, law=None)
     evidence = tuple(Evidence(**own) for own in saved["evidence"])
     grain, p1, p2 = (None if saved[name] is None else tuple(saved[name]) for name in ("grain", "p1", "p2"))
     return Freed(present, errors, evidence, base, grain, p1, p2)

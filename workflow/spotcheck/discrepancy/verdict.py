@@ -209,10 +209,10 @@ def shift_of(found: Findings) -> dict[str, Any]:
         if not law or (one and name == "p1"):
             out[name] = {"before": None, "after": None, "stderr": None, "unit": "px"}
             continue
-        freed = getattr(found.freed, name) if found.freed is not None else None
-        if freed is not None:
-            out[name] = {"before": float(getattr(before.model.base, name)), "after": freed[0],
-                         "stderr": _number(freed[1]), "unit": "px"}  # fmt: skip
+        if found.freed is not None:
+            value, error = getattr(found.freed, name) or (None, None)
+            out[name] = {"before": float(getattr(before.model.base, name)), "after": value, "stderr": error,
+                         "unit": "px"}  # fmt: skip
             continue
         own = after or before
         replaced = {r for p in own.model.present for r in p.effect.replaces}

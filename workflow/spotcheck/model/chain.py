@@ -252,8 +252,9 @@ def _grain_table(case: _Case) -> BehindGrain:
     factors, weights = grain_law(contrast)
     knots = highest * np.linspace(0.0, 1.0, LOOKED_UP) ** 2
     one = np.zeros((1, 1, 1))
-    nowhere = dict.fromkeys(("y", "x0", "y0", "order", "angle", "wave_cos", "wave_sin"), one)
-    view = case.view._replace(x=np.zeros((1, 1, LOOKED_UP)), exposure_s=exposure + one, **nowhere)
+    # Where a point lies does not matter here, so any will do.
+    view = case.view._replace(x=np.zeros((1, 1, LOOKED_UP)), y=one, x0=one, y0=one, exposure_s=exposure + one,
+                              order=one, angle=one, wave_cos=one, wave_sin=one)  # fmt: skip
     under = (knots * factors[:, None])[:, None, :]
     parts = _readings(view, under, beside, case.behind, sensor)
     means, variances = parts.mean[:, 0], parts.variance[:, 0]
