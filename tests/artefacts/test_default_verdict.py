@@ -55,7 +55,7 @@ def test_parameters_are_near_the_truth(verdict, truth):
 
 
 def test_p1_and_p2_agree_with_the_truth_within_their_errors(verdict, truth):
-    """Width does not depend on exposure, and p2 is the sites' mean width less the laser's; before, both were far off."""
+    """Width does not depend on exposure, and p2 is the sites' mean width less the laser's; both were far off."""
     instrument = read_instrument(DATASET / "instrument.yaml")
     sites = [own for own in truth["sites"] if own["kind"] == "spot"]
     widths = [np.sqrt(own["sigma_long_px"] * own["sigma_short_px"]) for own in sites]

@@ -41,6 +41,8 @@ LIT = 5.0
 LEAST_PIXELS = 400
 # An effect must bring this part of all that −2 ln L falls.
 LARGE = 0.05
+# Pixels of a block scatter far more than foretold from this many times on.
+FAR_MORE = 4.0
 # Times that the weights of a fit are taken anew.
 WEIGHED = 2
 # The blocks that tell an effect have this part of what it changes.
@@ -159,12 +161,17 @@ def _first_contrast(look: Look) -> float:
 def _seen_variance(look: Look, grain: Grain) -> np.ndarray:
     """Variance [DN²] of the mean of every block by what its own pixels, and its neighbours', scatter about a plane:
     before any model is at hand."""
-    sums, variance = look.measured.sums, look.cells.variance
+    variance = look.cells.variance
     if grain.contrast < COARSE:
         return variance
-    dof = np.maximum(sums.rough_dof, 1)
-    within = ndimage.uniform_filter(sums.rough / dof * sums.variance, (0, 3, 3), mode="nearest")
-    return np.maximum(variance, grain.together / (1 - grain.together) * within)
+    return np.maximum(variance, grain.together / (1 - grain.together) * _scatter_within(look))
+
+
+def _scatter_within(look: Look) -> np.ndarray:
+    """Variance [DN²] of pixels about a plane in every block and its neighbours."""
+    sums = look.measured.sums
+    own = sums.rough / np.maximum(sums.rough_dof, 1) * sums.variance
+    return ndimage.uniform_filter(own, (0, 3, 3), mode="nearest")
 
 
 def with_grain(present: Sequence[Present], grain: Grain, side: int) -> tuple[Present, ...]:
@@ -204,13 +211,19 @@ def latent_of(stage: Stage) -> Latent:
 
 
 def weighed(stage: Stage, fit: Refit) -> Stage:
-    """With the variance of blocks that a fit and the grain foretell."""
-    problem = stage.look.problem
-    present = with_grain(fit.model.present, stage.grain, stage.look.measured.side)
-    model = fit.model._replace(present=present)
-    variance = problem.variance(problem.evaluate(model), NOTHING)
-    if stage.grain.contrast >= COARSE:
-        variance = variance + stage.grain.together * problem.granular(model)
+    """With the variance of blocks that a fit and the grain foretell; and where pixels of a block scatter far more than
+    that, as where each stops at a level of its own, with what they show."""
+    problem, grain = stage.look.problem, stage.grain
+    model = fit.model._replace(present=with_grain(fit.model.present, grain, stage.look.measured.side))
+    at = problem.evaluate(model)
+    variance = problem.variance(at, NOTHING)
+    if grain.contrast >= COARSE:
+        granular = problem.granular(model)
+        foretold = pooled(at.variance) + (1 - grain.together) * granular
+        variance = variance + grain.together * granular
+        seen = _scatter_within(stage.look)
+        more = grain.together / (1 - grain.together) * (seen - foretold)
+        variance = np.where(seen > FAR_MORE * foretold, variance + more, variance)
     return stage._replace(variance=variance)
 
 
