@@ -160,7 +160,7 @@ def _unknown(verdict: dict[str, Any], _: Limits | None) -> list[str]:
         )
         return [*out, _stand(verdict), _not_shown(verdict)]
     out.append("No set of effects explains it all: brightness and width go from frame to frame as no law of the model")
-    out.append("says, so each frame was given its own.")
+    out.append("says. Why they do stays open; here each frame was given its own.")
     out.append(f"Part of it is explained by {_list([_effect(own) for own in effects], '; ')}.")
     out += [*_rivals(verdict), _closed(verdict), _freed(verdict), _moved(verdict)]
     share = "" if not rest["share"] else f", {_percent(100 * rest['share'])} of the first excess in the mean images"
