@@ -124,8 +124,8 @@ def test_an_effect_needs_large_part_no_rival_and_nothing_left():
     assert not rightly(good._replace(left=200.0))
     assert not rightly(good._replace(rise=5.0, rival_rise=5.0, left=0.0))
     # Beside a fit that leaves noise alone a rival need only fall far short.
-    assert rightly(good._replace(rival_rise=200.0, left=10.0))
-    assert not rightly(good._replace(rival_rise=90.0, left=1.0))
+    strong = good._replace(rise=9000.0, left=10.0)
+    assert rightly(strong._replace(rival_rise=1200.0)) and not rightly(strong._replace(rival_rise=900.0))
 
 
 def test_line_takes_sites_as_draws():

@@ -47,6 +47,8 @@ FAR_MORE = 4.0
 WEIGHED = 2
 # The blocks that tell an effect have this part of what it changes.
 TELLING = 0.9
+# Another form must bring this part more of what the first one does.
+FORM = 0.01
 # Effects that are always tried: their first order says little.
 ALWAYS = ("saturation",)
 # Places in the chain where an effect changes the shape of the mean spot or of the reading.
@@ -371,11 +373,6 @@ def candidates(look: Look) -> list[Effect]:
     return [own for own in assessable(look)[0] if own.place in SHAPES]
 
 
-def excess(fit: Refit, used: int) -> float:
-    """χ² over what noise alone leaves."""
-    return max(fit.chi2 - (used - fit.freedom), 0.0)
-
-
 def tried(stage: Stage, before: Refit, effect: Effect, target: float = np.inf) -> Refit | None:
     """The best fit of an effect added to a fit; only the start that promises most of each form."""
     problem = stage.look.problem
@@ -384,16 +381,24 @@ def tried(stage: Stage, before: Refit, effect: Effect, target: float = np.inf) -
         return None
     span = basis(problem, before, effects, latent_of(stage))
     best: Refit | None = None
-    forms = effect.forms if effect.place is Place.METRIC else effect.forms[:1]
+    # Forms that clip read noise as well differ by too little to matter here.
+    several = effect.place in (Place.METRIC, Place.WELL)
+    forms = [form for form in effect.forms if not form.endswith("with noise")] if several else effect.forms[:1]
     for form in forms:
         _, values = screened(problem, before, span, effect, form)[0]
+        start = before
+        if best is not None and effect.place is Place.WELL:
+            start = best
+            values = next(own.values for own in best.model.present if own.effect.name == effect.name)
         present = (*before.model.present, Present(effect, form, values))
-        own = fitted(stage, present, before.model.base, before.model.shift, target)
-        if effect.place is Place.WELL:
+        own = fitted(stage, present, start.model.base, start.model.shift, target)
+        if effect.place is Place.WELL and best is None:
             # Light may be far above where the signal stops: the flanks know.
             other = fitted(stage, present, stage.flanks, before.model.shift, target)
             own = min(own, other, key=lambda fit: fit.score)
-        best = own if best is None or own.score < best.score else best
+        # A softer knee must be worth it.
+        worth = FORM * max(before.score - best.score, 0.0) if best is not None and effect.place is Place.WELL else 0.0
+        best = own if best is None or own.score < best.score - worth else best
     return best
 
 

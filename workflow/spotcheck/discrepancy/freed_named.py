@@ -52,7 +52,7 @@ from spotcheck.model.effects import vocabulary
 LEFT, RIVAL = 0.1, 0.25
 # Where hardly more than noise is left, a rival may close more: it is enough that it falls this far short in χ², and by
 # this many times what is left.
-SHORT, TIMES = 100.0, 10.0
+SHORT, TIMES = 1000.0, 10.0
 # Grain is rightly named only if exposures of a site share this part of it.
 SHARED = 0.5
 
@@ -102,25 +102,19 @@ def freed_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
         return None
     stage, best = closer(stage, best)
     evidence = evidence_of(stage, best, effects)
-    right = {own.name for own in evidence if rightly(own)}
-    if not right:
+    # One that another could replace may have bent the others: then no name is safe, and widths mean little.
+    if not evidence or not all(rightly(own) for own in evidence):
         return None
-    present = tuple(own for own in best.model.present if own.effect.name in right)
-    if len(right) < len(evidence):
-        best = fitted(stage, present, best.model.base, best.model.shift)
-    present = tuple(own for own in best.model.present if own.effect.name in right or own.effect.name == "speckle")
+    present = best.model.present
     errors = errors_of(stage, best)
     frames = spots(shots, design, base, setting, widest, present, stage.grain, stage.look.measured.side)
-    p1 = p2 = None
-    if len(right) == len(evidence):
-        # Beside shapes without a name widths mean little.
-        p1, p2 = line_of(frames.sigma, design, setting.baseline)
+    p1, p2 = line_of(frames.sigma, design, setting.baseline)
     grain = next(((own.values[0], own.values[1]) for own in present if own.effect.name == "speckle"), None)
     # What is anew in every exposure is no speckle.
     if not grain_of(stage, best).shared > SHARED:
         errors = tuple(own for own, p in zip(errors, present, strict=True) if p.effect.name != "speckle")
         present = tuple(own for own in present if own.effect.name != "speckle")
-    return Freed(present, errors, tuple(own for own in evidence if own.name in right), frames, grain, p1, p2)
+    return Freed(present, errors, tuple(evidence), frames, grain, p1, p2)
 
 
 def rightly(own: Evidence) -> bool:
