@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> None:
     found = dataset.load(args.dataset)
     saved = json.loads(Path(args.findings).read_text(encoding="utf-8"))
     gap = None
-    if saved.get("explanations"):
+    if saved.get("explanations") or saved.get("freed"):
         with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
             ready = open_set(found, crops, sensor)
             assert not isinstance(ready, str)  # the loop opened it before

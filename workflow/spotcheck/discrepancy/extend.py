@@ -9,6 +9,7 @@ from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Detection, Null, detect
 from spotcheck.discrepancy.explain import Account, account
+from spotcheck.discrepancy.freed_named import Freed, Left, freed_of, left_of
 from spotcheck.discrepancy.look import Look, look_again, look_at
 from spotcheck.discrepancy.name import assessable, present_of, search
 from spotcheck.discrepancy.refit import NO_WAVE
@@ -43,7 +44,8 @@ class Size(NamedTuple):
 class Findings(NamedTuple):
     """The first look and account, detection and size of the disagreement; the explanations that hold, best first; the
     best account and what remains of it; every single effect's account; why others were not assessed; and for every
-    single effect −2 ln L over the base model's, and χ²."""
+    single effect −2 ln L over the base model's, and χ². Where no set holds: what can be named, and what is left, with
+    each frame's brightness and width its own (None: nothing)."""
 
     look: Look
     base: Account
@@ -57,6 +59,8 @@ class Findings(NamedTuple):
     not_assessed: dict[str, str]
     status: str
     evidence: dict[str, tuple[float, float]]
+    freed: Freed | None = None
+    left: Left | None = None
 
 
 def investigate(
@@ -100,12 +104,28 @@ def investigate(
     explanations = naming.holding
     status = ("named" if len(explanations) == 1 else "ambiguous") if explanations else "unknown"
     if not explanations:
-        return Findings(look, first, detection, size, [], None, detection, size, naming.singles, not_assessed, status,
-                        evidence)  # fmt: skip
+        unknown = Findings(look, first, detection, size, [], None, detection, size, naming.singles, not_assessed,
+                           status, evidence)  # fmt: skip
+        if not unruly(detect(null, (naming.best or first).left)):
+            return unknown
+        freed = freed_of(shots, design, base, setting)
+        return unknown if freed is None else with_freed(unknown, freed, shots, null)
     near = near_to(explanations[0])
     best = closer_account(near, explanations[0])
     return Findings(look, first, detection, size, explanations, (near, best), detect(null, best.left),
                     size_of(near, best), naming.singles, not_assessed, status, evidence)  # fmt: skip
+
+
+def unruly(detection: Detection) -> bool:
+    """Whether brightness or width scatter from frame to frame, so that no law of them can hold."""
+    return any(detection.by_statistic.get(f"frame: {name}", 0.0) > CLEAR for name in ("brightness", "width"))
+
+
+def with_freed(found: Findings, freed: Freed, shots: Sequence[Shot], null: Null | None = None) -> Findings:
+    """Findings with what was named among freed frames, and what is left there; without a null law the rest stays."""
+    left = left_of(freed, shots, found.look)
+    rest = found.rest if null is None else detect(null, left.statistics)
+    return found._replace(freed=freed, left=left, rest=rest)
 
 
 def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:

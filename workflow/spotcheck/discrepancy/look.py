@@ -60,6 +60,12 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     return near._replace(hot=before.hot)
 
 
+def look_about(shots: Sequence[Shot], before: Look, expect: Callable[[int], Scene]) -> Look:
+    """Look at the same frames about what `expect` says of each; the model of conditions stays the base."""
+    setting, old = before.setting, before.measured
+    return _seen(measure(shots, old.design, old.base, setting.baseline, setting.sensor, expect), setting, None)
+
+
 def _with_hot(expect: Callable[[int], Scene], measured: Measured, prnu: float) -> Callable[[int], Scene]:
     """Expectation of each frame with the offsets of the sensor's hot pixels."""
     field = hot_field(measured, prnu)

@@ -135,6 +135,8 @@ def _add_residuals(out: xr.Dataset, canvas: _Canvas, found: Findings, gap: Gap |
     stages: dict[str, tuple[Look, Refit]] = {BEFORE: (found.look, found.base.refit)}
     if found.best is not None:
         stages[AFTER] = (found.best[0], found.best[1].refit)
+    elif found.left is not None:
+        stages[AFTER] = (found.left.look, found.left.refit)
     side = found.look.measured.side
     rows, columns = found.look.cells.residual.shape[1:]
     for axis, count in (("block_y", rows), ("block_x", columns)):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import Cells, Setting, pooled
-from spotcheck.model.chain import Free, Law, Moments, View, light, moments
+from spotcheck.model.chain import Free, Law, Moments, View, granular_variance, light, moments
 from spotcheck.model.effect import Context, Effect, Present
 
 ITERATIONS = 25
@@ -22,17 +22,21 @@ RENEWED = 4
 CREEP = 0.03
 # Relative steps of the differences.
 TINY = 1e-5
+# Peak [DN] of a spot that is free, least and most, and its least width [px].
+LEAST_DN, MOST_DN, LEAST_PX = 1e-3, 1e8, 0.2
 NO_WAVE = np.zeros((0, 2))
 
 
 class Latent(NamedTuple):
     """Free numbers that random effects bring: a gain of every condition, a centre of every condition; and the relative
-    variance a cell mean has on top (speckle, pixel gains), as (µ² × this)."""
+    variance a cell mean has on top (speckle, pixel gains), as (µ² × this). `known` is the whole variance of each cell
+    mean [DN²], where it is not to follow the model of a fit."""
 
     gain: bool = False
     centre: bool = False
     relative: np.ndarray | float = 0.0
     absolute: np.ndarray | float = 0.0
+    known: np.ndarray | None = None
 
 
 NOTHING = Latent()
@@ -97,6 +101,13 @@ class Problem:
         )
         return pooled(own + beside)
 
+    def granular(self, model: Model) -> np.ndarray:
+        """Variance [DN²] of pixels from grain to grain, mean over every cell."""
+        own = granular_variance(
+            self._view(model), self.setting.baseline, model.base, model.present, self.setting.sensor
+        )
+        return pooled(own)
+
     def _view(self, model: Model) -> View:
         """The cells' view with the model's centres and waves."""
         view = self.cells.view
@@ -114,6 +125,8 @@ class Problem:
 
     def variance(self, at: Moments, latent: Latent) -> np.ndarray:
         """Variance of each cell mean [DN²]: the base's own, scaled by the model's change of the noise."""
+        if latent.known is not None:
+            return latent.known
         out = self.cells.variance * (pooled(at.variance) / self.variance_start)
         light = pooled(at.mean) - self.setting.sensor.black_level_dn
         return out + latent.relative * light**2 + latent.absolute
@@ -128,7 +141,9 @@ class Problem:
             sigma = float(baseline.sigma(cells.view.longest_s, cells.base.p1, cells.base.p2))
             peak = cells.base.peak
         else:
-            sigma, peak = float(np.median(cells.base.sigma)), float(np.max(cells.base.amplitude))
+            # No reading lies above full scale, however bright the light that a free base has found.
+            sigma = float(np.median(cells.base.sigma))
+            peak = min(float(np.max(cells.base.amplitude)), sensor.full_scale_dn)
         crop = float(cells.view.x.shape[-1] * cells.view.rows_each)
         return Context(
             sigma,
@@ -264,7 +279,9 @@ class _Chart:
 
     @staticmethod
     def _moving(effect: Effect, form: str) -> list[int]:
-        """Indices of the parameters that this form has."""
+        """Indices of the parameters that this form has; those of a granular field are told by the noise."""
+        if effect.name == "speckle":
+            return []
         idle = effect.idle.get(form, ())
         return [k for k, p in enumerate(effect.parameters) if p.name not in idle]
 
@@ -276,7 +293,8 @@ class _Chart:
             else [p.values[k] for p, moving in zip(model.present, self.inner, strict=True) for k in moving]
         )
         if isinstance(model.base, Free):
-            base = [*model.base.amplitude.ravel(), *model.base.sigma.ravel()]
+            # Where light stops at a level, what is seen follows the logarithm of the peak.
+            base = [*np.log(np.maximum(model.base.amplitude.ravel(), LEAST_DN)), *model.base.sigma.ravel()]
         else:
             base = [getattr(model.base, name) for name in self.law]
         shift = model.shift
@@ -300,7 +318,7 @@ class _Chart:
         n = self.conditions
         base: Law | Free
         if isinstance(self.start.base, Free):
-            base = Free(point[at : at + n][:, None, None], point[at + n : at + 2 * n][:, None, None])
+            base = Free(np.exp(point[at : at + n])[:, None, None], point[at + n : at + 2 * n][:, None, None])
             at += 2 * n
         else:
             base = self.start.base._replace(**{name: float(v) for name, v in zip(self.law, point[at:], strict=False)})
@@ -318,6 +336,10 @@ class _Chart:
         """A vector with effects within their bounds and a base that has light and width."""
         out = point.copy()
         out[: self.count] = np.clip(out[: self.count], self.bounds[: self.count, 0], self.bounds[: self.count, 1])
+        if self.free:
+            middle = self.count + self.conditions
+            out[self.count : middle] = np.clip(out[self.count : middle], np.log(LEAST_DN), np.log(MOST_DN))
+            out[middle : middle + self.conditions] = np.maximum(out[middle : middle + self.conditions], LEAST_PX)
         return out
 
     def slopes(self, point: np.ndarray, at: Moments, before: np.ndarray | None = None) -> np.ndarray:

@@ -9,7 +9,8 @@ from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Detection
 from spotcheck.discrepancy.explain import Account, account
-from spotcheck.discrepancy.extend import Findings, Size, about, closer_account
+from spotcheck.discrepancy.extend import Findings, Size, about, closer_account, with_freed
+from spotcheck.discrepancy.freed_named import recalled_freed, saved_of_freed
 from spotcheck.discrepancy.look import look_at
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.shots import Design, Shot
@@ -32,6 +33,7 @@ def saved_of(found: Findings) -> dict[str, Any]:
         "singles": {name: {"score": float(own.score - found.base.score), "chi2": float(own.refit.chi2)}
                     for name, own in found.singles.items()},
         "not_assessed": found.not_assessed,
+        "freed": None if found.freed is None else saved_of_freed(found.freed),
     }  # fmt: skip
 
 
@@ -48,7 +50,7 @@ def recalled(saved: dict[str, Any], shots: Sequence[Shot], design: Design, base:
     if explanations:
         near = about(shots, look, explanations[0])
         best = near, closer_account(near, explanations[0])
-    return Findings(
+    found = Findings(
         look,
         first,
         Detection(**saved["detection"]),
@@ -62,6 +64,8 @@ def recalled(saved: dict[str, Any], shots: Sequence[Shot], design: Design, base:
         saved["status"],
         {name: (own["score"], own["chi2"]) for name, own in saved["singles"].items()},
     )
+    freed = saved.get("freed")
+    return found if freed is None else with_freed(found, recalled_freed(freed), shots)
 
 
 def _plain(value: Any) -> Any:

@@ -12,6 +12,7 @@ from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
 from spotcheck.discrepancy.explain import Account, account
 from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
+from spotcheck.discrepancy.freed_named import Freed, gap_of_freed
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.saved import recalled, saved_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out
@@ -48,7 +49,7 @@ def judge(
         return Judgement(None, None, [], ready)
     chosen, design, base = ready
     found = investigate(chosen, design, base, setting, null_of(design, kind), tolerance)
-    if not found.explanations:
+    if not found.explanations and found.freed is None:
         return Judgement(found, None, [], "")
     # As from the file that the loop writes: so every way to a verdict gives the same one.
     found = recalled(saved_of(found), chosen, design, base, setting)
@@ -72,12 +73,15 @@ def prepared(shots: Sequence[Shot], setting: Setting, kind: Kind) -> tuple[list[
     return "no spot could be fitted in any frame" + (": it is as wide as its crop" if wide else "")
 
 
-def gap_of(found: Findings, shots: Sequence[Shot]) -> Gap:
+def gap_of(found: Findings, shots: Sequence[Shot]) -> Gap | None:
     """The gap on frames that were kept unseen, or where there are none by the contract's other splits."""
     whole = design_of(shots)
     out = np.flatnonzero(held_out(whole.repeat))
     unseen = [shots[int(k)] for k in out]
-    return verify(found.look, found.base, stages_of(found), unseen, whole.take(out) if len(out) else None)
+    design = whole.take(out) if len(out) else None
+    if found.freed is not None:
+        return gap_of_freed(found.freed, found.base, found.look, unseen, design)
+    return verify(found.look, found.base, stages_of(found), unseen, design)
 
 
 def stages_of(found: Findings) -> list[Account]:
@@ -103,7 +107,9 @@ def verdict_json(judgement: Judgement, name: str, tolerance: Tolerance) -> dict[
     size = found.size
     stages = stages_of(found) if found.explanations else []
     names = [own.names for own in found.explanations]
-    ordered = [n for n in (stages[-1].names if stages else ())]
+    if found.freed is not None:
+        names = [found.freed.names]
+    ordered = list(found.freed.names if found.freed is not None else stages[-1].names if stages else ())
     effects = []
     for k, own in enumerate(ordered):
         effects.append(
@@ -152,6 +158,8 @@ def _candidates(own: str, names: list[tuple[str, ...]]) -> list[str]:
 
 def parameters_of(found: Findings, name: str) -> dict[str, dict[str, Any]]:
     """Parameters of an effect of the best explanation, with standard errors and units; those of the form left out."""
+    if found.freed is not None:
+        return _freed_parameters(found.freed, name)
     assert found.best is not None
     own = found.best[1]
     at = 0
@@ -165,6 +173,12 @@ def parameters_of(found: Findings, name: str) -> dict[str, dict[str, Any]]:
                 out[parameter.name] = {"value": float(value), "stderr": _number(error), "unit": parameter.unit}
             at += moving
     return out | _scatter_parameters(found, own, name)
+
+
+def _freed_parameters(freed: Freed, name: str) -> dict[str, dict[str, Any]]:
+    present, errors = next(o for o in zip(freed.present, freed.errors, strict=True) if o[0].effect.name == name)
+    rows = zip(present.effect.parameters, present.values, errors, strict=True)
+    return {p.name: {"value": float(v), "stderr": _number(e), "unit": p.unit} for p, v, e in rows if not p.inner}
 
 
 def _scatter_parameters(found: Findings, own: Account, name: str) -> dict[str, dict[str, Any]]:
@@ -198,6 +212,11 @@ def shift_of(found: Findings) -> dict[str, Any]:
         if not law or (one and name == "p1"):
             out[name] = {"before": None, "after": None, "stderr": None, "unit": "px"}
             continue
+        if found.freed is not None:
+            value, error = getattr(found.freed, name) or (None, None)
+            out[name] = {"before": float(getattr(before.model.base, name)), "after": value, "stderr": error,
+                         "unit": "px"}  # fmt: skip
+            continue
         own = after or before
         replaced = {r for p in own.model.present for r in p.effect.replaces}
         moving = [n for n in ("p1", "p2", "peak") if n not in replaced and not (n == "p1" and one)]
@@ -216,7 +235,8 @@ def _share(found: Findings) -> float | None:
     excess = found.base.refit.chi2 - used
     if excess <= 0:
         return None
-    left = (found.best[1].refit.chi2 if found.best else found.base.refit.chi2) - used
+    after = found.best[1].refit if found.best else found.left.refit if found.left else found.base.refit
+    left = after.chi2 - used
     return float(np.clip(left / excess, 0.0, 1.0))
 
 

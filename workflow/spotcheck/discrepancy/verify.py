@@ -66,7 +66,7 @@ def verify(
     floor = 1 - centres / count
     gap = chi2[0] - floor
     closed = (chi2[0] - chi2) / gap if gap > 0 else np.full(len(chi2), np.nan)
-    rms = [_rms([(p, fits[k]) for p, fits in tests]) for k in (0, -1)]
+    rms = [rms_of([(p, fits[k]) for p, fits in tests]) for k in (0, -1)]
     maps = {
         "before": np.where(tests[0][0].used, tests[0][1][0].residual, np.nan),
         "after": np.where(tests[0][0].used, tests[0][1][-1].residual, np.nan),
@@ -107,7 +107,8 @@ def _at(problem: Problem, own: Account, model: Model) -> Refit:
     return Refit(model, 0.0, chi2, np.zeros((0, 0)), residual, variance, at, 0)
 
 
-def _rms(fits: Sequence[tuple[Problem, Refit]]) -> float:
+def rms_of(fits: Sequence[tuple[Problem, Refit]]) -> float:
+    """Rms residual [DN], free of noise."""
     squares = np.concatenate([(fit.residual**2 - fit.variance)[p.used] for p, fit in fits])
     return float(np.sqrt(max(squares.mean(), 0.0)))
 

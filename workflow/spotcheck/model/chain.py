@@ -2,13 +2,16 @@
 
 Light: shape → top hat → motion blur → + halo, ghost → × fringes → + pedestal. Sensor: shot noise with dark current →
 + smear → well → + read noise → K → non-linearity → + black level → + row noise → black clipping → rounding, both clips.
-Random fields (speckle, pixel gains, brightness and centre of a frame) have no mean of their own.
+Random fields (pixel gains, brightness and centre of a frame, fine speckle) have no mean of their own; coarse speckle
+has one behind whatever bends.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammainc, gammaincinv
 
 from spotcheck.model import spot
 from spotcheck.model.baseline import Baseline
@@ -64,12 +67,28 @@ SMALL_DN = 0.02
 ROW_NODES, ROW_WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 ROW_WEIGHTS = ROW_WEIGHTS / ROW_WEIGHTS.sum()
 
+# Granular fields of less contrast than this leave means as they are: what bends, bends by C² µ² f″/2.
+COARSE = 0.1
+# Bins of a granular field's law, and levels of light at which its averages are looked up.
+GRAIN_NODES, LOOKED_UP = 16, 600
+# Places of effects on which a reading depends when its light is given.
+BEHIND_LIGHT = (Place.EXPOSURE, Place.PEDESTAL, Place.WELL, Place.NOISE, Place.RESPONSE, Place.DIGITAL, Place.SCATTER)
+
 
 class Moments(NamedTuple):
     """Mean [DN] and variance [DN²] of the readings [view, row, column]."""
 
     mean: np.ndarray
     variance: np.ndarray
+
+
+class BehindGrain(NamedTuple):
+    """Mean [DN] of readings behind a granular field, their variance [DN²] about what each reads on average at its own
+    grain, and the variance of that."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+    granular: np.ndarray
 
 
 def true_exposure(view: View, present: Sequence[Present]):
@@ -149,8 +168,118 @@ def moments(
     sensor: SensorModel,
     brightness=1.0,
 ) -> Moments:
-    """Mean and variance of every reading; `brightness` [view, 1, 1] multiplies each view's peak."""
+    """Mean and variance of every reading; `brightness` [view, 1, 1] multiplies each view's peak. The variance is that
+    about a reading's own grain, where a granular field is in the model."""
     own_light, beside = light(view, baseline, base, present, brightness)
+    contrast = grain_contrast(present)
+    if contrast < COARSE:
+        return _readings(view, own_light, beside, present, sensor)
+    return Moments(*_through_grain(view, own_light, beside, present, sensor, contrast)[:2])
+
+
+def granular_variance(
+    view: View, baseline: Baseline, base: Law | Free, present: Sequence[Present], sensor: SensorModel
+) -> np.ndarray:
+    """Variance [DN²] of readings [view, row, column] from grain to grain; 0 where no coarse field is in the model."""
+    own_light, beside = light(view, baseline, base, present)
+    contrast = grain_contrast(present)
+    if contrast < COARSE:
+        return np.zeros(own_light.shape)
+    return _through_grain(view, own_light, beside, present, sensor, contrast).granular
+
+
+def grain_contrast(present: Sequence[Present]) -> float:
+    """Contrast of the granular field among the effects; 0 without one."""
+    return max((own.values[0] for own in present if own.effect.name == "speckle"), default=0.0)
+
+
+def _through_grain(
+    view: View, own_light, beside, present: Sequence[Present], sensor: SensorModel, contrast: float
+) -> BehindGrain:
+    """Moments of readings under light that a granular field multiplies: averages over the law of its factor.
+
+    What follows the light acts on each reading alone, so the averages are a function of the light, made once for each
+    exposure and looked up.
+    """
+    if np.size(beside) and np.ptp(beside) == 0:
+        beside = float(np.ravel(beside)[0])
+    mixing = [own for own in present if own.effect.place is Place.CHARGE or own.effect.name == "background_gradient"]
+    if mixing:
+        # ASSUME: what mixes pixels or is uneven is faint beside the light that bends, so it adds up with the grain.
+        plain = [own for own in present if own not in mixing]
+        rest = _through_grain(view, own_light, 0.0, plain, sensor, contrast)
+        whole = _readings(view, own_light, beside, present, sensor)
+        part = _readings(view, own_light, 0.0, plain, sensor)
+        variance = np.maximum(rest.variance + whole.variance - part.variance, 0.1 * rest.variance)
+        return BehindGrain(rest.mean + whole.mean - part.mean, variance, rest.granular)
+    exposures, which = np.unique(np.ravel(view.exposure_s), return_inverse=True)
+    # By powers of two, so that a table serves many models.
+    highest = 2.0 ** np.ceil(np.log2(max(float(np.max(own_light)), 1.0)))
+    behind = tuple(own for own in present if own.effect.place in BEHIND_LIGHT)
+    names = tuple((own.effect.name, own.form, own.values) for own in behind)
+    out = [np.empty(own_light.shape) for _ in BehindGrain._fields]
+    for k, exposure in enumerate(exposures):
+        key = (names, sensor, contrast, float(exposure), float(beside), float(highest))
+        table = _grain_table(_Case(key, behind, view))
+        own = which == k if len(which) == len(own_light) else slice(None)
+        place = np.sqrt(np.maximum(own_light[own], 0.0) * ((LOOKED_UP - 1) ** 2 / highest))
+        left = np.minimum(place.astype(int), LOOKED_UP - 2)
+        part = place - left
+        for values, line in zip(out, table, strict=True):
+            step = np.diff(line)
+            values[own] = line[left] + step[left] * part
+    return BehindGrain(*out)
+
+
+class _Case:
+    """What a table of readings behind grain depends on (`key`), with the effects and a view that make it."""
+
+    def __init__(self, key: tuple, behind: tuple[Present, ...], view: View):
+        self.key, self.behind, self.view = key, behind, view
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Case) and self.key == other.key
+
+
+@lru_cache(maxsize=512)
+def _grain_table(case: _Case) -> BehindGrain:
+    """Moments of readings behind grain over even steps of the root of light, up to the highest: fine at the dark end,
+    where read noise acts, and where light bends."""
+    _, sensor, contrast, exposure, beside, highest = case.key
+    factors, weights = grain_law(contrast)
+    knots = highest * np.linspace(0.0, 1.0, LOOKED_UP) ** 2
+    one = np.zeros((1, 1, 1))
+    # Where a point lies does not matter here, so any will do.
+    view = case.view._replace(x=np.zeros((1, 1, LOOKED_UP)), y=one, x0=one, y0=one, exposure_s=exposure + one,
+                              order=one, angle=one, wave_cos=one, wave_sin=one)  # fmt: skip
+    under = (knots * factors[:, None])[:, None, :]
+    parts = _readings(view, under, beside, case.behind, sensor)
+    means, variances = parts.mean[:, 0], parts.variance[:, 0]
+    mean = weights @ means
+    return BehindGrain(mean, weights @ variances, weights @ (means - mean) ** 2)
+
+
+@lru_cache(maxsize=64)
+def grain_law(contrast: float) -> tuple[np.ndarray, np.ndarray]:
+    """Factors of a granular field of that contrast, and how often each stands for.
+
+    # ASSUME: intensities of summed independent speckle patterns, a gamma law of shape 1/C² (Goodman, Speckle
+    # Phenomena in Optics, 2nd ed., sec. 3.3). Mean factors of bins of probability, the finer the nearer to both ends.
+    """
+    shape = contrast**-2.0
+    edges = np.sin(np.pi / 2 * np.linspace(0, 1, GRAIN_NODES + 1)) ** 2
+    weights = np.diff(edges)
+    factors = np.diff(gammainc(shape + 1, gammaincinv(shape, edges))) / weights
+    # What scatters within a bin is given back to the bins, so that mean and contrast are exact.
+    spread = np.sqrt(weights @ (factors - 1) ** 2)
+    return np.maximum(1 + (factors - 1) * contrast / spread, 0.0), weights
+
+
+def _readings(view: View, own_light, beside, present: Sequence[Present], sensor: SensorModel) -> Moments:
+    """What the sensor makes of light [DN] without grain."""
     gain = sensor.gain_dn_per_e
     electrons = (own_light + beside) / gain + sensor.dark_current_e_per_s * true_exposure(view, present)
     variance = np.maximum(electrons, 0.0)
