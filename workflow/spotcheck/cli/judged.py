@@ -12,7 +12,7 @@ from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.extend import Findings, Tolerance
 from spotcheck.discrepancy.saved import recalled
-from spotcheck.discrepancy.shots import Design, Shot, design_of, left_out, never_chose, shots_of
+from spotcheck.discrepancy.shots import Design, Shot, design_of, left_out, never_chose, shots_of, together
 from spotcheck.discrepancy.verdict import prepared
 from spotcheck.errors import InputError
 from spotcheck.estimate.sensor import model_of
@@ -34,7 +34,7 @@ class OpenSet(NamedTuple):
 
 def open_set(found: Dataset, crops: xr.Dataset, sensor: xr.Dataset) -> OpenSet | str:
     """The frames of a dataset, ready to be judged; or why they cannot be."""
-    shots = shots_of(found, crops)
+    shots, astray = together(shots_of(found, crops), found.instrument.crop_px)
     missing = left_out(found, crops)
     if not shots:
         return missing
@@ -48,7 +48,8 @@ def open_set(found: Dataset, crops: xr.Dataset, sensor: xr.Dataset) -> OpenSet |
     setting = Setting(baseline, model, float(rows), ((columns - 1) / 2, (rows - 1) / 2))
     bits = int(np.ceil(np.log2(model.full_scale_dn + 1)))
     kind = Kind(found.instrument.crop_px, bits, baseline.photon_budget, baseline.top_hat)
-    remarks = [remark for remark in (missing, never_chose(design_of(shots)), sensor.attrs.get("remark", "")) if remark]
+    remarks = [missing, astray, never_chose(design_of(shots)), sensor.attrs.get("remark", "")]
+    remarks = [remark for remark in remarks if remark]
     ready = prepared(shots, setting, kind)
     if isinstance(ready, str):
         return "; ".join([ready, *remarks])

@@ -74,7 +74,8 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     active = [COMPONENT[own.effect.name] for own in present if is_component(own.effect)]
     effects = tuple((own.effect, own.form) for own in direct)
     start = start._replace(present=direct)
-    if any(own.effect.place is Place.NOISE for own in direct):
+    noisy = any(own.effect.place is Place.NOISE for own in direct)
+    if noisy:
         direct = _with_noise(look, direct, start)
         start = start._replace(present=direct)
     at = look.problem.evaluate(start)
@@ -82,10 +83,14 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     latent = _latent(look, component, grain, active)
     fit = refit(look.problem, effects, start._replace(present=_with_rows(direct, component)), latent, target)
     expected = expected_of(look, fit.moments, fit.model.present)
-    if active:
+    if active or noisy:
+        # What the means were off by before looked like noise.
+        present_now = _with_noise(look, fit.model.present, fit.model) if noisy else fit.model.present
+        if noisy:
+            expected = expected_of(look, look.problem.evaluate(fit.model._replace(present=present_now)), present_now)
         component, error, grain = _components(look, active, expected)
         latent = _latent(look, component, grain, active)
-        model = fit.model._replace(present=_with_rows(fit.model.present, component))
+        model = fit.model._replace(present=_with_rows(present_now, component))
         fit = refit(look.problem, effects, model, latent, target)
         expected = expected_of(look, fit.moments, fit.model.present)
     names = {own.effect.name for own in present}

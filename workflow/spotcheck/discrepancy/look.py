@@ -16,6 +16,7 @@ from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import amplitudes
 from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.chain import Free, light, moments, offset_response, spot_state
+from spotcheck.model.effect import Place
 
 # Steps towards each frame's own centre.
 NEARER = 2
@@ -53,7 +54,11 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     gain = own_gain(before, model, latent) / model.gain[design.condition] - 1
     given = np.stack([gain, base.x0 - common.x0, base.y0 - common.y0], axis=1)
     given[:, 1:] += before.measured.given[:, 1:]
-    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect)._replace(given=given)
+    read = setting.sensor.read_noise_e**2
+    for own in model.present:
+        read = own.apply(read) if own.effect.place is Place.NOISE else read
+    felt = setting.sensor._replace(read_noise_e=float(np.sqrt(read)))
+    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt)._replace(given=given)
     # The base has moved: no shift is left.
     near = _seen(measured, setting, model._replace(shift=0 * model.shift))
     # What was taken off still speaks against who knows nothing of it.

@@ -87,8 +87,10 @@ def measure(
     baseline: Baseline,
     sensor: SensorModel,
     expect: Callable[[int], Scene] | None = None,
+    felt: SensorModel | None = None,
 ) -> Measured:
-    """One pass over every frame, about the base model or what `expect` says of a frame."""
+    """One pass over every frame, about the base model or what `expect` says of a frame; `felt` is the sensor with the
+    noise that the model gives it, where that is another than the data sheet's."""
     rows, columns = shots[0].pixels().shape
     count, side = len(shots), block_side(min(rows, columns))
     blocks = (count, rows // side, columns // side)
@@ -113,11 +115,12 @@ def measure(
     ]
     sums = Sums(*parts)
     at_base = base_scenes(shots, design, base, baseline, sensor)
-    law = law_of(sensor)
+    felt = felt or sensor
+    law = law_of(felt)
     faint = np.linspace(0.0, 16.0 * (1 + sensor.gain_dn_per_e * sensor.read_noise_e), 400)
     response = faint, offset_response(faint, sensor)
     score, information = np.zeros((count, 7)), np.zeros((count, 7, 7))
-    dark_variance = (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + ROUNDING_VARIANCE
+    dark_variance = (felt.gain_dn_per_e * felt.read_noise_e) ** 2 + ROUNDING_VARIANCE
     for k, shot in enumerate(shots):
         image = np.ascontiguousarray(shot.pixels(), dtype=np.float64)
         scene, site = expect(k) if expect else at_base(k), design.site[k]

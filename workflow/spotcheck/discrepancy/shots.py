@@ -149,6 +149,26 @@ def left_out(dataset: Dataset, crops: xr.Dataset) -> str:
     return f"{whole} be used ({'; '.join(parts)})"
 
 
+def together(shots: Sequence[Shot], crop_px: int) -> tuple[list[Shot], str]:
+    """The frames of each site that look at one place, and how many others there are ("" if none).
+
+    Frames of a site whose crops lie more than half a crop apart do not show the same spot: something else was brighter.
+    Most frames count; of as many, those with the longest exposure.
+    """
+    sites: dict[str, list[Shot]] = {}
+    for shot in shots:
+        sites.setdefault(repr((shot.angle_deg, shot.conditions, shot.repeat)), []).append(shot)
+    keep: set[int] = set()
+    for own in sites.values():
+        groups = [[s for s in own if max(abs(s.left - a.left), abs(s.top - a.top)) <= crop_px / 2] for a in own]
+        best = max(groups, key=lambda group: (len(group), max(s.exposure_s or 0.0 for s in group)))
+        keep |= {id(s) for s in best}
+    out = [shot for shot in shots if id(shot) in keep]
+    astray = len(shots) - len(out)
+    why = f"{astray} of {len(shots)} spots lie more than half a crop from where their site has its others"
+    return out, why if astray else ""
+
+
 def never_chose(design: Design) -> str:
     """Which frames stand for conditions of which all are kept unseen; "" where there is none."""
     out = held_out(design.repeat)

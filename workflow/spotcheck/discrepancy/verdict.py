@@ -15,7 +15,7 @@ from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
 from spotcheck.discrepancy.freed_named import Freed, gap_of_freed
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.saved import recalled, saved_of
-from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out
+from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out, together
 from spotcheck.discrepancy.verify import Gap, verify
 
 
@@ -44,6 +44,7 @@ def judge(
     tolerance: Tolerance,
 ) -> Judgement:
     """All steps; frames that are kept unseen are opened last."""
+    shots, _ = together(shots, kind.crop_px)
     ready = prepared(shots, setting, kind)
     if isinstance(ready, str):
         return Judgement(None, None, [], ready)
