@@ -64,7 +64,7 @@ class Free(NamedTuple):
 # An offset of so little [DN] moves a mean in proportion.
 SMALL_DN = 0.02
 # Offsets of rows, in their rms, and how often each stands for (Gauss and Hermite).
-ROW_NODES, ROW_WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
+ROW_NODES, ROW_WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
 ROW_WEIGHTS = ROW_WEIGHTS / ROW_WEIGHTS.sum()
 
 # Granular fields of less contrast than this leave means as they are: what bends, bends by C² µ² f″/2.
@@ -311,12 +311,13 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
     rows = sum(own.values[0] ** 2 for own in present if own.effect.scatter and own.effect.scatter.of == "row")
     if rows:
         # Rows that scatter move the mean where black cuts them; the variance given is that of pixels within a row.
-        parts = []
-        for node in np.sqrt(rows) * ROW_NODES:
-            moved, within = out + node, spread.copy()
-            convert(moved.reshape(-1), within.reshape(-1), highest, dead)
-            parts.append((moved, within))
-        return Moments(*np.tensordot(ROW_WEIGHTS, parts, 1))
+        whole, within = (out.copy(), spread + rows), np.zeros_like(spread)
+        for node, weight in zip(np.sqrt(rows) * ROW_NODES, ROW_WEIGHTS, strict=True):
+            moved, own = out + node, spread.copy()
+            convert(moved.reshape(-1), own.reshape(-1), highest, dead)
+            within += weight * own
+        convert(*(part.reshape(-1) for part in whole), highest, dead)
+        return Moments(whole[0], within)
     convert(out.reshape(-1), spread.reshape(-1), highest, dead)
     return Moments(out, spread)
 
