@@ -311,13 +311,13 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
     rows = sum(own.values[0] ** 2 for own in present if own.effect.scatter and own.effect.scatter.of == "row")
     if rows:
         # Rows that scatter move the mean where black cuts them; the variance given is that of pixels within a row.
-        whole, within = (out.copy(), spread + rows), np.zeros_like(spread)
+        within, wider = np.zeros_like(spread), spread + rows
         for node, weight in zip(np.sqrt(rows) * ROW_NODES, ROW_WEIGHTS, strict=True):
             moved, around = out + node, spread.copy()
             convert(moved.reshape(-1), around.reshape(-1), highest, dead)
             within += weight * around
-        convert(*(part.reshape(-1) for part in whole), highest, dead)
-        return Moments(whole[0], within)
+        convert(out.reshape(-1), wider.reshape(-1), highest, dead)
+        return Moments(out, within)
     convert(out.reshape(-1), spread.reshape(-1), highest, dead)
     return Moments(out, spread)
 
