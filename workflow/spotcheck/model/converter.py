@@ -6,6 +6,8 @@ from numba import njit
 
 # Standardised distance to a clip beyond which it never acts.
 FAR = 6.0
+# And one beyond which not even the last digit of a sum knows of it.
+NEVER = 9.0
 # Below this noise [DN] the reading's law is a sum over a few whole numbers; above, rounding counts as 1/12 DN².
 FINE = 0.7
 ROUNDING = 1 / 12
@@ -64,9 +66,13 @@ def _beyond(m, sd, full_scale, dead):
 def _cut(m, sd, full_scale):
     """As `sensor.clipped_normal`, for one signal."""
     a, b = max(-m / sd, -40.0), min((full_scale - m) / sd, 40.0)
-    below, above = 0.5 * math.erfc(-a * ROOT_HALF), 0.5 * math.erfc(b * ROOT_HALF)
+    below = above = pdf_a = pdf_b = 0.0
+    # Nearly always one of the two is out of reach, and its functions cost as much as the other's.
+    if a > -NEVER:
+        below, pdf_a = 0.5 * math.erfc(-a * ROOT_HALF), PDF * math.exp(-a * a / 2)
+    if b < NEVER:
+        above, pdf_b = 0.5 * math.erfc(b * ROOT_HALF), PDF * math.exp(-b * b / 2)
     inside = 1 - below - above
-    pdf_a, pdf_b = PDF * math.exp(-a * a / 2), PDF * math.exp(-b * b / 2)
     first = a * below + b * above + pdf_a - pdf_b
     second = a * a * below + b * b * above + inside + a * pdf_a - b * pdf_b
     at_low, at_high = ROUNDING * pdf_a / (2 * sd), ROUNDING * pdf_b / (2 * sd)
