@@ -135,7 +135,8 @@ def _with_noise(look: Look, direct: tuple[Present, ...], start: Model) -> tuple[
         own = model(float(np.exp(log_total)))
         at = problem.evaluate(own)
         residual, variance = problem.residual(at), problem.variance(at, Latent())
-        means = float(np.sum((residual**2 / variance + np.log(variance / look.cells.variance))[problem.used]))
+        used = problem.used
+        means = float(np.sum(residual[used] ** 2 / variance[used] + np.log(variance[used] / look.cells.variance[used])))
         return means + _solve(look, [], expected_of(look, at, own.present), 1.0)[2]
 
     least = np.log(max(sensor.read_noise_e, 0.1))
@@ -167,7 +168,7 @@ def expected_of(look: Look, at: Moments, present: Sequence[Present]) -> np.ndarr
             own &= cells.pixels[o.condition] > 0
             out[k] = float(np.mean(ratio[o.condition][own])) if own.any() else 0.0
         elif o.label == "brightness":
-            out[k] = o.value - _scatter_beside(look, present)
+            out[k] = _scatter_beside(look, look.problem.start.present) - _scatter_beside(look, present)
     more = _excess_noise(look, present) - _excess_noise(look, look.problem.start.present)
     if more:
         white = np.array([o.load[COMPONENTS.index("read")] * (o.block != "variance") for o in look.observables])
@@ -185,12 +186,12 @@ def _excess_noise(look: Look, present: Sequence[Present]) -> float:
 def _scatter_beside(look: Look, present: Sequence[Present]) -> float:
     """Scatter of brightness beside what runs with the order of acquisition within a condition."""
     design, fits = look.measured.design, look.brightness
-    course = _course(look, present) - _course(look, look.problem.start.present)
+    course = course_of(look, present) - course_of(look, look.problem.start.present)
     chi2, freedom, _ = scatter_of(fits._replace(value=fits.value - course[:, None]), design.condition)
     return chi2 / max(freedom, 1) - 1
 
 
-def _course(look: Look, present: Sequence[Present]) -> np.ndarray:
+def course_of(look: Look, present: Sequence[Present]) -> np.ndarray:
     """Relative brightness of each frame to its condition's mean under effects that act frame by frame [frame]."""
     design, view = look.measured.design, look.cells.view
     out = np.zeros(len(design.condition))

@@ -11,15 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import pooled
-from spotcheck.discrepancy.explain import COMPONENT, Account, account, expected_of
+from spotcheck.discrepancy.explain import COMPONENT, Account, account, course_of, expected_of
 from spotcheck.discrepancy.look import Look
-from spotcheck.discrepancy.name import present_of, singles
+from spotcheck.discrepancy.name import CONTAINS, present_of, singles
 from spotcheck.discrepancy.noise import COMPONENTS, grained
 from spotcheck.discrepancy.refit import Model, Problem, plain
 from spotcheck.model.effect import Effect, Present
 
 # Signal-to-noise from which on two effects can be told apart.
 APART = 5.0
+# Steps towards a strength.
+STEPS = 14
 
 
 class Isolation(NamedTuple):
@@ -38,7 +40,8 @@ def asimov(look: Look, model: Model, component: dict[str, float], grain: float) 
     at = problem.evaluate(model)
     cells = look.cells._replace(residual=pooled(at.mean) - problem.mean_start)
     value = grained(look.observables, grain, look.measured.side) @ [component.get(name, 0.0) for name in COMPONENTS]
-    quiet = look._replace(brightness=look.brightness._replace(value=0 * look.brightness.value))
+    course = course_of(look, model.present)[:, None]
+    quiet = look._replace(brightness=look.brightness._replace(value=0 * look.brightness.value + course))
     value = value + expected_of(quiet, at, model.present)
     seen = [o._replace(value=float(v)) for o, v in zip(look.observables, value, strict=True)]
     again = Problem(cells, look.setting, plain(look.cells), mask=look.problem.used)
@@ -59,12 +62,15 @@ def isolability(look: Look, effect: Effect, effects: Sequence[Effect], snr: floa
     own = _at_strength(look, effect, snr)
     distances = isolation(look, own, effects)
     seen = float(np.sqrt(max(distances.pop(""), 0.0)))
+    # What contains the effect as a special case explains it as well, and still is not its name.
+    for name in CONTAINS.get(effect.name, ()):
+        distances.pop(name, None)
     rival = min(distances, key=lambda name: distances[name])
     return Isolation(effect.name, seen, rival, float(np.sqrt(max(distances[rival], 0.0))))
 
 
 def _at_strength(look: Look, effect: Effect, snr: float) -> Account:
-    """An account of what the effect would be at a strength, by secant steps on the square root of −2 ln L."""
+    """An account of what the effect would be at a strength, by bisection: −2 ln L of a scatter follows no power."""
     context = look.problem.context
     base = plain(look.cells)
     values = list(effect.starts(context)[0]) if effect.starts(context) else [0.02, context.sigma_px, 30.0, 0.0]
@@ -72,7 +78,8 @@ def _at_strength(look: Look, effect: Effect, snr: float) -> Account:
     neutral = effect.neutral if np.isfinite(effect.neutral) else 0.0
     strength = 1e-4 if name else values[0] - neutral
     low, high = effect.bounds(context)[0]
-    for _ in range(6):
+
+    def at(strength: float) -> tuple[Account, float]:
         if name:
             present: tuple[Present, ...] = ()
             component = {name: strength}
@@ -83,8 +90,16 @@ def _at_strength(look: Look, effect: Effect, snr: float) -> Account:
         ideal = asimov(look, base._replace(present=present), component, values[-1] if name == "grain" else 1.0)
         truth = present or (Present(effect, "", tuple(0.0 for _ in effect.parameters)),)
         fitted = account(ideal, truth, base)
-        reached = np.sqrt(max(account(ideal, ()).score - fitted.score, 1e-12))
+        return fitted, float(np.sqrt(max(account(ideal, ()).score - fitted.score, 1e-12)))
+
+    found, reached = at(strength)
+    weak, large = (strength, np.inf) if reached < snr else (0.0, strength)
+    for _ in range(STEPS):
         if abs(reached / snr - 1) < 0.1:
             break
-        strength *= float(np.clip(snr / reached, 0.05, 20.0)) ** (2 if name else 1)
-    return fitted
+        step = float(np.clip(snr / reached, 0.05, 20.0)) ** (2 if name else 1)
+        inside = np.sqrt(weak * large) if weak > 0 and np.isfinite(large) else strength * step
+        strength = float(inside)
+        found, reached = at(strength)
+        weak, large = (strength, large) if reached < snr else (weak, strength)
+    return found
