@@ -23,6 +23,8 @@ COMPONENT = {
     "power_fluctuation": "gain",
     "pointing_jitter": "centre",
 }
+# Relative components of variance never exceed this: light does not scatter by more than itself.
+MOST_RELATIVE = {"pixel": 1.0, "grain": 1.0, "gain": 1.0}
 # Grains [px] among which a granular field's is sought, then refined.
 GRAINS = np.geomspace(0.5, 14.0, 12)
 # A predicted excess of noise is trusted to this part of itself: loads rest on block means and on the form of a field.
@@ -215,7 +217,9 @@ def _components(look: Look, active: Sequence[str], expected: np.ndarray):
     if "grain" not in active:
         value, error, _ = _solve(look, active, expected, 1.0)
         return dict(zip(active, value, strict=True)), dict(zip(active, error, strict=True)), 1.0
-    grain = min(GRAINS, key=lambda own: _solve(look, active, expected, own)[2])
+    # A field coarser than half of the spot is not granular: it makes the whole spot brighter, or moves it.
+    fine = GRAINS[GRAINS <= max(0.5 * look.problem.context.sigma_px, GRAINS[0])]
+    grain = min(fine, key=lambda own: _solve(look, active, expected, own)[2])
     grain = min(np.linspace(0.85 * grain, 1.18 * grain, 7), key=lambda own: _solve(look, active, expected, own)[2])
     value, error, _ = _solve(look, active, expected, float(grain))
     return dict(zip(active, value, strict=True)), dict(zip(active, error, strict=True)), float(grain)
@@ -240,7 +244,7 @@ def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float
         size = np.maximum(np.linalg.norm(loads[own] * scale[:, None], axis=0), 1e-300)
         if active:
             found, _ = nnls(loads[own] * scale[:, None] / size, value[own] * scale)
-            found = found / size
+            found = np.minimum(found / size, [MOST_RELATIVE.get(name, np.inf) for name in active])
     rest = (value - loads @ found)[own] * scale
     score = float((rest**2).sum() + 2 * np.log(error[own] / basic[own]).sum())
     return found, 1 / size, score

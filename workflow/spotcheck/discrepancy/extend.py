@@ -94,7 +94,7 @@ def investigate(
                 exact = closer_account(near, other)
                 looks[tuple((effect.name, form) for effect, form in leader.effects)] = near
                 good = fits(near, exact)
-            if not good and own.refit.chi2 < NEARLY * look.problem.used.sum() and "fixed_pattern" not in own.names:
+            if not good and exact.refit.chi2 < NEARLY * near.problem.used.sum() and "fixed_pattern" not in own.names:
                 # The first look may lead astray: once more, from what the closer one found.
                 near = about(shots, near, exact)
                 exact = closer_account(near, exact)

@@ -50,7 +50,7 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     base, expect = scenes(shots, before, model, latent)
     if prnu is not None:
         expect = _with_hot(expect, before.measured, prnu)
-    common = _moved(before, model)
+    common = _moved(before, model, latent)
     gain = own_gain(before, model, latent) / model.gain[design.condition] - 1
     given = np.stack([gain, base.x0 - common.x0, base.y0 - common.y0], axis=1)
     given[:, 1:] += before.measured.given[:, 1:]
@@ -111,7 +111,7 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
     design, base, view = measured.design, measured.base, before.cells.view
     condition = design.condition
     rows, columns = shots[0].pixels().shape
-    moved = _moved(before, model)
+    moved = _moved(before, model, latent)
     if latent.centre:
         moved = with_own_centres(shots, measured, moved, setting)
     x0, y0 = moved.x0, moved.y0
@@ -165,12 +165,29 @@ def own_gain(before: Look, model: Model, latent: Latent) -> np.ndarray:
     return measured.base.amplitude * (1 + own) / np.broadcast_to(now, (len(model.gain), 1, 1))[condition, 0, 0]
 
 
-def _moved(before: Look, model: Model) -> Base:
+def _moved(before: Look, model: Model, latent: Latent) -> Base:
     """The base of a look with the centres that a model found."""
     design, base = before.measured.design, before.measured.base
     by_condition = len(model.shift) == design.conditions and len(model.shift) != design.places
     shift = model.shift[design.condition if by_condition else design.place[design.condition]]
+    if latent.gain and not latent.centre:
+        shift = shift - _lean(before)[design.place[design.condition]]
     return base._replace(x0=base.x0 + shift[:, 0], y0=base.y0 + shift[:, 1])
+
+
+def _lean(before: Look) -> np.ndarray:
+    """By how much the condition means of each place lie towards its brighter frames [place, (x, y)] in px."""
+    design, base = before.measured.design, before.measured.base
+    bright = base.amplitude * np.maximum(1 + frame_fits(before.measured, "brightness").value[:, 0], 0.0)
+    at = np.stack([base.x0, base.y0], axis=1)
+    out, total = np.zeros((design.places, 2)), np.zeros((design.places, 1))
+    for c in np.unique(design.condition):
+        own = design.condition == c
+        weight = bright[own].sum() ** 2
+        if weight > 0:
+            out[design.place[c]] += weight * (bright[own] @ at[own] / bright[own].sum() - at[own].mean(axis=0))
+            total[design.place[c]] += weight
+    return out / np.maximum(total, 1e-300)
 
 
 def with_own_centres(shots: Sequence[Shot], measured: Measured, base: Base, setting: Setting) -> Base:

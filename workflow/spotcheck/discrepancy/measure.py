@@ -16,6 +16,8 @@ from spotcheck.model.spot import TOP_HAT_LEVEL
 
 # Blocks along a crop: 8 px of 240.
 BLOCKS = 30
+# Standard deviations from full scale within which it cuts the law of a reading.
+CUT = 3.0
 # Crops that lie further apart than this [px] share no pixel worth the memory of a common window.
 LARGEST_WINDOW = 2048
 
@@ -131,13 +133,22 @@ def measure(
             *(part[k] for part in sums[:14]), sums.pull[site], sums.weight[site], *sums[16:], at, chip_at,
         )  # fmt: skip
         theta = spot_of(k, design, base, sensor)
+        lift = 0.0
+        if expect:
+            # The exact law of a faint reading is asked where the reading lies: on the model's pedestal.
+            lift = max(float(np.median(scene.mean - at_base(k).mean)), 0.0)
+            theta[6] += lift
         score[k], information[k], _, _ = one_pass(image, theta, LIKELIHOOD, law, baseline.top_hat)
         if expect:
             # What the model has over the base spot is no sign of another brightness, place or width.
-            mean = scene.mean
-            spot = at_base(k)
-            follows = np.interp(spot.light, *response)
-            score[k] -= pull_of(follows * (mean - spot.mean) / spot.variance, theta, baseline.top_hat)
+            spot = at_base(k, lift)
+            more = np.interp(spot.light + lift, *response) * (scene.mean - spot.mean) / spot.variance
+            # Where full scale cuts the base spot, a reading below it has been scored by the plain law.
+            plain, spread = theta[6] + spot.light, dark_variance + sensor.gain_dn_per_e * (spot.light + lift)
+            margin = CUT * np.sqrt(spread)
+            whole = np.where(scene.mean + margin < sensor.full_scale_dn, (scene.mean - plain) / spread, 0.0)
+            more = np.where(plain + margin > sensor.full_scale_dn, whole, more)
+            score[k] -= pull_of(np.where(np.isfinite(image), more, 0.0), theta, baseline.top_hat)
     return Measured(design, base, sums, score, information, side, corner, common, left, top, site_left, site_top,
                     np.zeros((count, 3)))  # fmt: skip
 
@@ -173,16 +184,19 @@ def pull_of(weighted: np.ndarray, theta: np.ndarray, top_hat: bool) -> np.ndarra
 
 def base_scenes(
     shots: Sequence[Shot], design: Design, base: Base, baseline: Baseline, sensor: SensorModel
-) -> Callable[[int], Scene]:
-    """The base model's expectation of each frame, in arrays that are filled anew for every frame."""
+) -> Callable[..., Scene]:
+    """The base model's expectation of each frame, if need be on a pedestal [DN], in arrays that are filled anew for
+    every frame."""
     gain = sensor.gain_dn_per_e
     exposures = np.nan_to_num(design.exposure_s)
-    highest = 1.05 * float(np.max(base.amplitude)) + gain * sensor.dark_current_e_per_s * float(exposures.max()) + 1.0
+    # Room for a pedestal.
+    brightest = 1.05 * float(np.max(base.amplitude)) + 0.5 * min(sensor.full_scale_dn, 65535.0)
+    highest = brightest + gain * sensor.dark_current_e_per_s * float(exposures.max()) + 1.0
     table = table_of(sensor, 16.0 * float(np.ceil(highest / 16.0)))
     scene = Scene(*(np.empty(shots[0].pixels().shape) for _ in range(3)))
 
-    def expect(k: int) -> Scene:
-        dark_e = sensor.dark_current_e_per_s * exposures[design.condition[k]]
+    def expect(k: int, lift_dn: float = 0.0) -> Scene:
+        dark_e = sensor.dark_current_e_per_s * exposures[design.condition[k]] + lift_dn / gain
         spot = (base.amplitude[k], base.x0[k], base.y0[k], base.sigma[k])
         fill_scene(*spot, baseline.top_hat, gain, dark_e, *table, *scene)
         return scene

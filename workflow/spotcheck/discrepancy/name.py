@@ -174,6 +174,8 @@ def search(look: Look, effects: Sequence[Effect], closer: Closer) -> Naming:
         ranked = grown
     if best is None:
         return Naming(None, [], alone)
+    while best[0][1] and (fewer := _fewer(look, best[0][0], closer)) is not None:
+        best = [(fewer, True)]
     best = _beside_scatter(look, best, effects, empty, closer)
     holding = [own for own, good in best if good]
     if holding and len(holding[0].effects) > 1:
@@ -199,6 +201,22 @@ def _beside_scatter(
     return found if found[0][1] else best
 
 
+def _fewer(look: Look, best: Account, closer: Closer) -> Account | None:
+    """An account of one effect less that holds by itself: a set may have been reached by way of one that mimicked."""
+    for leave in best.names if len(best.names) > 1 else ():
+        kept = [p for p in present_of(best) if p.effect.name != leave]
+        reduced = account(look, kept)
+        own, good = closer(reduced, reduced)
+        if good:
+            return own
+    return None
+
+
+def _distinct(accounts: Sequence[Account]) -> list[Account]:
+    """One account of each set of effects, whatever their order."""
+    return list({frozenset(own.names): own for own in accounts}.values())
+
+
 def _contest(ranked: Sequence[Account], empty: Account, closer: Closer) -> list[tuple[Account, bool]]:
     """Accounts that cannot be told from the best, best first, and whether each holds; the first alone where none does.
 
@@ -206,7 +224,7 @@ def _contest(ranked: Sequence[Account], empty: Account, closer: Closer) -> list[
     spectrum, and a closer look is what takes it off. Those in contest are compared about the leader's own expectation.
     """
     by_means = sorted(ranked, key=lambda own: own.refit.score)
-    leaders = list({own.names: own for own in (ranked[0], by_means[0], *ranked[1:2])}.values())
+    leaders = _distinct((ranked[0], by_means[0], *ranked[1:2]))
     for leader in leaders:
         first = closer(leader, leader)
         if not first[1]:
@@ -214,9 +232,9 @@ def _contest(ranked: Sequence[Account], empty: Account, closer: Closer) -> list[
         slack = TIED + SLACK * abs(empty.refit.score - leader.refit.score)
         near = [own for own in ranked if own.refit.score < leader.refit.score + slack]
         near += [own for own in ranked if own.score < leader.score + slack]
-        contest = list({own.names: own for own in near if own.names != leader.names}.values())[:LARGEST_CONTEST]
+        contest = [own for own in _distinct(near) if set(own.names) != set(leader.names)][:LARGEST_CONTEST]
         exact = sorted([first, *(closer(leader, own) for own in contest)], key=lambda item: item[0].score)
-        if exact[0][0].names != leader.names and exact[0][1]:
+        if set(exact[0][0].names) != set(leader.names) and exact[0][1]:
             leader = exact[0][0]
             again = [closer(leader, own) for own, _ in exact]
             exact = sorted(again, key=lambda item: item[0].score)

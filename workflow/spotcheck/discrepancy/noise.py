@@ -22,6 +22,8 @@ from spotcheck.model.spot import TOP_HAT_LEVEL
 COMPONENTS = ("read", "row", "pixel", "grain", "gain", "centre")
 # Bounds between bands of spatial frequency [cycles/px]. Below the first the mean's own refit acts.
 BANDS = np.array([0.03, 0.045, 0.065, 0.09, 0.125, 0.175, 0.25, 0.35, 0.5, 0.71])
+# A band of fewer independent modes has no normal law.
+LEAST_MODES = 10
 # Frequencies nearer to an axis than this [cycles/px] are left to rows and columns.
 AXIS = 0.015
 # Side of the box whose mean is taken off a field to leave its finest structure [px].
@@ -148,6 +150,8 @@ def _fields(measured: Measured, light: np.ndarray, response: np.ndarray) -> list
         own = float(weight[site].sum(dtype=float))
         noise, noise_squared = noise + own, noise_squared + own**2
     squared = float((weight.astype(float) ** 2).sum())
+    if not squared:  # a model that leaves no pixel any light
+        return []
     frame_noise = float(sums.totals[:, 5].sum())
     # The light is a window: it makes neighbouring frequencies one.
     window = noise**2 / (count * rows * columns * squared)
@@ -159,6 +163,8 @@ def _fields(measured: Measured, light: np.ndarray, response: np.ndarray) -> list
     out = []
     for low, high in pairwise(BANDS):
         at = (radius >= low) & (radius < high) & aslant
+        if twice[at].sum() * window < 2 * LEAST_MODES:
+            continue
         share = twice[at] / twice[at].sum()
         value = (float((power[at] * share).sum()) - noise) / squared
         modes = twice[at].sum() / 2 * window

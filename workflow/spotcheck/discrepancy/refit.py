@@ -192,6 +192,8 @@ def refit(
         better = False
         for _ in range(8):
             step = np.linalg.lstsq(normal + damping * np.eye(len(force)), force, rcond=1e-12)[0] / scale
+            # What nothing seen depends on stays where it is.
+            step[np.diag(matrix) <= 0] = 0.0
             trial = chart.bounded(point + step)
             at_trial = problem.evaluate(chart.model(trial))
             variance_trial = problem.variance(at_trial, latent)

@@ -1,0 +1,27 @@
+"""Folders of frames that hold nothing to judge: the workflow ends well, and verdict and report say why."""
+
+import json
+
+import pytest
+
+from tests.conftest import snakemake
+from tests.library.test_bad_cases import CASES, written
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("saturated everywhere", "none of 12 spot frames can be used (every pixel of the crop reads full scale)"),
+        ("flats and darks alone", "what flats and darks alone can show is not assessed"),
+    ],
+)
+def test_nothing_to_judge(name, why, tmp_path):
+    """Exit status 0, `not_assessed`, and the reason in both places."""
+    where = {"dataset": written(CASES[name](), tmp_path), "results": tmp_path / "results"}
+    run = snakemake("report", "verdict", config=where)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "Traceback" not in run.stdout + run.stderr
+    results = tmp_path / "results" / "set"
+    verdict = json.loads((results / "verdict.json").read_text(encoding="utf-8"))
+    assert verdict["status"] == "not_assessed" and why in verdict["sentence"]
+    assert why in (results / "report.html").read_text(encoding="utf-8")
