@@ -29,6 +29,8 @@ def extended_of(
 
     `shots` are all usable frames, also those that were kept unseen: their sites have centres as well.
     """
+    if found.freed is not None:
+        return _freed(found, shots, setting, instrument)
     look, own = found.best if names and found.best else (found.look, found.base)
     model, view = own.refit.model, look.cells.view
     law = None
@@ -41,6 +43,33 @@ def extended_of(
     known = [s.exposure_s for s in shots if s.exposure_s is not None]
     context = context_of(plain, setting.baseline, setting.sensor, instrument.crop_px, known)
     return plain._replace(present=tuple(within_bounds(_present(found, model, name), context) for name in names))
+
+
+def _freed(found: Findings, shots: Sequence[Shot], setting: Setting, instrument: Instrument) -> Extended:
+    """The model of frames that each have their own brightness and width: those that chose it have a spot."""
+    assert found.freed is not None
+    own, view = found.freed.base, found.look.cells.view
+    chosen = [shots[int(k)] for k in np.flatnonzero(~held_out(design_of(shots).repeat))]
+    spots: dict[Site, Spot] = {}
+    for k, shot in enumerate(chosen):
+        conditions = tuple(sorted(zip(instrument.conditions, shot.conditions, strict=True)))
+        centre = (float(shot.left + own.x0[k]), float(shot.top + own.y0[k]))
+        spot = Spot(*centre, float(max(own.amplitude[k], 0.0)), float(max(own.sigma[k], 1e-3)))
+        spots.setdefault(Site(shot.angle_deg, shot.exposure_s, shot.repeat, conditions), spot)
+    rows, columns = int(setting.frame_rows), int(2 * setting.frame_centre[0] + 1)
+    plain = Extended(None, float(view.longest_s), float(view.reference_s), rows, columns, (), spots)
+    known = [s.exposure_s for s in shots if s.exposure_s is not None]
+    context = context_of(plain, setting.baseline, setting.sensor, instrument.crop_px, known)
+    turned = (_within_turn(p) for p in found.freed.whole)
+    return plain._replace(present=tuple(within_bounds(p, context) for p in turned))
+
+
+def _within_turn(own: Present) -> Present:
+    """An effect with its directions between 0 and 360 degrees."""
+    units = (p.unit for p in own.effect.parameters)
+    return own._replace(
+        values=tuple(float(v % 360 if u == "deg" else v) for u, v in zip(units, own.values, strict=True))
+    )
 
 
 def _present(found: Findings, model: Model, name: str) -> Present:
