@@ -67,15 +67,15 @@ def context_of(
     model: Extended, baseline: Baseline, sensor: SensorModel, crop_px: int, exposures_s: Sequence[float]
 ) -> Context:
     """What the bounds of effects depend on, for a simulation at `exposures_s`."""
-    exponent = 0.0
+    exponent, full_scale = 0.0, float(min(sensor.full_scale_dn, 65535.0))
     if model.law is not None:
         p1, p2, peak = model.law
         sigma = float(baseline.sigma(model.longest_s, p1, p2))
         exponent = float(p1 / baseline.propagation(model.reference_s, p1, p2))
     else:
         sigma = float(np.median([s.sigma_px for s in model.spots.values()]))
-        peak = float(np.max([s.peak_dn for s in model.spots.values()]))
-    full_scale = float(min(sensor.full_scale_dn, 65535.0))
+        # No reading lies above full scale, however bright the light.
+        peak = min(float(np.max([s.peak_dn for s in model.spots.values()])), full_scale)
     shortest = float(min(exposures_s, default=1.0))
     top = float(baseline.plateau(peak))
     return Context(
