@@ -57,6 +57,11 @@ class Account(NamedTuple):
         return tuple(effect.name for effect, _ in self.effects)
 
     @property
+    def key(self) -> tuple[tuple[str, str], ...]:
+        """Names and forms of the effects, in order."""
+        return tuple((effect.name, form) for effect, form in self.effects)
+
+    @property
     def refit_effects(self) -> tuple[tuple[Effect, str], ...]:
         """Effects that the joint fit holds: all but those that only scatter."""
         return tuple((p.effect, p.form) for p in self.refit.model.present)
@@ -69,8 +74,7 @@ def is_component(effect: Effect) -> bool:
 
 def account(look: Look, present: Sequence[Present], start: Model | None = None, target: float = np.inf) -> Account:
     """Fit `present` (values are starts; those of variance components do not matter) beside the base, from `start`;
-    `target` as
-    for `refit`."""
+    `target` as for `refit`."""
     start = start or look.problem.start
     direct = tuple(own for own in present if not is_component(own.effect) or own.effect.name == "row_noise")
     active = [COMPONENT[own.effect.name] for own in present if is_component(own.effect)]

@@ -77,10 +77,9 @@ def investigate(
     looks: dict[tuple, Look] = {}
 
     def near_to(leader: Account) -> Look:
-        key = tuple((effect.name, form) for effect, form in leader.effects)
-        if key not in looks:
-            looks[key] = about(shots, look, leader)
-        return looks[key]
+        if leader.key not in looks:
+            looks[leader.key] = about(shots, look, leader)
+        return looks[leader.key]
 
     def closer(leader: Account, own: Account) -> tuple[Account, bool]:
         near = near_to(leader)
@@ -92,13 +91,13 @@ def investigate(
             if other.effects != exact.effects:
                 near = near_to(other)
                 exact = closer_account(near, other)
-                looks[tuple((effect.name, form) for effect, form in leader.effects)] = near
+                looks[leader.key] = near
                 good = fits(near, exact)
             if not good and exact.refit.chi2 < NEARLY * near.problem.used.sum() and "fixed_pattern" not in own.names:
                 # The first look may lead astray: once more, from what the closer one found.
                 near = about(shots, near, exact)
                 exact = closer_account(near, exact)
-                looks[tuple((effect.name, form) for effect, form in leader.effects)] = near
+                looks[leader.key] = near
                 good = fits(near, exact)
         return exact, good
 

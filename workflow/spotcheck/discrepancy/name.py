@@ -8,6 +8,7 @@ import numpy as np
 from spotcheck.discrepancy.explain import Account, account, is_component, relief
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.refit import basis, screened
+from spotcheck.discrepancy.stripes import peak
 from spotcheck.model.effect import Effect, Present
 from spotcheck.model.effects import vocabulary
 
@@ -139,8 +140,6 @@ def present_of(own: Account) -> tuple[Present, ...]:
 
 def _fringes(look: Look, before: Account, effect: Effect) -> Account | None:
     """Fringes from the highest peak of the sites' common spectrum, refined on the condition means."""
-    from spotcheck.discrepancy.stripes import peak
-
     found = peak(look.measured)
     values = (found.depth, found.period, found.direction, 0.0)
     return account(look, (*present_of(before), Present(effect, "site", values)), before.refit.model)

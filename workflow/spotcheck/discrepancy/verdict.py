@@ -10,10 +10,11 @@ from spotcheck.discrepancy.base import WIDEST, Base, base_of, spots_of
 from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
-from spotcheck.discrepancy.explain import Account, account
+from spotcheck.discrepancy.explain import COMPONENT, Account, account
 from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
 from spotcheck.discrepancy.freed_named import Freed, gap_of_freed
 from spotcheck.discrepancy.name import present_of
+from spotcheck.discrepancy.noise import hot_pixels
 from spotcheck.discrepancy.saved import recalled, saved_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out, together
 from spotcheck.discrepancy.verify import Gap, verify
@@ -183,9 +184,6 @@ def _freed_parameters(freed: Freed, name: str) -> dict[str, dict[str, Any]]:
 
 
 def _scatter_parameters(found: Findings, own: Account, name: str) -> dict[str, dict[str, Any]]:
-    from spotcheck.discrepancy.explain import COMPONENT
-    from spotcheck.discrepancy.noise import hot_pixels
-
     component = COMPONENT.get(name)
     if component is None:
         return {}
