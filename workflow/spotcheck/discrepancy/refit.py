@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import Cells, Setting, pooled
-from spotcheck.model.chain import Free, Law, Moments, View, granular_variance, light, moments
+from spotcheck.model.chain import Free, Law, Moments, View, bounds_context, granular_variance, light, moments
 from spotcheck.model.effect import Context, Effect, Present
 
 ITERATIONS = 25
@@ -132,29 +132,11 @@ class Problem:
         return out + latent.relative * light**2 + latent.absolute
 
     def _context(self) -> Context:
-        baseline, sensor, cells = self.setting.baseline, self.setting.sensor, self.cells
-        exposures = cells.view.exposure_s.ravel()
-        exponent = 0.0
-        if isinstance(cells.base, Law):
-            reference = baseline.propagation(cells.view.reference_s, cells.base.p1, cells.base.p2)
-            exponent = float(cells.base.p1 / reference)
-            sigma = float(baseline.sigma(cells.view.longest_s, cells.base.p1, cells.base.p2))
-            peak = cells.base.peak
-        else:
-            # No reading lies above full scale, however bright the light that a free base has found.
-            sigma = float(np.median(cells.base.sigma))
-            peak = min(float(np.max(cells.base.amplitude)), sensor.full_scale_dn)
-        crop = float(cells.view.x.shape[-1] * cells.view.rows_each)
-        return Context(
-            sigma,
-            baseline.plateau(peak),
-            float(min(sensor.full_scale_dn, 65535.0)),
-            crop,
-            float(exposures.min()),
-            sensor.read_noise_e,
-            sensor.gain_dn_per_e,
-            exponent,
-        )
+        view = self.cells.view
+        crop = float(view.x.shape[-1] * view.rows_each)
+        shortest = float(view.exposure_s.min())
+        return bounds_context(self.cells.base, self.setting.baseline, self.setting.sensor, crop, shortest,
+                              view.longest_s, view.reference_s)  # fmt: skip
 
 
 def refit(

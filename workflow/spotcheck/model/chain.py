@@ -16,7 +16,7 @@ from scipy.special import gammainc, gammaincinv
 from spotcheck.model import spot
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.converter import convert
-from spotcheck.model.effect import Place, Present
+from spotcheck.model.effect import Context, Place, Present
 from spotcheck.model.sensor import SensorModel, clipped_normal
 
 
@@ -59,6 +59,30 @@ class Free(NamedTuple):
 
     amplitude: np.ndarray
     sigma: np.ndarray
+
+
+def bounds_context(
+    base: Law | Free,
+    baseline: Baseline,
+    sensor: SensorModel,
+    crop_px: float,
+    shortest_s: float,
+    longest_s: float,
+    reference_s: float,
+) -> Context:
+    """What bounds and starts of effects depend on beside a base; times are those of `View`."""
+    exponent = 0.0
+    if isinstance(base, Law):
+        exponent = float(base.p1 / baseline.propagation(reference_s, base.p1, base.p2))
+        sigma, peak = float(baseline.sigma(longest_s, base.p1, base.p2)), base.peak
+    else:
+        # No reading lies above full scale, however bright the light that a free base has found.
+        sigma, peak = float(np.median(base.sigma)), min(float(np.max(base.amplitude)), sensor.full_scale_dn)
+    full_scale = float(min(sensor.full_scale_dn, 65535.0))
+    return Context(
+        sigma, float(baseline.plateau(peak)), full_scale, crop_px, shortest_s, sensor.read_noise_e,
+        sensor.gain_dn_per_e, exponent,
+    )  # fmt: skip
 
 
 # An offset of so little [DN] moves a mean in proportion.

@@ -14,7 +14,7 @@ import numpy as np
 from spotcheck.errors import InputError
 from spotcheck.manifest import Frame, number_in
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import Law
+from spotcheck.model.chain import Free, Law, bounds_context
 from spotcheck.model.effect import Context, Effect, Parameter, Present
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import SensorModel
@@ -67,20 +67,10 @@ def context_of(
     model: Extended, baseline: Baseline, sensor: SensorModel, crop_px: int, exposures_s: Sequence[float]
 ) -> Context:
     """What the bounds of effects depend on, for a simulation at `exposures_s`."""
-    exponent, full_scale = 0.0, float(min(sensor.full_scale_dn, 65535.0))
-    if model.law is not None:
-        p1, p2, peak = model.law
-        sigma = float(baseline.sigma(model.longest_s, p1, p2))
-        exponent = float(p1 / baseline.propagation(model.reference_s, p1, p2))
-    else:
-        sigma = float(np.median([s.sigma_px for s in model.spots.values()]))
-        # No reading lies above full scale, however bright the light.
-        peak = min(float(np.max([s.peak_dn for s in model.spots.values()])), full_scale)
+    spots = model.spots.values()
+    base = model.law or Free(np.array([s.peak_dn for s in spots]), np.array([s.sigma_px for s in spots]))
     shortest = float(min(exposures_s, default=1.0))
-    top = float(baseline.plateau(peak))
-    return Context(
-        sigma, top, full_scale, float(crop_px), shortest, sensor.read_noise_e, sensor.gain_dn_per_e, exponent
-    )
+    return bounds_context(base, baseline, sensor, float(crop_px), shortest, model.longest_s, model.reference_s)
 
 
 def within_bounds(present: Present, context: Context) -> Present:
