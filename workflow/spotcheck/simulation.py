@@ -180,9 +180,8 @@ def _check_model(dataset: Dataset, model: Extended, baseline: Baseline, sensor: 
     budget, crop = baseline.photon_budget, dataset.instrument.crop_px
     if not dataset.spots:
         raise InputError("manifest.csv: has no frame of kind spot; there is nothing to simulate")
-    if (model.law is None) != (budget == "free"):
-        has = "a law" if model.law else "no law"
-        raise InputError(f"{name}: has {has}, which the photon budget {budget} of this dataset cannot take")
+    if model.law is not None and budget == "free":
+        raise InputError(f"{name}: has a law, which the photon budget free of this dataset cannot take")
     if crop > min(model.rows, model.columns):
         raise InputError(f"{name}: the frame has {model.columns} × {model.rows} px, but crop_px is {crop}")
     check_bounds(model, context_of(model, baseline, sensor, crop, dataset.exposures), name)

@@ -7,6 +7,7 @@ import numpy as np
 from spotcheck.discrepancy.base import Base, base_of, spots_of
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.extend import Findings
+from spotcheck.discrepancy.freed_named import spots_of_unseen
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.refit import Model
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out
@@ -46,15 +47,21 @@ def extended_of(
 
 
 def _freed(found: Findings, shots: Sequence[Shot], setting: Setting, instrument: Instrument) -> Extended:
-    """The model of frames that each have their own brightness and width: those that chose it have a spot."""
+    """The model of frames that each have their own brightness and width, beside the effects."""
     assert found.freed is not None
-    own, view = found.freed.base, found.look.cells.view
-    chosen = [shots[int(k)] for k in np.flatnonzero(~held_out(design_of(shots).repeat))]
+    view, design = found.look.cells.view, design_of(shots)
+    unseen = held_out(design.repeat)
+    bases = {False: found.freed.base}
+    if unseen.any():
+        frames = np.flatnonzero(unseen)
+        kept = [shots[int(k)] for k in frames]
+        bases[True] = spots_of_unseen(found.freed, found.look, kept, design.take(frames))
     spots: dict[Site, Spot] = {}
-    for k, shot in enumerate(chosen):
+    for k, shot in enumerate(shots):
+        own, at = bases[bool(unseen[k])], int(np.count_nonzero(unseen[:k] == unseen[k]))
         conditions = tuple(sorted(zip(instrument.conditions, shot.conditions, strict=True)))
-        centre = (float(shot.left + own.x0[k]), float(shot.top + own.y0[k]))
-        spot = Spot(*centre, float(max(own.amplitude[k], 0.0)), float(max(own.sigma[k], 1e-3)))
+        centre = (float(shot.left + own.x0[at]), float(shot.top + own.y0[at]))
+        spot = Spot(*centre, float(max(own.amplitude[at], 0.0)), float(max(own.sigma[at], 1e-3)))
         spots.setdefault(Site(shot.angle_deg, shot.exposure_s, shot.repeat, conditions), spot)
     rows, columns = int(setting.frame_rows), int(2 * setting.frame_centre[0] + 1)
     plain = Extended(None, float(view.longest_s), float(view.reference_s), rows, columns, (), spots)

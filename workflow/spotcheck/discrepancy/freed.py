@@ -22,7 +22,7 @@ from spotcheck.discrepancy.noise import block_correlation
 from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import NOTHING, Latent, Refit, basis, refit, screened
 from spotcheck.discrepancy.shots import Design, Shot
-from spotcheck.model.chain import COARSE, Free, Law, View, grain_contrast, granular_variance, light, moments
+from spotcheck.model.chain import COARSE, Free, Law, View, grain_contrast, granular_variance, light, readings
 from spotcheck.model.effect import Effect, Place, Present
 from spotcheck.model.effects import vocabulary
 
@@ -274,10 +274,9 @@ def expectation(
             1.0,
         )
         own = Free(single(base.amplitude[k]), single(base.sigma[k]))
-        at = moments(view, setting.baseline, own, present, setting.sensor)
-        if grain_contrast(present) < COARSE:
-            lit = light(view, setting.baseline, own, present)[0]
-        else:
+        lit, beside = light(view, setting.baseline, own, present)
+        at = readings(view, lit, beside, present, setting.sensor)
+        if grain_contrast(present) >= COARSE:
             # Of a granular field a reading shows what gets through whatever bends.
             granular = granular_variance(view, setting.baseline, own, present, setting.sensor)
             lit = np.sqrt(granular) / grain_contrast(present)

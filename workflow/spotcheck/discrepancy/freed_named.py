@@ -266,19 +266,12 @@ def gap_of_freed(freed: Freed, first: Account, look: Look, unseen: Sequence[Shot
     two, … Effects keep their values. None where no frames were kept unseen."""
     if not unseen or design is None:
         return None
-    setting = look.setting
-    corners = np.array([(s.left, s.top) for s in unseen], float)
-    found = spots_of(unseen, setting.sensor, setting.baseline.top_hat)
-    base = base_of(found, corners, design, setting.baseline, min(unseen[0].pixels().shape))
-    assert base is not None  # the discovery frames of the same set had a base
-    stage = stage_of(unseen, design, base, setting, widest_of(unseen, setting))
+    base, widest = _base_of_unseen(unseen, design, look.setting), widest_of(unseen, look.setting)
+    stage = stage_of(unseen, design, base, look.setting, widest)
     problem = stage.look.problem
-    grain = NO_GRAIN
-    if freed.grain is not None:
-        together = block_correlation(freed.grain[1], stage.look.measured.side)
-        grain = Grain(freed.grain[0], together)
     # All are measured by what the whole model leaves to chance.
-    stage, whole = settled(*with_best_spots(stage._replace(grain=grain), freed.whole), fixed=True)
+    stage = stage._replace(grain=_grain(freed, stage.look.measured.side))
+    stage, whole = settled(*with_best_spots(stage, freed.whole), fixed=True)
     law = problem.start._replace(base=first.refit.model.base, present=())
     fits = [refit(problem, (), law, latent_of(stage), fixed=True)]
     for count in range(len(freed.present)):
@@ -296,6 +289,28 @@ def gap_of_freed(freed: Freed, first: Account, look: Look, unseen: Sequence[Shot
     before, after = (rms_of([(problem, fits[k])]) for k in (0, -1))
     return Gap(float(chi2[0]), float(chi2[-1]), float(floor), float(closed[-1]), before, after, "unseen repeats",
                tuple(np.diff(closed)[1:].tolist()), maps)  # fmt: skip
+
+
+def spots_of_unseen(freed: Freed, look: Look, unseen: Sequence[Shot], design: Design) -> Base:
+    """The spot of each frame that was kept unseen, beside the effects with their values."""
+    base, widest = _base_of_unseen(unseen, design, look.setting), widest_of(unseen, look.setting)
+    side = look.measured.side
+    return spots(unseen, design, base, look.setting, widest, freed.whole, _grain(freed, side), side)
+
+
+def _base_of_unseen(unseen: Sequence[Shot], design: Design, setting: Setting) -> Base:
+    corners = np.array([(s.left, s.top) for s in unseen], float)
+    found = spots_of(unseen, setting.sensor, setting.baseline.top_hat)
+    base = base_of(found, corners, design, setting.baseline, min(unseen[0].pixels().shape))
+    assert base is not None  # the discovery frames of the same set had a base
+    return base
+
+
+def _grain(freed: Freed, side: int) -> Grain:
+    """The granular noise of the model, for blocks of a side [px]."""
+    if freed.grain is None:
+        return NO_GRAIN
+    return Grain(freed.grain[0], block_correlation(freed.grain[1], side))
 
 
 def saved_of_freed(freed: Freed) -> dict[str, Any]:

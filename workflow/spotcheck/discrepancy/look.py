@@ -15,7 +15,7 @@ from spotcheck.discrepancy.refit import Latent, Model, Problem
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import amplitudes
 from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
-from spotcheck.model.chain import Free, light, moments, offset_response, spot_state
+from spotcheck.model.chain import Free, light, offset_response, readings, spot_state
 from spotcheck.model.effect import Place
 
 # Steps towards each frame's own centre.
@@ -146,8 +146,8 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
             wave_sin=single(waves[design.site[k], 1]),
             rows_each=1.0,
         )
-        spot, _ = light(here, setting.baseline, own, model.present, gain[k])
-        at = moments(here, setting.baseline, own, model.present, setting.sensor, gain[k])
+        spot, beside = light(here, setting.baseline, own, model.present, gain[k])
+        at = readings(here, spot, beside, model.present, setting.sensor)
         whole = (np.broadcast_to(v, (1, rows, columns))[0] for v in (at.mean, at.variance, spot))
         return Scene(*map(np.ascontiguousarray, whole))
 

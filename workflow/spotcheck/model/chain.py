@@ -195,6 +195,11 @@ def moments(
     """Mean and variance of every reading; `brightness` [view, 1, 1] multiplies each view's peak. The variance is that
     about a reading's own grain, where a granular field is in the model."""
     own_light, beside = light(view, baseline, base, present, brightness)
+    return readings(view, own_light, beside, present, sensor)
+
+
+def readings(view: View, own_light, beside, present: Sequence[Present], sensor: SensorModel) -> Moments:
+    """As `moments`, of light [DN] that is at hand: the spot's own and that of pedestals."""
     contrast = grain_contrast(present)
     if contrast < COARSE:
         return _readings(view, own_light, beside, present, sensor)
