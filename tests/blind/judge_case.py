@@ -1,6 +1,5 @@
 """A case, drawn, cropped and judged in memory with the library's own functions: all that the suite knows of them."""
 
-import dataclasses
 import fcntl
 import json
 import math
@@ -11,22 +10,19 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from rig import hidden
-from spotcheck import frames, instrument
 from spotcheck.discrepancy.calibration import Kind, calibrate, digest_of, stored
-from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
 from spotcheck.discrepancy.extend import Tolerance
 from spotcheck.discrepancy.shots import Design, Shot, design_of
 from spotcheck.discrepancy.verdict import Judgement, discovery_design, judge, verdict_json
-from spotcheck.instrument import Instrument
-from spotcheck.model.baseline import of_instrument
-from spotcheck.model.sensor import SensorModel
+from tests.blind.advised import followed
 from tests.blind.by_command import differences
+from tests.blind.crops import constant, set_of
 from tests.blind.limit import limit_of
 from tests.blind.plan import Job
 from tests.blind.told import told_truth
@@ -39,14 +35,6 @@ NULL_SECONDS, PATIENCE = 0.8, 400.0
 TOLERANCE = Tolerance()
 # So many jobs at the plan's beginning also go through folder, TIFF and command line; one in so many by the workflow.
 BY_COMMAND, WHOLE = 130, 12
-
-
-class Set(NamedTuple):
-    """What an analysis may see of a case."""
-
-    shots: list[Shot]
-    setting: Setting
-    kind: Kind
 
 
 class Busy(Exception):
@@ -77,6 +65,8 @@ def record_of(
         out["verdict"] = json.loads(json.dumps(verdict, allow_nan=False))
         out["told"], out["told_error"] = _told(judgement, case, seen.shots, tolerance)
         out["seconds"]["told"] = time.perf_counter() - done
+        if job.kind.startswith("one") and verdict["status"] == "ambiguous":
+            out["advised"] = _advised(judgement, case, tolerance)
     except Busy:
         raise
     except Exception as error:
@@ -112,6 +102,15 @@ def _told(
         return None, _said(error)
 
 
+def _advised(judgement: Judgement, case: hidden.Case, tolerance: Tolerance) -> dict[str, Any]:
+    """What comes of the advice; where that fails, why."""
+    try:
+        with _within(PATIENCE):
+            return followed(judgement, case, tolerance)
+    except Exception as error:
+        return {"error": _said(error)}
+
+
 def _said(error: Exception) -> str:
     where = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno} in {where.name})"
@@ -123,46 +122,6 @@ def passed_over(job: Job, case: hidden.Case) -> bool:
     The data sheet decides this, which an analysis may see.
     """
     return job.design != "default" and case.instrument["sensor"]["bit_depth"] != 10
-
-
-def set_of(case: hidden.Case, budget: str = "") -> Set:
-    """Crops of all frames, by the library's own search for the spot."""
-    data_sheet = instrument_of(case.instrument)
-    if budget:
-        model = dataclasses.replace(data_sheet.model, photon_budget=budget)
-        data_sheet = dataclasses.replace(data_sheet, model=model)
-    crop = data_sheet.crop_px
-    shots, shape = [], (0, 0)
-    for k, (row, frame) in enumerate(hidden.frames(case)):
-        spot = frames.light_centroid(frame, crop)
-        image, shape = frames.cut(frame, spot, crop), frame.shape
-        if not spot.found:
-            continue
-        left, top = spot.column - crop // 2, spot.row - crop // 2
-        shots.append(
-            Shot(
-                _number(row["angle_deg"]), _number(row["exposure_s"]), int(row["repeat"]), k, (), left, top, _is(image)
-            )
-        )
-    own = data_sheet.sensor
-    assert own.gain_dn_per_e is not None and own.read_noise_e is not None
-    full_scale = 2.0 ** (own.bit_depth or 0) - 1
-    sensor = SensorModel(
-        own.gain_dn_per_e, own.read_noise_e, own.dark_current_e_per_s,
-        np.inf if own.full_well_e is None else own.full_well_e, own.black_level_dn, full_scale, own.quantum_efficiency,
-    )  # fmt: skip
-    exposures = tuple(sorted({s.exposure_s for s in shots if s.exposure_s is not None}))
-    baseline = of_instrument(data_sheet, exposures)
-    rows, columns = shape
-    setting = Setting(baseline, sensor, float(rows), ((columns - 1) / 2, (rows - 1) / 2))
-    return Set(shots, setting, Kind(crop, own.bit_depth or 0, baseline.photon_budget, baseline.top_hat))
-
-
-def instrument_of(content: dict[str, Any]) -> Instrument:
-    """Instrument from the content of instrument.yaml."""
-    own = dict(content)
-    sections = {name: kind(**(own.pop(name, None) or {})) for name, kind in instrument.SECTIONS.items()}
-    return Instrument(**own, **sections)
 
 
 class Nulls:
@@ -225,7 +184,7 @@ def canonical(design: Design) -> Design:
     shots = [
         Shot(
             float(design.angle_deg[design.condition[k]]), float(design.exposure_s[design.condition[k]]),
-            int(design.repeat[k]), number, (), 0, 0, _is(np.zeros((1, 1))),
+            int(design.repeat[k]), number, (), 0, 0, constant(np.zeros((1, 1))),
         )
         for number, k in enumerate(at)
     ]  # fmt: skip
@@ -246,11 +205,3 @@ def _within(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, before)
-
-
-def _is(image: np.ndarray) -> Callable[[], np.ndarray]:
-    return lambda: image
-
-
-def _number(value: Any) -> float | None:
-    return None if value in ("", None) else float(value)

@@ -187,6 +187,16 @@ def strength_error(record: Record) -> float | None:
     return (own["value"] - record["truth"]["effects"][0]["parameters"][key]) / bound["stderr"]
 
 
+def told_apart(record: Record) -> bool:
+    """Whether the advised frames, made and judged with the others, left one explanation, the truth; and a condition at
+    random needs twice as many at least, in more than half of all cases."""
+    own = record["advised"]
+    if own["frames"] is None:
+        return False
+    by_chance = np.median([np.inf if frames is None else frames for frames in own["any"]])
+    return own["left"] == [sorted(truth(record))] and by_chance >= 2 * own["frames"]
+
+
 def of_contract(effect: Record) -> bool:
     """Whether an effect has a form that the contract fixes, so that its strength means the same to all."""
     form, parameters = effect["form"], effect["parameters"]

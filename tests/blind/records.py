@@ -11,12 +11,15 @@ RESULTS = ROOT / "results" / "blind"
 Record = dict[str, Any]
 
 
-# What scores depend on.
-CODE = ("workflow", "tests/blind", ":!workflow/docs")
+# What records depend on; scores are made of records anew.
+CODE = (
+    "workflow", ":!workflow/docs",
+    *(f"tests/blind/{name}.py" for name in ("plan", "judge_case", "crops", "by_command", "told", "advised", "limit")),
+)  # fmt: skip
 
 
 def commit() -> str:
-    """Short hash of the last commit that touched what scores depend on; `-dirty` where files differ from it."""
+    """Short hash of the last commit that touched what records depend on; `-dirty` where files differ from it."""
     last = _git("rev-list", "-1", "--abbrev-commit", "--abbrev=12", "HEAD", "--", *CODE).strip()
     return last + ("-dirty" if _git("status", "--porcelain", "--", *CODE).strip() else "")
 

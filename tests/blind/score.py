@@ -47,6 +47,11 @@ def figures(records: Sequence[Record]) -> list[Figure]:
         gap_closed([*strong, *several["two"]]),
         strength(strong),
         weakest_found(ones),
+        share(
+            "tied pairs told apart by the advised frames, at most half of what chance needs",
+            [r for r in records if r.get("advised") and "error" not in r["advised"]], outcome.told_apart,
+            at_least(0.80, 0.90),
+        ),
         by_command([r for r in records if r.get("command")]),
         share("a verdict at all: no exception", list(filter(outcome.scored, records)), outcome.judged),
     ]  # fmt: skip

@@ -26,7 +26,7 @@ from spotcheck.model.chain import Law
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.extended import Extended, Site, Spot, no_model, read_model, text_of
 from spotcheck.model.sensor import SensorModel
-from tests.blind.judge_case import set_of
+from tests.blind.crops import set_of
 from tests.library import small_verdict as small
 from tests.library.conftest import HEADER
 from tests.library.effect_cases import GHOST, of, present

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from rig.hidden import registry
 from rig.hidden.base import Base, draw_base
-from rig.hidden.designs import Shot, draw_shots
+from rig.hidden.designs import FRAME_PX, WANDER_PX, Shot, draw_shots
 from rig.hidden.effect import Effect
 from rig.hidden.expose import expose
 from rig.hidden.kinds import Kind, choose, read_kind
@@ -76,6 +76,29 @@ def frames(case: Case) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
     for row, shot in zip(case.manifest, case.shots, strict=True):
         seed = np.random.SeedSequence(root, spawn_key=(1, shot.index))
         yield row, expose(case.world, shot, np.random.Generator(np.random.SFC64(seed)))
+
+
+def with_more(case: Case, angle_deg: float, exposure_s: float, number: int) -> Case:
+    """The same world with frames of one more condition, taken after the others: at sites of that angle that have no
+    such frame yet, then at new ones. ValueError where an effect drew one number a frame beforehand."""
+    rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([case.seed, 2])))
+    shots = list(case.shots)
+    exposed = {s.repeat for s in shots if (s.angle_deg, s.exposure_s) == (angle_deg, exposure_s)}
+    sites = {s.repeat: s for s in shots if s.angle_deg == angle_deg}
+    repeats = [r for r in sorted(sites) if r not in exposed]
+    fresh = max(sites, default=-1) + 1
+    repeats += range(fresh, fresh + number)
+    for repeat in repeats[:number]:
+        site = sites[repeat].site if repeat in sites else 1 + max(s.site for s in shots)
+        x, y = (
+            (sites[repeat].x_px, sites[repeat].y_px)
+            if repeat in sites
+            else (FRAME_PX - 1) / 2 + rng.uniform(-WANDER_PX, WANDER_PX, 2)
+        )
+        shots.append(Shot(len(shots), site, angle_deg, exposure_s, repeat, float(x), float(y)))
+    if any(hasattr(effect, "frames") for effect in case.world.effects):
+        raise ValueError(f"seed {case.seed}: an effect of {case.kind} is drawn for {len(case.shots)} frames, no more")
+    return replace(case, shots=tuple(shots), manifest=[shot.row() for shot in shots])
 
 
 def _strengthened(

@@ -16,11 +16,10 @@ MOST_FRAMES = 200
 
 
 class Condition(NamedTuple):
-    """A feasible measurement: exposure [s], fibre angle [deg], and laser power over the present one."""
+    """A feasible measurement, at a site of its own: exposure [s], fibre angle [deg]."""
 
     exposure_s: float
     angle_deg: float
-    power: float
 
 
 class Advice(NamedTuple):
@@ -34,22 +33,31 @@ class Advice(NamedTuple):
 
 def advise(look: Look, tied: Sequence[Account]) -> list[Advice]:
     """One piece of advice for the best explanation against each other, as far as any feasible condition tells them
-    apart."""
+    apart with a number of frames that one takes."""
     out = []
     for k, rival in enumerate(tied[1:], start=1):
-        gains = [(separation(look, tied[0], rival, condition), condition) for condition in feasible(look)]
-        already, _ = separations(look, tied[0], rival, None)
-        best, condition = max(gains, key=lambda item: item[0])
-        if best > 0:
-            frames = int(np.ceil(max(APART - already, 1.0) / best))
-            if frames <= MOST_FRAMES:
-                out.append(Advice(condition, (0, k), frames, best))
+        found = [own for own in conditions_for(look, tied[0], rival) if own[1] <= MOST_FRAMES]
+        if found:
+            condition, frames, gain = min(found, key=lambda own: (own[1], -own[2]))
+            out.append(Advice(condition, (0, k), int(frames), gain))
+    return out
+
+
+def conditions_for(look: Look, first: Account, rival: Account) -> list[tuple[Condition, float, float]]:
+    """Every feasible condition with the frames of it that tell two explanations apart (inf: none do), and −2 ln L by
+    which the rival falls behind with each."""
+    already = 0.0 if _scatter(first, rival) else separations(look, first, rival, None)[0]
+    out = []
+    for condition in feasible(look):
+        gain = separation(look, first, rival, condition)
+        frames = float(np.ceil(max(APART - already, 1.0) / gain)) if gain > 0 else np.inf
+        out.append((condition, frames, gain))
     return out
 
 
 def feasible(look: Look) -> list[Condition]:
-    """Exposures from a quarter of the shortest to four times the longest, half and a tenth of the power, angles
-    between; none brighter than the converter's range."""
+    """Exposures from a quarter of the shortest to four times the longest, and those between, at the first angle; the
+    angles, those between, and one beyond, at the longest exposure."""
     view = look.cells.view
     exposures = np.unique(view.exposure_s[view.exposure_s > 0])
     angles = np.rad2deg(np.unique(view.angle))
@@ -57,17 +65,52 @@ def feasible(look: Look) -> list[Condition]:
         return []
     longer = [exposures[0] / 4, exposures[0] / 2, *exposures, *np.sqrt(exposures[:-1] * exposures[1:]),
               2 * exposures[-1], 4 * exposures[-1]]  # fmt: skip
-    between = [*angles, *((angles[:-1] + angles[1:]) / 2), angles[-1] + 22.5]
-    out = [Condition(float(t), float(angles[0]), power) for t in longer for power in (1.0, 0.5, 0.1)]
-    return out + [Condition(float(exposures[-1]), float(a), 1.0) for a in between[1:]]
+    between = [*angles, *((angles[:-1] + angles[1:]) / 2), angles[-1] + 22.5, angles[-1] + 45]
+    out = [Condition(float(t), float(angles[0])) for t in longer]
+    return out + [Condition(float(exposures[-1]), float(a)) for a in between[1:]]
 
 
 def separation(look: Look, first: Account, rival: Account, condition: Condition) -> float:
     """−2 ln L by which a rival falls behind with every frame of a condition, if the first explanation is true."""
+    if _scatter(first, rival):
+        return _of_fields(look, first, rival)
     few = 8
     without, _ = separations(look, first, rival, None)
     with_it, dark = separations(look, first, rival, condition, few)
     return 0.0 if dark else max(with_it - without, 0.0) / few
+
+
+def _scatter(first: Account, rival: Account) -> bool:
+    """Whether effects of which only one of two explanations knows are components of variance, so that no mean tells
+    them apart."""
+    apart = {
+        e.name: e
+        for own in (first, rival)
+        for e, _ in own.effects
+        if (e.name in first.names) != (e.name in rival.names)
+    }
+    return any(map(is_component, apart.values()))
+
+
+def _of_fields(look: Look, first: Account, rival: Account) -> float:
+    """−2 ln L by which one frame at a new site tells a pattern of the pixels from grain of the sample; 0 for other
+    components.
+
+    The first stays where it is, the second does not: two frames share r of their variance or nothing, which is worth
+    −ln(1 − r²) for each grain in view.
+    """
+    names = set(first.names) ^ set(rival.names)
+    if names != {"fixed_pattern", "speckle"}:
+        return 0.0
+    own = first if "pixel" in first.component or "grain" in first.component else rival
+    relative = own.component.get("pixel", 0.0) + own.component.get("grain", 0.0)
+    light = pooled(own.refit.moments.mean) - look.setting.sensor.black_level_dn
+    field = relative * np.maximum(light, 0.0) ** 2
+    shared = field / (field + pooled(own.refit.moments.variance))
+    near = int(np.argmax(look.cells.view.exposure_s))
+    pixels = look.cells.pixels[near] / max(look.cells.frames[near], 1)
+    grains = pixels / max(2 * np.pi * own.grain**2 if "grain" in own.component else 1.0, 1.0)
+    return float(-(grains * np.log1p(-(np.minimum(shared[near], 0.999) ** 2))).sum())
 
 
 def separations(
@@ -75,8 +118,6 @@ def separations(
 ) -> tuple[float, bool]:
     """−2 ln L of the rival's best fit to what the first explanation expects, over its own; and whether the condition is
     of no use (too bright)."""
-    if any(is_component(e) for own in (first, rival) for e, _ in own.effects):
-        return 0.0, True
     problem = look.problem
     view, cells = problem.cells.view, problem.cells
     if condition is not None:
@@ -94,10 +135,8 @@ def separations(
             frames=np.append(cells.frames, frames),
             pixels=np.concatenate([cells.pixels, more]),
         )
-    gain = np.ones(len(cells.place))
-    if condition is not None:
-        gain[-1] = condition.power
     model = first.refit.model
+    gain = np.ones(len(cells.place))
     shift = np.zeros((int(cells.place.max()) + 1, 2))
     shift[: len(model.shift)] = model.shift[: len(shift)]
     truth = model._replace(shift=shift, gain=gain)

@@ -72,15 +72,13 @@ def value_text(value: float | None, stderr: float | None, unit: str) -> str:
 
 
 def condition_text(condition: dict[str, float]) -> str:
-    """A measurement in words: `an exposure of 1.8 ms, 45° and 0.5 of the laser power`."""
+    """A measurement in words: `an exposure of 1.8 ms and 45°`."""
     words = []
     for name, value in condition.items():
         if name == "exposure_s":
             words.append(f"an exposure of {value_text(value, None, 's')}")
         elif name == "angle_deg":
             words.append(f"{value:.4g}°")
-        elif name == "laser_power":
-            words.append(f"{value:.3g} of the laser power")
         else:
             words.append(f"{name} {value:.4g}")
     return _list(words)

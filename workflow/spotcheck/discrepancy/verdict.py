@@ -251,8 +251,6 @@ def _advice(judgement: Judgement, names: list[tuple[str, ...]]) -> list[dict[str
     for own in judgement.advice:
         first, second = (set(names[k]) for k in own.pair)
         condition = {"exposure_s": own.condition.exposure_s, "angle_deg": own.condition.angle_deg}
-        if own.condition.power != 1:
-            condition["laser_power"] = own.condition.power
         pair = [" + ".join(sorted(first - second)) or "less", " + ".join(sorted(second - first)) or "less"]
         out.append({"condition": condition, "separates": pair, "frames": own.frames})
     return out
