@@ -25,6 +25,8 @@ from spotcheck.model.simulate import frames
 # Ranges from which null sets are drawn: gain [DN/e-] for 10 bit, read noise [e-], brightest light as a part of full
 # scale, width at the longest exposure and its rise per e-fold of exposure as parts of the crop and the width.
 GAIN, NOISE, BRIGHT, WIDTH, RISE = (0.03, 0.3), (2.0, 25.0), (0.25, 0.88), (0.05, 0.16), (0.05, 0.28)
+# How far apart spots land on the sensor [px].
+WANDER = 8
 
 
 class Kind(NamedTuple):
@@ -67,12 +69,14 @@ def null_set(design: Design, kind: Kind, rng: np.random.Generator) -> tuple[list
     centre = (middle + rng.uniform(-1, 1, (design.sites, 2)))[design.site]
     base = Base(amplitude, sigma, centre[:, 0], centre[:, 1], law)
     pixel = np.arange(kind.crop_px, dtype=float)
+    # Spots land elsewhere on the sensor at every site.
+    corner = rng.integers(0, WANDER + 1, (design.sites, 2))[design.site]
     shots = []
     for k in range(len(exposure)):
-        x0, y0 = centre[k]
+        (x0, y0), (left, top) = centre[k], corner[k].tolist()
         light = baseline.shape(pixel[None], pixel[:, None], amplitude[k], x0, y0, sigma[k])
         (image,) = frames([light], float(np.nan_to_num(exposure[k])), sensor, [rng])
-        shots.append(Shot(None, None, 0, k, (), 0, 0, partial(np.asarray, image)))
+        shots.append(Shot(None, None, 0, k, (), left, top, partial(np.asarray, image)))
     return shots, base, Setting(baseline, sensor, kind.crop_px, (middle, middle))
 
 

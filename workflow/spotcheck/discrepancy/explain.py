@@ -34,7 +34,7 @@ TRUST_GRAIN = 0.3
 # Observables of what scatters from frame to frame and has a component of its own.
 SCATTER = ("brightness", "centre")
 # Shape of observables that no component explains; they speak only in what is left over.
-MARKS = ("stripes", "hot", "outliers", "skewness")
+MARKS = ("stripes", "spot", "hot", "outliers", "skewness")
 
 
 class Account(NamedTuple):
@@ -376,4 +376,6 @@ def _settled(o: Observable, names: set[str], fresh: bool) -> bool:
         # What sites or rows share adds up as stripes would.
         "stripes": {"fixed_pattern", "row_noise"},
     }
-    return bool(names & marked.get(o.label, set())) or (fresh and o.label in ("stripes", "outliers", "skewness"))
+    return bool(names & marked.get(o.label, set())) or (
+        fresh and o.label in ("stripes", "spot", "outliers", "skewness")
+    )

@@ -17,7 +17,7 @@ from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting, pooled
 from spotcheck.discrepancy.look import Look, look_again, look_at
 from spotcheck.discrepancy.measure import BLOCKS
-from spotcheck.discrepancy.name import BESIDE, EARNS, MOST, assessable
+from spotcheck.discrepancy.name import EARNS, MOST, assessable
 from spotcheck.discrepancy.noise import block_correlation
 from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import NOTHING, Latent, Refit, basis, refit, screened
@@ -51,6 +51,8 @@ TELLING = 0.9
 FORM = 0.01
 # Effects that are always tried: their first order says little.
 ALWAYS = ("saturation",)
+# How many others are.
+BESIDE = 4
 # Places in the chain where an effect changes the shape of the mean spot or of the reading.
 SHAPES = (Place.METRIC, Place.PROFILE, Place.BLUR, Place.ADDED, Place.PEDESTAL, Place.CHARGE, Place.WELL,
           Place.RESPONSE, Place.DIGITAL)  # fmt: skip

@@ -287,6 +287,7 @@ QUANTITY = {
     "band": "period",
     "site": "fine structure that the exposures of a site share",
     "sensor": "fine structure that all sites share on the sensor",
+    "spot": "fine structure that goes with the spot",
     "brightness": "scatter of brightness",
     "centre": "scatter of the centre",
     "width": "scatter of the width",
@@ -335,7 +336,7 @@ def _of_one(own: Observable, design) -> Bin:
 
 def _normal_score(own: Observable) -> float:
     """z of an observable; an excess over a floor of noise is χ² with as many degrees of freedom as its error tells."""
-    if own.label in ("skewness", "site", "sensor"):  # sums of products of both signs: no χ²
+    if own.label in ("skewness", "site", "sensor", "spot"):  # sums of products of both signs: no χ²
         return own.value / own.error
     spread = (own.error / own.floor) ** 2 / 9
     return float((np.cbrt(max(1 + own.value / own.floor, 0.0)) - 1 + spread) / np.sqrt(spread))

@@ -10,7 +10,7 @@ from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Cells, Setting, cells_of, pooled
 from spotcheck.discrepancy.measure import Measured, measure, spot_of
 from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, hot_field, hot_power, observables
-from spotcheck.discrepancy.pixels import Scene
+from spotcheck.discrepancy.pixels import FREE, Scene
 from spotcheck.discrepancy.refit import Latent, Model, Problem
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import amplitudes
@@ -18,6 +18,8 @@ from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.chain import Free, light, offset_response, readings, spot_state
 from spotcheck.model.effect import Place
 
+# A ripple of which less than this part is shown is not told by its height.
+LEAST_SHOWN = 0.3
 # Steps towards each frame's own centre.
 NEARER = 2
 
@@ -119,7 +121,7 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
     stripes = next((p for p in model.present if p.effect.name == "interference_fringes" and p.form == "site"), None)
     waves = np.zeros((design.sites, 2))
     if stripes is not None:
-        waves = _waves(measured, stripes.named(), x0, y0)
+        waves = _waves(measured, stripes.named(), x0, y0) / shown(before)
 
     first = before.cells.base
 
@@ -152,6 +154,19 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
         return Scene(*map(np.ascontiguousarray, whole))
 
     return moved, expect
+
+
+def shown(look: Look) -> float:
+    """Part of a ripple of the light that readings show: bent by the response, or stopped."""
+    problem, step = look.problem, 1e-3
+    start = problem.start
+    more = pooled(problem.evaluate(start._replace(gain=(1 + step) * start.gain)).mean)
+    lit = problem.light(start)
+    slope = (more - problem.mean_start) / step
+    # Light that is clipped says nothing of stripes.
+    weight = np.where(problem.used & (slope > FREE * lit), lit / look.cells.variance, 0.0)
+    part = float((weight * slope).sum() / max((weight * lit).sum(), 1e-300))
+    return float(np.clip(part, LEAST_SHOWN, 1.0))
 
 
 def own_gain(before: Look, model: Model, latent: Latent) -> np.ndarray:

@@ -29,8 +29,9 @@ LAWS = ("angle_reflectance", "photon_budget", "laser_drift", "shutter_offset")
 CONTAINS = {"dark_offset": ("background_gradient",)} | {law: ("power_fluctuation",) for law in LAWS}
 # One effect more must close this part of what is left, or it only mimics.
 WORTH = 0.2
-# How many explanations are followed to the next size, how many effects are tried beside each, and starts of each.
-BEAM, BESIDE, STARTS = 4, 4, 3
+# How many explanations are followed to the next size, how many effects of the mean and how many components of variance
+# are tried beside each, and starts of each. The two promise by different measures, and scatter feeds on a wrong mean.
+BEAM, BESIDE, BESIDE_SCATTER, STARTS = 4, 3, 3, 3
 MOST = 3
 
 
@@ -276,7 +277,9 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
             promise.append((own, effect))
         promise.sort(key=lambda item: -item[0])
         target = min((own.refit.score for own in seen.values()), default=np.inf)
-        for own, effect in promise[:BESIDE]:
+        means = [item for item in promise if not is_component(item[1])][:BESIDE]
+        scatter = [item for item in promise if is_component(item[1])][:BESIDE_SCATTER]
+        for own, effect in (*means, *scatter):
             key = frozenset((*parent.names, effect.name))
             if key in seen or own < EARNS:
                 continue

@@ -28,6 +28,8 @@ LEAST_MODES = 10
 AXIS = 0.015
 # Side of the box whose mean is taken off a field to leave its finest structure [px].
 BOX = 5
+# Pairs of sites that must be apart on the sensor, for what goes with the spot to be told.
+LEAST_PAIRS = 6
 HOT = 7.0
 HOT_GAIN = 0.1
 # Rings of spatial frequency, over whose mean stripes must rise: fine enough for the steepest spectrum of grain.
@@ -197,8 +199,8 @@ def _fine_noise(squares: np.ndarray) -> np.ndarray:
 
 
 def _shared(measured: Measured, squared: float, by_row: float) -> list[Observable]:
-    """Fine structure that exposures of a site share, that sites share on the sensor, and that dark pixels keep.
-    `by_row` is what offsets of rows of 1 DN bring to it."""
+    """Fine structure that exposures of a site share, that sites share on the sensor or about the spot, and that dark
+    pixels keep. `by_row` is what offsets of rows of 1 DN bring to it."""
     sums, design = measured.sums, measured.design
     chip = np.zeros(sums.dark_pull.shape)
     chip_weight = np.zeros(sums.dark_pull.shape)
@@ -228,11 +230,30 @@ def _shared(measured: Measured, squared: float, by_row: float) -> list[Observabl
         error = np.sqrt(2 / norm)
         out.append(Observable("spectrum", "sensor", None, np.nan, np.nan, "", value, error, 30 * error,
                               _load(pixel=1.0)))  # fmt: skip
+    out += _about_the_spot(measured)
     dark = sums.dark_weight > 0
     z = np.where(dark, sums.dark_pull / np.sqrt(np.where(dark, sums.dark_weight, 1.0)), 0.0)
     rough = z - ndimage.median_filter(z, BOX)
     out.append(Observable("spectrum", "hot", None, np.nan, np.nan, "", float(np.abs(rough).max()), 1.0, 1.0, _load()))
     return out
+
+
+def _about_the_spot(measured: Measured) -> list[Observable]:
+    """Fine structure that goes with the spot from site to site, as no grain, no pattern of pixels and no noise does:
+    crops are cut about the spot. Only pairs of sites count that lie so far apart on the sensor that no pixel comes
+    near itself; how their products scatter is the error."""
+    sums = measured.sums
+    own = np.array([_fine(pull.astype(float)).ravel() for pull in sums.pull])
+    weight = sums.weight.reshape(len(own), -1).astype(float)
+    apart = np.maximum(*(np.abs(v[:, None] - v[None, :]) for v in (measured.site_left, measured.site_top))) >= BOX
+    pairs = np.triu(apart, 1)
+    products = (own @ own.T)[pairs]
+    norm = (1 - 1 / BOX**2) * float((weight @ weight.T)[pairs].sum())
+    if products.size < LEAST_PAIRS or norm <= 0:
+        return []
+    error = np.sqrt(max(norm, float((products**2).sum()))) / norm
+    value = float(products.sum()) / norm
+    return [Observable("spectrum", "spot", None, np.nan, np.nan, "", value, error, 30 * error, _load())]
 
 
 def hot_pixels(measured: Measured, prnu: float) -> int:

@@ -294,6 +294,7 @@ def _add_places(out: xr.Dataset, canvas: _Canvas, own: Grid) -> None:
 SHORT = {
     "fine structure that the exposures of a site share": "site",
     "fine structure that all sites share on the sensor": "sensor",
+    "fine structure that goes with the spot": "spot",
     "rows of a frame": "rows, frame",
     "rows of the sensor": "rows, sensor",
     "columns of a frame": "columns, frame",
