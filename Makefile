@@ -8,7 +8,7 @@ READY  := .venv/.ready
 BENCH  := .venv-bench
 CHECK  := results/check
 
-.PHONY: all test lint check-numbers bench blind snakemake-report lock lock-bench clean
+.PHONY: all test lint check-numbers bench blind real snakemake-report lock lock-bench clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
@@ -56,6 +56,10 @@ $(BENCH)/.ready: requirements-bench.lock pyproject.toml
 BLIND ?= --hours 2 --workers $(CORES)
 blind: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.blind.run $(BLIND)
+
+# Real frames, each judged alone, also with a known effect put into its readings; needs the frames beside the repository.
+real: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.blind.real $(REAL)
 
 lock-bench:
 	uv pip compile pyproject.toml --extra dev --extra bench --universal --generate-hashes --no-header --no-annotate \

@@ -34,7 +34,7 @@ def differences(job: Job, verdict: dict[str, Any], calibrations: Path, count: in
             (results / "_calibration").symlink_to(calibrations.resolve())
             _workflow(folder, results, count, seed)
         else:
-            _commands(folder, results / folder.name, calibrations, count, seed)
+            by_subcommands(folder, results / folder.name, calibrations, count, seed)
         written = json.loads((results / folder.name / "verdict.json").read_text(encoding="utf-8"))
     kept = {key: value for key, value in written.items() if key not in BESIDE}
     return list(_apart("", {key: value for key, value in verdict.items() if key not in BESIDE}, kept))
@@ -49,7 +49,7 @@ def _workflow(folder: Path, results: Path, count: int, seed: int) -> None:
         raise RuntimeError(f"snakemake: {(run.stdout + run.stderr).strip().splitlines()[-1]}")
 
 
-def _commands(folder: Path, out: Path, calibrations: Path, count: int, seed: int) -> None:
+def by_subcommands(folder: Path, out: Path, calibrations: Path, count: int, seed: int) -> None:
     """The subcommands as the rules call them."""
     at = {name: str(out / name) for name in ("frames.nc", "crops.nc", "sensor.nc", "findings.json", "gap.nc")}
     at |= {name: str(out / name) for name in ("advice.json", "discrepancy.nc", "verdict.json")}

@@ -60,7 +60,8 @@ def findings_of(saved: dict, ready: OpenSet) -> Findings:
     """What the loop found, taken up from its file."""
     again = recalled(saved, ready.chosen, ready.design, ready.base, ready.setting)
     # What no effect was assessed on stands beside the effects that were not assessed.
-    return again._replace(not_assessed=({"all": ready.beware} if ready.beware else {}) | again.not_assessed)
+    remarks = [remark for remark in (ready.beware, again.not_assessed.get("all", "")) if remark]
+    return again._replace(not_assessed=again.not_assessed | ({"all": "; ".join(remarks)} if remarks else {}))
 
 
 def tolerance_of(text: str) -> Tolerance:

@@ -60,7 +60,11 @@ def run(args: argparse.Namespace) -> None:
             model = text_of(extended, found.name, verdict["status"])
     if judgement.findings is not None:
         verdict["where"] = where(
-            judgement.findings.look, judgement.findings.base, tolerance.alpha, judgement.findings.detection
+            judgement.findings.look,
+            judgement.findings.base,
+            tolerance.alpha,
+            judgement.findings.detection,
+            judgement.findings.around,
         )
     verdict["sentence"] = sentence(verdict, tolerance)
     inputs = [args.crops, args.sensor, args.findings, args.gap, args.advice]

@@ -15,6 +15,7 @@ from spotcheck.discrepancy.name import assessable, present_of, search
 from spotcheck.discrepancy.refit import NO_WAVE
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import peak
+from spotcheck.discrepancy.surround import LEFT, STATISTIC, Surround, surround_of
 
 # −log10 p from which on scatter, stripes or lines stand out clearly.
 CLEAR = 4.0
@@ -45,7 +46,7 @@ class Findings(NamedTuple):
     """The first look and account, detection and size of the disagreement; the explanations that hold, best first; the
     best account and what remains of it; every single effect's account; why others were not assessed; and for every
     single effect −2 ln L over the base model's, and χ². Where no set holds: what can be named, and what is left, with
-    each frame's brightness and width its own (None: nothing)."""
+    each frame's brightness and width its own (None: nothing); what lies beside the crops under the base model."""
 
     look: Look
     base: Account
@@ -61,6 +62,7 @@ class Findings(NamedTuple):
     evidence: dict[str, tuple[float, float]]
     freed: Freed | None = None
     left: Left | None = None
+    around: Surround | None = None
 
 
 def investigate(
@@ -69,11 +71,17 @@ def investigate(
     """All steps on the frames that may choose the model."""
     look = look_at(shots, design, base, setting)
     first = account(look, ())
-    detection = detect(null, first.left)
-    size = size_of(look, first)
+    around = surround_of(shots, look, first)
+    detection = detect(null, first.left | told(around))
+    size = size_of(look, first, around)
     effects, not_assessed = assessable(look)
     if consistent(detection, size, tolerance):
-        return Findings(look, first, detection, size, [], None, detection, size, {}, not_assessed, "consistent", {})
+        return Findings(look, first, detection, size, [], None, detection, size, {}, not_assessed, "consistent", {},
+                        around=around)  # fmt: skip
+    if consistent(detect(null, first.left), size_of(look, first), tolerance):
+        # Effects are told by the crops, which agree.
+        return Findings(look, first, detection, size, [], None, detection, size, {}, not_assessed | {"all": LEFT},
+                        "unknown", {}, around=around)  # fmt: skip
     looks: dict[tuple, Look] = {}
 
     def near_to(leader: Account) -> Look:
@@ -110,15 +118,24 @@ def investigate(
     status = ("named" if len(explanations) == 1 else "ambiguous") if explanations else "unknown"
     if not explanations:
         unknown = Findings(look, first, detection, size, [], None, detection, size, naming.singles, not_assessed,
-                           status, evidence)  # fmt: skip
+                           status, evidence, around=around)  # fmt: skip
         if not unruly(detect(null, (naming.best or first).left)):
             return unknown
         freed = freed_of(shots, design, base, setting)
         return unknown if freed is None else with_freed(unknown, freed, shots, null)
     near = near_to(explanations[0])
     best = closer_account(near, explanations[0])
-    return Findings(look, first, detection, size, explanations, (near, best), detect(null, best.left),
-                    size_of(near, best), naming.singles, not_assessed, status, evidence)  # fmt: skip
+    left = surround_of(shots, near, best)
+    rest, rest_size = detect(null, best.left | told(left)), size_of(near, best, left)
+    if left is not None and not consistent(rest, rest_size, tolerance):
+        status, not_assessed = "unknown", not_assessed | {"all": LEFT}
+    return Findings(look, first, detection, size, explanations, (near, best), rest, rest_size, naming.singles,
+                    not_assessed, status, evidence, around=around)  # fmt: skip
+
+
+def told(around: Surround | None) -> dict[str, float]:
+    """What surroundings add to the statistics."""
+    return {} if around is None else {STATISTIC: around.statistic}
 
 
 def unruly(detection: Detection) -> bool:
@@ -187,12 +204,12 @@ def consistent(detection: Detection, size: Size, tolerance: Tolerance) -> bool:
     """
     small = size.of_peak < tolerance.of_peak and size.of_noise < tolerance.of_noise
     small &= abs(size.excess_variance) < 2 * tolerance.of_noise
-    other = max(v for k, v in detection.by_statistic.items() if not k.startswith(("mean", "variance")))
+    other = max(v for k, v in detection.by_statistic.items() if not k.startswith(("mean", "variance", "surround")))
     return detection.p_value >= tolerance.alpha or (small and other < CLEAR)
 
 
-def size_of(look: Look, own: Account) -> Size:
-    """Size of what is left of an account, in the worst condition."""
+def size_of(look: Look, own: Account, around: Surround | None = None) -> Size:
+    """Size of what is left of an account, in the worst condition; of the mean also beside the crops."""
     fit, cells = own.refit, look.cells
     used = look.problem.used
     top = float(np.max(look.light))
@@ -211,4 +228,6 @@ def size_of(look: Look, own: Account) -> Size:
     levels = [o for o in own.observables if o.block == "variance"]
     weight = np.array([o.error**-2 for o in levels])
     excess = float((weight * [o.value for o in levels]).sum() / weight.sum()) if levels else 0.0
+    if around is not None:
+        peak = max(peak, around.off() / top)
     return Size(float(peak), float(noise), excess)

@@ -19,6 +19,7 @@ from spotcheck.discrepancy.explain import Account
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.modes import GREYS, ORDERS, RINGS, modes_of
 from spotcheck.discrepancy.noise import Observable
+from spotcheck.discrepancy.surround import SIDES, Surround, normal
 from spotcheck.model.chain import spot_state
 
 # The strongest row of every quantity is shown; then the table is filled by strength.
@@ -63,14 +64,20 @@ class Grid(NamedTuple):
     threshold: float
 
 
-def where(look: Look, account: Account, alpha: float, detection: Detection | None = None) -> list[dict[str, Any]]:
+def where(
+    look: Look,
+    account: Account,
+    alpha: float,
+    detection: Detection | None = None,
+    around: Surround | None = None,
+) -> list[dict[str, Any]]:
     """Rows of the contract's `where` table, strongest first: bins of a look that disagree with an account (the base's)
     at `alpha` for all of them together.
 
     With `detection` also what only null sets can judge. `share` is a bin's part of all excess χ²; bins overlap (a
     condition lies in its angle and its exposure), so shares do not add up to 1.
     """
-    bins = bins_of(look, account, detection)
+    bins = bins_of(look, account, detection, around)
     adjusted = holm(np.array([own.log_p for own in bins]))
     total = total_excess(look, account, bins)
     found = [(own, p) for own, p in zip(bins, adjusted, strict=True) if p < np.log(alpha)]
@@ -87,14 +94,20 @@ def where(look: Look, account: Account, alpha: float, detection: Detection | Non
     return [_row(own, float(p), total, look) for own, p in kept]
 
 
-def grid(look: Look, account: Account, alpha: float, detection: Detection | None = None) -> Grid:
+def grid(
+    look: Look,
+    account: Account,
+    alpha: float,
+    detection: Detection | None = None,
+    around: Surround | None = None,
+) -> Grid:
     """The same numbers by condition and ring, for the picture."""
     z = _pulls(look, account).z(np.arange(look.measured.design.conditions))
     pairs = np.hypot(z[..., 1::2], z[..., 2::2])
     strongest = pairs.argmax(axis=-1)
     empty = (z == 0).all(axis=-1)
     azimuthal = _equivalent(-(pairs.max(axis=-1) ** 2) / 2)
-    bins = bins_of(look, account, detection)
+    bins = bins_of(look, account, detection, around)
     one = look.measured.design.conditions == 1
     blocks = [own for own in bins if own.block not in ("mean", "variance")]
     blocks += [own for own in bins if own.block == "variance" and (one or own.quantity in POOLED)]
@@ -109,9 +122,25 @@ def grid(look: Look, account: Account, alpha: float, detection: Detection | None
     )
 
 
-def bins_of(look: Look, account: Account, detection: Detection | None = None) -> list[Bin]:
+def bins_of(
+    look: Look, account: Account, detection: Detection | None = None, around: Surround | None = None
+) -> list[Bin]:
     """Every number that was looked at."""
-    return [*_of_mean(look, account), *_of_noise(look, account), *_of_marks(account, detection)]
+    own = [*_of_mean(look, account), *_of_noise(look, account), *_of_marks(account, detection)]
+    return own if around is None else [*own, *_of_surround(around)]
+
+
+def _of_surround(around: Surround) -> list[Bin]:
+    """Blocks beside the crops, by side."""
+    out = []
+    for k, name in enumerate(SIDES):
+        chi2, freedom = around.pull(k)
+        if freedom:
+            z = normal(chi2, freedom)
+            out.append(
+                Bin("surround", f"blocks {name}", None, None, "1", None, None, z, float(_two_sided(z)), chi2 - freedom)
+            )
+    return out
 
 
 def holm(log_p: np.ndarray) -> np.ndarray:

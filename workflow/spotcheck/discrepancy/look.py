@@ -107,8 +107,9 @@ def held_blocks(design: Design, shape: tuple[int, ...]) -> np.ndarray:
     return out
 
 
-def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) -> tuple[Base, Callable[[int], Scene]]:
-    """Each frame's expectation under a model that was fitted to condition means, and the base moved along with it."""
+def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) -> tuple[Base, Callable[..., Scene]]:
+    """Each frame's expectation under a model that was fitted to condition means, and the base moved along with it; at
+    the crop's own pixels, or at points x, y [px of the sensor] that are evenly spaced."""
     setting, measured = before.setting, before.measured
     design, base, view = measured.design, measured.base, before.cells.view
     condition = design.condition
@@ -125,8 +126,10 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
 
     first = before.cells.base
 
-    def expect(k: int) -> Scene:
+    def expect(k: int, x: np.ndarray | None = None, y: np.ndarray | None = None) -> Scene:
         c = condition[k]
+        x = measured.left[k] + np.arange(columns, dtype=float) if x is None else x
+        y = measured.top[k] + np.arange(rows, dtype=float) if y is None else y
         own = model.base
         if isinstance(own, Free) and isinstance(first, Free):
             # A frame's own spot keeps its ratio to its condition's.
@@ -137,8 +140,8 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
             return np.full((1, 1, 1), value)
 
         here = view._replace(
-            x=(measured.left[k] + np.arange(columns, dtype=float))[None, None, :],
-            y=(measured.top[k] + np.arange(rows, dtype=float))[None, :, None],
+            x=x[None, None, :],
+            y=y[None, :, None],
             x0=single(x0[k] + measured.left[k]),
             y0=single(y0[k] + measured.top[k]),
             exposure_s=single(view.exposure_s[c, 0, 0]),
@@ -146,11 +149,11 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
             order=single(design.order[k] if np.isfinite(design.order[k]) else 0.5),
             wave_cos=single(waves[design.site[k], 0]),
             wave_sin=single(waves[design.site[k], 1]),
-            rows_each=1.0,
+            rows_each=float(y[1] - y[0]),
         )
         spot, beside = light(here, setting.baseline, own, model.present, gain[k])
         at = readings(here, spot, beside, model.present, setting.sensor)
-        whole = (np.broadcast_to(v, (1, rows, columns))[0] for v in (at.mean, at.variance, spot))
+        whole = (np.broadcast_to(v, (1, len(y), len(x)))[0] for v in (at.mean, at.variance, spot))
         return Scene(*map(np.ascontiguousarray, whole))
 
     return moved, expect

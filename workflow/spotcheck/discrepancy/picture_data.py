@@ -59,7 +59,7 @@ def dataset_of(
     _add_spots(out, canvas, found.look)
     _add_residuals(out, canvas, found, judgement.gap)
     _add_candidates(out, found)
-    _add_places(out, canvas, grid(found.look, found.base, verdict["detection"]["alpha"], found.detection))
+    _add_places(out, canvas, grid(found.look, found.base, verdict["detection"]["alpha"], found.detection, found.around))
     return out
 
 

@@ -14,6 +14,7 @@ from spotcheck.discrepancy.freed_named import recalled_freed, saved_of_freed
 from spotcheck.discrepancy.look import look_at
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.shots import Design, Shot
+from spotcheck.discrepancy.surround import surround_of
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
 
@@ -63,6 +64,7 @@ def recalled(saved: dict[str, Any], shots: Sequence[Shot], design: Design, base:
         saved["not_assessed"],
         saved["status"],
         {name: (own["score"], own["chi2"]) for name, own in saved["singles"].items()},
+        around=surround_of(shots, look, first),
     )
     freed = saved.get("freed")
     return found if freed is None else with_freed(found, recalled_freed(freed), shots)

@@ -5,6 +5,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from spotcheck.discrepancy.surround import LEFT
 from spotcheck.model.effects import vocabulary
 
 # Below this part over the noise floor there was no gap in the mean images to speak of.
@@ -159,10 +160,14 @@ def _unknown(verdict: dict[str, Any], _: Limits | None) -> list[str]:
             " work, and p1 and p2 may be off because of it."
         )
         return [*out, _stand(verdict), _not_shown(verdict)]
-    out.append("No set of effects explains it all: brightness and width go from frame to frame as no law of the model")
-    out.append("says. Why they do stays open; here each frame was given its own.")
+    beside = any(LEFT in why for why in _of_all(verdict))
+    if beside:
+        out.append("The crops are explained; what lies beside them on the frames is not.")
+    else:
+        out.append("No set of effects explains it all: brightness and width go from frame to frame as no law of the")
+        out.append("model says. Why they do stays open; here each frame was given its own.")
     out.append(f"Part of it is explained by {_list([_effect(own) for own in effects], '; ')}.")
-    out += [*_rivals(verdict), _closed(verdict), _freed(verdict), _moved(verdict)]
+    out += [*_rivals(verdict), _closed(verdict), "" if beside else _freed(verdict), _moved(verdict)]
     share = "" if not rest["share"] else f", {_percent(100 * rest['share'])} of the first excess in the mean images"
     out.append(f"What remains ({_p_value(rest['p_value'])}{share}) is too much to pass, and no effect explains it.")
     return [*out, CAVEAT.format(what="a name"), _not_shown(verdict)]

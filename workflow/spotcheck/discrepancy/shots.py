@@ -11,13 +11,21 @@ import xarray as xr
 from spotcheck import store
 from spotcheck.crops import usable
 from spotcheck.dataset import Dataset
+from spotcheck.frames import BLOCK_PX
 from spotcheck.manifest import number_in
+
+
+class Blocks(NamedTuple):
+    """Means [block row, block column] in DN of the square blocks of a whole frame, and their side [px]."""
+
+    mean: np.ndarray
+    side: int
 
 
 class Shot(NamedTuple):
     """One spot frame: fibre angle [deg] and exposure [s] (None: not recorded), repeat, place in the order of
     acquisition (None: unknown), other conditions, where its crop lies on the sensor [px], and its pixels [row,
-    column] in DN, NaN where masked."""
+    column] in DN, NaN where masked; what the whole frame reads (None: not kept)."""
 
     angle_deg: float | None
     exposure_s: float | None
@@ -27,6 +35,7 @@ class Shot(NamedTuple):
     left: int
     top: int
     pixels: Callable[[], np.ndarray]
+    beside: Callable[[], Blocks] | None = None
 
 
 class Design(NamedTuple):
@@ -111,6 +120,7 @@ def shots_of(dataset: Dataset, crops: xr.Dataset) -> list[Shot]:
     left, top, status = (crops[name].sel(centring="light") for name in ("left", "top", "status"))
     place = {id(frame): k for k, frame in enumerate(dataset.spots)}
     dims = store.grid_dims(crops)
+    side = min(BLOCK_PX, crops.sizes["row"], crops.sizes["column"])
     out = []
     for index, frame in dataset.cells():
         at = dict(zip(dims, index, strict=True))
@@ -127,6 +137,7 @@ def shots_of(dataset: Dataset, crops: xr.Dataset) -> list[Shot]:
                 int(left.isel(at)),
                 int(top.isel(at)),
                 partial(_pixels, images, at),
+                partial(_blocks, crops["block_mean"], at, side),
             )
         )
     return sorted(out, key=lambda shot: -1 if shot.order is None else shot.order)
@@ -182,3 +193,7 @@ def never_chose(design: Design) -> str:
 
 def _pixels(images: xr.DataArray, at: dict[str, int]) -> np.ndarray:
     return images.isel(at).values
+
+
+def _blocks(means: xr.DataArray, at: dict[str, int], side: int) -> Blocks:
+    return Blocks(means.isel(at).values.astype(float), side)
