@@ -1,0 +1,266 @@
+"""Photon transfer of flats and darks: closed forms, coverage of the errors over random sensors, and bad input."""
+
+import numpy as np
+import pytest
+
+from spotcheck.errors import InputError
+from spotcheck.estimate.levels import Level, Spatial, levels_of, pattern_of, photons_of, variance_by_row
+from spotcheck.estimate.photon_transfer import QUANTITIES, line, through_zero, transfer_of
+from spotcheck.manifest import Frame
+
+ROWS, COLUMNS, FULL = 48, 64, 4095.0
+
+
+def level(kind, exposure, photons, images, highest=FULL):
+    """A level of frames that are at hand."""
+    pairs = list(zip(images[::2], images[1::2], strict=False))
+    rows = np.concatenate([variance_by_row(a, b) for a, b in pairs]) if pairs else np.array([np.nan])
+    patterns = [pattern_of(a, b) for a, b in pairs]
+    pattern = Spatial(*np.mean(patterns, axis=0)) if patterns else Spatial(*[np.nan] * 4)
+    mean = np.mean(images)
+    error = rows.std(ddof=1) / np.sqrt(rows.size) if pairs else np.nan
+    return Level(kind, exposure, photons, len(images), float(mean), float(np.std(images) / np.sqrt(np.size(images))),
+                 float(rows.mean()), float(error), float(np.mean([i <= 0 for i in images])),
+                 float(np.mean([i >= highest for i in images])), pattern, (ROWS, COLUMNS))  # fmt: skip
+
+
+class Sensor:
+    """A linear sensor drawn by numpy alone: electrons are Poisson, the well is full at a level, one rounding."""
+
+    def __init__(self, rng, gain=0.3, noise=9.0, eta=0.5, well=10000.0, black=30.0, current=0.0, dsnu=0.0, prnu=0.0):
+        self.rng, self.gain, self.noise, self.eta, self.well = rng, gain, noise, eta, well
+        self.black, self.current = black, current
+        dark, light = rng.standard_normal((2, ROWS, COLUMNS))
+        self.dark_pattern = dsnu * (dark - dark.mean())
+        self.light_pattern = 1 + prnu * (light - light.mean())
+
+    def frame(self, photons, exposure):
+        mean = self.eta * photons * self.light_pattern + self.current * exposure
+        electrons = np.minimum(self.rng.poisson(mean), self.well) + self.dark_pattern
+        electrons = electrons + self.noise * self.rng.standard_normal((ROWS, COLUMNS))
+        return np.clip(np.rint(self.black + self.gain * electrons), 0, FULL)
+
+    def levels(self, photons=None, frames=2, exposures=None):
+        photons = np.linspace(500, 24000, 20) if photons is None else photons
+        exposures = 1e-3 * np.arange(1, len(photons) + 1) if exposures is None else exposures
+        out = [level("dark", t, 0.0, [self.frame(0, t) for _ in range(frames)]) for t in exposures]
+        return out + [
+            level("flat", t, p, [self.frame(p, t) for _ in range(frames)])
+            for p, t in zip(photons, exposures, strict=True)
+        ]
+
+
+def test_lines():
+    """Slopes and errors of points without scatter are those of the normal equations."""
+    x, error = np.array([1.0, 2.0, 4.0]), np.array([0.1, 0.2, 0.1])
+    slope, own = through_zero(x, 3 * x, error)
+    assert slope == pytest.approx(3) and own == pytest.approx(np.sqrt((x**2) @ error**2) / (x @ x))
+    found = line(x, 3 * x + 2, error)
+    design = np.stack([x, np.ones(3)], axis=1) / error[:, None]
+    covariance = np.linalg.inv(design.T @ design)
+    assert (found.slope, found.intercept) == pytest.approx((3, 2))
+    assert (found.slope_error, found.intercept_error) == pytest.approx(tuple(np.sqrt(np.diag(covariance))))
+
+
+def test_two_frames_split_a_pattern_and_hold_no_noise():
+    """Variances of columns, rows and pixels 0.25, 0.09 and 1 within 5 %, under noise in time of 9 and of rows of 1; the
+    mean of 40 draws, whose standard errors are below 1.7 %, 3.5 % and 0.7 % (columns: √(2/64/40))."""
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(40):
+        fixed = rng.normal(0, 1, (200, 300)) + rng.normal(0, 0.5, (1, 300)) + rng.normal(0, 0.3, (200, 1))
+        a, b = (fixed + rng.normal(0, 3, (200, 300)) + rng.normal(0, 1, (200, 1)) for _ in range(2))
+        found.append(pattern_of(a, b))
+    total, column, row, pixel = np.mean(found, axis=0)
+    assert (total, column, pixel) == pytest.approx((1.34, 0.25, 1.0), rel=0.05)
+    assert row == pytest.approx(0.09, abs=0.04)
+
+
+def test_noise_in_time_is_half_of_the_difference():
+    """Of equal patterns nothing is left, nor of a lamp that drifts."""
+    pattern = np.random.default_rng(2).normal(0, 50, (20, 30))
+    assert variance_by_row(pattern, pattern + 7).max() == pytest.approx(0, abs=1e-20)
+    a, b = np.zeros((1, 4)), np.array([[2.0, -2.0, 2.0, -2.0]])
+    assert variance_by_row(a, b)[0] == pytest.approx(2.0)
+
+
+def test_errors_cover_random_sensors():
+    """Over 200 random sensors gain, dark noise, dark offset and quantum efficiency lie within their standard errors in
+    60 to 76 of 100 (68 ± 8 is 2.4 standard errors of the share: one in 60 leaves it by chance, seeds are fixed), and
+    none further than 5 off."""
+    pulls = {name: [] for name in ("gain", "dark_noise", "dark_offset", "quantum_efficiency")}
+    rng = np.random.default_rng(20)
+    for _ in range(200):
+        true = {"gain": rng.uniform(0.1, 0.6), "dark_noise": rng.uniform(4, 20), "quantum_efficiency": 0.5,
+                "dark_offset": rng.uniform(25, 60)}  # fmt: skip
+        well = 3600 / true["gain"]
+        sensor = Sensor(rng, true["gain"], true["dark_noise"], 0.5, well, true["dark_offset"])
+        photons = np.linspace(0.02, 1.1, 24) * well / 0.5
+        found = transfer_of(sensor.levels(photons), FULL).quantities
+        for name, own in pulls.items():
+            own.append((found[name].value - true[name]) / found[name].stderr)
+    for name, own in pulls.items():
+        share = np.mean(np.abs(own) < 1)
+        assert 0.60 <= share <= 0.76, (name, share)
+        assert np.abs(own).max() < 5, name
+
+
+def test_everything_of_one_sensor():
+    """All quantities of a sensor that has everything: within four of their standard errors, or of a level's step."""
+    rng = np.random.default_rng(5)
+    sensor = Sensor(rng, gain=0.3, noise=9.0, eta=0.5, well=10000.0, black=30.0, current=4000.0, dsnu=6.0, prnu=0.02)
+    found = transfer_of(sensor.levels(frames=8), FULL)
+    assert found.remarks == [] and set(found.quantities) == set(QUANTITIES)
+    expected = {
+        "gain": 0.3, "dark_noise": 9.0, "dark_offset": 30.0, "dark_current": 4000.0, "responsivity": 0.15,
+        "quantum_efficiency": 0.5, "dsnu": 6.0, "dsnu_pixel": 6.0, "prnu": 2.0, "prnu_pixel": 2.0,
+        "full_well": 10000.0,
+    }  # fmt: skip
+    for name, true in expected.items():
+        own = found.quantities[name]
+        assert abs(own.value - true) < 4 * own.stderr, own
+    least = 0.5 + np.sqrt(81 + 1 / 12 / 0.09 + 0.25)
+    assert found.quantities["threshold"].value == pytest.approx(least, rel=0.02)
+    ratio = found.quantities["full_well"].value / found.quantities["threshold"].value
+    assert found.quantities["dynamic_range"].value == pytest.approx(ratio)
+    assert found.quantities["snr_max"].value == pytest.approx(100, rel=0.05)
+
+
+def test_a_response_that_bends_is_told_by_the_linearity_error():
+    """Signal y − 0.05 y²/full scale: largest deviations from the line of relative least squares as numpy has them."""
+    exposures = np.linspace(1e-3, 2e-2, 20)
+    light = np.linspace(200, 4000, 20)
+    signal = light - 0.05 * light**2 / FULL
+    shape, none = (ROWS, COLUMNS), Spatial(0, 0, 0, 0)
+    dark = Level("dark", 1e-3, 0.0, 2, 30.0, 0.01, 5.0, 0.1, 0, 0, none, shape)
+    variance = np.where(np.arange(20) < 19, 5 + 0.3 * signal, 1.0)
+    flats = [Level("flat", t, p, 2, 30 + s, 0.01, v, 0.1, 0, 0.2 * (s > 3700), none, shape)
+             for t, p, s, v in zip(exposures, light / 0.15, signal, variance, strict=True)]  # fmt: skip
+    found = transfer_of([dark, *flats], FULL)
+    use = (signal > 0.05 * signal[18]) & (signal < 0.95 * signal[18])
+    x, y = light[use] / 0.15, signal[use]
+    coefficients = np.polyfit(x, y, 1, w=1 / y)
+    off = 100 * (y / np.polyval(coefficients, x) - 1)
+    assert found.quantities["linearity_error"].value == pytest.approx(np.abs(off).mean(), rel=1e-9)
+    assert found.quantities["linearity_lowest"].value == pytest.approx(off.min(), rel=1e-9)
+    assert found.saturation == 18
+
+
+# Bad input: what can be computed is, the rest says why not.
+
+
+def plain(rng, **changes):
+    return Sensor(rng).levels(**changes)
+
+
+def why(found, name):
+    return found.quantities[name].why
+
+
+def test_a_single_flat():
+    """No noise of one frame, and no gain of one level of light alone? One pair gives a gain, a single frame none."""
+    levels = plain(np.random.default_rng(6))
+    darks = [own for own in levels if own.kind == "dark"]
+    flats = [own for own in levels if own.kind == "flat"]
+    single = flats[3]._replace(frames=1, variance=np.nan, variance_error=np.nan)
+    found = transfer_of([*darks, single], FULL)
+    assert why(found, "gain") == "there are no flats in pairs" and "single frame" in found.remarks[0]
+    assert np.isfinite(found.quantities["dark_noise_dn"].value)
+    pair = transfer_of([*darks, flats[3]], FULL)
+    assert pair.quantities["gain"].value == pytest.approx(0.3, rel=0.1)
+    assert why(pair, "full_well") == "no flat is saturated"
+
+
+def test_flats_without_darks():
+    flats = [own for own in plain(np.random.default_rng(7)) if own.kind == "flat"]
+    found = transfer_of(flats, FULL)
+    assert why(found, "gain") == why(found, "dark_noise") == "there are no dark frames in pairs"
+
+
+def test_all_saturated():
+    levels = plain(np.random.default_rng(8))
+    full = [own._replace(mean=FULL, variance=0.0, at_full=1.0) if own.kind == "flat" else own for own in levels]
+    found = transfer_of(full, FULL)
+    assert why(found, "gain") == "every flat is saturated" and found.remarks == ["every flat is saturated"]
+    assert np.isfinite(found.quantities["dark_offset"].value)
+
+
+def test_one_exposure_for_all():
+    """The light varies at one exposure: everything but the dark current, and the dark's own error in every point."""
+    rng = np.random.default_rng(9)
+    sensor = Sensor(rng)
+    photons = np.linspace(500, 24000, 20)
+    levels = [level("dark", 1e-3, 0.0, [sensor.frame(0, 1e-3) for _ in range(2)])]
+    levels += [level("flat", 1e-3, p, [sensor.frame(p, 1e-3) for _ in range(2)]) for p in photons]
+    found = transfer_of(levels, FULL)
+    assert why(found, "dark_current") == "fewer than three exposures of darks"
+    own = found.quantities["gain"]
+    assert abs(own.value - 0.3) < 4 * own.stderr
+
+
+def test_photons_for_some_rows_only():
+    """Responsivity from the rows that have them; linearity then runs over exposure."""
+    levels = plain(np.random.default_rng(10))
+    some = [own._replace(photons=np.nan) if own.kind == "flat" and k % 2 else own for k, own in enumerate(levels)]
+    found = transfer_of(some, FULL)
+    assert found.quantities["quantum_efficiency"].value == pytest.approx(0.5, rel=0.02)
+    none = [own._replace(photons=np.nan) if own.kind == "flat" else own for own in levels]
+    without = transfer_of(none, FULL)
+    assert why(without, "quantum_efficiency") == "photons_per_px is not given for the flats"
+    assert np.isfinite(without.quantities["linearity_error"].value)
+    well = without.quantities["full_well"]
+    assert abs(well.value - 10000) < 4 * well.stderr
+
+
+def test_light_in_some_darks():
+    levels = plain(np.random.default_rng(11))
+    lit = [own._replace(mean=own.mean + 40, variance=own.variance + 12) if k in (2, 9) else own
+           for k, own in enumerate(levels)]  # fmt: skip
+    found = transfer_of(lit, FULL)
+    assert found.remarks[0].startswith("2 of 20 dark levels hold light")
+    assert found.quantities["dark_offset"].value == pytest.approx(30, abs=0.2)
+    assert abs(found.quantities["gain"].value - 0.3) < 4 * found.quantities["gain"].stderr
+
+
+def test_darks_that_are_cut_at_zero():
+    found = transfer_of(Sensor(np.random.default_rng(12), black=0.0).levels(), FULL)
+    assert any("read 0: part of the noise is cut off" in remark for remark in found.remarks)
+
+
+def test_photons_must_be_a_number():
+    assert np.isnan(photons_of(frame("")))
+    assert photons_of(frame("12.5")) == 12.5
+    with pytest.raises(InputError, match="photons_per_px is 'many'; it must be a number, 0 or more"):
+        photons_of(frame("many"))
+
+
+def frame(text):
+    return Frame(2, "a.png", 0, "flat", None, 1e-3, 0, {"photons_per_px": text})
+
+
+def test_levels_of_a_folder_are_grouped(tmp_path):
+    """By kind, exposure and light; darks first; the numbers are those of the images."""
+    from PIL import Image
+
+    from spotcheck.dataset import load
+
+    rng = np.random.default_rng(13)
+    rows, images = ["file,kind,angle_deg,exposure_s,repeat,photons_per_px"], {}
+    for kind, exposure, photons in (("flat", 1e-3, 900), ("dark", 1e-3, 0), ("flat", 1e-3, 300)):
+        for repeat in range(3):
+            name = f"{kind}{photons}_{repeat}.png"
+            images[name] = rng.poisson(30 + photons, (40, 50)).astype(np.uint16)
+            Image.fromarray(images[name]).save(tmp_path / name)
+            # Repeats count on at an exposure, whatever the light.
+            rows.append(f"{name},{kind},,{exposure},{repeat + photons},{photons if kind == 'flat' else ''}")
+    (tmp_path / "manifest.csv").write_text("\n".join(rows) + "\n")
+    (tmp_path / "instrument.yaml").write_text("crop_px: 24\nsensor: {bit_depth: 12}\n")
+    found = levels_of(load(tmp_path), 16)
+    assert [(own.kind, own.photons, own.frames) for own in found] == [
+        ("dark", 0, 3),
+        ("flat", 300, 3),
+        ("flat", 900, 3),
+    ]
+    first, second = (images[f"flat300_{k}.png"].astype(float) for k in (0, 1))
+    assert found[1].variance == pytest.approx(variance_by_row(first, second).mean())
+    assert found[1].mean == pytest.approx(np.mean([images[f"flat300_{k}.png"].mean() for k in range(3)]))

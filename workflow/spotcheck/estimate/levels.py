@@ -1,0 +1,132 @@
+"""Flats and darks, level by level: mean, noise and pattern of all frames that saw the same light for the same time.
+
+Noise in time comes from differences of two frames, so that no pattern of the sensor or the light counts as noise
+(EMVA 1288 Release 4.0 Linear, section 8.2). Frames are read one pair at a time.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck import frames
+from spotcheck.dataset import Dataset
+from spotcheck.errors import InputError
+from spotcheck.manifest import Frame
+
+# The column of the manifest that gives the light of a flat.
+PHOTONS = "photons_per_px"
+
+
+class Spatial(NamedTuple):
+    """Variances of the mean image [DN²], noise in time taken off: of all pixels, and split into columns, rows and
+    single pixels (EMVA 1288 Release 4.0 Linear, section 8.3)."""
+
+    total: float
+    column: float
+    row: float
+    pixel: float
+
+
+class Level(NamedTuple):
+    """One light and one exposure: kind (`flat`, `dark`), exposure [s], photons per pixel (NaN: not given), number of
+    frames; mean [DN] and variance in time [DN²] with standard errors (variance NaN with a single frame); parts of the
+    pixels that read 0 and full scale; variances of the pattern; rows and columns."""
+
+    kind: str
+    exposure_s: float
+    photons: float
+    frames: int
+    mean: float
+    mean_error: float
+    variance: float
+    variance_error: float
+    at_zero: float
+    at_full: float
+    spatial: Spatial
+    shape: tuple[int, int]
+
+
+def levels_of(dataset: Dataset, container_bits: int) -> list[Level]:
+    """All levels of a dataset, darks first, by exposure and light."""
+    groups: dict[tuple[str, float, float], list[Frame]] = {}
+    for frame in dataset.frames:
+        if frame.kind in ("flat", "dark"):
+            exposure = np.nan if frame.exposure_s is None else frame.exposure_s
+            groups.setdefault((frame.kind, exposure, photons_of(frame)), []).append(frame)
+    highest = frames.full_scale(dataset.instrument, container_bits)
+    ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
+    ordered.sort(key=lambda key: key[0] != "dark")
+    return [level_of(key, dataset, groups[key], highest) for key in ordered]
+
+
+def photons_of(frame: Frame) -> float:
+    """Photons per pixel of a flat; NaN where they are not given, 0 for a dark."""
+    if frame.kind == "dark":
+        return 0.0
+    text = (frame.extra.get(PHOTONS) or "").strip()
+    if not text:
+        return np.nan
+    try:
+        photons = float(text)
+    except ValueError:
+        photons = -1.0
+    if not (np.isfinite(photons) and photons >= 0):
+        raise InputError(f"manifest.csv: {frame.label}: {PHOTONS} is {text!r}; it must be a number, 0 or more")
+    return photons
+
+
+def level_of(key: tuple[str, float, float], dataset: Dataset, members: Sequence[Frame], highest: int) -> Level:
+    """Statistics of the frames of one level, two at a time; of an odd number the last one counts for the mean alone."""
+    kind, exposure, photons = key
+    before: np.ndarray | None = None
+    rows_of_squares: list[np.ndarray] = []
+    patterns: list[Spatial] = []
+    means: list[float] = []
+    zeros = full = pixels = 0
+    shape = (0, 0)
+    for number, frame in enumerate(members):
+        image = frames.read(dataset, frame).astype(float)
+        shape = (image.shape[0], image.shape[1])
+        means.append(float(image.mean()))
+        zeros += int(np.count_nonzero(image <= 0))
+        full += int(np.count_nonzero(image >= highest))
+        pixels += image.size
+        if number % 2 and before is not None:
+            rows_of_squares.append(variance_by_row(before, image))
+            patterns.append(pattern_of(before, image))
+        before = image
+    variance = error = np.nan
+    if rows_of_squares:
+        rows = np.concatenate(rows_of_squares)
+        variance, error = float(rows.mean()), float(rows.std(ddof=1) / np.sqrt(max(rows.size, 2)))
+    drift = float(np.std(means, ddof=1)) if len(means) > 1 else 0.0
+    mean_error = float(np.sqrt(np.nan_to_num(variance) / pixels + drift**2 / len(means)))
+    pattern = Spatial(*np.mean(patterns, axis=0).tolist()) if patterns else Spatial(*[np.nan] * 4)
+    return Level(kind, exposure, photons, len(members), float(np.mean(means)), mean_error, variance, error,
+                 zeros / pixels, full / pixels, pattern, shape)  # fmt: skip
+
+
+def variance_by_row(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Variance in time [DN²] by row of two frames of equal light: half of that of their difference, without what a
+    lamp drifts between them."""
+    difference = first - second
+    return np.asarray(((difference - difference.mean()) ** 2).mean(axis=1) / 2)
+
+
+def pattern_of(first: np.ndarray, second: np.ndarray) -> Spatial:
+    """Variances of what two frames share: their covariance holds no noise in time, not even that of whole rows.
+
+    Column and row means hold part of the pixels' own pattern; the three are solved for, s² = s²_col + s²_row + s²_pix.
+    """
+    a, b = first - first.mean(), second - second.mean()
+    rows, columns = a.shape
+    total = float((a * b).mean())
+    of_columns, of_rows = (float((a.mean(axis=k) * b.mean(axis=k)).mean()) for k in (0, 1))
+    rest = rows * columns - rows - columns
+    if rest <= 0:
+        return Spatial(total, np.nan, np.nan, np.nan)
+    column = (rows * columns - rows) / rest * of_columns - columns / rest * (total - of_rows)
+    row = (rows * columns - columns) / rest * of_rows - rows / rest * (total - of_columns)
+    pixel = rows * columns / rest * (total - of_columns - of_rows)
+    return Spatial(total, column, row, pixel)

@@ -1,0 +1,386 @@
+"""Photon transfer: gain, noise, full well, linearity and non-uniformity of a sensor, from levels of flats and darks.
+
+After EMVA 1288 Release 4.0 Linear, with its symbols; each quantity has a standard error, or the reason why it is not
+known. Release 3.1 differs in the pattern: it takes DSNU and PRNU as one number each, where 4.0 splits columns, rows and
+pixels; here both are given.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.estimate.levels import Level
+from spotcheck.model.sensor import ROUNDING_VARIANCE
+
+# Parts of saturation between which gain and responsivity (section 8.2), and linearity (section 8.4), are fitted.
+SENSITIVE, LINEAR = (0.0, 0.7), (0.05, 0.95)
+# Below this variance [DN²] rounding hides the noise (section 8.2).
+LEAST_DARK = 0.24
+# A dark level this part of full scale above the line through all holds light.
+LIT = 1e-3
+# Darks of which more pixels than this read 0 have lost part of their noise.
+MOST_AT_ZERO = 5e-3
+# Pixels beside themselves at full scale from this part on: the level is not linear any more.
+LEAST_LEVELS = 3
+
+
+class Quantity(NamedTuple):
+    """A measured number with its standard error (NaN: unknown), unit, symbol of the standard, and why it is not known
+    ("" where it is)."""
+
+    name: str
+    symbol: str
+    value: float
+    stderr: float
+    unit: str
+    why: str = ""
+
+
+class Line(NamedTuple):
+    """A straight line: slope and intercept with standard errors, χ² per degree of freedom."""
+
+    slope: float
+    slope_error: float
+    intercept: float
+    intercept_error: float
+    chi2: float
+
+
+class Transfer(NamedTuple):
+    """What flats and darks show: usable levels by light (flats with a dark of their exposure, or the nearest), their
+    signal and noise over dark [DN, DN²] with errors, which of them gain is fitted to, the index of saturation, all
+    quantities by name, and remarks on what could not be used."""
+
+    flats: list[Level]
+    darks: list[Level]
+    signal: np.ndarray
+    excess: np.ndarray
+    excess_error: np.ndarray
+    fitted: np.ndarray
+    saturation: int | None
+    quantities: dict[str, Quantity]
+    remarks: list[str]
+
+
+def through_zero(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[float, float]:
+    """Slope of the line through 0 by least squares, and its standard error from the errors of y, or from what is left
+    where that is more."""
+    square = float(x @ x)
+    slope = float(x @ y) / square
+    rest = y - slope * x
+    excess = float(np.mean(rest**2 / error**2)) * len(x) / max(len(x) - 1, 1)
+    own = float(np.sqrt((x**2) @ error**2)) / square
+    return slope, own * float(np.sqrt(max(excess, 1.0)))
+
+
+def line(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> Line:
+    """The weighted line through points with standard errors, which grow where it does not fit."""
+    weight = 1 / error**2
+    mean = float((weight * x).sum() / weight.sum())
+    spread = float((weight * (x - mean) ** 2).sum())
+    slope = float((weight * (x - mean) * y).sum() / spread)
+    at_mean = float((weight * y).sum() / weight.sum())
+    chi2 = float((weight * (y - at_mean - slope * (x - mean)) ** 2).sum()) / max(len(x) - 2, 1)
+    scale = np.sqrt(max(chi2, 1.0)) if len(x) > 2 else 1.0
+    intercept_error = float(np.sqrt(1 / weight.sum() + mean**2 / spread)) * scale
+    return Line(slope, float(spread**-0.5) * scale, at_mean - slope * mean, intercept_error, chi2)
+
+
+def transfer_of(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
+    """Everything that the levels allow."""
+    remarks: list[str] = []
+    darks, lit = _dark([own for own in levels if own.kind == "dark"], full_scale_dn)
+    if lit:
+        remarks.append(f"{lit} of {lit + len(darks)} dark levels hold light and are left out")
+    paired = [own for own in levels if own.kind == "flat" and own.frames > 1]
+    single = sum(own.kind == "flat" for own in levels) - len(paired)
+    if single:
+        remarks.append(
+            f"{single} flat level{'s have' if single > 1 else ' has'} a single frame, and noise needs two of one light"
+        )
+    flats = sorted(paired, key=lambda own: own.mean)
+    quantities: dict[str, Quantity] = {}
+    noisy_darks = [own for own in darks if own.frames > 1]
+    _dark_quantities(quantities, darks, noisy_darks, remarks)
+    if not flats or not noisy_darks:
+        why = "there are no flats in pairs" if not flats else "there are no dark frames in pairs"
+        none = np.zeros(0)
+        _unknown(quantities, why)
+        return Transfer(flats, darks, none, none, none, none.astype(bool), None, quantities, remarks)
+    own_dark = [_nearest(noisy_darks, flat.exposure_s) for flat in flats]
+    signal = np.array([flat.mean - dark.mean for flat, dark in zip(flats, own_dark, strict=True)])
+    excess = np.array([flat.variance - dark.variance for flat, dark in zip(flats, own_dark, strict=True)])
+    error = np.array(
+        [np.hypot(flat.variance_error, dark.variance_error) for flat, dark in zip(flats, own_dark, strict=True)]
+    )
+    error = np.maximum(error, 1e-6)
+    top = saturation_of(excess)
+    open_end = top == len(flats) - 1 and flats[top].at_full < 1e-3
+    if all(own.at_full > 0.5 for own in flats):
+        remarks.append("every flat is saturated")
+        _unknown(quantities, "every flat is saturated")
+        return Transfer(flats, darks, signal, excess, error, np.zeros(len(flats), bool), None, quantities, remarks)
+    limit = SENSITIVE[1] * signal[top]
+    fitted = (signal > 0) & (signal <= limit) & (np.arange(len(flats)) <= top)
+    if open_end:
+        remarks.append("the noise still grows at the brightest flat: saturation lies above it")
+        fitted = (signal > 0) & (np.arange(len(flats)) <= top)
+    if not fitted.any():
+        _unknown(quantities, "no flat lies below 70 % of saturation")
+        return Transfer(flats, darks, signal, excess, error, fitted, top, quantities, remarks)
+    gain, gain_error = through_zero(signal[fitted], excess[fitted], _with_shared(signal, error, fitted, own_dark))
+    _put(quantities, "gain", "K", gain, gain_error, "DN/e-")
+    _dark_in_electrons(quantities, noisy_darks, gain, gain_error)
+    _light_quantities(quantities, flats, signal, fitted, top, open_end)
+    _pattern_quantities(quantities, flats, own_dark, signal, top)
+    return Transfer(flats, darks, signal, excess, error, fitted, None if open_end else top, quantities, remarks)
+
+
+def saturation_of(excess: np.ndarray) -> int:
+    """Index of the level at which the noise is largest, the saturation point of the standard (section 8.3)."""
+    return int(np.argmax(excess))
+
+
+def _with_shared(signal: np.ndarray, error: np.ndarray, fitted: np.ndarray, darks: Sequence[Level]) -> np.ndarray:
+    """Errors of the points of a fit through 0; a dark that all share moves them together, as much as this."""
+    used = [dark for dark, own in zip(darks, fitted, strict=True) if own]
+    if len({id(dark) for dark in used}) > 1 or len(used) < 2:
+        return error[fitted]
+    x, shared = signal[fitted], used[0].variance_error
+    own = error[fitted] ** 2 - shared**2
+    # The same variance of the slope, spread over the points: (Σx)² s² = Σ x² (extra).
+    extra = shared**2 * x.sum() ** 2 / (x @ x)
+    return np.sqrt(np.maximum(own, 0.0) + extra)
+
+
+def _dark(darks: list[Level], full_scale_dn: float) -> tuple[list[Level], int]:
+    """Dark levels without light in them, by exposure, and how many had some. Half of them at least are dark."""
+    if len(darks) < LEAST_LEVELS:
+        return sorted(darks, key=lambda own: own.exposure_s), 0
+    exposure = np.array([np.nan_to_num(own.exposure_s) for own in darks])
+    mean = np.array([own.mean for own in darks])
+    # Medians of all slopes and offsets: neither is moved by less than a third of lit levels (Theil 1950, Sen 1968).
+    first, second = np.triu_indices(len(darks), 1)
+    apart = exposure[first] != exposure[second]
+    rise = (mean[second] - mean[first])[apart] / (exposure[second] - exposure[first])[apart]
+    slope = float(np.median(rise)) if rise.size else 0.0
+    off = mean - slope * exposure
+    good = off <= np.median(off) + LIT * full_scale_dn
+    kept = [own for own, dark in zip(darks, good, strict=True) if dark]
+    return sorted(kept, key=lambda own: own.exposure_s), int((~good).sum())
+
+
+def _nearest(darks: Sequence[Level], exposure_s: float) -> Level:
+    """The dark whose exposure is nearest."""
+    return min(darks, key=lambda own: abs(np.nan_to_num(own.exposure_s) - np.nan_to_num(exposure_s)))
+
+
+def _put(out: dict[str, Quantity], name: str, symbol: str, value: float, stderr: float, unit: str) -> None:
+    out[name] = Quantity(name, symbol, float(value), float(stderr), unit)
+
+
+# Name → symbol of the standard and unit, in the order in which they are told.
+QUANTITIES = {
+    "gain": ("K", "DN/e-"),
+    "dark_offset": ("μ_y.dark", "DN"),
+    "dark_noise_dn": ("σ_y.dark", "DN"),
+    "dark_noise": ("σ_d", "e-"),
+    "dark_current": ("μ_I", "e-/s"),
+    "dark_current_by_variance": ("μ_I.var", "e-/s"),
+    "responsivity": ("R", "DN/p"),
+    "quantum_efficiency": ("η", "1"),
+    "saturation_dn": ("μ_y.sat", "DN"),
+    "saturation_photons": ("μ_p.sat", "p"),
+    "full_well": ("μ_e.sat", "e-"),
+    "snr_max": ("SNR_max", "1"),
+    "threshold_photons": ("μ_p.min", "p"),
+    "threshold": ("μ_e.min", "e-"),
+    "dynamic_range": ("DR", "1"),
+    "linearity_error": ("LE", "%"),
+    "linearity_lowest": ("LE_min", "%"),
+    "linearity_highest": ("LE_max", "%"),
+    "dsnu": ("DSNU", "e-"),
+    "dsnu_column": ("DSNU_col", "e-"),
+    "dsnu_row": ("DSNU_row", "e-"),
+    "dsnu_pixel": ("DSNU_pix", "e-"),
+    "prnu": ("PRNU", "%"),
+    "prnu_column": ("PRNU_col", "%"),
+    "prnu_row": ("PRNU_row", "%"),
+    "prnu_pixel": ("PRNU_pix", "%"),
+}
+
+
+def _unknown(out: dict[str, Quantity], why: str) -> None:
+    """What is not there yet stays unknown for one reason."""
+    for name, (symbol, unit) in QUANTITIES.items():
+        out.setdefault(name, Quantity(name, symbol, np.nan, np.nan, unit, why))
+
+
+def _dark_quantities(
+    out: dict[str, Quantity], darks: Sequence[Level], noisy: Sequence[Level], remarks: list[str]
+) -> None:
+    """Offset and noise without light, at the shortest exposures (section 8.1)."""
+    if not darks:
+        return
+    cut = max(own.at_zero for own in darks)
+    if cut > MOST_AT_ZERO:
+        remarks.append(f"{100 * cut:.2g} % of the pixels of a dark read 0: part of the noise is cut off")
+    offset = _at_zero([(own.exposure_s, own.mean, own.mean_error) for own in darks])
+    _put(out, "dark_offset", "μ_y.dark", *offset, "DN")
+    if noisy:
+        variance, error = _at_zero([(own.exposure_s, own.variance, own.variance_error) for own in noisy])
+        least = max(variance, LEAST_DARK)
+        _put(out, "dark_noise_dn", "σ_y.dark", np.sqrt(least), error / (2 * np.sqrt(least)), "DN")
+
+
+def _at_zero(points: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
+    """Value and standard error at exposure 0: of the line where there are three exposures, else at the shortest."""
+    x, y, error = np.array(points, float).T
+    error = np.maximum(error, 1e-9)
+    x = np.nan_to_num(x)
+    if len(np.unique(x)) >= LEAST_LEVELS:
+        own = line(x, y, error)
+        return own.intercept, own.intercept_error
+    short = x == x.min()
+    weight = 1 / error[short] ** 2
+    return float((weight * y[short]).sum() / weight.sum()), float(weight.sum() ** -0.5)
+
+
+def _dark_in_electrons(out: dict[str, Quantity], darks: Sequence[Level], gain: float, gain_error: float) -> None:
+    """Dark noise and dark current in electrons."""
+    noise = out["dark_noise_dn"]
+    variance = max(noise.value**2 - ROUNDING_VARIANCE, 0.0)
+    own = np.sqrt(variance) / gain
+    by_noise = noise.value * noise.stderr / max(np.sqrt(variance), 1e-9) / gain
+    _put(out, "dark_noise", "σ_d", own, np.hypot(by_noise, own * gain_error / gain), "e-")
+    exposures = np.array([own.exposure_s for own in darks])
+    if len(np.unique(exposures[np.isfinite(exposures)])) < LEAST_LEVELS:
+        why = "fewer than three exposures of darks"
+        for name in ("dark_current", "dark_current_by_variance"):
+            out[name] = Quantity(name, *_named(name), why)
+        return
+    for name, column, power in (("dark_current", "mean", 1), ("dark_current_by_variance", "variance", 2)):
+        values = np.array([getattr(own, column) for own in darks])
+        errors = np.maximum([getattr(own, f"{column}_error") for own in darks], 1e-9)
+        found = line(exposures, values, errors)
+        current = found.slope / gain**power
+        error = np.hypot(found.slope_error / gain**power, power * current * gain_error / gain)
+        _put(out, name, QUANTITIES[name][0], current, float(error), "e-/s")
+
+
+def _named(name: str) -> tuple[str, float, float, str]:
+    symbol, unit = QUANTITIES[name]
+    return symbol, np.nan, np.nan, unit
+
+
+def _light_quantities(
+    out: dict[str, Quantity], flats: Sequence[Level], signal: np.ndarray, fitted: np.ndarray, top: int, open_end: bool
+) -> None:
+    """Responsivity, quantum efficiency, saturation, sensitivity and linearity (sections 8.2 and 8.4)."""
+    photons = np.array([own.photons for own in flats])
+    given = np.isfinite(photons) & (photons > 0)
+    exposure = np.array([own.exposure_s for own in flats])
+    errors = np.maximum([own.mean_error for own in flats], 1e-9)
+    _linearity(out, photons if given.all() else exposure, signal, errors, top)
+    gain, noise = out["gain"], out["dark_noise_dn"]
+    ratio, ratio_error = _ratio(noise, gain)
+    # The signal that is as large as its noise: μ² = σ² + μ, so μ = ½ + √(σ² + ¼).
+    least = 0.5 + np.sqrt(ratio**2 + 0.25)
+    _put(out, "threshold", "μ_e.min", least, ratio * ratio_error / np.sqrt(ratio**2 + 0.25), "e-")
+    use = fitted & given
+    if use.any():
+        _put(out, "responsivity", "R", *through_zero(photons[use], signal[use], errors[use]), "DN/p")
+        _put(out, "quantum_efficiency", "η", *_ratio(out["responsivity"], gain), "1")
+        _put(out, "threshold_photons", "μ_p.min", *_ratio(out["threshold"], out["quantum_efficiency"]), "p")
+    else:
+        for name in ("responsivity", "quantum_efficiency", "threshold_photons", "saturation_photons"):
+            out[name] = Quantity(name, *_named(name), "photons_per_px is not given for the flats")
+    if open_end:
+        for name in ("saturation_dn", "full_well", "saturation_photons", "snr_max", "dynamic_range"):
+            out[name] = Quantity(name, *_named(name), "no flat is saturated")
+        return
+    # Somewhere between the levels beside the noisiest one: a uniform law over half a step to each side.
+    _put(out, "saturation_dn", "μ_y.sat", flats[top].mean, _half_step(signal, top), "DN")
+    if use.any() and given[top]:
+        # As the standard has it; a response that bends makes it more than μ_y.sat/K.
+        _put(out, "saturation_photons", "μ_p.sat", photons[top], _half_step(photons, top), "p")
+        sat, eta = out["saturation_photons"], out["quantum_efficiency"]
+        well = sat.value * eta.value
+        well_error = well * np.hypot(sat.stderr / sat.value, eta.stderr / eta.value)
+    else:
+        in_dn = Quantity("", "", float(signal[top]), out["saturation_dn"].stderr, "DN")
+        well, well_error = _ratio(in_dn, gain)
+    _put(out, "full_well", "μ_e.sat", well, well_error, "e-")
+    _put(out, "snr_max", "SNR_max", np.sqrt(well), well_error / (2 * np.sqrt(well)), "1")
+    _put(out, "dynamic_range", "DR", *_ratio(out["full_well"], out["threshold"]), "1")
+
+
+def _ratio(over: Quantity, under: Quantity) -> tuple[float, float]:
+    """Quotient of two quantities with its standard error."""
+    value = over.value / under.value
+    return value, float(np.hypot(over.stderr / under.value, value * under.stderr / under.value))
+
+
+def _half_step(values: np.ndarray, at: int) -> float:
+    """Standard deviation of a uniform law over half a step to each side of one of ascending values."""
+    steps = np.abs(np.diff(values[max(at - 1, 0) : at + 2]))
+    return float(np.mean(steps) / np.sqrt(12)) if steps.size else 0.0
+
+
+def _linearity(out: dict[str, Quantity], light: np.ndarray, signal: np.ndarray, error: np.ndarray, top: int) -> None:
+    """Deviations from the line of least relative squares between 5 and 95 % of saturation: mean of their absolute
+    values, lowest and highest [%] (section 8.4)."""
+    low, high = (part * signal[top] for part in LINEAR)
+    use = (signal >= low) & (signal <= high) & np.isfinite(light) & (np.arange(len(signal)) <= top)
+    names = ("linearity_error", "linearity_lowest", "linearity_highest")
+    if len(np.unique(light[use])) < LEAST_LEVELS:
+        why = "fewer than three levels of different light between 5 and 95 % of saturation"
+        out.update({name: Quantity(name, *_named(name), why) for name in names})
+        return
+    x, y = light[use], signal[use]
+    slope, offset = np.polyfit(x, y, 1, w=1 / y)
+    off = 100 * (y / (slope * x + offset) - 1)
+    noise = 100 * error[use] / y
+    _put(out, names[0], "LE", np.mean(np.abs(off)), np.sqrt(np.mean(noise**2) / len(off)), "%")
+    for name, k in ((names[1], int(np.argmin(off))), (names[2], int(np.argmax(off)))):
+        _put(out, name, QUANTITIES[name][0], off[k], noise[k], "%")
+
+
+def _pattern_quantities(
+    out: dict[str, Quantity], flats: Sequence[Level], darks: Sequence[Level], signal: np.ndarray, top: int
+) -> None:
+    """DSNU of the darkest exposure, PRNU of the flat nearest to half of saturation (section 8.3)."""
+    gain = out["gain"].value
+    half = int(np.argmin(np.abs(signal - signal[top] / 2)))
+    flat, dark = flats[half], darks[half]
+    rows, columns = flat.shape
+    parts: dict[str, tuple[str, Callable[[Level], float]]] = {
+        "": ("total", lambda own: rows * columns),
+        "_column": ("column", lambda own: columns),
+        "_row": ("row", lambda own: rows),
+        "_pixel": ("pixel", lambda own: rows * columns),
+    }
+    for suffix, (field, count) in parts.items():
+        n, lines = count(flat), (rows if field == "column" else columns if field == "row" else 1)
+
+        # Of n numbers with a variance s² and noise v in each, s² is known to √(2/n) (s² + v/2).
+        def of(own: Level, n: float = n, lines: int = lines, field: str = field) -> tuple[float, float]:
+            own_variance = float(getattr(own.spatial, field))
+            return own_variance, float(np.sqrt(2 / n) * (max(own_variance, 0.0) + own.variance / lines / 2))
+
+        by_dark, dark_error = of(dark)
+        by_light, light_error = of(flat)
+        _root(out, f"dsnu{suffix}", by_dark / gain**2, dark_error / gain**2)
+        scale = (100 / signal[half]) ** 2
+        _root(out, f"prnu{suffix}", (by_light - by_dark) * scale, float(np.hypot(dark_error, light_error)) * scale)
+
+
+def _root(out: dict[str, Quantity], name: str, square: float, error: float) -> None:
+    """√ of a variance; one that is below 0 by chance is 0, as uncertain as the root of its error."""
+    if not np.isfinite(square):
+        out[name] = Quantity(name, *_named(name), "a pattern needs frames of more than one row and column")
+        return
+    value = np.sqrt(max(square, 0.0))
+    own = min(error / (2 * value) if value > 0 else np.inf, np.sqrt(error))
+    _put(out, name, QUANTITIES[name][0], value, float(own), QUANTITIES[name][1])
