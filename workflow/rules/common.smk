@@ -33,6 +33,7 @@ except InputError as error:
     sys.exit(f"spotcheck: {error}")
 
 SPOTS = bool(DATASET.spots)
+FLATS = any(frame.kind in ("flat", "dark") for frame in DATASET.frames)
 FRAMES = sorted({str(DATASET.folder / frame.file) for frame in DATASET.frames})
 MANIFEST = str(DATASET.folder / "manifest.csv")
 INSTRUMENT = [str(path) for path in [DATASET.folder / "instrument.yaml"] if path.exists()]
@@ -42,7 +43,7 @@ NOTEBOOKS = sorted(path.stem for path in (Path(workflow.basedir) / "notebooks").
 RULES = sorted(file_digest(path)[:12] for path in Path(workflow.basedir, "workflow", "rules").glob("*.smk"))
 
 # The files that pictures, tables, notebooks and the report are made from.
-RESULTS = [f"{OUT}/frames.nc"]
+RESULTS = [f"{OUT}/frames.nc"] + ([f"{OUT}/transfer.nc"] if FLATS else [])
 if SPOTS:
     stages = (
         "crops",

@@ -4,6 +4,7 @@ rule sensor:
         INSTRUMENT,
         table=rules.ingest.output,
         crops=rules.crop.output,
+        transfer=rules.transfer.output if FLATS else [],
     output:
         f"{OUT}/sensor.nc",
     log:
@@ -22,5 +23,5 @@ rule sensor:
     message:
         "Settling the sensor of {DATASET.name}"
     shell:
-        "spotcheck sensor {params.folder:q} --crops {input.crops:q} --frames {input.table:q} --output {output:q}"
-        " 2>&1 | tee {log:q}"
+        "spotcheck sensor {params.folder:q} --crops {input.crops:q} --frames {input.table:q}"
+        " --transfer {input.transfer:q} --output {output:q} 2>&1 | tee {log:q}"

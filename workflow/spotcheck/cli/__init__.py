@@ -12,6 +12,7 @@ COMMANDS = {
     "check": "check a dataset folder against the contract, without decoding a pixel",
     "ingest": "record digest, shape and extremes of every frame",
     "crop": "crop every spot and reduce the frame around it",
+    "transfer": "characterise the sensor by flats and darks (EMVA 1288)",
     "sensor": "settle the sensor: data sheet where it speaks, frames where they allow",
     "fit": "fit a 2D Gaussian to every crop",
     "calibrate": "p1, p2 and the peak from fits and frames",

@@ -4,6 +4,7 @@ import argparse
 
 from spotcheck import crops, dataset, frames, provenance, store
 from spotcheck.estimate import sensor
+from spotcheck.estimate.transfer_data import quantities_of
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -11,6 +12,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc of the dataset")
     parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
+    parser.add_argument("--transfer", nargs="*", default=[], help="transfer.nc, where the dataset has flats or darks")
     parser.add_argument("--output", required=True, help="sensor.nc to write")
 
 
@@ -31,8 +33,12 @@ def run(args: argparse.Namespace) -> None:
             if not int(own["status"].isel(index)) & store.flag("missing")
         )
         dark = sensor.judge_darks(darks, beside, float(table["full_scale"]))
-        settled = sensor.resolve(found, int(table["container_bits"]), usable, *dark)
-    inputs = [args.crops, args.frames, found.folder / "instrument.yaml"]
+        measured = {}
+        for path in args.transfer:
+            with store.read(path) as transfer:
+                measured = quantities_of(transfer)
+        settled = sensor.resolve(found, int(table["container_bits"]), usable, *dark, measured=measured)
+    inputs = [args.crops, args.frames, *args.transfer, found.folder / "instrument.yaml"]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:
         print(f"{name} = {float(settled[name]):.4g} {settled[name].attrs['units']} ({settled[name].attrs['source']})")

@@ -16,6 +16,8 @@ from spotcheck.manifest import Frame
 
 # The column of the manifest that gives the light of a flat.
 PHOTONS = "photons_per_px"
+# A level of which this part of the pixels reads full scale is saturated.
+FULL = 0.5
 
 
 class Spatial(NamedTuple):
@@ -57,7 +59,24 @@ def levels_of(dataset: Dataset, container_bits: int) -> list[Level]:
     highest = frames.full_scale(dataset.instrument, container_bits)
     ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
     ordered.sort(key=lambda key: key[0] != "dark")
-    return [level_of(key, dataset, groups[key], highest) for key in ordered]
+    return _with_common_drift([level_of(key, dataset, groups[key], highest) for key in ordered])
+
+
+def _with_common_drift(levels: list[Level]) -> list[Level]:
+    """Standard errors of the means with what lamp and offset drift from frame to frame: two frames hardly tell it, so
+    all levels of a kind do together, flats as a part of their light."""
+    out = []
+    for kind in ("dark", "flat"):
+        own = [level for level in levels if level.kind == kind]
+        size = np.array([level.mean if kind == "flat" else 1.0 for level in own])
+        # Where all pixels are at the end of the converter, nothing drifts.
+        told = [k for k, level in enumerate(own) if level.frames > 1 and level.at_full < FULL]
+        common = float(np.mean([(own[k].mean_error / size[k]) ** 2 * own[k].frames for k in told])) if told else 0.0
+        for level, scale in zip(own, size, strict=True):
+            noise = np.nan_to_num(level.variance) / (level.frames * level.shape[0] * level.shape[1])
+            drift = common * scale**2 / level.frames if level.at_full < FULL else 0.0
+            out.append(level._replace(mean_error=float(np.sqrt(max(noise, drift)))))
+    return out
 
 
 def photons_of(frame: Frame) -> float:
@@ -100,8 +119,7 @@ def level_of(key: tuple[str, float, float], dataset: Dataset, members: Sequence[
     if rows_of_squares:
         rows = np.concatenate(rows_of_squares)
         variance, error = float(rows.mean()), float(rows.std(ddof=1) / np.sqrt(max(rows.size, 2)))
-    drift = float(np.std(means, ddof=1)) if len(means) > 1 else 0.0
-    mean_error = float(np.sqrt(np.nan_to_num(variance) / pixels + drift**2 / len(means)))
+    mean_error = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else np.nan
     pattern = Spatial(*np.mean(patterns, axis=0).tolist()) if patterns else Spatial(*[np.nan] * 4)
     return Level(kind, exposure, photons, len(members), float(np.mean(means)), mean_error, variance, error,
                  zeros / pixels, full / pixels, pattern, shape)  # fmt: skip

@@ -1,7 +1,7 @@
 """The sensor that the chain runs on: data sheet where it speaks, frames where they allow, else unknown with the
 reason."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import xarray as xr
 from spotcheck import store
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.noise import NoiseCurve, gain_from_curve, noise_curve
+from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.frames import Surround, full_scale
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
@@ -56,70 +57,133 @@ def judge_darks(darks: Iterable[Surround], spots: Iterable[Surround], full_scale
     return Darks(good, f"{lit} ({why}), so the black level is {taken}")
 
 
+# Where a number may come from, best first: what a data sheet gives is taken, then what flats and darks show.
+SHEET, FLATS, SPOTS = SOURCES = ("data sheet", "flats and darks", "spots")
+# Quantity of the chain → that of photon transfer. A full well is never taken from frames: it is an effect to be found.
+BY_FLATS = {
+    "gain_dn_per_e": "gain",
+    "read_noise_e": "dark_noise",
+    "dark_current_e_per_s": "dark_current",
+    "quantum_efficiency": "quantum_efficiency",
+    "full_well_e": "full_well",
+    "black_level_dn": "dark_offset",
+}
+NEVER_TAKEN = ("full_well_e",)
+
+
+class Found(NamedTuple):
+    """A number from one source: value, standard error (NaN: not known), and how it came about."""
+
+    value: float
+    stderr: float
+    how: str
+
+
 def resolve(
     dataset: Dataset,
     container_bits: int,
     crops: Iterable[np.ndarray],
     dark_means: Sequence[float] = (),
     remark: str = "",
+    measured: Mapping[str, Quantity] | None = None,
 ) -> xr.Dataset:
-    """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown. With a
-    `remark` on the dark frames wherever the black level would come from them."""
+    """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown; and what
+    every source says, side by side. With a `remark` on the dark frames wherever the black level would come from them;
+    `measured` is the photon transfer of flats and darks."""
     given = dataset.instrument.sensor
     highest = full_scale(dataset.instrument, container_bits)
-    value: dict[str, float | None] = {name: getattr(given, name, None) for name in QUANTITIES}
-    source = {name: dataset.instrument.source(f"sensor.{name}") for name in QUANTITIES}
-    stderr = dict.fromkeys(QUANTITIES, np.nan)
-    value["full_scale_dn"], source["full_scale_dn"] = float(highest), "bits of the converter"
-    if source["black_level_dn"] == "default" and len(dark_means):
+    found: dict[str, dict[str, Found]] = {name: {} for name in QUANTITIES}
+    default: dict[str, float | None] = {}
+    for name in QUANTITIES:
+        own, source = getattr(given, name, None), dataset.instrument.source(f"sensor.{name}")
+        if source == "instrument.yaml" and own is not None:
+            found[name][SHEET] = Found(float(own), np.nan, source)
+        else:
+            default[name] = own
+    for name, key in BY_FLATS.items():
+        own = (measured or {}).get(key)
+        if own is not None and np.isfinite(own.value):
+            # A dark current below 0 by chance is none.
+            value = max(own.value, 0.0) if name == "dark_current_e_per_s" else own.value
+            found[name][FLATS] = Found(value, own.stderr, "photon transfer of flats and darks")
+    if len(dark_means) and FLATS not in found["black_level_dn"]:
         count = len(dark_means)
-        value["black_level_dn"] = float(np.mean(dark_means))
-        stderr["black_level_dn"] = float(np.std(dark_means, ddof=1) / np.sqrt(count)) if count > 1 else np.nan
-        source["black_level_dn"] = f"mean of {count} dark frame{'s' if count > 1 else ''}"
-    remark = "" if dataset.instrument.source("sensor.black_level_dn") != "default" else remark
-    if remark:
-        source["black_level_dn"] += f"; {remark}"
-    if given.bit_depth is None:
-        source["full_scale_dn"] = f"container of {container_bits} bit (sensor.bit_depth is missing)"
-    if value["full_well_e"] is None:
-        value["full_well_e"], source["full_well_e"] = np.inf, "none given"
-    if value["gain_dn_per_e"] is None or value["read_noise_e"] is None:
-        _from_frames(value, stderr, source, crops, highest)
+        error = float(np.std(dark_means, ddof=1) / np.sqrt(count)) if count > 1 else np.nan
+        how = f"mean of {count} dark frame{'s' if count > 1 else ''}"
+        found["black_level_dn"][FLATS] = Found(float(np.mean(dark_means)), error, how)
+    remark = "" if SHEET in found["black_level_dn"] else remark
+    if not len(dark_means) and remark:
+        # No dark frame is dark: neither their level nor their noise means anything.
+        for name in ("black_level_dn", "dark_current_e_per_s"):
+            found[name].pop(FLATS, None)
+    black = _first(found["black_level_dn"], default.get("black_level_dn"))
+    _from_spots(found, crops, highest, black.value)
     ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
     ds.attrs["remark"] = remark
     for name, (units, long_name) in QUANTITIES.items():
-        known = value[name]
-        number = np.nan if known is None else float(known)
-        ds[name] = ((), number, {"units": units, "long_name": long_name, "source": source[name]})
-        ds[f"{name}_stderr"] = (
-            (),
-            stderr[name],
-            {"units": units, "long_name": f"standard error of {long_name}"},
-        )
+        used = _used(name, found[name], default.get(name))
+        if name == "full_scale_dn":
+            missing = given.bit_depth is None
+            how = (
+                f"container of {container_bits} bit (sensor.bit_depth is missing)"
+                if missing
+                else "bits of the converter"
+            )
+            used = Found(float(highest), np.nan, how)
+        if name == "black_level_dn" and remark:
+            used = used._replace(how=f"{used.how}; {remark}")
+        ds[name] = ((), used.value, {"units": units, "long_name": long_name, "source": used.how})
+        ds[f"{name}_stderr"] = ((), used.stderr, {"units": units, "long_name": f"standard error of {long_name}"})
+    ds["source"] = ("source", np.array(SOURCES, object), {"units": "1", "long_name": "where a number comes from"})
+    for name, (units, long_name) in QUANTITIES.items():
+        table = np.array([found[name].get(source, (np.nan, np.nan))[:2] for source in SOURCES])
+        ds[f"{name}_by"] = ("source", table[:, 0], {"units": units, "long_name": f"{long_name} by each source"})
+        ds[f"{name}_by_stderr"] = (
+            "source", table[:, 1], {"units": units, "long_name": f"standard error of {long_name} by each source"},
+        )  # fmt: skip
     return ds
 
 
-def _from_frames(value: dict, stderr: dict, source: dict, crops: Iterable[np.ndarray], highest: float) -> None:
-    """Fill gain and read noise from the differences of neighbouring pixels, all frames pooled."""
+def _first(found: Mapping[str, Found], default: float | None) -> Found:
+    """What the best source says, else the default."""
+    for source in SOURCES:
+        if source in found:
+            return found[source]
+    return Found(np.nan if default is None else float(default), np.nan, "default")
+
+
+def _used(name: str, found: Mapping[str, Found], default: float | None) -> Found:
+    """The number that the chain runs on."""
+    if name in NEVER_TAKEN:
+        return found.get(SHEET) or Found(np.inf, np.nan, "none given")
+    own = _first(found, default)
+    if np.isnan(own.value):
+        return own._replace(
+            how="unknown: not in instrument.yaml, no flats and darks in pairs, and no frame shows noise that grows with"
+            " its light"
+        )
+    return own
+
+
+def _from_spots(
+    found: dict[str, dict[str, Found]], crops: Iterable[np.ndarray], highest: float, black_dn: float
+) -> None:
+    """Gain and read noise from the differences of neighbouring pixels, all frames pooled."""
     curves = [curve for curve in (noise_curve(crop, highest) for crop in crops) if curve.level.size]
     pooled = NoiseCurve(*(np.concatenate(parts) for parts in zip(*curves, strict=True))) if curves else None
-    found = gain_from_curve(pooled, value["black_level_dn"]) if pooled else None
-    if found is None:
-        for name in ("gain_dn_per_e", "read_noise_e"):
-            if value[name] is None:
-                source[name] = "unknown: not in instrument.yaml, and no frame shows noise that grows with its light"
+    own = gain_from_curve(pooled, black_dn) if pooled else None
+    if own is None:
         return
     how = f"differences of neighbouring pixels in {len(curves)} frame{'s' if len(curves) > 1 else ''}"
-    if value["gain_dn_per_e"] is None:
-        value["gain_dn_per_e"], stderr["gain_dn_per_e"], source["gain_dn_per_e"] = found.gain, found.gain_stderr, how
-    if value["read_noise_e"] is None:
-        gain, gain_error = float(value["gain_dn_per_e"]), float(np.nan_to_num(stderr["gain_dn_per_e"]))
-        floor = max(found.floor - ROUNDING_VARIANCE, 0.0)
-        noise = np.sqrt(floor) / gain
-        value["read_noise_e"], source["read_noise_e"] = noise, how
-        # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_stderr.
-        own = min(found.floor_stderr / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(found.floor_stderr))
-        stderr["read_noise_e"] = float(np.hypot(own / gain, noise * gain_error / gain))
+    found["gain_dn_per_e"][SPOTS] = Found(own.gain, own.gain_stderr, how)
+    # In electrons of the gain that is taken.
+    gain = _first(found["gain_dn_per_e"], None)
+    floor = max(own.floor - ROUNDING_VARIANCE, 0.0)
+    noise = float(np.sqrt(floor)) / gain.value
+    # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_stderr.
+    error = min(own.floor_stderr / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(own.floor_stderr))
+    stderr = float(np.hypot(error / gain.value, noise * np.nan_to_num(gain.stderr) / gain.value))
+    found["read_noise_e"][SPOTS] = Found(noise, stderr, how)
 
 
 def model_of(ds: xr.Dataset) -> SensorModel | None:

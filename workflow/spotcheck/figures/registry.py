@@ -11,6 +11,7 @@ from spotcheck.figures import (
     located,
     metric_plots,
     overview,
+    photon_transfer,
     precision,
     profiles,
     propagation,
@@ -36,7 +37,9 @@ PAIR = ("crops", "fits", "simulated/crops", "simulated/fits")
 MISSED = ("crops", "fits", "simulated")
 METRICS = ("metrics", "simulated")
 MISSING = ("discrepancy",)
+FLATS = ("transfer",)
 CALIBRATION, IMAGES, QUALITY, PRECISION, GAP, BEAM = "Calibration", "Images", "Metrics", "Bounds", "Residuals", "Beam"
+SENSOR = "Sensor"
 # The report shows these beside the verdict.
 VERDICT = "What is missing"
 
@@ -62,5 +65,9 @@ FIGURES = (
     Entry("missing-evidence", "How well each effect explains it", None, VERDICT, MISSING, located.evidence),
     Entry("missing-residuals", "Residual before and after", None, VERDICT, MISSING, discrepancy.residuals),
     Entry("missing-gap", "The gap by condition", None, VERDICT, MISSING, discrepancy.gap),
+    Entry("photon-transfer", "Photon transfer", None, SENSOR, FLATS, photon_transfer.transfer),
+    Entry("response", "Response and linearity", None, SENSOR, FLATS, photon_transfer.response),
+    Entry("signal-to-noise", "Signal-to-noise ratio", None, SENSOR, FLATS, photon_transfer.ratio),
+    Entry("dark", "Without light", None, SENSOR, FLATS, photon_transfer.dark),
     Entry("caustic", "Caustic of the beam", None, BEAM, ("caustic",), caustic.draw),
 )

@@ -61,6 +61,8 @@ class Results:
         return ds
 
     def _absent(self, name: str) -> str:
+        if name == "transfer":
+            return "the manifest names no frame of kind flat or dark"
         if not self.dataset.spots:
             return "the manifest names no frame of kind spot"
         if name == "caustic" and CAUSTIC_AXIS not in self.instrument.conditions:

@@ -15,8 +15,9 @@ from spotcheck.discrepancy.sentence import condition_text, place_text, value_tex
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import preferred
 from spotcheck.estimate.precision import sentence
-from spotcheck.estimate.sensor import QUANTITIES
+from spotcheck.estimate.sensor import QUANTITIES, SOURCES
 from spotcheck.estimate.spotfit import PARAMETERS
+from spotcheck.estimate.transfer_data import LONG_NAMES, quantities_of
 from spotcheck.figures import style
 from spotcheck.figures.registry import VERDICT
 from spotcheck.model.effects import vocabulary
@@ -54,6 +55,8 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "missing_figures": [f for f in figures if f["category"] == VERDICT],
         "chain": _image(results / "chain", "fig06"),
         "sensor": _sensor(files.get("sensor")),
+        "sources_of_sensor": SOURCES,
+        "transfer": _transfer(files.get("transfer")),
         "calibration": _calibration(files.get("calibration")),
         "caustic": _caustic(files.get("caustic")),
         "precision": _precision(files.get("precision")),
@@ -108,9 +111,32 @@ def _sensor(ds: xr.Dataset | None) -> list[dict[str, Any]]:
                 "error": "" if np.isnan(error) else f"± {error:.2g}",
                 "units": units,
                 "source": ds[name].attrs["source"],
+                "by": [
+                    "" if np.isnan(v) else style.plus_minus(float(v), float(e))
+                    for v, e in zip(ds[f"{name}_by"].values, ds[f"{name}_by_stderr"].values, strict=True)
+                ],
             }
         )
     return rows
+
+
+def _transfer(ds: xr.Dataset | None) -> dict[str, Any] | None:
+    """Quantities of EMVA 1288, and remarks on flats and darks."""
+    if ds is None:
+        return None
+    rows = []
+    for own in quantities_of(ds).values():
+        known = np.isfinite(own.value)
+        rows.append(
+            {
+                "name": LONG_NAMES[own.name],
+                "symbol": own.symbol,
+                "value": style.plus_minus(own.value, own.stderr) if known else "unknown",
+                "unit": "" if own.unit == "1" else own.unit,
+                "why": own.why,
+            }
+        )
+    return {"rows": rows, "remarks": [text for text in ds.attrs["remarks"].split("; ") if text]}
 
 
 def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:

@@ -1,0 +1,24 @@
+rule transfer:
+    input:
+        MANIFEST,
+        INSTRUMENT,
+        table=rules.ingest.output,
+    output:
+        f"{OUT}/transfer.nc",
+    log:
+        f"{OUT}/logs/transfer.log",
+    benchmark:
+        f"{OUT}/benchmarks/transfer.tsv"
+    conda:
+        "../envs/spotcheck.yaml"
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=30,
+    params:
+        folder=dataset_folder,
+        code=code("transfer"),
+    message:
+        "Photon transfer of {DATASET.name}"
+    shell:
+        "spotcheck transfer {params.folder:q} --frames {input.table:q} --output {output:q} 2>&1 | tee {log:q}"

@@ -1,0 +1,34 @@
+"""`spotcheck transfer`: transfer.nc."""
+
+import argparse
+
+import numpy as np
+
+from spotcheck import dataset, frames, provenance, store
+from spotcheck.estimate.levels import levels_of
+from spotcheck.estimate.photon_transfer import transfer_of
+from spotcheck.estimate.transfer_data import dataset_of, quantities_of
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
+    parser.add_argument("--output", required=True, help="transfer.nc to write")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Characterise the sensor by its flats and darks."""
+    found = dataset.load(args.dataset)
+    with store.read(args.frames) as table:
+        bits = int(table["container_bits"])
+    levels = levels_of(found, bits)
+    measured = dataset_of(transfer_of(levels, float(frames.full_scale(found.instrument, bits))), found)
+    store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
+    for own in quantities_of(measured).values():
+        if np.isfinite(own.value):
+            print(f"{own.symbol} = {own.value:.5g} ± {own.stderr:.2g} {own.unit}")
+        else:
+            print(f"{own.symbol} is unknown: {own.why}")
+    for remark in filter(None, measured.attrs["remarks"].split("; ")):
+        print(remark)

@@ -1,0 +1,103 @@
+"""Photon transfer as a file: every level with its statistics, every quantity with its standard error."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.dataset import Dataset
+from spotcheck.estimate.levels import Level, Spatial
+from spotcheck.estimate.photon_transfer import QUANTITIES, Quantity, Transfer
+
+COLUMNS = {
+    "exposure": ("s", "exposure", "exposure_s"),
+    "photons": ("1", "photons per pixel", "photons"),
+    "frames": ("1", "number of frames", "frames"),
+    "mean": ("DN", "mean reading", "mean"),
+    "mean_stderr": ("DN", "standard error of the mean reading", "mean_error"),
+    "variance": ("DN2", "variance in time", "variance"),
+    "variance_stderr": ("DN2", "standard error of the variance in time", "variance_error"),
+    "at_zero": ("1", "part of the pixels that read 0", "at_zero"),
+    "at_full": ("1", "part of the pixels that read full scale", "at_full"),
+}
+LONG_NAMES = {
+    "gain": "overall gain",
+    "dark_offset": "dark offset at the shortest exposure",
+    "dark_noise_dn": "noise without light, with rounding",
+    "dark_noise": "noise without light",
+    "dark_current": "dark current, by the mean",
+    "dark_current_by_variance": "dark current, by the noise",
+    "responsivity": "responsivity",
+    "quantum_efficiency": "quantum efficiency",
+    "saturation_dn": "reading at saturation",
+    "saturation_photons": "photons at saturation",
+    "full_well": "saturation capacity (full well)",
+    "snr_max": "largest signal-to-noise ratio",
+    "threshold_photons": "absolute sensitivity threshold, photons",
+    "threshold": "absolute sensitivity threshold",
+    "dynamic_range": "dynamic range",
+    "linearity_error": "linearity error, mean",
+    "linearity_lowest": "linearity error, lowest",
+    "linearity_highest": "linearity error, highest",
+    "dsnu": "dark signal non-uniformity",
+    "dsnu_column": "dark signal non-uniformity of columns",
+    "dsnu_row": "dark signal non-uniformity of rows",
+    "dsnu_pixel": "dark signal non-uniformity of pixels",
+    "prnu": "photo response non-uniformity",
+    "prnu_column": "photo response non-uniformity of columns",
+    "prnu_row": "photo response non-uniformity of rows",
+    "prnu_pixel": "photo response non-uniformity of pixels",
+}
+
+
+def dataset_of(found: Transfer, dataset: Dataset) -> xr.Dataset:
+    """Variables over `dark` and `flat` (levels), and over `quantity`."""
+    ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name, "remarks": "; ".join(found.remarks)})
+    for kind, levels in (("dark", found.darks), ("flat", found.flats)):
+        for name, (units, long_name, field) in COLUMNS.items():
+            values = np.array([getattr(own, field) for own in levels], float)
+            ds[f"{kind}_{name}"] = (kind, values, {"units": units, "long_name": f"{long_name} of a {kind} level"})
+        _add_patterns(ds, kind, levels)
+    size = len(found.flats)
+    for name, values, units, long_name in (
+        ("signal", found.signal, "DN", "mean reading over dark"),
+        ("excess", found.excess, "DN2", "variance in time over dark"),
+        ("excess_stderr", found.excess_error, "DN2", "standard error of the variance over dark"),
+        ("fitted", found.fitted.astype(float), "1", "1 where the gain is fitted to the level"),
+    ):
+        ds[name] = ("flat", values if values.size else np.full(size, np.nan), {"units": units, "long_name": long_name})
+    saturation = -1 if found.saturation is None else found.saturation
+    ds["saturation"] = ((), saturation, {"units": "1", "long_name": "number of the flat at saturation; -1: none"})
+    names = list(QUANTITIES)
+    # What nothing was said of had nothing to be told from.
+    own = [found.quantities.get(n) or Quantity(n, *_blank(n), "there are no frames for it") for n in names]
+    ds["quantity"] = ("quantity", np.array(names, object), {"units": "1", "long_name": "name of a quantity"})
+    for name, values, long_name in (
+        ("value", np.array([q.value for q in own], float), "value in its own unit"),
+        ("stderr", np.array([q.stderr for q in own], float), "standard error in its own unit"),
+        ("symbol", np.array([q.symbol for q in own], object), "symbol of EMVA 1288"),
+        ("unit", np.array([q.unit for q in own], object), "unit"),
+        ("why", np.array([q.why for q in own], object), "why it is not known"),
+    ):
+        ds[name] = ("quantity", values, {"units": "1", "long_name": long_name})
+    return ds
+
+
+def _blank(name: str) -> tuple[str, float, float, str]:
+    symbol, unit = QUANTITIES[name]
+    return symbol, np.nan, np.nan, unit
+
+
+def _add_patterns(ds: xr.Dataset, kind: str, levels: Sequence[Level]) -> None:
+    for part in Spatial._fields:
+        values = np.array([getattr(own.spatial, part) for own in levels], float)
+        ds[f"{kind}_pattern_{part}"] = (kind, values, {"units": "DN2", "long_name": f"variance of the pattern, {part}"})
+
+
+def quantities_of(ds: xr.Dataset) -> dict[str, Quantity]:
+    """The quantities of a file, by name."""
+    columns = [ds[name].values for name in ("quantity", "symbol", "value", "stderr", "unit", "why")]
+    return {
+        str(name): Quantity(str(name), str(symbol), float(value), float(stderr), str(unit), str(why))
+        for name, symbol, value, stderr, unit, why in zip(*columns, strict=True)
+    }
