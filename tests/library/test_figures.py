@@ -27,6 +27,7 @@ laser: {wavelength_m: 6.5e-7}
 ANGLES, EXPOSURES, REPEATS = (0, 45), (1e-4, 5e-4), (0, 1, 2)
 # Pictures of a verdict, which these results have none of; test_discrepancy_figures.py draws them.
 UNJUDGED = [entry.name for entry in FIGURES if "discrepancy" in entry.needs]
+FLATS = [entry.name for entry in FIGURES if "transfer" in entry.needs]
 
 
 def write_manifest(folder: Path, angles, exposures, repeats) -> None:
@@ -113,7 +114,8 @@ def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
     index = json.loads((tmp_path / "index.json").read_text())
     drawn, skipped = [r["name"] for r in index["figures"]], {r["name"]: r["why"] for r in index["skipped"]}
     assert sorted(drawn + list(skipped)) == sorted(entry.name for entry in FIGURES)
-    assert set(skipped) == {"caustic", *UNJUDGED} and "z_m" in skipped["caustic"]
+    assert set(skipped) == {"caustic", *UNJUDGED, *FLATS} and "z_m" in skipped["caustic"]
+    assert {skipped[name] for name in FLATS} == {"the manifest names no frame of kind flat or dark"}
     assert {skipped[name] for name in UNJUDGED} == {"discrepancy.nc is not among the results"}
     for record in index["figures"]:
         assert set(record) == {"name", "title", "caption", "category", "paper"}

@@ -47,7 +47,7 @@ class Frame(NamedTuple):
     light: np.ndarray
 
 
-BLACK, DARK_VARIANCE, THIRD = 20.0, 2.5, 0.05
+BLACK, TOP, DARK_VARIANCE, THIRD = 20.0, 160.0, 2.5, 0.05
 AT, CHIP_AT = (3, 5), (7, 2)
 SITE, CHIP = (60, 70), (80, 66)
 
@@ -81,7 +81,7 @@ def nothing(rows: int, columns: int, side: int) -> Sums:
 
 def added(frame: Frame, side: int, parts: Sums) -> Sums:
     """The library's sums."""
-    add_frame(*frame, BLACK, DARK_VARIANCE, THIRD, side, *parts, AT, CHIP_AT)
+    add_frame(*frame, BLACK, TOP, DARK_VARIANCE, THIRD, side, *parts, AT, CHIP_AT)
     return parts
 
 
@@ -127,8 +127,9 @@ def plainly(frame: Frame, side: int) -> Sums:
     chip = (slice(CHIP_AT[0], CHIP_AT[0] + rows), slice(CHIP_AT[1], CHIP_AT[1] + columns))
     out.pull[site], out.weight[site] = mu * r * w, mu * mu * w
     out.dark_pull[chip], out.dark_weight[chip], out.dark_light[chip] = r * w, w, mu * w
-    lit = everything & (np.nan_to_num(image) > CODE_FLOOR)
-    lit &= mean > max(CODE_FLOOR, BLACK) + 6 * np.sqrt(variance)
+    known = np.nan_to_num(image)
+    lit = everything & (known > CODE_FLOOR) & (known < TOP)
+    lit &= (mean > max(CODE_FLOOR, BLACK) + 6 * np.sqrt(variance)) & (mean < TOP - 6 * np.sqrt(variance))
     which = (variance[lit][:, None] > CODE_VARIANCE).sum(axis=1)
     np.add.at(out.comb, (which, image[lit].astype(int) % CODES[-1]), 1)
     return out
@@ -208,7 +209,7 @@ def test_sums_of_a_true_model():
     image = 2.0 * rng.poisson(light / 2.0)
     frame = Frame(image, light, 2.0 * light, light)
     parts = nothing(256, 256, 8)._replace(**{name: np.zeros((300, 300)) for name in Sums._fields[14:]})
-    add_frame(*frame, 0.0, 1.0, 4.0, 8, *parts, (0, 0), (0, 0))
+    add_frame(*frame, 0.0, 1e4, 1.0, 4.0, 8, *parts, (0, 0), (0, 0))
     n = 256**2
     # χ² of n degrees of freedom, five standard errors √(2n); kurtosis √(96/n); skewness √(15/n).
     assert abs(parts.rough.sum() - parts.rough_dof.sum()) < 5 * np.sqrt(2 * n)
@@ -217,7 +218,7 @@ def test_sums_of_a_true_model():
     assert abs(parts.totals[1] / n) < 5 * np.sqrt(15 / n) + 3 / 64 * 2 / np.sqrt(450)
     # A skew of 1/√ν that the model does not know of is seen: here 0.047.
     blind = nothing(256, 256, 8)._replace(**{name: np.zeros((300, 300)) for name in Sums._fields[14:]})
-    add_frame(*frame, 0.0, 1.0, 0.0, 8, *blind, (0, 0), (0, 0))
+    add_frame(*frame, 0.0, 1e4, 1.0, 0.0, 8, *blind, (0, 0), (0, 0))
     assert blind.totals[1] / n == pytest.approx(1 / np.sqrt(450), abs=5 * np.sqrt(15 / n))
 
 

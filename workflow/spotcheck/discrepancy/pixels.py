@@ -92,12 +92,13 @@ def fill_scene(amplitude, x0, y0, sigma, top_hat, gain, dark_e, step, means, var
 
 @compiled
 def add_frame(
-    image, mean, variance, light, black, dark_variance, third, side,
+    image, mean, variance, light, black, top, dark_variance, third, side,
     residual, spread, count, rough, rough_dof, fourth, row, row_weight, row_light, column, column_weight,
     column_light, comb, totals, pull, weight, dark_pull, dark_weight, dark_light, at, chip_at,
 ):  # fmt: skip
     """Add one frame to the sums of `measure.Sums`. `side` is that of a block [px]; `at`, `chip_at` are (row, column) of
-    the crop's corner in the windows of the site's and the chip's fields; `dark_variance` [DN²] that of a reading
+    the crop's corner in the windows of the site's and the chip's fields; `black` and `top` are the readings [DN]
+    without light and at the converter's end; `dark_variance` [DN²] that of a reading
     without light and clips, `third` [DN²] times the light the third moment of shot noise [DN³]."""
     rows, columns = image.shape
     blocks_y, blocks_x = residual.shape
@@ -139,7 +140,8 @@ def add_frame(
                 dark_pull[chip_at[0] + j, chip_at[1] + k] += rw
                 dark_weight[chip_at[0] + j, chip_at[1] + k] += w
                 dark_light[chip_at[0] + j, chip_at[1] + k] += lw
-            if y > CODE_FLOOR and mean[j, k] > max(CODE_FLOOR, black) + 6 * sd:
+            # At either end the converter itself makes readings gather.
+            if CODE_FLOOR < y < top and max(CODE_FLOOR, black) + 6 * sd < mean[j, k] < top - 6 * sd:
                 wide = 0
                 while wide < CODE_VARIANCE.size and variance[j, k] > CODE_VARIANCE[wide]:
                     wide += 1
