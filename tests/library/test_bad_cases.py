@@ -177,7 +177,7 @@ CASES: dict[str, Callable[[], Case]] = {
     ),
     "flats and darks alone": lambda: Case(
         [*alike("flat", 300.0), *alike("dark", 0.0)], {}, NOTHING, (),
-        "the manifest names no spot frame, and what flats and darks alone can show is not assessed",
+        "the manifest names no spot frame, and flats and darks are judged by `spotcheck flats`",
     ),
     # Light, but no spot that could be fitted, or no noise to judge it by.
     "crop full of saturated light": lambda: Case(

@@ -12,7 +12,7 @@ from tests.library.test_bad_cases import CASES, written
     ("name", "why"),
     [
         ("saturated everywhere", "none of 12 spot frames can be used (every pixel of the crop reads full scale)"),
-        ("flats and darks alone", "what flats and darks alone can show is not assessed"),
+        ("flats and darks alone", "the manifest names no frame of kind spot"),
     ],
 )
 def test_nothing_to_judge(name, why, tmp_path):

@@ -58,6 +58,8 @@ if SPOTS:
     )
     RESULTS += [f"{OUT}/{name}.nc" for name in stages]
     RESULTS += [f"{OUT}/caustic.nc"] if "z_m" in DATASET.instrument.conditions else []
+else:
+    RESULTS += [f"{OUT}/verdict.json"]
 
 
 def dataset_folder(wildcards):

@@ -90,35 +90,70 @@ rule advise:
         " --findings {input.findings:q} --output {output:q} 2>&1 | tee {log:q}"
 
 
-rule judge:
-    input:
-        MANIFEST,
-        INSTRUMENT,
-        crops=rules.crop.output,
-        sensor=rules.sensor.output,
-        findings=rules.discrepancy.output,
-        gap=rules.verify.output,
-        advice=rules.advise.output,
-    output:
-        verdict=f"{OUT}/verdict.json",
-        pictures=f"{OUT}/discrepancy.nc",
-        model=f"{OUT}/model.yaml",
-    log:
-        f"{OUT}/logs/judge.log",
-    benchmark:
-        f"{OUT}/benchmarks/judge.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
-    threads: 1
-    resources:
-        mem_mb=2000,
-        runtime=30,
-    params:
-        folder=dataset_folder,
-        code=code("verdict"),
-    message:
-        "Writing the verdict on {DATASET.name}"
-    shell:
-        "spotcheck verdict {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
-        " --findings {input.findings:q} --gap {input.gap:q} --advice {input.advice:q}"
-        " --pictures {output.pictures:q} --model {output.model:q} --output {output.verdict:q} 2>&1 | tee {log:q}"
+if SPOTS:
+
+    rule judge:
+        input:
+            MANIFEST,
+            INSTRUMENT,
+            crops=rules.crop.output,
+            sensor=rules.sensor.output,
+            findings=rules.discrepancy.output,
+            gap=rules.verify.output,
+            advice=rules.advise.output,
+        output:
+            verdict=f"{OUT}/verdict.json",
+            pictures=f"{OUT}/discrepancy.nc",
+            model=f"{OUT}/model.yaml",
+        log:
+            f"{OUT}/logs/judge.log",
+        benchmark:
+            f"{OUT}/benchmarks/judge.tsv"
+        conda:
+            "../envs/spotcheck.yaml"
+        threads: 1
+        resources:
+            mem_mb=2000,
+            runtime=30,
+        params:
+            folder=dataset_folder,
+            code=code("verdict"),
+        message:
+            "Writing the verdict on {DATASET.name}"
+        shell:
+            "spotcheck verdict {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
+            " --findings {input.findings:q} --gap {input.gap:q} --advice {input.advice:q}"
+            " --pictures {output.pictures:q} --model {output.model:q} --output {output.verdict:q} 2>&1 | tee {log:q}"
+
+else:
+
+    # Without a spot flats and darks speak for themselves.
+    rule judge:
+        input:
+            MANIFEST,
+            INSTRUMENT,
+            table=rules.ingest.output,
+        output:
+            verdict=f"{OUT}/verdict.json",
+        log:
+            f"{OUT}/logs/judge.log",
+        benchmark:
+            f"{OUT}/benchmarks/judge.tsv"
+        conda:
+            "../envs/spotcheck.yaml"
+        threads: 1
+        resources:
+            mem_mb=500,
+            runtime=30,
+        params:
+            folder=dataset_folder,
+            simulations=config["null_simulations"],
+            seed=config["seed"],
+            tolerance=json.dumps(config["tolerance"]),
+            code=code("flats"),
+        message:
+            "Writing the verdict on {DATASET.name}"
+        shell:
+            "OPENBLAS_NUM_THREADS=1 spotcheck flats {params.folder:q} --frames {input.table:q}"
+            " --simulations {params.simulations} --seed {params.seed} --tolerance {params.tolerance:q}"
+            " --output {output.verdict:q} 2>&1 | tee {log:q}"

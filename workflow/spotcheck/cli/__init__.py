@@ -26,6 +26,7 @@ COMMANDS = {
     "verify": "how far the gap closed on data that no step has seen",
     "advise": "which measurement would tell tied explanations apart",
     "verdict": "write verdict.json and the extended model",
+    "flats": "write verdict.json of a dataset without spots",
     "figures": "every figure that the results support",
     "chain": "draw the rule graph of the workflow",
     "paper": "compare the paper's numbers with what the workflow computed",

@@ -147,7 +147,7 @@ def left_out(dataset: Dataset, crops: xr.Dataset) -> str:
     """How many spot frames cannot be looked at, and why; "" where all can."""
     total = len(dataset.spots)
     if not total:
-        return "the manifest names no spot frame, and what flats and darks alone can show is not assessed"
+        return "the manifest names no spot frame, and flats and darks are judged by `spotcheck flats`"
     status, dims = crops["status"].sel(centring="light"), store.grid_dims(crops)
     flags = [int(status.isel(dict(zip(dims, index, strict=True)))) for index, _ in dataset.cells()]
     reasons = Counter(text for own in flags for bit, (_, text) in store.STATUS.items() if own & bit & store.UNUSABLE)

@@ -40,8 +40,8 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
     files = {f.stem: store.read(f).load() for f in sorted(results.glob("*.nc")) if f.stem not in ("crops", "simulated")}
     stages = [(name, ds.attrs["skipped"]) for name, ds in files.items() if "skipped" in ds.attrs]
     if not dataset.spots:
-        why = "the manifest names no frame of kind spot: crops, fits, the verdict and all else that follows from them"
-        stages.append(("spots", f"{why}; what flats and darks alone can show is not assessed"))
+        why = "the manifest names no frame of kind spot: crops, fits and all else that follows from them"
+        stages.append(("spots", why))
     figures = [f | {"image": _image(results / "figures", f["name"])} for f in index["figures"]]
     content: dict[str, Any] = {
         "title": dataset.title,
