@@ -57,9 +57,11 @@ BLIND ?= --hours 2 --workers $(CORES)
 blind: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.blind.run $(BLIND)
 
-# Real frames, each judged alone, also with a known effect put into its readings; needs the frames beside the repository.
+# Pages of real frames: beams, each judged alone and with a known effect put into its readings; a CCD by flats and darks beside
+# the standard's own package. Needs the frames beside the repository. REAL=--write puts them into workflow/docs/.
 real: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.blind.real $(REAL)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.real.sensor $(REAL)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.real.beams $(REAL)
 
 lock-bench:
 	uv pip compile pyproject.toml --extra dev --extra bench --universal --generate-hashes --no-header --no-annotate \

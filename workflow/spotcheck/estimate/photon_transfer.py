@@ -5,7 +5,7 @@ known. Release 3.1 differs in the pattern: it takes DSNU and PRNU as one number 
 pixels; here both are given.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,8 @@ LEAST_DARK = 0.24
 LIT = 1e-3
 # Darks of which more pixels than this read 0 have lost part of their noise.
 MOST_AT_ZERO = 5e-3
-# Pixels beside themselves at full scale from this part on: the level is not linear any more.
+# Parts of saturation up to which gain and intercept are compared.
+RANGES = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0)
 LEAST_LEVELS = 3
 
 
@@ -135,6 +136,39 @@ def transfer_of(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     _light_quantities(quantities, flats, signal, fitted, top, open_end)
     _pattern_quantities(quantities, flats, own_dark, signal, top)
     return Transfer(flats, darks, signal, excess, error, fitted, None if open_end else top, quantities, remarks)
+
+
+class Range(NamedTuple):
+    """Gain [DN/e-] and intercept [DN] of the line of response, with standard errors, of the levels up to a part of
+    saturation; how many levels they are."""
+
+    limit: float
+    levels: int
+    gain: float
+    gain_error: float
+    intercept: float
+    intercept_error: float
+
+
+def by_range(found: Transfer) -> list[Range]:
+    """How gain and intercept depend on the range that is fitted: on a linear sensor they do not."""
+    if found.saturation is None or not found.fitted.any():
+        return []
+    photons = np.array([own.photons for own in found.flats])
+    exposure = np.array([own.exposure_s for own in found.flats])
+    light = photons if (photons > 0).all() else exposure
+    error = np.maximum([own.mean_error for own in found.flats], 1e-9)
+    out = []
+    for limit in RANGES:
+        use = (found.signal > 0) & (found.signal <= limit * found.signal[found.saturation])
+        use &= np.arange(len(found.flats)) <= found.saturation
+        if np.count_nonzero(use) < LEAST_LEVELS or len(np.unique(light[use])) < LEAST_LEVELS:
+            continue
+        gain, gain_error = through_zero(found.signal[use], found.excess[use], found.excess_error[use])
+        # As linear regression has it, every level alike: weights would hide the bend.
+        own = line(light[use], found.signal[use], np.full(np.count_nonzero(use), float(np.mean(error[use]))))
+        out.append(Range(limit, int(np.count_nonzero(use)), gain, gain_error, own.intercept, own.intercept_error))
+    return out
 
 
 def saturation_of(excess: np.ndarray) -> int:
@@ -350,30 +384,32 @@ def _linearity(out: dict[str, Quantity], light: np.ndarray, signal: np.ndarray, 
 def _pattern_quantities(
     out: dict[str, Quantity], flats: Sequence[Level], darks: Sequence[Level], signal: np.ndarray, top: int
 ) -> None:
-    """DSNU of the darkest exposure, PRNU of the flat nearest to half of saturation (section 8.3)."""
+    """DSNU of all darks, PRNU of the flat nearest to half of saturation (section 8.3). Noise may hang together over
+    many pixels: where there are darks enough, their scatter says how well a pattern is known."""
     gain = out["gain"].value
     half = int(np.argmin(np.abs(signal - signal[top] / 2)))
-    flat, dark = flats[half], darks[half]
-    rows, columns = flat.shape
-    parts: dict[str, tuple[str, Callable[[Level], float]]] = {
-        "": ("total", lambda own: rows * columns),
-        "_column": ("column", lambda own: columns),
-        "_row": ("row", lambda own: rows),
-        "_pixel": ("pixel", lambda own: rows * columns),
-    }
-    for suffix, (field, count) in parts.items():
-        n, lines = count(flat), (rows if field == "column" else columns if field == "row" else 1)
-
-        # Of n numbers with a variance s² and noise v in each, s² is known to √(2/n) (s² + v/2).
-        def of(own: Level, n: float = n, lines: int = lines, field: str = field) -> tuple[float, float]:
-            own_variance = float(getattr(own.spatial, field))
-            return own_variance, float(np.sqrt(2 / n) * (max(own_variance, 0.0) + own.variance / lines / 2))
-
-        by_dark, dark_error = of(dark)
-        by_light, light_error = of(flat)
+    different = list({id(own): own for own in darks}.values())
+    for suffix, field in {"": "total", "_column": "column", "_row": "row", "_pixel": "pixel"}.items():
+        own = np.array([_of_pattern(level, field) for level in different])
+        by_dark = float(own[:, 0].mean())
+        one = float(np.sqrt(np.mean(own[:, 1] ** 2)))
+        if len(own) >= 2 * LEAST_LEVELS:
+            one = max(one, float(own[:, 0].std(ddof=1)))
+        dark_error = one / np.sqrt(len(own))
+        by_light, light_error = _of_pattern(flats[half], field)
         _root(out, f"dsnu{suffix}", by_dark / gain**2, dark_error / gain**2)
         scale = (100 / signal[half]) ** 2
-        _root(out, f"prnu{suffix}", (by_light - by_dark) * scale, float(np.hypot(dark_error, light_error)) * scale)
+        error = float(np.sqrt(max(light_error, one) ** 2 + dark_error**2))
+        _root(out, f"prnu{suffix}", (by_light - by_dark) * scale, error * scale)
+
+
+def _of_pattern(level: Level, field: str) -> tuple[float, float]:
+    """Variance of a part of the pattern [DN²], and its standard error under white noise: of n numbers of variance s²
+    under noise v it is √(2/n) (s² + v/2)."""
+    rows, columns = level.shape
+    n, lines = {"column": (columns, rows), "row": (rows, columns)}.get(field, (rows * columns, 1))
+    own = float(getattr(level.spatial, field))
+    return own, float(np.sqrt(2 / n) * (max(own, 0.0) + level.variance / lines / 2))
 
 
 def _root(out: dict[str, Quantity], name: str, square: float, error: float) -> None:

@@ -7,7 +7,7 @@ import xarray as xr
 
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.levels import Level, Spatial
-from spotcheck.estimate.photon_transfer import QUANTITIES, Quantity, Transfer
+from spotcheck.estimate.photon_transfer import QUANTITIES, Quantity, Transfer, by_range
 
 COLUMNS = {
     "exposure": ("s", "exposure", "exposure_s"),
@@ -68,6 +68,17 @@ def dataset_of(found: Transfer, dataset: Dataset) -> xr.Dataset:
         ds[name] = ("flat", values if values.size else np.full(size, np.nan), {"units": units, "long_name": long_name})
     saturation = -1 if found.saturation is None else found.saturation
     ds["saturation"] = ((), saturation, {"units": "1", "long_name": "number of the flat at saturation; -1: none"})
+    ranges = by_range(found)
+    for name, units, long_name in (
+        ("limit", "1", "part of saturation up to which levels are fitted"),
+        ("levels", "1", "number of levels fitted"),
+        ("gain", "DN/e-", "overall gain of these levels"),
+        ("gain_error", "DN/e-", "standard error of the gain of these levels"),
+        ("intercept", "DN", "intercept of the response of these levels"),
+        ("intercept_error", "DN", "standard error of the intercept of these levels"),
+    ):
+        values = np.array([getattr(own, name) for own in ranges], float)
+        ds[f"range_{name}"] = ("range", values, {"units": units, "long_name": long_name})
     names = list(QUANTITIES)
     # What nothing was said of had nothing to be told from.
     own = [found.quantities.get(n) or Quantity(n, *_blank(n), "there are no frames for it") for n in names]

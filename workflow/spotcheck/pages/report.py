@@ -136,7 +136,16 @@ def _transfer(ds: xr.Dataset | None) -> dict[str, Any] | None:
                 "why": own.why,
             }
         )
-    return {"rows": rows, "remarks": [text for text in ds.attrs["remarks"].split("; ") if text]}
+    ranges = [
+        (
+            f"{100 * float(own['range_limit']):.3g} %",
+            int(own["range_levels"]),
+            style.plus_minus(float(own["range_gain"]), float(own["range_gain_error"])),
+            style.plus_minus(float(own["range_intercept"]), float(own["range_intercept_error"])).replace("-", "−"),
+        )
+        for own in (ds.isel(range=k) for k in range(ds.sizes["range"]))
+    ]
+    return {"rows": rows, "remarks": [text for text in ds.attrs["remarks"].split("; ") if text], "ranges": ranges}
 
 
 def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:

@@ -1,6 +1,6 @@
 """Real frames, each judged alone, as they are and with a known effect put into their readings.
 
-`make real`, or `python -m tests.blind.real [--write]`. Nobody knows what else is in them, so no score is set: the table
+`make real`, or `python -m tests.real.beams [--write]`. Nobody knows what else is in them, so no score is set: the table
 says what was named, and whether what was put in is the effect whose evidence rose most.
 """
 
@@ -44,16 +44,16 @@ HIDDEN: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 def main() -> None:
     """Judge every frame and print, or write, the page."""
-    parser = argparse.ArgumentParser(prog="python -m tests.blind.real", description=__doc__)
-    parser.add_argument("--write", action="store_true", help="also into workflow/docs/real-frames.md")
+    parser = argparse.ArgumentParser(prog="python -m tests.real.beams", description=__doc__)
+    parser.add_argument("--write", action="store_true", help="also into workflow/docs/real-beams.md")
     write = parser.parse_args().write
     with (SOURCE / "manifest.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
     found = {row["file"]: {name: judged(row, name) for name in HIDDEN} for row in rows}
     text = page(found)
-    (RESULTS / "real-frames.md").write_text(text, encoding="utf-8")
+    (RESULTS / "real-beams.md").write_text(text, encoding="utf-8")
     if write:
-        shutil.copyfile(RESULTS / "real-frames.md", ROOT / "workflow" / "docs" / "real-frames.md")
+        shutil.copyfile(RESULTS / "real-beams.md", ROOT / "workflow" / "docs" / "real-beams.md")
     print(text)
 
 

@@ -1,0 +1,106 @@
+"""A real CCD by its flats and darks: our numbers beside those of the package `emva1288`, and what the verdict says.
+
+`make real`, or `python -m tests.real.sensor [--write]`.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from spotcheck import store
+from spotcheck.cli import main as command
+from spotcheck.estimate.transfer_data import LONG_NAMES, quantities_of
+from spotcheck.figures.style import plus_minus
+from tests.blind.records import RESULTS, ROOT
+from tests.blind.table import markdown
+from tests.real.emva import reference
+
+SOURCE = ROOT.parent / "shared" / "data" / "emva-ccd"
+# Light of the level at half of saturation, where both take the pattern.
+HALF = 14667.0
+# Ours → theirs, the factor to our unit, and why they differ where they do.
+BESIDE = {
+    "gain": ("K", 1.0, ""),
+    "dark_noise_dn": ("sigma_y_dark", 1.0, "our line over exposure is weighted"),
+    "dark_noise": ("sigma_d", 1.0, "as above"),
+    "dark_current": ("u_I_mean", 1.0, ""),
+    "dark_current_by_variance": ("u_I_var", 1.0, "weighted"),
+    "responsivity": ("R", 1.0, ""),
+    "quantum_efficiency": ("QE", 0.01, ""),
+    "saturation_photons": ("u_p_sat", 1.0, ""),
+    "full_well": ("u_e_sat", 1.0, ""),
+    "snr_max": ("SNR_max", 1.0, ""),
+    "threshold": ("u_e_min", 1.0, "ours is ½ + √(σ² + ¼), theirs σ + ½ with the noise of rounding"),
+    "dynamic_range": ("DR", 1.0, "follows from the threshold"),
+    "linearity_lowest": ("LE_min", 1.0, ""),
+    "linearity_highest": ("LE_max", 1.0, ""),
+    "dsnu": (
+        "DSNU1288",
+        1.0,
+        "ours is that of all darks, theirs of one pair: the noise of this sensor hangs together, so pairs scatter",
+    ),
+    "prnu": ("PRNU1288", 1.0, "less the pattern of all darks"),
+}
+
+
+def main() -> None:
+    """Print, or write, the page."""
+    parser = argparse.ArgumentParser(prog="python -m tests.real.sensor", description=__doc__)
+    parser.add_argument("--write", action="store_true", help="also into workflow/docs/real-sensor.md")
+    write = parser.parse_args().write
+    text = page()
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    for path in [RESULTS / "real-sensor.md", *([ROOT / "workflow" / "docs" / "real-sensor.md"] if write else [])]:
+        path.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def page() -> str:
+    """The page."""
+    with tempfile.TemporaryDirectory() as base:
+        frames, transfer, verdict = (str(Path(base, name)) for name in ("frames.nc", "transfer.nc", "verdict.json"))
+        with contextlib.redirect_stdout(io.StringIO()):
+            command(["ingest", str(SOURCE), "--output", frames])
+            command(["transfer", str(SOURCE), "--frames", frames, "--output", transfer])
+            command(["flats", str(SOURCE), "--frames", frames, "--output", verdict])
+        said = json.loads(Path(verdict).read_text(encoding="utf-8"))
+        with store.read(transfer) as ds:
+            own = quantities_of(ds)
+            ranges = [
+                (f"{100 * float(r['range_limit']):.3g} %", f"{int(r['range_levels'])}",
+                 plus_minus(float(r["range_gain"]), float(r["range_gain_error"])),
+                 plus_minus(float(r["range_intercept"]), float(r["range_intercept_error"])))
+                for r in (ds.isel(range=k) for k in range(ds.sizes["range"]))
+            ]  # fmt: skip
+    other = reference(SOURCE, HALF)
+    rows = []
+    for name, (key, factor, why) in BESIDE.items():
+        ours, theirs = own[name], other[key] * factor
+        unit = "" if ours.unit == "1" else ours.unit
+        apart = abs(ours.value - theirs) / ours.stderr if np.isfinite(ours.stderr) and ours.stderr > 0 else np.nan
+        rows.append((LONG_NAMES[name], f"`{ours.symbol}`", plus_minus(ours.value, ours.stderr, unit), f"{theirs:.6g}",
+                     f"{apart:.2f}", why))  # fmt: skip
+    return "\n".join(
+        [
+            "# A real sensor", "",
+            "204 frames of a 12-bit CCD (EMVA 1288 reference set 001), flats and darks in pairs, by `make real`; "
+            "beside them the package `emva1288` 1.0.2, the standard's reference implementation, on the same frames.",
+            "",
+            *markdown(("quantity", "symbol", "ours", "emva1288", "apart, in standard errors", "why"), rows), "",
+            "## What the verdict says", "",
+            f"Status `{said['status']}`. {said['sentence']}", "",
+            "## Up to which level?", "",
+            "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
+            "because the response bends:", "",
+            *markdown(("up to, of saturation", "levels", "K [DN/e-]", "intercept of the response [DN]"), ranges), "",
+        ]
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
