@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from rig import hidden
-from spotcheck.discrepancy.calibration import Kind, calibrate, digest_of, stored
+from spotcheck.discrepancy.calibration import Kind, calibrate, canonical, digest_of, stored
 from spotcheck.discrepancy.detect import Null
 from spotcheck.discrepancy.extend import Tolerance
-from spotcheck.discrepancy.shots import Design, Shot, design_of
+from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.verdict import Judgement, discovery_design, judge, verdict_json
 from tests.blind.advised import followed
 from tests.blind.by_command import differences
-from tests.blind.crops import constant, set_of
+from tests.blind.crops import set_of
 from tests.blind.limit import limit_of
 from tests.blind.plan import Job
 from tests.blind.told import told_truth
@@ -176,19 +176,6 @@ def _grid(design: Design) -> tuple:
         for c, r in zip(design.condition, design.repeat, strict=True)
     ]
     return tuple(conditions)
-
-
-def canonical(design: Design) -> Design:
-    """The same grid with its frames in one order: a null law depends on the grid, not on who came first."""
-    at = np.lexsort((design.condition, design.repeat, design.place[design.condition]))
-    shots = [
-        Shot(
-            float(design.angle_deg[design.condition[k]]), float(design.exposure_s[design.condition[k]]),
-            int(design.repeat[k]), number, (), 0, 0, constant(np.zeros((1, 1))),
-        )
-        for number, k in enumerate(at)
-    ]  # fmt: skip
-    return design_of(shots)
 
 
 @contextmanager

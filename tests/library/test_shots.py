@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from spotcheck.discrepancy.calibration import Kind, canonical, digest_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out
 
 
@@ -183,3 +184,13 @@ def test_taking_by_number():
     np.testing.assert_array_equal(some.site, [2, 1, 1, 0])
     # A condition that lost its frames is still there.
     assert some.conditions == 9
+
+
+def test_a_null_law_depends_on_the_grid_alone():
+    """Frames in another order: one digest, so that one law serves both; another grid has its own."""
+    grid = [(a, t, r) for a in (0.0, 45.0) for t in (1e-4, 3e-4) for r in range(3)]
+    shots = [Shot(a, t, r, k, (), 0, 0, lambda: np.zeros((1, 1))) for k, (a, t, r) in enumerate(grid)]
+    mixed = [shots[k] for k in np.random.default_rng(1).permutation(len(shots))]
+    kind = Kind(96, 10, "linear", False)
+    one, other, fewer = (digest_of(canonical(design_of(own)), kind, 10, 1) for own in (shots, mixed, mixed[:-1]))
+    assert one == other != fewer

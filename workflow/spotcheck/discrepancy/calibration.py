@@ -107,6 +107,7 @@ def calibrate(design: Design, kind: Kind, count: int, seed: int, workers: int = 
 
 def stored(folder: Path, design: Design, kind: Kind, count: int, seed: int, workers: int = 1) -> Null:
     """The null law of a design, from `folder`/<digest>/null.nc if it was made before, else made and kept there."""
+    design = canonical(design)
     path = folder / digest_of(design, kind, count, seed) / "null.nc"
     if path.exists():
         with store.read(path) as ds:
@@ -121,6 +122,12 @@ def stored(folder: Path, design: Design, kind: Kind, count: int, seed: int, work
     path.parent.mkdir(parents=True, exist_ok=True)
     store.write(ds, path, code=provenance.code_digest(__name__))
     return null
+
+
+def canonical(design: Design) -> Design:
+    """The same grid with its frames in one order: a null law depends on the grid, not on what was taken first."""
+    at = np.lexsort((design.repeat, design.condition))
+    return design.take(at)._replace(order=np.full(len(at), np.nan))
 
 
 def digest_of(design: Design, kind: Kind, count: int, seed: int) -> str:
