@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.estimate.sensor import resolve
 from spotcheck.model.sensor import SensorModel
 from spotcheck.model.spot import elliptical_gaussian
@@ -45,3 +46,58 @@ def test_gain_and_read_noise_of_a_camera_without_a_data_sheet(tmp_path, seed):
         value, error = float(ds[name]), float(ds[f"{name}_stderr"])
         assert abs(value - truth) < 4 * error, (name, value, error)
     assert float(ds["gain_dn_per_e"]) == pytest.approx(0.25, rel=0.05)
+
+
+def spots_that_stop(rng, level_e, exposures=(0.5, 1.0, 2.0), plateau=False):
+    """Spots of 2000 to 8000 DN in light whose signal stops at a level; with `plateau` their light is cut instead."""
+    y, x = np.mgrid[:100, :100].astype(float)
+    out = []
+    for k in range(12):
+        peak = 4000.0 * exposures[k % len(exposures)]
+        light = peak * np.exp(-((x - 50) ** 2 + (y - 49) ** 2) / (2 * 14.0**2))
+        light = np.minimum(light, 0.5 * peak) if plateau else light
+        electrons = np.minimum(rng.poisson(light / 0.25), level_e) + rng.normal(0, 8.0, light.shape)
+        out.append(np.clip(np.rint(60 + 0.25 * electrons), 0, 4095).astype(np.float32))
+    return out
+
+
+TEXT = "crop_px: 24\nsensor: {bit_depth: 12, black_level_dn: 60}"
+
+
+def test_spots_tell_where_the_signal_stops(tmp_path):
+    """Twelve clipped spots: gain within 5 %, full well within 2 % and four standard errors; the chain does not take
+    it, as the verdict is to find it."""
+    crops = spots_that_stop(np.random.default_rng(3), 10000.0)
+    ds = resolve(loaded(tmp_path, FRAME, TEXT), 16, crops)
+    by_spots = {name: float(ds[f"{name}_by"].sel(source="spots")) for name in ("gain_dn_per_e", "full_well_e")}
+    assert by_spots["gain_dn_per_e"] == pytest.approx(0.25, rel=0.05)
+    assert by_spots["full_well_e"] * by_spots["gain_dn_per_e"] == pytest.approx(2500, rel=0.02)
+    assert np.isinf(float(ds["full_well_e"])) and ds["full_well_e"].attrs["source"] == "none given"
+
+
+def test_what_does_not_stop_has_no_full_well(tmp_path):
+    """Neither spots below saturation, nor light with a plateau of its own, at another level in every exposure."""
+    free = spots_that_stop(np.random.default_rng(4), 1e9, exposures=(0.5, 0.7, 0.9))
+    flat = spots_that_stop(np.random.default_rng(5), 1e9, exposures=(0.5, 1.0, 1.6), plateau=True)
+    for k, crops in enumerate((free, flat)):
+        ds = resolve(loaded(tmp_path / f"{k}", FRAME, TEXT), 16, crops)
+        assert np.isnan(float(ds["full_well_e_by"].sel(source="spots")))
+
+
+def test_flats_speak_before_spots_and_after_the_data_sheet(tmp_path):
+    """Gain of the flats where the data sheet is silent; all three side by side."""
+    measured = {
+        "gain": Quantity("gain", "K", 0.26, 0.001, "DN/e-"),
+        "dark_noise": Quantity("dark_noise", "σ_d", 8.1, 0.1, "e-"),
+        "dark_current": Quantity("dark_current", "μ_I", -2.0, 3.0, "e-/s"),
+        "full_well": Quantity("full_well", "μ_e.sat", 9900.0, 50.0, "e-"),
+    }
+    crops = spots_that_stop(np.random.default_rng(6), 10000.0)
+    ds = resolve(loaded(tmp_path / "a", FRAME, TEXT), 16, crops, measured=measured)
+    assert (float(ds["gain_dn_per_e"]), float(ds["read_noise_e"])) == (0.26, 8.1)
+    assert float(ds["dark_current_e_per_s"]) == 0 and np.isinf(float(ds["full_well_e"]))
+    assert ds["gain_dn_per_e"].attrs["source"] == "photon transfer of flats and darks"
+    sheet = TEXT.replace("bit_depth: 12", "bit_depth: 12, gain_dn_per_e: 0.3")
+    ds = resolve(loaded(tmp_path / "b", FRAME, sheet), 16, crops, measured=measured)
+    assert float(ds["gain_dn_per_e"]) == 0.3 and float(ds["read_noise_e"]) == 8.1
+    assert np.isfinite(ds["gain_dn_per_e_by"].values).all()

@@ -16,6 +16,12 @@ FEWEST = 200
 CUT_AT_SD = 3.5
 
 
+# Readings gather where the signal stops: bins of this part of a level, that hold this many times the pixels that a
+# spot's flank has in as many, from where to where of the highest the flank is looked at, and how near to each other
+# the levels of frames of different light must be.
+FINE, GATHER, FLANK, ALIKE = 0.04, 4.0, (0.25, 0.6), 0.05
+
+
 class NoiseCurve(NamedTuple):
     """Variance [DN²] of single pixels against grey level [DN], with the standard error of each variance."""
 
@@ -85,3 +91,38 @@ def gain_from_curve(curve: NoiseCurve, black_level: float) -> Gain | None:
     if not gain > 3 * gain_error:
         return None
     return Gain(gain, gain_error, float(solution[0]), float(np.sqrt(covariance[0, 0])))
+
+
+def stop_of(image: np.ndarray, black_level: float) -> float:
+    """Level over black [DN] at which the readings of one spot gather; NaN where they do not.
+
+    A Gaussian spot has as many pixels in every step of ln level, so a step that has many more is where light stops.
+    """
+    level = image[np.isfinite(image)] - black_level
+    top = float(np.quantile(level, 0.999)) if level.size else 0.0
+    if top <= 0:
+        return np.nan
+    steps = np.log(level[level > FLANK[0] * top] / top)
+    edges = np.arange(np.log(FLANK[0]), 0.15, FINE)
+    count, _ = np.histogram(steps, edges)
+    flank = count[(edges[:-1] >= np.log(FLANK[0])) & (edges[1:] <= np.log(FLANK[1]))]
+    if flank.sum() < FEWEST:
+        return np.nan
+    fullest = int(np.argmax(count))
+    if count[fullest] < GATHER * flank.mean() or edges[fullest] < np.log(FLANK[1]):
+        return np.nan
+    near = np.abs(steps - edges[fullest] - FINE / 2) < 1.5 * FINE
+    return float(top * np.exp(np.median(steps[near])))
+
+
+def common_stop(stops: list[float]) -> tuple[float, float] | None:
+    """The level at which most frames stop, with its standard error; None where fewer than two do, or where each stops
+    elsewhere, as plateaus of the light itself would."""
+    known = np.array([stop for stop in stops if np.isfinite(stop)])
+    if len(known) < 2:
+        return None
+    middle = float(np.median(known))
+    alike = known[np.abs(known - middle) < ALIKE * middle]
+    if len(alike) < 2 or len(alike) < 0.6 * len(known):
+        return None
+    return float(alike.mean()), float(alike.std(ddof=1) / np.sqrt(len(alike)))

@@ -9,7 +9,7 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.estimate.noise import NoiseCurve, gain_from_curve, noise_curve
+from spotcheck.estimate.noise import NoiseCurve, common_stop, gain_from_curve, noise_curve, stop_of
 from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.frames import Surround, full_scale
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
@@ -69,6 +69,8 @@ BY_FLATS = {
     "black_level_dn": "dark_offset",
 }
 NEVER_TAKEN = ("full_well_e",)
+# Readings below this part of the level at which the signal stops still have all their noise.
+BELOW_STOP = 0.9
 
 
 class Found(NamedTuple):
@@ -117,7 +119,7 @@ def resolve(
         for name in ("black_level_dn", "dark_current_e_per_s"):
             found[name].pop(FLATS, None)
     black = _first(found["black_level_dn"], default.get("black_level_dn"))
-    _from_spots(found, crops, highest, black.value)
+    _from_spots(found, crops, highest, black.value, dataset.instrument.model.top_hat)
     ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
     ds.attrs["remark"] = remark
     for name, (units, long_name) in QUANTITIES.items():
@@ -166,10 +168,17 @@ def _used(name: str, found: Mapping[str, Found], default: float | None) -> Found
 
 
 def _from_spots(
-    found: dict[str, dict[str, Found]], crops: Iterable[np.ndarray], highest: float, black_dn: float
+    found: dict[str, dict[str, Found]], crops: Iterable[np.ndarray], highest: float, black_dn: float, top_hat: bool
 ) -> None:
-    """Gain and read noise from the differences of neighbouring pixels, all frames pooled."""
-    curves = [curve for curve in (noise_curve(crop, highest) for crop in crops) if curve.level.size]
+    """Gain and read noise from the differences of neighbouring pixels, all frames pooled; and where the signal stops,
+    unless the light itself has a plateau."""
+    curves, stops = [], []
+    for crop in crops:
+        stops.append(stop_of(crop, black_dn))
+        # Where the signal stops its noise does too.
+        whole = black_dn + BELOW_STOP * stops[-1] if np.isfinite(stops[-1]) else np.inf
+        curve = noise_curve(crop, min(highest, whole))
+        curves += [curve] if curve.level.size else []
     pooled = NoiseCurve(*(np.concatenate(parts) for parts in zip(*curves, strict=True))) if curves else None
     own = gain_from_curve(pooled, black_dn) if pooled else None
     if own is None:
@@ -178,6 +187,9 @@ def _from_spots(
     found["gain_dn_per_e"][SPOTS] = Found(own.gain, own.gain_stderr, how)
     # In electrons of the gain that is taken.
     gain = _first(found["gain_dn_per_e"], None)
+    if not top_hat and (stop := common_stop(stops)) is not None:
+        error = float(np.hypot(stop[1], stop[0] * np.nan_to_num(gain.stderr) / gain.value)) / gain.value
+        found["full_well_e"][SPOTS] = Found(stop[0] / gain.value, error, "where the readings of spots gather")
     floor = max(own.floor - ROUNDING_VARIANCE, 0.0)
     noise = float(np.sqrt(floor)) / gain.value
     # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_stderr.
