@@ -13,7 +13,7 @@ rule transfer:
         "../envs/spotcheck.yaml"
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=1000,
         runtime=30,
     params:
         folder=dataset_folder,

@@ -6,6 +6,7 @@ import numpy as np
 
 from spotcheck import dataset, frames, provenance, store
 from spotcheck.estimate.levels import levels_of
+from spotcheck.estimate.pattern import add_patterns
 from spotcheck.estimate.photon_transfer import transfer_of
 from spotcheck.estimate.transfer_data import dataset_of, quantities_of
 
@@ -22,8 +23,8 @@ def run(args: argparse.Namespace) -> None:
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table:
         bits = int(table["container_bits"])
-    levels = levels_of(found, bits)
-    measured = dataset_of(transfer_of(levels, float(frames.full_scale(found.instrument, bits))), found)
+    transfer = transfer_of(levels_of(found, bits), float(frames.full_scale(found.instrument, bits)))
+    measured = add_patterns(dataset_of(transfer, found), found, transfer)
     store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     for own in quantities_of(measured).values():
         if np.isfinite(own.value):

@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.ticker import ScalarFormatter
 
 from spotcheck.estimate.photon_transfer import LINEAR, Quantity
 from spotcheck.estimate.transfer_data import quantities_of
@@ -171,3 +172,44 @@ def _plain(ax: Axes) -> None:
 
 def _said(own: Quantity) -> str:
     return style.plus_minus(own.value, own.stderr, "" if own.unit == "1" else own.unit).replace("-", "−", 1)
+
+
+def pattern(results: Results) -> style.Drawing:
+    """Pictures of the pattern without light and at half of saturation, and their spectra."""
+    ds, found = _open(results)
+    kinds = [kind for kind in ("dark", "flat") if f"{kind}_picture" in ds]
+    if not kinds:
+        raise Unavailable("no level has a pattern to show")
+    figure = style.new(2.6 * len(kinds))
+    axes = figure.subplots(len(kinds), 2, squeeze=False, width_ratios=(1, 1.25))
+    titles = {"dark": "without light", "flat": "at half of saturation"}
+    for (left, right), kind in zip(axes, kinds, strict=True):
+        picture, side = ds[f"{kind}_picture"].values, int(ds[f"{kind}_shown_side"])
+        low, high = np.quantile(picture, (0.01, 0.99))
+        rows, columns = (n * side for n in picture.shape)
+        shown = left.imshow(picture, cmap=style.IMAGE_MAP, vmin=low, vmax=high, extent=(0, columns, rows, 0))
+        left.grid(False)
+        left.set_title(titles[kind])
+        left.set_xlabel("column / px")
+        left.set_ylabel("row / px")
+        figure.colorbar(shown, ax=left, shrink=0.85, label="off the mean / DN")
+        for axis, colour in (("rows", style.MEASURED), ("columns", style.SIMULATED)):
+            frequency = ds[f"{kind}_{axis}_frequency"].values[1:]
+            right.plot(
+                frequency, ds[f"{kind}_along_{axis}"].values[1:], color=colour, linewidth=0.9, label=f"along {axis}"
+            )
+        right.axhline(float(ds[f"{kind}_shown_noise"]), color="black", linestyle=(0, (4, 2)), label="noise in time")
+        right.set_yscale("log")
+        # Plain numbers: an axis of less than a decade has no power of ten of its own.
+        right.yaxis.set_major_formatter(ScalarFormatter())
+        right.yaxis.set_minor_formatter(ScalarFormatter())
+        right.set_xlabel("spatial frequency / cycles per px")
+        right.set_ylabel("rms spectrum / DN")
+    handles, names = axes[0][1].get_legend_handles_labels()
+    style.legend_above(figure, handles, names, 3)
+    text = (
+        f"What stays from frame to frame: DSNU {_said(found['dsnu'])}, PRNU {_said(found['prnu'])}. Left: mean images"
+        " less their means, cut at the first and last hundredth. Right: their spectra; white non-uniformity lies flat"
+        " above the dashed line of the noise that is left in the mean, stripes and hum stand out as peaks."
+    )
+    return style.Drawing(figure, text)

@@ -69,5 +69,6 @@ FIGURES = (
     Entry("response", "Response and linearity", None, SENSOR, FLATS, photon_transfer.response),
     Entry("signal-to-noise", "Signal-to-noise ratio", None, SENSOR, FLATS, photon_transfer.ratio),
     Entry("dark", "Without light", None, SENSOR, FLATS, photon_transfer.dark),
+    Entry("pattern", "Pattern of the sensor", None, SENSOR, FLATS, photon_transfer.pattern),
     Entry("caustic", "Caustic of the beam", None, BEAM, ("caustic",), caustic.draw),
 )

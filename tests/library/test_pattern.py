@@ -1,0 +1,71 @@
+"""Pictures and spectra of what stays the same from frame to frame."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from spotcheck.dataset import load
+from spotcheck.estimate.levels import levels_of
+from spotcheck.estimate.pattern import LARGEST, add_patterns, chosen, pattern_of, spectrum
+from spotcheck.estimate.photon_transfer import transfer_of
+from spotcheck.estimate.transfer_data import dataset_of
+
+
+def test_a_spectrum_of_white_noise_is_flat():
+    """rms 3 at every frequency, within 2 % on average over 1024 lines (0.1 %) and 15 % at each (2.2 % each)."""
+    own = spectrum(np.random.default_rng(0).normal(0, 3, (1024, 128)))
+    assert own.shape == (65,)
+    assert np.sqrt((own[1:-1] ** 2).mean()) == pytest.approx(3, rel=0.02)
+    assert np.abs(own[1:-1] / 3 - 1).max() < 0.15
+
+
+def test_stripes_are_a_peak():
+    """An amplitude a at 1/8 cycles per px is a √(N/4) there, and nothing elsewhere."""
+    x = np.arange(128)
+    own = spectrum(np.tile(2 * np.cos(2 * np.pi * x / 8), (5, 1)))
+    assert own[16] == pytest.approx(2 * np.sqrt(128 / 4))
+    assert np.delete(own, 16).max() < 1e-9
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Flats and darks of 40 × 600 px: columns 20 px apart are 4 DN up without light, and 1 % of the light."""
+    rng = np.random.default_rng(1)
+    base = tmp_path_factory.mktemp("pattern")
+    rows = ["file,kind,angle_deg,exposure_s,repeat,photons_per_px"]
+    stripe = (np.arange(600) % 20 == 0).astype(float)
+    for k in range(10):
+        for kind, light in (("flat", 900.0 * (k + 1)), ("dark", 0.0)):
+            for repeat in range(2):
+                electrons = np.minimum(rng.poisson(light * (1 + 0.01 * stripe), (40, 600)), 8000)
+                frame = 50 + 4 * stripe + 0.3 * electrons + rng.normal(0, 2, (40, 600))
+                name = f"{kind}{k}_{repeat}.png"
+                Image.fromarray(np.rint(frame).astype(np.uint16)).save(base / name)
+                rows.append(f"{name},{kind},,{1e-3 * (k + 1):g},{repeat},{light if kind == 'flat' else ''}")
+    (base / "manifest.csv").write_text("\n".join(rows) + "\n")
+    (base / "instrument.yaml").write_text("crop_px: 24\nsensor: {bit_depth: 12}\n")
+    return base
+
+
+def test_pictures_of_dark_and_half(folder):
+    """The stripes' rms without light, √(1/20 · 19/20) 4 DN, in the spectrum along rows and not along columns; blocks of
+    3 px keep the picture below its largest size."""
+    dataset = load(folder)
+    found = transfer_of(levels_of(dataset, 16), 4095.0)
+    levels = chosen(found)
+    assert levels["dark"].kind == "dark" and abs(levels["flat"].mean - 50 - 0.3 * 4000) < 200
+    own = pattern_of(dataset, levels["dark"])
+    assert own.side == 3 and max(own.picture.shape) <= LARGEST and abs(own.picture.mean()) < 0.05
+    frequency = np.linspace(0, 0.5, len(own.along_rows))
+    peak = own.along_rows[np.argmin(np.abs(frequency - 1 / 20))]
+    assert peak > 3 * own.noise and own.along_columns[1:].max() < 2.5 * own.noise
+    assert np.sqrt((own.along_rows[1:] ** 2).mean() - own.noise**2) == pytest.approx(4 * np.sqrt(19) / 20, rel=0.15)
+
+
+def test_they_are_in_the_file(folder):
+    dataset = load(folder)
+    found = transfer_of(levels_of(dataset, 16), 4095.0)
+    ds = add_patterns(dataset_of(found, dataset), dataset, found)
+    assert ds["flat_picture"].shape == ds["dark_picture"].shape == (13, 200)
+    assert float(ds["dark_shown_at"]) == pytest.approx(50.2, abs=0.2)
+    assert ds["flat_along_rows"].sizes["flat_rows_frequency"] == 301
