@@ -49,7 +49,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "frames": _frames(files["frames"]),
         "not_recorded": [axis.name for axis in dataset.axes if axis.values is None] if dataset.spots else [],
         "skipped": stages,
-        "skipped_figures": index["skipped"],
+        "skipped_figures": _by_reason(index["skipped"]),
         "figures": [f for f in figures if f["category"] != VERDICT],
         "missing": _missing(results / "verdict.json"),
         "missing_figures": [f for f in figures if f["category"] == VERDICT],
@@ -70,6 +70,14 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "magnification": _magnification(dataset),
     }
     write_page(path, "report.html", **content)
+
+
+def _by_reason(skipped: list[dict[str, str]]) -> list[tuple[str, list[str]]]:
+    """Titles of the figures that were skipped, by the reason."""
+    out: dict[str, list[str]] = {}
+    for own in skipped:
+        out.setdefault(own["why"], []).append(own["title"])
+    return list(out.items())
 
 
 def _image(folder: Path, name: str) -> str:
