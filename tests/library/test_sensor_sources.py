@@ -101,3 +101,15 @@ def test_flats_speak_before_spots_and_after_the_data_sheet(tmp_path):
     ds = resolve(loaded(tmp_path / "b", FRAME, sheet), 16, crops, measured=measured)
     assert float(ds["gain_dn_per_e"]) == 0.3 and float(ds["read_noise_e"]) == 8.1
     assert np.isfinite(ds["gain_dn_per_e_by"].values).all()
+
+
+def test_black_level_goes_with_the_dark_current(tmp_path):
+    """With a dark current it is the offset at no exposure; without, or beside darks with light, what darks read."""
+    offset = Quantity("dark_offset", "μ_y.dark", 58.0, 0.1, "DN")
+    current = Quantity("dark_current", "μ_I", 200.0, 3.0, "e-/s")
+    means, text = [59.0, 60.0, 61.0], "crop_px: 24"
+    cases = (({"dark_offset": offset, "dark_current": current}, "", 58.0), ({"dark_offset": offset}, "", 60.0),
+             ({"dark_offset": offset, "dark_current": current}, "1 of 4 dark frames hold light", 60.0))  # fmt: skip
+    for k, (measured, remark, black) in enumerate(cases):
+        ds = resolve(loaded(tmp_path / f"{k}", FRAME, text), 16, [], means, remark, measured)
+        assert float(ds["black_level_dn"]) == black

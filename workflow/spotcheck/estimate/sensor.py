@@ -108,7 +108,8 @@ def resolve(
             # A dark current below 0 by chance is none.
             value = max(own.value, 0.0) if name == "dark_current_e_per_s" else own.value
             found[name][FLATS] = Found(value, own.stderr, "photon transfer of flats and darks")
-    if len(dark_means) and FLATS not in found["black_level_dn"]:
+    # Without a dark current of its own the black level is what darks read, not what they would at no exposure.
+    if len(dark_means) and (remark or not {FLATS, SHEET} & found["dark_current_e_per_s"].keys()):
         count = len(dark_means)
         error = float(np.std(dark_means, ddof=1) / np.sqrt(count)) if count > 1 else np.nan
         how = f"mean of {count} dark frame{'s' if count > 1 else ''}"
