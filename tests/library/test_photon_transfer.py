@@ -222,6 +222,14 @@ def test_light_in_some_darks():
     assert abs(found.quantities["gain"].value - 0.3) < 4 * found.quantities["gain"].stderr
 
 
+def test_copies_of_one_frame():
+    """Pairs without any difference hold no noise, and no gain."""
+    levels = plain(np.random.default_rng(14))
+    copies = [own._replace(variance=0.0, variance_error=0.0) for own in levels]
+    found = transfer_of(copies, FULL)
+    assert why(found, "gain") == why(found, "full_well") == "the noise of the flats does not grow with their light"
+
+
 def test_darks_that_are_cut_at_zero():
     found = transfer_of(Sensor(np.random.default_rng(12), black=0.0).levels(), FULL)
     assert any("read 0: part of the noise is cut off" in remark for remark in found.remarks)

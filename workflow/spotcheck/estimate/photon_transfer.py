@@ -24,6 +24,9 @@ MOST_AT_ZERO = 5e-3
 # Parts of saturation up to which gain and intercept are compared.
 RANGES = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0)
 LEAST_LEVELS = 3
+# A gain is seen from this many standard errors on.
+SEEN = 3.0
+SILENT = "the noise of the flats does not grow with their light"
 
 
 class Quantity(NamedTuple):
@@ -122,6 +125,9 @@ def transfer_of(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
         remarks.append("every flat is saturated")
         _unknown(quantities, "every flat is saturated")
         return Transfer(flats, darks, signal, excess, error, np.zeros(len(flats), bool), None, quantities, remarks)
+    if not (excess > SEEN * error).any():
+        _unknown(quantities, SILENT)
+        return Transfer(flats, darks, signal, excess, error, np.zeros(len(flats), bool), None, quantities, remarks)
     limit = SENSITIVE[1] * signal[top]
     fitted = (signal > 0) & (signal <= limit) & (np.arange(len(flats)) <= top)
     if open_end:
@@ -131,6 +137,9 @@ def transfer_of(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
         _unknown(quantities, "no flat lies below 70 % of saturation")
         return Transfer(flats, darks, signal, excess, error, fitted, top, quantities, remarks)
     gain, gain_error = through_zero(signal[fitted], excess[fitted], _with_shared(signal, error, fitted, own_dark))
+    if not gain > SEEN * gain_error:
+        _unknown(quantities, SILENT)
+        return Transfer(flats, darks, signal, excess, error, np.zeros(len(flats), bool), None, quantities, remarks)
     _put(quantities, "gain", "K", gain, gain_error, "DN/e-")
     _dark_in_electrons(quantities, noisy_darks, gain, gain_error)
     _light_quantities(quantities, flats, signal, fitted, top, open_end)
