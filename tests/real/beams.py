@@ -1,7 +1,7 @@
 """Real frames, each judged alone, as they are and with a known effect put into their readings.
 
-`make real`, or `python -m tests.real.beams [--write]`. Nobody knows what else is in them, so no score is set: the table
-says what was named, and whether what was put in is the effect whose evidence rose most.
+`make real`, or `python -m tests.real.beams [--write]`. Nobody knows what else is in them, so no score is set: the tables
+say what was named.
 """
 
 import argparse
@@ -76,12 +76,6 @@ def judged(row: dict[str, str], name: str) -> dict[str, Any]:
         return {"verdict": verdict, "evidence": {key: value["score"] for key, value in evidence.items()}}
 
 
-def rose_most(before: dict[str, float], after: dict[str, float]) -> str:
-    """The effect that explains more than before by the most."""
-    gains = {key: before.get(key, 0.0) - value for key, value in after.items()}
-    return max(gains, key=gains.__getitem__, default="—")
-
-
 def said(own: dict[str, Any]) -> str:
     """A verdict in few words."""
     verdict = own["verdict"]
@@ -92,7 +86,7 @@ def said(own: dict[str, Any]) -> str:
 def page(found: dict[str, dict[str, dict[str, Any]]]) -> str:
     """The page."""
     plain, hidden = [], []
-    right = wrong = first = total = 0
+    right = wrong = total = 0
     for file, own in found.items():
         as_is = own[""]
         best = sorted(as_is["evidence"].items(), key=lambda item: item[1])[:3]
@@ -102,14 +96,12 @@ def page(found: dict[str, dict[str, dict[str, Any]]]) -> str:
         for name, with_it in own.items():
             if not name:
                 continue
-            most = rose_most(as_is["evidence"], with_it["evidence"])
             names = {effect["name"] for effect in with_it["verdict"]["effects"]}
             known = {effect["name"] for effect in as_is["verdict"]["effects"]}
             total += 1
-            first += most == name
             right += name in names
             wrong += bool(names) and name not in names | known
-            hidden.append((f"`{Path(file).stem}`", name, said(with_it), most))
+            hidden.append((f"`{Path(file).stem}`", name, said(with_it)))
     lines = [
         "# Real frames", "",
         "Nine frames of a HeNe beam (`hene-zscan`), each judged alone with its own brightness and width, by "
@@ -119,10 +111,9 @@ def page(found: dict[str, dict[str, dict[str, Any]]]) -> str:
         "## With an effect put in", "",
         f"Readings are cut at {CLIP:g} of the highest, raised by {OFFSET:g} DN, bent by {BEND:g} y²/full scale, or "
         f"given stripes of {DEPTH:g} in depth and {PERIOD:g} px in period, then rounded anew. Of {total} sets what was "
-        f"put in was named in {right}; something else, and not it, in {wrong}; it is the effect whose evidence rose "
-        f"most in {first}. In the others the answer is `unknown`, as it is without: what was put in is not all that "
-        "the model lacks.", "",
-        *markdown(("frame", "put in", "verdict", "evidence rose most"), hidden), "",
+        f"put in was named in {right}; something else, and not it, in {wrong}. In the others nothing is named, as in "
+        "the frames as they are: what was put in is not all that the model lacks, and one frame tells no more.", "",
+        *markdown(("frame", "put in", "verdict"), hidden), "",
     ]  # fmt: skip
     return "\n".join(lines)
 
