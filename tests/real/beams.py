@@ -1,7 +1,7 @@
 """Real frames, each judged alone, as they are and with a known effect put into their readings.
 
-`make real`, or `python -m tests.real.beams [--write]`. Nobody knows what else is in them, so no score is set: the tables
-say what was named.
+`make real`, or `python -m tests.real.beams [--write]`. Nobody knows what else is in them, so no score is set: the
+tables say what was named.
 """
 
 import argparse
