@@ -79,7 +79,7 @@ def judged(row: dict[str, str], name: str) -> dict[str, Any]:
 def said(own: dict[str, Any]) -> str:
     """A verdict in few words."""
     verdict = own["verdict"]
-    sets = ["  + ".join(names) for names in verdict["explanations"]]
+    sets = [" + ".join(names) for names in verdict["explanations"]]
     return f"{verdict['status']}{': ' if sets else ''}{' / '.join(sets)}"
 
 

@@ -14,8 +14,10 @@ import numpy as np
 
 from spotcheck import store
 from spotcheck.cli import main as command
-from spotcheck.estimate.transfer_data import LONG_NAMES, quantities_of
+from spotcheck.estimate.photon_transfer import QUANTITIES
+from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.figures.style import plus_minus
+from spotcheck.pages.report import ranges
 from tests.blind.records import RESULTS, ROOT
 from tests.blind.table import markdown
 from tests.real.emva import reference
@@ -71,20 +73,15 @@ def page() -> str:
         said = json.loads(Path(verdict).read_text(encoding="utf-8"))
         with store.read(transfer) as ds:
             own = quantities_of(ds)
-            ranges = [
-                (f"{100 * float(r['range_limit']):.3g} %", f"{int(r['range_levels'])}",
-                 plus_minus(float(r["range_gain"]), float(r["range_gain_error"])),
-                 plus_minus(float(r["range_intercept"]), float(r["range_intercept_error"])))
-                for r in (ds.isel(range=k) for k in range(ds.sizes["range"]))
-            ]  # fmt: skip
+            by_range = ranges(ds)
     other = reference(SOURCE, HALF)
     rows = []
     for name, (key, factor, why) in BESIDE.items():
         ours, theirs = own[name], other[key] * factor
         unit = "" if ours.unit == "1" else ours.unit
         apart = abs(ours.value - theirs) / ours.stderr if np.isfinite(ours.stderr) and ours.stderr > 0 else np.nan
-        rows.append((LONG_NAMES[name], f"`{ours.symbol}`", plus_minus(ours.value, ours.stderr, unit), f"{theirs:.6g}",
-                     f"{apart:.2f}", why))  # fmt: skip
+        rows.append((QUANTITIES[name][2], f"`{ours.symbol}`", plus_minus(ours.value, ours.stderr, unit),
+                     f"{theirs:.6g}", f"{apart:.2f}", why))  # fmt: skip
     return "\n".join(
         [
             "# A real sensor", "",
@@ -97,7 +94,7 @@ def page() -> str:
             "## Up to which level?", "",
             "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
             "because the response bends:", "",
-            *markdown(("up to, of saturation", "levels", "K [DN/e-]", "intercept of the response [DN]"), ranges), "",
+            *markdown(("up to, of saturation", "levels", "K [DN/e-]", "intercept of the response [DN]"), by_range), "",
         ]
     )  # fmt: skip
 

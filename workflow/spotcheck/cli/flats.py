@@ -11,6 +11,8 @@ from spotcheck.discrepancy.written import write_verdict
 from spotcheck.estimate.levels import levels_of
 from spotcheck.estimate.photon_transfer import transfer_of
 
+TOO_FEW = "fewer than six levels of different light below saturation, in pairs of frames"
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
@@ -31,14 +33,10 @@ def run(args: argparse.Namespace) -> None:
     transfer = transfer_of(levels_of(found, bits), full_scale)
     series = series_of(transfer, full_scale)
     if series is None:
-        why = "; ".join(["the manifest names no frame of kind spot", *_too_few(transfer.quantities["gain"].why)])
+        why = f"the manifest names no frame of kind spot; {transfer.quantities['gain'].why or TOO_FEW}"
         verdict = verdict_json(Judgement(None, None, [], why), found.name, tolerance)
         verdict["sentence"] = f"Nothing could be tested: {why}."
     else:
         verdict = verdict_of(series, found.name, tolerance, transfer.quantities["gain"], args.simulations, args.seed)
     write_verdict(verdict, args.output)
     print(verdict["sentence"])
-
-
-def _too_few(why: str) -> list[str]:
-    return [why or "fewer than six levels of different light below saturation, in pairs of frames"]

@@ -46,7 +46,7 @@ def statistics(
     for name, z in zip(modes._fields, modes, strict=True):
         own = z[z != 0]
         if own.size:
-            out[f"mean: modes by {name}"] = _cubic(float((own**2).sum()), own.size)
+            out[f"mean: modes by {name}"] = cubic(float((own**2).sum()), own.size)
             if name in ("all", "grey"):
                 out[f"mean: largest mode by {name}"] = float(np.abs(own).max())
     noise = [o for o in seen if o.block == "variance"]
@@ -54,14 +54,14 @@ def statistics(
         z = np.array([o.value / o.error for o in noise])
         precision = np.array([o.error**-2 for o in noise])
         out["variance: in all"] = abs(float((z * np.sqrt(precision)).sum() / np.sqrt(precision.sum())))
-        out["variance: all levels"] = _cubic(float((z**2).sum()), z.size)
+        out["variance: all levels"] = cubic(float((z**2).sum()), z.size)
         labels = sorted({o.label for o in noise})
         sums = [np.array([(o.value / o.error**2, o.error**-2) for o in noise if o.label == own]).sum(axis=0)
                 for own in labels]  # fmt: skip
-        out["variance: by level"] = _cubic(float(sum(a * a / b for a, b in sums)), len(labels))
+        out["variance: by level"] = cubic(float(sum(a * a / b for a, b in sums)), len(labels))
     bands = np.array([o.value / o.error for o in seen if o.label == "band"])
     if bands.size:
-        out["spectrum: bands"] = _cubic(float((bands**2).sum()), bands.size)
+        out["spectrum: bands"] = cubic(float((bands**2).sum()), bands.size)
         out["spectrum: sum of bands"] = abs(float(bands.sum()))
     for o in seen:
         if o.block != "variance" and o.label != "band":
@@ -70,7 +70,7 @@ def statistics(
     return out
 
 
-def _cubic(total: float, count: int) -> float:
+def cubic(total: float, count: int) -> float:
     """A sum of squares as a nearly normal number (Wilson and Hilferty 1931, doi:10.1073/pnas.17.12.684)."""
     return float(((total / count) ** (1 / 3) - 1 + 2 / (9 * count)) / np.sqrt(2 / (9 * count)))
 

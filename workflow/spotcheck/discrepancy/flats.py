@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from spotcheck.estimate.photon_transfer import Transfer
+from spotcheck.estimate.photon_transfer import Transfer, light_of
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Law, View, bounds_context, moments
 from spotcheck.model.effect import Context, Effect, Present
@@ -84,10 +84,8 @@ def series_of(found: Transfer, full_scale_dn: float) -> Series | None:
     if np.count_nonzero(good) < 2 * EVERY or "gain" not in found.quantities:
         return None
     flats = [own for own, kept in zip(found.flats, good, strict=True) if kept]
-    photons = np.array([own.photons for own in flats])
+    light = light_of(flats)
     exposure = np.array([own.exposure_s for own in flats])
-    given = bool(np.isfinite(photons).all() and (photons > 0).all())
-    light = photons if given else exposure
     if not np.isfinite(light).all() or np.ptp(light) == 0:
         return None
     # A lamp that shines alike all the time: then a constant error of the exposure would show.

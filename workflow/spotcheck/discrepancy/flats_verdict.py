@@ -1,5 +1,6 @@
 """The verdict on a dataset without spots: where flats depart from a straight line, and what makes up for it."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def verdict_of(
         "detection": {"p_value": p_value, "n_simulations": simulations, "alpha": tolerance.alpha,
                       "rms_residual_percent_of_peak": 100 * of_peak, "excess_variance_fraction": of_noise},
         "where": where(series, plain, tolerance.alpha),
-        "effects": [_effect(series, kept, k, plain) for k in range(len(best.present))] if kept else [],
+        "effects": _effects(series, kept, plain),
         "explanations": [list(own.names) for own in kept],
         "baseline_shift": {"p1": NOTHING, "p2": dict(NOTHING)},
         "unexplained": {"p_value": rest_p if kept else p_value,
@@ -118,7 +119,18 @@ def where(series: Series, fit: FlatFit, alpha: float) -> list[dict[str, Any]]:
     ][:MOST_ROWS]  # fmt: skip
 
 
-def _effect(series: Series, kept: list[FlatFit], k: int, plain: FlatFit) -> dict[str, Any]:
+def _effects(series: Series, kept: list[FlatFit], plain: FlatFit) -> list[dict[str, Any]]:
+    """The effects of the best set in order, each with what it closes on top of those before it."""
+    if not kept:
+        return []
+    best = kept[0]
+    stages = [plain, *(fitted(series, best.present[:k]) for k in range(1, len(best.present))), best]
+    gap = max(plain.unseen - int(series.unseen.sum()) * 2, 1.0)
+    closed = [(before.unseen - after.unseen) / gap for before, after in pairwise(stages)]
+    return [_effect(kept, k, float(own)) for k, own in enumerate(closed)]
+
+
+def _effect(kept: list[FlatFit], k: int, closed: float) -> dict[str, Any]:
     """An effect of the best set with its candidates: what stands in its place in a tied set."""
     best, own = kept[0], kept[0].present[k]
     names = [own.effect.name]
@@ -126,18 +138,15 @@ def _effect(series: Series, kept: list[FlatFit], k: int, plain: FlatFit) -> dict
         fresh = set(other.names) - set(best.names)
         if own.effect.name not in other.names:
             names += sorted(fresh - set(names))
-    without = fitted(series, best.present[:k]), fitted(series, best.present[: k + 1])
-    floor = int(series.unseen.sum()) * 2
-    closed = (without[0].unseen - without[1].unseen) / max(plain.unseen - floor, 1.0)
     return {
         "name": own.effect.name,
         "candidates": names,
         "parameters": {
-            p.name: {"value": float(v), "stderr": float(e) if np.isfinite(e) and e > 0 else None, "unit": p.unit}
+            p.name: {"value": float(v), "stderr": float(e) if e > 0 else None, "unit": p.unit}
             for p, v, e in zip(own.effect.parameters, own.values, best.errors[k], strict=True)
             if np.isfinite(e)
         },
-        "gap_closed": float(closed),
+        "gap_closed": closed,
     }
 
 

@@ -14,12 +14,12 @@ from scipy.special import log_ndtr, ndtri_exp
 
 from spotcheck.discrepancy import stripes
 from spotcheck.discrepancy.cells import pooled
-from spotcheck.discrepancy.detect import Detection
+from spotcheck.discrepancy.detect import Detection, cubic
 from spotcheck.discrepancy.explain import Account
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.modes import GREYS, ORDERS, RINGS, modes_of
 from spotcheck.discrepancy.noise import Observable
-from spotcheck.discrepancy.surround import SIDES, Surround, normal
+from spotcheck.discrepancy.surround import SIDES, Surround
 from spotcheck.model.chain import spot_state
 
 # The strongest row of every quantity is shown; then the table is filled by strength.
@@ -136,7 +136,7 @@ def _of_surround(around: Surround) -> list[Bin]:
     for k, name in enumerate(SIDES):
         chi2, freedom = around.pull(k)
         if freedom:
-            z = normal(chi2, freedom)
+            z = cubic(chi2, freedom)
             out.append(
                 Bin("surround", f"blocks {name}", None, None, "1", None, None, z, float(_two_sided(z)), chi2 - freedom)
             )

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy.detect import cubic
 from spotcheck.discrepancy.explain import Account
 from spotcheck.discrepancy.look import Look, scenes
 from spotcheck.discrepancy.refit import plain
@@ -41,8 +42,9 @@ class Surround(NamedTuple):
 
     @property
     def statistic(self) -> float:
-        """χ² as a normal number: the cube root of Wilson and Hilferty (1931, doi:10.1073/pnas.17.12.684)."""
-        return normal(*self.pull())
+        """χ² as a normal number; 0 without any degree of freedom."""
+        chi2, freedom = self.pull()
+        return cubic(chi2, freedom) if freedom else 0.0
 
     def off(self) -> float:
         """Rms of the residual [DN] in the worst condition, free of noise; within two standard errors it is 0."""
@@ -54,14 +56,6 @@ class Surround(NamedTuple):
                 excess = np.mean(residual[used] ** 2 - variance[used]) - 2 * error
                 worst = max(worst, float(np.sqrt(max(excess, 0.0))))
         return worst
-
-
-def normal(chi2: float, freedom: int) -> float:
-    """χ² as a nearly normal number; 0 without any degree of freedom."""
-    if not freedom:
-        return 0.0
-    spread = 2 / (9 * freedom)
-    return float(((chi2 / freedom) ** (1 / 3) - 1 + spread) / np.sqrt(spread))
 
 
 def surround_of(shots: Sequence[Shot], look: Look, own: Account) -> Surround | None:

@@ -29,6 +29,37 @@ SEEN = 3.0
 SILENT = "the noise of the flats does not grow with their light"
 
 
+# Name → symbol of the standard, unit and meaning, in the order in which they are told.
+QUANTITIES = {
+    "gain": ("K", "DN/e-", "overall gain"),
+    "dark_offset": ("μ_y.dark", "DN", "dark offset at the shortest exposure"),
+    "dark_noise_dn": ("σ_y.dark", "DN", "noise without light, with rounding"),
+    "dark_noise": ("σ_d", "e-", "noise without light"),
+    "dark_current": ("μ_I", "e-/s", "dark current, by the mean"),
+    "dark_current_by_variance": ("μ_I.var", "e-/s", "dark current, by the noise"),
+    "responsivity": ("R", "DN/p", "responsivity"),
+    "quantum_efficiency": ("η", "1", "quantum efficiency"),
+    "saturation_dn": ("μ_y.sat", "DN", "reading at saturation"),
+    "saturation_photons": ("μ_p.sat", "p", "photons at saturation"),
+    "full_well": ("μ_e.sat", "e-", "saturation capacity (full well)"),
+    "snr_max": ("SNR_max", "1", "largest signal-to-noise ratio"),
+    "threshold_photons": ("μ_p.min", "p", "absolute sensitivity threshold, photons"),
+    "threshold": ("μ_e.min", "e-", "absolute sensitivity threshold"),
+    "dynamic_range": ("DR", "1", "dynamic range"),
+    "linearity_error": ("LE", "%", "linearity error, mean"),
+    "linearity_lowest": ("LE_min", "%", "linearity error, lowest"),
+    "linearity_highest": ("LE_max", "%", "linearity error, highest"),
+    "dsnu": ("DSNU", "e-", "dark signal non-uniformity"),
+    "dsnu_column": ("DSNU_col", "e-", "dark signal non-uniformity of columns"),
+    "dsnu_row": ("DSNU_row", "e-", "dark signal non-uniformity of rows"),
+    "dsnu_pixel": ("DSNU_pix", "e-", "dark signal non-uniformity of pixels"),
+    "prnu": ("PRNU", "%", "photo response non-uniformity"),
+    "prnu_column": ("PRNU_col", "%", "photo response non-uniformity of columns"),
+    "prnu_row": ("PRNU_row", "%", "photo response non-uniformity of rows"),
+    "prnu_pixel": ("PRNU_pix", "%", "photo response non-uniformity of pixels"),
+}
+
+
 class Quantity(NamedTuple):
     """A measured number with its standard error (NaN: unknown), unit, symbol of the standard, and why it is not known
     ("" where it is)."""
@@ -140,7 +171,7 @@ def transfer_of(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     if not gain > SEEN * gain_error:
         _unknown(quantities, SILENT)
         return Transfer(flats, darks, signal, excess, error, np.zeros(len(flats), bool), None, quantities, remarks)
-    _put(quantities, "gain", "K", gain, gain_error, "DN/e-")
+    _put(quantities, "gain", gain, gain_error)
     _dark_in_electrons(quantities, noisy_darks, gain, gain_error)
     _light_quantities(quantities, flats, signal, fitted, top, open_end)
     _pattern_quantities(quantities, flats, own_dark, signal, top)
@@ -159,13 +190,17 @@ class Range(NamedTuple):
     intercept_error: float
 
 
+def light_of(flats: Sequence[Level]) -> np.ndarray:
+    """Light of every flat: photons where all have them, else the exposure [s]."""
+    photons = np.array([own.photons for own in flats])
+    return photons if (photons > 0).all() else np.array([own.exposure_s for own in flats])
+
+
 def by_range(found: Transfer) -> list[Range]:
     """How gain and intercept depend on the range that is fitted: on a linear sensor they do not."""
     if found.saturation is None or not found.fitted.any():
         return []
-    photons = np.array([own.photons for own in found.flats])
-    exposure = np.array([own.exposure_s for own in found.flats])
-    light = photons if (photons > 0).all() else exposure
+    light = light_of(found.flats)
     error = np.maximum([own.mean_error for own in found.flats], 1e-9)
     out = []
     for limit in RANGES:
@@ -219,45 +254,21 @@ def _nearest(darks: Sequence[Level], exposure_s: float) -> Level:
     return min(darks, key=lambda own: abs(np.nan_to_num(own.exposure_s) - np.nan_to_num(exposure_s)))
 
 
-def _put(out: dict[str, Quantity], name: str, symbol: str, value: float, stderr: float, unit: str) -> None:
+def _put(out: dict[str, Quantity], name: str, value: float, stderr: float) -> None:
+    symbol, unit, _ = QUANTITIES[name]
     out[name] = Quantity(name, symbol, float(value), float(stderr), unit)
 
 
-# Name → symbol of the standard and unit, in the order in which they are told.
-QUANTITIES = {
-    "gain": ("K", "DN/e-"),
-    "dark_offset": ("μ_y.dark", "DN"),
-    "dark_noise_dn": ("σ_y.dark", "DN"),
-    "dark_noise": ("σ_d", "e-"),
-    "dark_current": ("μ_I", "e-/s"),
-    "dark_current_by_variance": ("μ_I.var", "e-/s"),
-    "responsivity": ("R", "DN/p"),
-    "quantum_efficiency": ("η", "1"),
-    "saturation_dn": ("μ_y.sat", "DN"),
-    "saturation_photons": ("μ_p.sat", "p"),
-    "full_well": ("μ_e.sat", "e-"),
-    "snr_max": ("SNR_max", "1"),
-    "threshold_photons": ("μ_p.min", "p"),
-    "threshold": ("μ_e.min", "e-"),
-    "dynamic_range": ("DR", "1"),
-    "linearity_error": ("LE", "%"),
-    "linearity_lowest": ("LE_min", "%"),
-    "linearity_highest": ("LE_max", "%"),
-    "dsnu": ("DSNU", "e-"),
-    "dsnu_column": ("DSNU_col", "e-"),
-    "dsnu_row": ("DSNU_row", "e-"),
-    "dsnu_pixel": ("DSNU_pix", "e-"),
-    "prnu": ("PRNU", "%"),
-    "prnu_column": ("PRNU_col", "%"),
-    "prnu_row": ("PRNU_row", "%"),
-    "prnu_pixel": ("PRNU_pix", "%"),
-}
+def unknown(name: str, why: str) -> Quantity:
+    """A quantity that is not known, and why."""
+    symbol, unit, _ = QUANTITIES[name]
+    return Quantity(name, symbol, np.nan, np.nan, unit, why)
 
 
 def _unknown(out: dict[str, Quantity], why: str) -> None:
     """What is not there yet stays unknown for one reason."""
-    for name, (symbol, unit) in QUANTITIES.items():
-        out.setdefault(name, Quantity(name, symbol, np.nan, np.nan, unit, why))
+    for name in QUANTITIES:
+        out.setdefault(name, unknown(name, why))
 
 
 def _dark_quantities(
@@ -270,11 +281,11 @@ def _dark_quantities(
     if cut > MOST_AT_ZERO:
         remarks.append(f"{100 * cut:.2g} % of the pixels of a dark read 0: part of the noise is cut off")
     offset = _at_zero([(own.exposure_s, own.mean, own.mean_error) for own in darks])
-    _put(out, "dark_offset", "μ_y.dark", *offset, "DN")
+    _put(out, "dark_offset", *offset)
     if noisy:
         variance, error = _at_zero([(own.exposure_s, own.variance, own.variance_error) for own in noisy])
         least = max(variance, LEAST_DARK)
-        _put(out, "dark_noise_dn", "σ_y.dark", np.sqrt(least), error / (2 * np.sqrt(least)), "DN")
+        _put(out, "dark_noise_dn", np.sqrt(least), error / (2 * np.sqrt(least)))
 
 
 def _at_zero(points: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
@@ -296,12 +307,12 @@ def _dark_in_electrons(out: dict[str, Quantity], darks: Sequence[Level], gain: f
     variance = max(noise.value**2 - ROUNDING_VARIANCE, 0.0)
     own = np.sqrt(variance) / gain
     by_noise = noise.value * noise.stderr / max(np.sqrt(variance), 1e-9) / gain
-    _put(out, "dark_noise", "σ_d", own, np.hypot(by_noise, own * gain_error / gain), "e-")
+    _put(out, "dark_noise", own, np.hypot(by_noise, own * gain_error / gain))
     exposures = np.array([own.exposure_s for own in darks])
     if len(np.unique(exposures[np.isfinite(exposures)])) < LEAST_LEVELS:
         why = "fewer than three exposures of darks"
         for name in ("dark_current", "dark_current_by_variance"):
-            out[name] = Quantity(name, *_named(name), why)
+            out[name] = unknown(name, why)
         return
     for name, column, power in (("dark_current", "mean", 1), ("dark_current_by_variance", "variance", 2)):
         values = np.array([getattr(own, column) for own in darks])
@@ -309,12 +320,7 @@ def _dark_in_electrons(out: dict[str, Quantity], darks: Sequence[Level], gain: f
         found = line(exposures, values, errors)
         current = found.slope / gain**power
         error = np.hypot(found.slope_error / gain**power, power * current * gain_error / gain)
-        _put(out, name, QUANTITIES[name][0], current, float(error), "e-/s")
-
-
-def _named(name: str) -> tuple[str, float, float, str]:
-    symbol, unit = QUANTITIES[name]
-    return symbol, np.nan, np.nan, unit
+        _put(out, name, current, float(error))
 
 
 def _light_quantities(
@@ -323,40 +329,39 @@ def _light_quantities(
     """Responsivity, quantum efficiency, saturation, sensitivity and linearity (sections 8.2 and 8.4)."""
     photons = np.array([own.photons for own in flats])
     given = np.isfinite(photons) & (photons > 0)
-    exposure = np.array([own.exposure_s for own in flats])
     errors = np.maximum([own.mean_error for own in flats], 1e-9)
-    _linearity(out, photons if given.all() else exposure, signal, errors, top)
+    _linearity(out, light_of(flats), signal, errors, top)
     gain, noise = out["gain"], out["dark_noise_dn"]
     ratio, ratio_error = _ratio(noise, gain)
     # The signal that is as large as its noise: μ² = σ² + μ, so μ = ½ + √(σ² + ¼).
     least = 0.5 + np.sqrt(ratio**2 + 0.25)
-    _put(out, "threshold", "μ_e.min", least, ratio * ratio_error / np.sqrt(ratio**2 + 0.25), "e-")
+    _put(out, "threshold", least, ratio * ratio_error / np.sqrt(ratio**2 + 0.25))
     use = fitted & given
     if use.any():
-        _put(out, "responsivity", "R", *through_zero(photons[use], signal[use], errors[use]), "DN/p")
-        _put(out, "quantum_efficiency", "η", *_ratio(out["responsivity"], gain), "1")
-        _put(out, "threshold_photons", "μ_p.min", *_ratio(out["threshold"], out["quantum_efficiency"]), "p")
+        _put(out, "responsivity", *through_zero(photons[use], signal[use], errors[use]))
+        _put(out, "quantum_efficiency", *_ratio(out["responsivity"], gain))
+        _put(out, "threshold_photons", *_ratio(out["threshold"], out["quantum_efficiency"]))
     else:
         for name in ("responsivity", "quantum_efficiency", "threshold_photons", "saturation_photons"):
-            out[name] = Quantity(name, *_named(name), "photons_per_px is not given for the flats")
+            out[name] = unknown(name, "photons_per_px is not given for the flats")
     if open_end:
         for name in ("saturation_dn", "full_well", "saturation_photons", "snr_max", "dynamic_range"):
-            out[name] = Quantity(name, *_named(name), "no flat is saturated")
+            out[name] = unknown(name, "no flat is saturated")
         return
     # Somewhere between the levels beside the noisiest one: a uniform law over half a step to each side.
-    _put(out, "saturation_dn", "μ_y.sat", flats[top].mean, _half_step(signal, top), "DN")
+    _put(out, "saturation_dn", flats[top].mean, _half_step(signal, top))
     if use.any() and given[top]:
         # As the standard has it; a response that bends makes it more than μ_y.sat/K.
-        _put(out, "saturation_photons", "μ_p.sat", photons[top], _half_step(photons, top), "p")
+        _put(out, "saturation_photons", photons[top], _half_step(photons, top))
         sat, eta = out["saturation_photons"], out["quantum_efficiency"]
         well = sat.value * eta.value
         well_error = well * np.hypot(sat.stderr / sat.value, eta.stderr / eta.value)
     else:
         in_dn = Quantity("", "", float(signal[top]), out["saturation_dn"].stderr, "DN")
         well, well_error = _ratio(in_dn, gain)
-    _put(out, "full_well", "μ_e.sat", well, well_error, "e-")
-    _put(out, "snr_max", "SNR_max", np.sqrt(well), well_error / (2 * np.sqrt(well)), "1")
-    _put(out, "dynamic_range", "DR", *_ratio(out["full_well"], out["threshold"]), "1")
+    _put(out, "full_well", well, well_error)
+    _put(out, "snr_max", np.sqrt(well), well_error / (2 * np.sqrt(well)))
+    _put(out, "dynamic_range", *_ratio(out["full_well"], out["threshold"]))
 
 
 def _ratio(over: Quantity, under: Quantity) -> tuple[float, float]:
@@ -379,15 +384,15 @@ def _linearity(out: dict[str, Quantity], light: np.ndarray, signal: np.ndarray, 
     names = ("linearity_error", "linearity_lowest", "linearity_highest")
     if len(np.unique(light[use])) < LEAST_LEVELS:
         why = "fewer than three levels of different light between 5 and 95 % of saturation"
-        out.update({name: Quantity(name, *_named(name), why) for name in names})
+        out.update({name: unknown(name, why) for name in names})
         return
     x, y = light[use], signal[use]
     slope, offset = np.polyfit(x, y, 1, w=1 / y)
     off = 100 * (y / (slope * x + offset) - 1)
     noise = 100 * error[use] / y
-    _put(out, names[0], "LE", np.mean(np.abs(off)), np.sqrt(np.mean(noise**2) / len(off)), "%")
+    _put(out, names[0], np.mean(np.abs(off)), np.sqrt(np.mean(noise**2) / len(off)))
     for name, k in ((names[1], int(np.argmin(off))), (names[2], int(np.argmax(off)))):
-        _put(out, name, QUANTITIES[name][0], off[k], noise[k], "%")
+        _put(out, name, off[k], noise[k])
 
 
 def _pattern_quantities(
@@ -424,8 +429,8 @@ def _of_pattern(level: Level, field: str) -> tuple[float, float]:
 def _root(out: dict[str, Quantity], name: str, square: float, error: float) -> None:
     """√ of a variance; one that is below 0 by chance is 0, as uncertain as the root of its error."""
     if not np.isfinite(square):
-        out[name] = Quantity(name, *_named(name), "a pattern needs frames of more than one row and column")
+        out[name] = unknown(name, "a pattern needs frames of more than one row and column")
         return
     value = np.sqrt(max(square, 0.0))
     own = min(error / (2 * value) if value > 0 else np.inf, np.sqrt(error))
-    _put(out, name, QUANTITIES[name][0], value, float(own), QUANTITIES[name][1])
+    _put(out, name, value, float(own))

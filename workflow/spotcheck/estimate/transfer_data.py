@@ -7,7 +7,7 @@ import xarray as xr
 
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.levels import Level, Spatial
-from spotcheck.estimate.photon_transfer import QUANTITIES, Quantity, Transfer, by_range
+from spotcheck.estimate.photon_transfer import QUANTITIES, Quantity, Transfer, by_range, unknown
 
 COLUMNS = {
     "exposure": ("s", "exposure", "exposure_s"),
@@ -19,34 +19,6 @@ COLUMNS = {
     "variance_stderr": ("DN2", "standard error of the variance in time", "variance_error"),
     "at_zero": ("1", "part of the pixels that read 0", "at_zero"),
     "at_full": ("1", "part of the pixels that read full scale", "at_full"),
-}
-LONG_NAMES = {
-    "gain": "overall gain",
-    "dark_offset": "dark offset at the shortest exposure",
-    "dark_noise_dn": "noise without light, with rounding",
-    "dark_noise": "noise without light",
-    "dark_current": "dark current, by the mean",
-    "dark_current_by_variance": "dark current, by the noise",
-    "responsivity": "responsivity",
-    "quantum_efficiency": "quantum efficiency",
-    "saturation_dn": "reading at saturation",
-    "saturation_photons": "photons at saturation",
-    "full_well": "saturation capacity (full well)",
-    "snr_max": "largest signal-to-noise ratio",
-    "threshold_photons": "absolute sensitivity threshold, photons",
-    "threshold": "absolute sensitivity threshold",
-    "dynamic_range": "dynamic range",
-    "linearity_error": "linearity error, mean",
-    "linearity_lowest": "linearity error, lowest",
-    "linearity_highest": "linearity error, highest",
-    "dsnu": "dark signal non-uniformity",
-    "dsnu_column": "dark signal non-uniformity of columns",
-    "dsnu_row": "dark signal non-uniformity of rows",
-    "dsnu_pixel": "dark signal non-uniformity of pixels",
-    "prnu": "photo response non-uniformity",
-    "prnu_column": "photo response non-uniformity of columns",
-    "prnu_row": "photo response non-uniformity of rows",
-    "prnu_pixel": "photo response non-uniformity of pixels",
 }
 
 
@@ -81,7 +53,7 @@ def dataset_of(found: Transfer, dataset: Dataset) -> xr.Dataset:
         ds[f"range_{name}"] = ("range", values, {"units": units, "long_name": long_name})
     names = list(QUANTITIES)
     # What nothing was said of had nothing to be told from.
-    own = [found.quantities.get(n) or Quantity(n, *_blank(n), "there are no frames for it") for n in names]
+    own = [found.quantities.get(n) or unknown(n, "there are no frames for it") for n in names]
     ds["quantity"] = ("quantity", np.array(names, object), {"units": "1", "long_name": "name of a quantity"})
     for name, values, long_name in (
         ("value", np.array([q.value for q in own], float), "value in its own unit"),
@@ -92,11 +64,6 @@ def dataset_of(found: Transfer, dataset: Dataset) -> xr.Dataset:
     ):
         ds[name] = ("quantity", values, {"units": "1", "long_name": long_name})
     return ds
-
-
-def _blank(name: str) -> tuple[str, float, float, str]:
-    symbol, unit = QUANTITIES[name]
-    return symbol, np.nan, np.nan, unit
 
 
 def _add_patterns(ds: xr.Dataset, kind: str, levels: Sequence[Level]) -> None:

@@ -14,10 +14,11 @@ from spotcheck.dataset import Dataset
 from spotcheck.discrepancy.sentence import condition_text, place_text, value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import preferred
+from spotcheck.estimate.photon_transfer import QUANTITIES as MEASURED
 from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES, SOURCES
 from spotcheck.estimate.spotfit import PARAMETERS
-from spotcheck.estimate.transfer_data import LONG_NAMES, quantities_of
+from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.figures import style
 from spotcheck.figures.registry import VERDICT
 from spotcheck.model.effects import vocabulary
@@ -137,23 +138,27 @@ def _transfer(ds: xr.Dataset | None) -> dict[str, Any] | None:
         known = np.isfinite(own.value)
         rows.append(
             {
-                "name": LONG_NAMES[own.name],
+                "name": MEASURED[own.name][2],
                 "symbol": own.symbol,
                 "value": style.plus_minus(own.value, own.stderr) if known else "unknown",
                 "unit": "" if own.unit == "1" else own.unit,
                 "why": own.why,
             }
         )
-    ranges = [
+    return {"rows": rows, "remarks": [text for text in ds.attrs["remarks"].split("; ") if text], "ranges": ranges(ds)}
+
+
+def ranges(ds: xr.Dataset) -> list[tuple[str, str, str, str]]:
+    """Rows of text: up to which part of saturation levels are fitted, how many they are, gain and intercept."""
+    return [
         (
             f"{100 * float(own['range_limit']):.3g} %",
-            int(own["range_levels"]),
+            f"{int(own['range_levels'])}",
             style.plus_minus(float(own["range_gain"]), float(own["range_gain_error"])),
             style.plus_minus(float(own["range_intercept"]), float(own["range_intercept_error"])).replace("-", "−"),
         )
         for own in (ds.isel(range=k) for k in range(ds.sizes["range"]))
     ]
-    return {"rows": rows, "remarks": [text for text in ds.attrs["remarks"].split("; ") if text], "ranges": ranges}
 
 
 def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:
