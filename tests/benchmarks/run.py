@@ -16,6 +16,7 @@ from tests.benchmarks import (
     closed_form,
     convergence,
     estimator,
+    gain,
     growth,
     plot,
     simulator,
@@ -30,6 +31,7 @@ PARTS: dict[str, Callable[[], table.Part]] = {
     "accuracy": accuracy.measure,
     "convergence": lambda: convergence.measure(RESULTS),
     "closed-form": closed_form.measure,
+    "gain": gain.measure,
     "growth": growth.measure,
     "workflow": workflow_costs.measure,
 }

@@ -4,6 +4,7 @@ import argparse
 
 from spotcheck import crops, dataset, frames, provenance, store
 from spotcheck.estimate import sensor
+from spotcheck.estimate.same_site import pairs_along
 from spotcheck.estimate.transfer_data import quantities_of
 
 
@@ -37,7 +38,8 @@ def run(args: argparse.Namespace) -> None:
         for path in args.transfer:
             with store.read(path) as transfer:
                 measured = quantities_of(transfer)
-        settled = sensor.resolve(found, int(table["container_bits"]), usable, *dark, measured=measured)
+        pairs = {"exposures of a site": pairs_along(own, "exposure"), "repeats": pairs_along(own, "repeat")}
+        settled = sensor.resolve(found, int(table["container_bits"]), usable, *dark, measured=measured, pairs=pairs)
     inputs = [args.crops, args.frames, *args.transfer, found.folder / "instrument.yaml"]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:

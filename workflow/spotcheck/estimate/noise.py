@@ -14,7 +14,8 @@ BINS = 24
 FEWEST = 200
 # Noise is whole where the level is this many standard deviations above 0.
 CUT_AT_SD = 3.5
-
+# ASSUME: texture follows (c L)² to this part of itself.
+FORM = 0.01
 
 # Readings gather where the signal stops: bins of this part of a level, that hold this many times the pixels that a
 # spot's flank has in as many, from where to where of the highest the flank is looked at, and how near to each other
@@ -87,7 +88,9 @@ def gain_from_curve(curve: NoiseCurve, black_level: float) -> Gain | None:
         # Texture is kept where it is seen: else its freedom costs the gain half of its precision.
         if terms == 2 or solution[2] > 3 * np.sqrt(covariance[2, 2]):
             break
-    gain, gain_error = float(solution[1]), float(np.sqrt(covariance[1, 1]))
+    # The rest of a texture that does not follow its law exactly counts as gain.
+    form = FORM * abs(solution[2]) * float(level.mean()) if terms == 3 else 0.0
+    gain, gain_error = float(solution[1]), float(np.hypot(np.sqrt(covariance[1, 1]), form))
     if not gain > 3 * gain_error:
         return None
     return Gain(gain, gain_error, float(solution[0]), float(np.sqrt(covariance[0, 0])))

@@ -9,7 +9,7 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.estimate.noise import NoiseCurve, common_stop, gain_from_curve, noise_curve, stop_of
+from spotcheck.estimate.by_spots import BySpots, seen_by_spots
 from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.frames import Surround, full_scale
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
@@ -69,8 +69,6 @@ BY_FLATS = {
     "black_level_dn": "dark_offset",
 }
 NEVER_TAKEN = ("full_well_e",)
-# Readings below this part of the level at which the signal stops still have all their noise.
-BELOW_STOP = 0.9
 
 
 class Found(NamedTuple):
@@ -88,10 +86,12 @@ def resolve(
     dark_means: Sequence[float] = (),
     remark: str = "",
     measured: Mapping[str, Quantity] | None = None,
+    pairs: Mapping[str, Iterable[tuple[np.ndarray, np.ndarray]]] | None = None,
 ) -> xr.Dataset:
     """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown; and what
     every source says, side by side. With a `remark` on the dark frames wherever the black level would come from them;
-    `measured` is the photon transfer of flats and darks."""
+    `measured` is the photon transfer of flats and darks; `pairs` are images [DN] of the same pixels by what they are
+    pairs of."""
     given = dataset.instrument.sensor
     highest = full_scale(dataset.instrument, container_bits)
     found: dict[str, dict[str, Found]] = {name: {} for name in QUANTITIES}
@@ -120,7 +120,7 @@ def resolve(
         for name in ("black_level_dn", "dark_current_e_per_s"):
             found[name].pop(FLATS, None)
     black = _first(found["black_level_dn"], default.get("black_level_dn"))
-    _from_spots(found, crops, highest, black.value, dataset.instrument.model.top_hat)
+    _add_spots(found, seen_by_spots(crops, pairs or {}, black.value, highest), dataset.instrument.model.top_hat)
     ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
     ds.attrs["remark"] = remark
     for name, (units, long_name) in QUANTITIES.items():
@@ -168,35 +168,25 @@ def _used(name: str, found: Mapping[str, Found], default: float | None) -> Found
     return own
 
 
-def _from_spots(
-    found: dict[str, dict[str, Found]], crops: Iterable[np.ndarray], highest: float, black_dn: float, top_hat: bool
-) -> None:
-    """Gain and read noise from the differences of neighbouring pixels, all frames pooled; and where the signal stops,
-    unless the light itself has a plateau."""
-    curves, stops = [], []
-    for crop in crops:
-        stops.append(stop_of(crop, black_dn))
-        # Where the signal stops its noise does too.
-        whole = black_dn + BELOW_STOP * stops[-1] if np.isfinite(stops[-1]) else np.inf
-        curve = noise_curve(crop, min(highest, whole))
-        curves += [curve] if curve.level.size else []
-    pooled = NoiseCurve(*(np.concatenate(parts) for parts in zip(*curves, strict=True))) if curves else None
-    own = gain_from_curve(pooled, black_dn) if pooled else None
-    if own is None:
-        return
-    how = f"differences of neighbouring pixels in {len(curves)} frame{'s' if len(curves) > 1 else ''}"
-    found["gain_dn_per_e"][SPOTS] = Found(own.gain, own.gain_stderr, how)
-    # In electrons of the gain that is taken.
+def _add_spots(found: dict[str, dict[str, Found]], seen: BySpots, top_hat: bool) -> None:
+    """What spots show, in electrons of the gain that is taken. Where the light itself has a plateau, readings that
+    gather say nothing of the sensor."""
+    if seen.gain is not None:
+        found["gain_dn_per_e"][SPOTS] = Found(seen.gain.gain, seen.gain.gain_stderr, seen.how)
     gain = _first(found["gain_dn_per_e"], None)
-    if not top_hat and (stop := common_stop(stops)) is not None:
-        error = float(np.hypot(stop[1], stop[0] * np.nan_to_num(gain.stderr) / gain.value)) / gain.value
-        found["full_well_e"][SPOTS] = Found(stop[0] / gain.value, error, "where the readings of spots gather")
-    floor = max(own.floor - ROUNDING_VARIANCE, 0.0)
-    noise = float(np.sqrt(floor)) / gain.value
-    # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_stderr.
-    error = min(own.floor_stderr / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(own.floor_stderr))
-    stderr = float(np.hypot(error / gain.value, noise * np.nan_to_num(gain.stderr) / gain.value))
-    found["read_noise_e"][SPOTS] = Found(noise, stderr, how)
+    if np.isnan(gain.value):
+        return
+    relative = np.nan_to_num(gain.stderr) / gain.value
+    if not top_hat and seen.stop is not None:
+        level, error = np.array(seen.stop) / gain.value
+        stderr = float(np.hypot(error, level * relative))
+        found["full_well_e"][SPOTS] = Found(float(level), stderr, "where the readings of spots gather")
+    if seen.gain is not None:
+        floor, floor_error = max(seen.gain.floor - ROUNDING_VARIANCE, 0.0), seen.gain.floor_stderr
+        noise = float(np.sqrt(floor)) / gain.value
+        # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_stderr.
+        error = min(floor_error / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(floor_error)) / gain.value
+        found["read_noise_e"][SPOTS] = Found(noise, float(np.hypot(error, noise * relative)), seen.how)
 
 
 def model_of(ds: xr.Dataset) -> SensorModel | None:

@@ -1,0 +1,62 @@
+"""What spots show of the sensor: gain and noise floor, and where the signal stops."""
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.estimate.noise import Gain, NoiseCurve, common_stop, gain_from_curve, noise_curve, stop_of
+from spotcheck.estimate.same_site import EMPTY, curve_of, tally_of
+
+# Readings below this part of the level at which the signal stops still have all their noise.
+BELOW_STOP = 0.9
+
+
+class BySpots(NamedTuple):
+    """Gain and noise floor and how they came about (None, ""), and the level over black [DN] at which frames stop with
+    its standard error (None)."""
+
+    gain: Gain | None
+    how: str
+    stop: tuple[float, float] | None
+
+
+def seen_by_spots(
+    crops: Iterable[np.ndarray],
+    pairs: Mapping[str, Iterable[tuple[np.ndarray, np.ndarray]]],
+    black_dn: float,
+    full_scale_dn: float,
+) -> BySpots:
+    """From what neighbouring pixels, or two frames of the same pixels, do not share, whichever tells the gain better.
+
+    `crops` are images [DN]; `pairs` are aligned images [DN] by what they are pairs of. Where the material has grain
+    that pairs share, they tell what neighbours cannot.
+    """
+
+    def whole(*stops: float) -> float:
+        """Readings up to which all noise is there: where the signal stops its noise does too."""
+        return float(min([full_scale_dn, *(black_dn + BELOW_STOP * stop for stop in stops if np.isfinite(stop))]))
+
+    curves, stops, ways = [], [], {}
+    for crop in crops:
+        stops.append(stop_of(crop, black_dn))
+        curve = noise_curve(crop, whole(stops[-1]))
+        curves += [curve] if curve.level.size else []
+    if curves:
+        pooled = NoiseCurve(*(np.concatenate(parts) for parts in zip(*curves, strict=True)))
+        ways[f"differences of neighbouring pixels in {_counted(len(curves), 'frame')}"] = pooled
+    for of_what, images in pairs.items():
+        tally, number = EMPTY, 0
+        for two in images:
+            tally = tally + tally_of(*two, black_dn, whole(*(stop_of(one, black_dn) for one in two)))
+            number += 1
+        ways[f"differences of {_counted(number, 'pair')} of {of_what}"] = curve_of(tally, black_dn)
+    gains = {how: own for how, curve in ways.items() if (own := gain_from_curve(curve, black_dn)) is not None}
+    if not gains:
+        return BySpots(None, "", common_stop(stops))
+    how = min(gains, key=lambda own: gains[own].gain_stderr / gains[own].gain)
+    return BySpots(gains[how], how, common_stop(stops))
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
