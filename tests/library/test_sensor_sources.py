@@ -84,6 +84,21 @@ def test_what_does_not_stop_has_no_full_well(tmp_path):
         assert np.isnan(float(ds["full_well_e_by"].sel(source="spots")))
 
 
+@pytest.mark.parametrize(("level", "plateau", "known"), [(9000.0, False, True), (1e9, True, False)])
+def test_a_plateau_of_the_light_keeps_its_noise(tmp_path, level, plateau, known):
+    """Under the paper's flat-topped light readings that gather are the sensor's end only if their noise is gone: frames
+    of one exposure in pairs, all of which gather at the same level."""
+    crops = spots_that_stop(np.random.default_rng(7), level, exposures=(1.25,) if plateau else (1.5,), plateau=plateau)
+    pairs = {"repeats": list(zip(crops[::2], crops[1::2], strict=True))}
+    text = TEXT + "\nmodel: {top_hat: true}"
+    ds = resolve(loaded(tmp_path, FRAME, text), 16, crops, pairs=pairs)
+    full_well = float(ds["full_well_e_by"].sel(source="spots"))
+    assert np.isfinite(full_well) == known
+    if known:
+        # The level is known to a bin of 4 %, the gain to its error.
+        assert full_well == pytest.approx(level, rel=0.05)
+
+
 def test_flats_speak_before_spots_and_after_the_data_sheet(tmp_path):
     """Gain of the flats where the data sheet is silent; all three side by side."""
     measured = {

@@ -60,7 +60,7 @@ def noise_curve(image: np.ndarray, full_scale: float) -> NoiseCurve:
             variance = float(np.var(own))
             # Where readings reach 0 the converter has cut the noise: the whole bin goes, since single triples would
             # be picked by their noise.
-            if own_level.mean() < CUT_AT_SD * np.sqrt(variance):
+            if variance == 0 or own_level.mean() < CUT_AT_SD * np.sqrt(variance):
                 continue
             # Neighbouring second differences overlap: a third of them is independent.
             rows.append((float(own_level.mean()), variance, variance * np.sqrt(6 / own.size) + 1e-3))

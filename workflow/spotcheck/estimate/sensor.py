@@ -68,6 +68,8 @@ BY_FLATS = {
     "full_well_e": "full_well",
     "black_level_dn": "dark_offset",
 }
+# How spots show a full well; the second where their noise is seen to be gone as well.
+AT_STOP = ("where the readings of spots gather", "where the readings of spots gather and their noise collapses")
 NEVER_TAKEN = ("full_well_e",)
 
 
@@ -170,17 +172,17 @@ def _used(name: str, found: Mapping[str, Found], default: float | None) -> Found
 
 def _add_spots(found: dict[str, dict[str, Found]], seen: BySpots, top_hat: bool) -> None:
     """What spots show, in electrons of the gain that is taken. Where the light itself has a plateau, readings that
-    gather say nothing of the sensor."""
+    gather say nothing of the sensor unless their noise is gone."""
     if seen.gain is not None:
         found["gain_dn_per_e"][SPOTS] = Found(seen.gain.gain, seen.gain.gain_stderr, seen.how)
     gain = _first(found["gain_dn_per_e"], None)
     if np.isnan(gain.value):
         return
     relative = np.nan_to_num(gain.stderr) / gain.value
-    if not top_hat and seen.stop is not None:
+    if seen.stop is not None and (seen.collapses or not top_hat):
         level, error = np.array(seen.stop) / gain.value
         stderr = float(np.hypot(error, level * relative))
-        found["full_well_e"][SPOTS] = Found(float(level), stderr, "where the readings of spots gather")
+        found["full_well_e"][SPOTS] = Found(float(level), stderr, AT_STOP[seen.collapses])
     if seen.gain is not None:
         floor, floor_error = max(seen.gain.floor - ROUNDING_VARIANCE, 0.0), seen.gain.floor_stderr
         noise = float(np.sqrt(floor)) / gain.value
