@@ -93,8 +93,8 @@ def investigate(
         near = near_to(leader)
         exact = closer_account(near, own)
         good = fits(near, exact)
-        if not good and own.names == leader.names:
-            # At the first look blocks blur what tells forms of one effect apart.
+        if own.names == leader.names and detect(null, exact.left).p_value < tolerance.alpha:
+            # At the first look blocks blur what tells forms of one effect apart, also within the tolerance.
             other, near = best_form(near, exact, near_to)
             if other.effects != exact.effects:
                 near = near_to(other)
