@@ -11,7 +11,7 @@ from spotcheck.discrepancy.detect import statistics
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.modes import modes_of
 from spotcheck.discrepancy.noise import COMPONENTS, Observable, block_correlation, grained, scatter_of
-from spotcheck.discrepancy.refit import Latent, Model, Refit, refit
+from spotcheck.discrepancy.refit import Latent, Model, Refit, Told, refit
 from spotcheck.model.chain import Moments
 from spotcheck.model.effect import Effect, Place, Present
 
@@ -31,6 +31,8 @@ GRAINS = np.geomspace(0.5, 14.0, 12)
 TRUST = 0.03
 # The correlation of a granular field has no fixed form; what it does to anything but its own power is trusted less.
 TRUST_GRAIN = 0.3
+# Step of a drift's curvature.
+ORDER_STEP = 1e-3
 # Observables of what scatters from frame to frame and has a component of its own.
 SCATTER = ("brightness", "centre")
 # Shape of observables that no component explains; they speak only in what is left over.
@@ -87,7 +89,8 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     at = look.problem.evaluate(start)
     component, error, grain = _components(look, active, expected_of(look, at, direct))
     latent = _latent(look, component, grain, active)
-    fit = refit(look.problem, effects, start._replace(present=_with_rows(direct, component)), latent, target)
+    fit = refit(look.problem, effects, start._replace(present=_with_rows(direct, component)), latent, target,
+                told=_told(look, direct))  # fmt: skip
     expected = expected_of(look, fit.moments, fit.model.present)
     if active or noisy:
         # What the means were off by before looked like noise.
@@ -97,7 +100,7 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
         component, error, grain = _components(look, active, expected)
         latent = _latent(look, component, grain, active)
         model = fit.model._replace(present=_with_rows(present_now, component))
-        fit = refit(look.problem, effects, model, latent, target)
+        fit = refit(look.problem, effects, model, latent, target, told=_told(look, direct))
         expected = expected_of(look, fit.moments, fit.model.present)
     names = {own.effect.name for own in present}
     fresh = "interference_fringes" in names and not any(
@@ -190,11 +193,38 @@ def _excess_noise(look: Look, present: Sequence[Present]) -> float:
 
 
 def _scatter_beside(look: Look, present: Sequence[Present]) -> float:
-    """Scatter of brightness beside what runs with the order of acquisition within a condition."""
+    """Scatter of brightness beside what runs with the order of acquisition, over what is due to noise."""
+    chi2, freedom = _scatter(look, present)
+    return chi2 / max(freedom, 1) - 1
+
+
+def _scatter(look: Look, present: Sequence[Present]) -> tuple[float, int]:
+    """χ² of the brightness of frames within their conditions beside what runs with the order of acquisition, and its
+    degrees of freedom."""
     design, fits = look.measured.design, look.brightness
     course = course_of(look, present) - course_of(look, look.problem.start.present)
-    chi2, freedom, _ = scatter_of(fits._replace(value=fits.value - course[:, None]), design.condition)
-    return chi2 / max(freedom, 1) - 1
+    return scatter_of(fits._replace(value=fits.value - course[:, None]), design.condition)[:2]
+
+
+def _told(look: Look, present: Sequence[Present]) -> list[Told]:
+    """What the brightness of the frames of a condition tells of an effect that acts frame by frame: means of conditions
+    lose it."""
+    out = []
+    for k, own in enumerate(present):
+        if "order" not in own.effect.needs:
+            continue
+
+        def chi2(value: float, k: int = k, own: Present = own) -> float:
+            return _scatter(look, [*present[:k], own._replace(values=(value,)), *present[k + 1 :]])[0]
+
+        _, freedom = _scatter(look, present)
+        low, high = own.effect.bounds(look.problem.context)[0]
+        best = minimize_scalar(chi2, bounds=(low, high), method="bounded", options={"xatol": 1e-7})
+        curvature = (chi2(best.x + ORDER_STEP) - 2 * best.fun + chi2(best.x - ORDER_STEP)) / ORDER_STEP**2
+        # Where brightness scatters besides, frames tell less.
+        if freedom and curvature > 0:
+            out.append(Told(k, 0, float(best.x), curvature / 2 / max(best.fun / freedom, 1.0)))
+    return out
 
 
 def course_of(look: Look, present: Sequence[Present]) -> np.ndarray:

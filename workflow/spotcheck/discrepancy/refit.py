@@ -42,6 +42,16 @@ class Latent(NamedTuple):
 NOTHING = Latent()
 
 
+class Told(NamedTuple):
+    """What something beside the cells tells of an effect's parameter: place of the effect in `present`, of the
+    parameter, its value and the information of it (one over its variance)."""
+
+    effect: int
+    parameter: int
+    value: float
+    information: float
+
+
 class Model(NamedTuple):
     """Effects with their values, the base, and the centres' shifts [place, (x, y)] in px (by condition with a latent
     centre); gains [condition] of a latent brightness; amplitudes [place, (cos, sin)] of fringes whose phase is free."""
@@ -146,18 +156,20 @@ def refit(
     latent: Latent = NOTHING,
     target: float = np.inf,
     fixed: bool = False,
+    told: Sequence[Told] = (),
 ) -> Refit:
     """Fit effects (with their forms) from `start`, whose `present` holds their first values, by damped Gauss–Newton.
 
     With `fixed` effects and law keep their values, and only what no frame can foretell is fitted: centres, and what is
     free in every frame or random. A fit that creeps far above `target`, the
-    −2 ln L of a better one, is given up.
+    −2 ln L of a better one, is given up. What is `told` pulls, but is no part of the score that comes back.
     """
     chart = _Chart(problem, effects, start, latent, fixed)
     point = chart.point(start)
     at = problem.evaluate(chart.model(point))
     variance = problem.variance(at, latent)
-    value = _score(problem, problem.residual(at), variance)
+    known, weights = chart.told(() if fixed else told)
+    value = _score(problem, problem.residual(at), variance) + float(weights @ (point - known) ** 2)
     damping = 1e-3
     matrix = np.eye(len(point))
     used = problem.used
@@ -168,7 +180,7 @@ def refit(
         weight = np.sqrt(1 / variance[used])
         slopes = raw[:, used] * weight
         rest = problem.residual(at)[used] * weight
-        matrix, pull = slopes @ slopes.T, slopes @ rest
+        matrix, pull = slopes @ slopes.T + np.diag(weights), slopes @ rest + weights * (known - point)
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         normal, force = matrix / np.outer(scale, scale), pull / scale
         better = False
@@ -180,6 +192,7 @@ def refit(
             at_trial = problem.evaluate(chart.model(trial))
             variance_trial = problem.variance(at_trial, latent)
             fresh = _score(problem, problem.residual(at_trial), variance_trial)
+            fresh += float(weights @ (trial - known) ** 2)
             if np.isfinite(fresh) and fresh <= value:
                 better = True
                 break
@@ -194,7 +207,8 @@ def refit(
     model = chart.model(point)
     residual = problem.residual(at)
     chi2 = float(np.sum((residual**2 / variance)[problem.used]))
-    return Refit(model, value, chi2, _inverse(matrix), residual, variance, at, len(point))
+    score = value - float(weights @ (point - known) ** 2)
+    return Refit(model, score, chi2, _inverse(matrix), residual, variance, at, len(point))
 
 
 def basis(problem: Problem, fit: Refit, effects: Sequence[tuple[Effect, str]], latent: Latent = NOTHING) -> np.ndarray:
@@ -287,6 +301,15 @@ class _Chart:
         gains: Sequence[float] = model.gain.tolist() if self.latent.gain and not self.free else []
         wave = model.wave if len(model.wave) == self.waves else np.zeros((self.waves, 2))
         return np.array([*own, *base, *shift.ravel(), *gains, *wave.ravel()], float)
+
+    def told(self, told: Sequence[Told]) -> tuple[np.ndarray, np.ndarray]:
+        """Values [parameter] that are told, and the information of each (0: nothing is told)."""
+        value, information = np.zeros((2, len(self.point(self.start))))
+        first = np.cumsum([0, *(len(own) for own in self.inner)])
+        for own in told:
+            k = first[own.effect] + self.inner[own.effect].index(own.parameter)
+            value[k], information[k] = own.value, own.information
+        return value, information
 
     def model(self, point: np.ndarray) -> Model:
         """The model of a vector."""
