@@ -6,22 +6,32 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from spotcheck import provenance
+
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "results" / "blind"
 Record = dict[str, Any]
 
 
-# What records depend on; scores are made of records anew.
-CODE = (
-    "workflow", ":!workflow/docs",
-    *(f"tests/blind/{name}.py" for name in ("plan", "judge_case", "crops", "by_command", "told", "advised", "limit")),
-)  # fmt: skip
+# Files that make records; what they import of the library counts as well, but for the command line: what is judged
+# there is held against what is judged here.
+MAKERS = [ROOT / "tests" / "blind" / f"{name}.py"
+          for name in ("plan", "judge_case", "crops", "by_command", "told", "advised", "limit")]  # fmt: skip
+
+
+def code() -> list[str]:
+    """Files that records depend on."""
+    modules = {name for path in MAKERS for name in provenance.imported_modules(path)}
+    modules = {name for name in modules if name.split(".")[:2] != ["spotcheck", "cli"]}
+    files = {*MAKERS, *(path for name in modules for path in provenance.sources(name))}
+    return sorted(str(path.relative_to(ROOT)) for path in files)
 
 
 def commit() -> str:
     """Short hash of the last commit that touched what records depend on; `-dirty` where files differ from it."""
-    last = _git("rev-list", "-1", "--abbrev-commit", "--abbrev=12", "HEAD", "--", *CODE).strip()
-    return last + ("-dirty" if _git("status", "--porcelain", "--", *CODE).strip() else "")
+    files = code()
+    last = _git("rev-list", "-1", "--abbrev-commit", "--abbrev=12", "HEAD", "--", *files).strip()
+    return last + ("-dirty" if _git("status", "--porcelain", "--", *files).strip() else "")
 
 
 def read(path: Path) -> list[Record]:

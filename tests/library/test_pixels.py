@@ -45,6 +45,7 @@ class Frame(NamedTuple):
     mean: np.ndarray
     variance: np.ndarray
     light: np.ndarray
+    shown: np.ndarray
 
 
 BLACK, TOP, DARK_VARIANCE, THIRD = 20.0, 160.0, 2.5, 0.05
@@ -67,7 +68,7 @@ def some_frame(rows: int, columns: int, seed: int, outliers: bool = True) -> Fra
     certain = (np.arange(rows)[:, None] < rows // 4) & (np.arange(columns)[None, :] < columns // 3)
     variance[certain] = rng.uniform(0.01, CERTAIN - 1e-6, certain.sum())
     image[(rng.random((rows, columns)) < 0.03) & (np.arange(columns)[None, :] > columns // 2)] = np.nan
-    return Frame(image, mean, variance, light)
+    return Frame(image, mean, variance, light, light * rng.uniform(0.2, 1.0, light.shape))
 
 
 def nothing(rows: int, columns: int, side: int) -> Sums:
@@ -87,7 +88,7 @@ def added(frame: Frame, side: int, parts: Sums) -> Sums:
 
 def plainly(frame: Frame, side: int) -> Sums:
     """The same by numpy, from what `measure.Sums` says of each."""
-    image, mean, variance, light = frame
+    image, mean, variance, light, shown = frame
     rows, columns = image.shape
     out = nothing(rows, columns, side)
     used = np.isfinite(image) & (variance >= CERTAIN)
@@ -122,10 +123,11 @@ def plainly(frame: Frame, side: int) -> Sums:
         for name, value in zip(line, (r * w, w, (mu * w) ** 2), strict=True):
             getattr(out, name)[:] = value.sum(axis=axis)
     out.totals[0] = np.sum(used & (np.abs(r) > OUTLIER * np.sqrt(np.maximum(variance, DARK_VARIANCE))))
-    out.totals[3:] = ((mu * r * w) ** 2).sum(), ((mu * mu * w) ** 2).sum(), ((mu * w) ** 2).sum()
+    nu = np.where(used, shown, 0.0)
+    out.totals[3:] = ((nu * r * w) ** 2).sum(), ((nu * nu * w) ** 2).sum(), ((nu * w) ** 2).sum()
     site = (slice(AT[0], AT[0] + rows), slice(AT[1], AT[1] + columns))
     chip = (slice(CHIP_AT[0], CHIP_AT[0] + rows), slice(CHIP_AT[1], CHIP_AT[1] + columns))
-    out.pull[site], out.weight[site] = mu * r * w, mu * mu * w
+    out.pull[site], out.weight[site] = nu * r * w, nu * nu * w
     out.dark_pull[chip], out.dark_weight[chip], out.dark_light[chip] = r * w, w, mu * w
     known = np.nan_to_num(image)
     lit = everything & (known > CODE_FLOOR) & (known < TOP)
@@ -207,7 +209,7 @@ def test_sums_of_a_true_model():
     light = np.full((256, 256), 900.0)
     # Poisson electrons at 2 DN each: third moment K² light, standardised by 1.5 powers of the variance.
     image = 2.0 * rng.poisson(light / 2.0)
-    frame = Frame(image, light, 2.0 * light, light)
+    frame = Frame(image, light, 2.0 * light, light, light)
     parts = nothing(256, 256, 8)._replace(**{name: np.zeros((300, 300)) for name in Sums._fields[14:]})
     add_frame(*frame, 0.0, 1e4, 1.0, 4.0, 8, *parts, (0, 0), (0, 0))
     n = 256**2

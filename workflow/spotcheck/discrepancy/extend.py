@@ -10,7 +10,7 @@ from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Detection, Null, detect
 from spotcheck.discrepancy.explain import Account, account
 from spotcheck.discrepancy.freed_named import Freed, Left, freed_of, left_of
-from spotcheck.discrepancy.look import Look, look_again, look_at, shown
+from spotcheck.discrepancy.look import Look, look_again, look_at
 from spotcheck.discrepancy.name import assessable, present_of, search
 from spotcheck.discrepancy.refit import NO_WAVE
 from spotcheck.discrepancy.shots import Design, Shot
@@ -159,7 +159,7 @@ def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
         # Blocks do not resolve short stripes, and other effects turn their peak: it is sought again without these.
         look = look_again(shots, look, model._replace(present=others, wave=NO_WAVE), leader.latent, prnu)
         found = peak(look.measured)
-        values = (found.depth / shown(look), found.period, found.direction, 0.0)
+        values = (found.depth, found.period, found.direction, 0.0)
         present = tuple(own if own in others else own._replace(values=values) for own in model.present)
         model = model._replace(present=present, shift=0 * model.shift)
     return look_again(shots, look, model, leader.latent, prnu)

@@ -282,7 +282,8 @@ def expectation(
             # Of a granular field a reading shows what gets through whatever bends.
             granular = granular_variance(view, setting.baseline, own, present, setting.sensor)
             lit = np.sqrt(granular) / grain_contrast(present)
-        return Scene(*(np.ascontiguousarray(np.broadcast_to(v, (1, rows, columns))[0]) for v in (*at, lit)))
+        whole = (np.ascontiguousarray(np.broadcast_to(v, (1, rows, columns))[0]) for v in (*at, lit, lit))
+        return Scene(*whole)
 
     return expect
 

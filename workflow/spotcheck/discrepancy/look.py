@@ -10,7 +10,7 @@ from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Cells, Setting, cells_of, pooled
 from spotcheck.discrepancy.measure import Measured, measure, spot_of
 from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, hot_field, hot_power, observables
-from spotcheck.discrepancy.pixels import FREE, Scene
+from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import Latent, Model, Problem
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import amplitudes
@@ -18,8 +18,8 @@ from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.chain import Free, light, offset_response, readings, spot_state
 from spotcheck.model.effect import Place
 
-# A ripple of which less than this part is shown is not told by its height.
-LEAST_SHOWN = 0.3
+# Relative change of the light by which it is asked how a reading follows.
+RIPPLE = 1e-3
 # Steps towards each frame's own centre.
 NEARER = 2
 
@@ -122,9 +122,10 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
     stripes = next((p for p in model.present if p.effect.name == "interference_fringes" and p.form == "site"), None)
     waves = np.zeros((design.sites, 2))
     if stripes is not None:
-        waves = _waves(measured, stripes.named(), x0, y0) / shown(before)
+        waves = _waves(measured, stripes.named(), x0, y0)
 
     first = before.cells.base
+    bent = any(own.effect.place in (Place.WELL, Place.RESPONSE, Place.DIGITAL) for own in model.present)
 
     def expect(k: int, x: np.ndarray | None = None, y: np.ndarray | None = None) -> Scene:
         c = condition[k]
@@ -152,24 +153,14 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
             rows_each=float(y[1] - y[0]),
         )
         spot, beside = light(here, setting.baseline, own, model.present, gain[k])
-        at = readings(here, spot, beside, model.present, setting.sensor)
-        whole = (np.broadcast_to(v, (1, len(y), len(x)))[0] for v in (at.mean, at.variance, spot))
+        at, follows = readings(here, spot, beside, model.present, setting.sensor), spot
+        if bent:
+            more = readings(here, (1 + RIPPLE) * spot, beside, model.present, setting.sensor)
+            follows = (more.mean - at.mean) / RIPPLE
+        whole = (np.broadcast_to(v, (1, len(y), len(x)))[0] for v in (at.mean, at.variance, spot, follows))
         return Scene(*map(np.ascontiguousarray, whole))
 
     return moved, expect
-
-
-def shown(look: Look) -> float:
-    """Part of a ripple of the light that readings show: bent by the response, or stopped."""
-    problem, step = look.problem, 1e-3
-    start = problem.start
-    more = pooled(problem.evaluate(start._replace(gain=(1 + step) * start.gain)).mean)
-    lit = problem.light(start)
-    slope = (more - problem.mean_start) / step
-    # Light that is clipped says nothing of stripes.
-    weight = np.where(problem.used & (slope > FREE * lit), lit / look.cells.variance, 0.0)
-    part = float((weight * slope).sum() / max((weight * lit).sum(), 1e-300))
-    return float(np.clip(part, LEAST_SHOWN, 1.0))
 
 
 def own_gain(before: Look, model: Model, latent: Latent) -> np.ndarray:

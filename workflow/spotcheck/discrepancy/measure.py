@@ -193,12 +193,13 @@ def base_scenes(
     brightest = 1.05 * float(np.max(base.amplitude)) + 0.5 * min(sensor.full_scale_dn, 65535.0)
     highest = brightest + gain * sensor.dark_current_e_per_s * float(exposures.max()) + 1.0
     table = table_of(sensor, 16.0 * float(np.ceil(highest / 16.0)))
-    scene = Scene(*(np.empty(shots[0].pixels().shape) for _ in range(3)))
+    mean, variance, spot_light = (np.empty(shots[0].pixels().shape) for _ in range(3))
+    scene = Scene(mean, variance, spot_light, spot_light)
 
     def expect(k: int, lift_dn: float = 0.0) -> Scene:
         dark_e = sensor.dark_current_e_per_s * exposures[design.condition[k]] + lift_dn / gain
         spot = (base.amplitude[k], base.x0[k], base.y0[k], base.sigma[k])
-        fill_scene(*spot, baseline.top_hat, gain, dark_e, *table, *scene)
+        fill_scene(*spot, baseline.top_hat, gain, dark_e, *table, *scene[:3])
         return scene
 
     return expect

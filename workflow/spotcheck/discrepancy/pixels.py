@@ -46,12 +46,14 @@ class Table(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What a model expects of one frame [row, column]: mean [DN], variance [DN²] of each reading, and the light [DN]
-    that random factors would act on."""
+    """What a model expects of one frame [row, column]: mean [DN], variance [DN²] of each reading, the light [DN] that
+    random factors would act on, and by how much a reading follows such a factor [DN]: the light, unless the response
+    bends or stops."""
 
     mean: np.ndarray
     variance: np.ndarray
     light: np.ndarray
+    shown: np.ndarray
 
 
 @lru_cache(maxsize=8)
@@ -92,7 +94,7 @@ def fill_scene(amplitude, x0, y0, sigma, top_hat, gain, dark_e, step, means, var
 
 @compiled
 def add_frame(
-    image, mean, variance, light, black, top, dark_variance, third, side,
+    image, mean, variance, light, shown, black, top, dark_variance, third, side,
     residual, spread, count, rough, rough_dof, fourth, row, row_weight, row_light, column, column_weight,
     column_light, comb, totals, pull, weight, dark_pull, dark_weight, dark_light, at, chip_at,
 ):  # fmt: skip
@@ -132,11 +134,12 @@ def add_frame(
                 # Where black cuts the law of a reading its tail is that of the noise before the cut.
                 if abs(r) > OUTLIER * math.sqrt(max(variance[j, k], dark_variance)):
                     totals[0] += 1
-                totals[3] += (own * rw) ** 2
-                totals[4] += (own * lw) ** 2
-                totals[5] += lw * lw
-                pull[at[0] + j, at[1] + k] += own * rw
-                weight[at[0] + j, at[1] + k] += own * lw
+                factor = shown[j, k]
+                totals[3] += (factor * rw) ** 2
+                totals[4] += (factor * factor * w) ** 2
+                totals[5] += (factor * w) ** 2
+                pull[at[0] + j, at[1] + k] += factor * rw
+                weight[at[0] + j, at[1] + k] += factor * factor * w
                 dark_pull[chip_at[0] + j, chip_at[1] + k] += rw
                 dark_weight[chip_at[0] + j, chip_at[1] + k] += w
                 dark_light[chip_at[0] + j, chip_at[1] + k] += lw
