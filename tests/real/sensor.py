@@ -18,6 +18,7 @@ from spotcheck.estimate.photon_transfer import QUANTITIES
 from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.figures.style import plus_minus
 from spotcheck.pages.report import ranges
+from tests.benchmarks import gain
 from tests.blind.records import RESULTS, ROOT
 from tests.blind.table import markdown
 from tests.real.emva import reference
@@ -74,7 +75,7 @@ def page() -> str:
         with store.read(transfer) as ds:
             own = quantities_of(ds)
             by_range = ranges(ds)
-    other = reference(SOURCE, HALF)
+    other, by_spots = reference(SOURCE, HALF), gain.measure().tables[0]
     rows = []
     for name, (key, factor, why) in BESIDE.items():
         ours, theirs = own[name], other[key] * factor
@@ -95,6 +96,11 @@ def page() -> str:
             "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
             "because the response bends:", "",
             *markdown(("up to, of saturation", "levels", "K [DN/e-]", "intercept of the response [DN]"), by_range), "",
+            "## Spots instead of flats", "",
+            "Without flats the gain comes from spots: from what neighbouring pixels do not share, or, where the "
+            "material has speckle, two exposures of one site. What that costs, on drawn frames of known gain:", "",
+            *markdown(by_spots.columns, by_spots.rows), "",
+            by_spots.note, "",
         ]
     )  # fmt: skip
 

@@ -203,6 +203,9 @@ def _scatter(look: Look, present: Sequence[Present]) -> tuple[float, int]:
     degrees of freedom."""
     design, fits = look.measured.design, look.brightness
     course = course_of(look, present) - course_of(look, look.problem.start.present)
+    # A course is relative to its condition's mean, a frame's brightness to the base.
+    mean = np.bincount(design.condition, fits.value[:, 0]) / np.bincount(design.condition)
+    course = course * (1 + mean[design.condition])
     return scatter_of(fits._replace(value=fits.value - course[:, None]), design.condition)[:2]
 
 
