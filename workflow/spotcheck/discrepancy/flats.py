@@ -79,9 +79,11 @@ class FlatFit(NamedTuple):
 
 def series_of(found: Transfer, full_scale_dn: float) -> Series | None:
     """The levels that can be looked at; None where there are too few."""
-    good = np.array([own.at_full <= MOST_CLIPPED for own in found.flats], bool)
-    good &= found.signal > 0
-    if np.count_nonzero(good) < 2 * EVERY or "gain" not in found.quantities:
+    # Without darks there is no signal, and without noise that grows no gain.
+    if np.isnan(found.quantities["gain"].value):
+        return None
+    good = np.array([own.at_full <= MOST_CLIPPED for own in found.flats], bool) & (found.signal > 0)
+    if np.count_nonzero(good) < 2 * EVERY:
         return None
     flats = [own for own, kept in zip(found.flats, good, strict=True) if kept]
     light = light_of(flats)
