@@ -8,7 +8,7 @@ READY  := .venv/.ready
 BENCH  := .venv-bench
 CHECK  := results/check
 
-.PHONY: all test lint check-numbers bench blind real snakemake-report lock lock-bench clean
+.PHONY: all test lint check-numbers bench blind blind-times real snakemake-report lock lock-bench clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
@@ -56,6 +56,10 @@ $(BENCH)/.ready: requirements-bench.lock pyproject.toml
 BLIND ?= --hours 2 --workers $(CORES)
 blind: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.blind.run $(BLIND)
+
+# Times of the whole command, for the same table; nothing else should run beside it.
+blind-times: $(READY)
+	$(BIN)/python -m tests.blind.times
 
 # Pages of real frames: beams, each judged alone and with a known effect put into its readings; a CCD by flats and darks beside
 # the standard's own package. Needs the frames beside the repository. REAL=--write puts them into workflow/docs/.

@@ -17,7 +17,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from tests.blind import judge_case, picture, records, score, table
+from tests.blind import judge_case, picture, records, score, table, times
 from tests.blind.plan import PUBLISHED, Job, plan
 
 # A job that has to wait lets so many others pass.
@@ -125,7 +125,7 @@ def progress(number: int, record: records.Record, deadline: float, verbose: bool
 
 def finish(done: list[records.Record], folder: Path, name: str, base: int, write: bool) -> str:
     """Write tables and picture, with `write` also where they are published; return the summary line."""
-    figures = score.figures(done)
+    figures = [*score.figures(done), *times.figures(folder)]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "blind.md").write_text(table.as_markdown(figures, done, name, base), encoding="utf-8")
     (folder / "summary.md").write_text(table.as_summary(figures, done, name, base), encoding="utf-8")

@@ -125,9 +125,11 @@ def _part(records: Sequence[Record], test: Callable[[Record], bool]) -> str:
 
 
 def _number(value: float, unit: str) -> str:
+    if unit == "s":
+        return f"{value:.0f} s"
     return f"{100 * value:.3g} %" if unit == "%" else f"{value:.3f}"
 
 
 def _between(figure: Figure) -> str:
-    low, high = (_number(v, figure.unit).removesuffix(" %") for v in figure.interval)
+    low, high = (_number(v, figure.unit).removesuffix(f" {figure.unit}") for v in figure.interval)
     return f"{low}–{high}"
