@@ -34,7 +34,8 @@ WORDS = {
 def main() -> None:
     """Measure, write, print."""
     with tempfile.TemporaryDirectory(prefix="spotcheck-times-") as base:
-        taken = [(kind, *one(Path(base), BASE + number, kind)) for number, kind in enumerate((*CONSISTENT, *OTHER))]
+        seeds = count(BASE)
+        taken = [(kind, *one(Path(base), kind, seeds)) for kind in (*CONSISTENT, *OTHER)]
     for line in taken:
         print(*line)
     first, *quiet = [seconds for kind, _, seconds in taken if kind == "none"]
