@@ -109,6 +109,14 @@ def test_aligned_parts_show_the_same_pixels():
         assert (one == two).all() and one.shape == (30 - abs(down), 30 - abs(right))
 
 
+@pytest.mark.parametrize(("down", "right"), [(30, 0), (0, -31), (-45, 12), (70, 70)])
+def test_crops_far_apart_share_nothing(down, right):
+    """Spots of two frames at other ends of the sensor: nothing of them is compared."""
+    one, two = aligned(np.ones((30, 30)), np.ones((30, 30)), down, right)
+    assert one.shape == two.shape and one.size == 0
+    assert not tally_of(one, two, 0.0, 4095.0).any()
+
+
 def test_pairs_are_neighbours_and_no_frame_is_taken_twice():
     """Of five exposures of a site of which one is missing: the two brightest, then the two darkest that are left."""
     image = np.arange(5.0)[:, None, None] * np.ones((1, 12, 12))

@@ -48,9 +48,14 @@ def aligned(first: np.ndarray, second: np.ndarray, down: int, right: int) -> tup
     """The parts of two images [rows, columns] that show the same pixels of the sensor; the second's corner lies `down`
     and `right` [px] of the first's."""
     rows, columns = (min(a, b) for a, b in zip(first.shape, second.shape, strict=True))
-    own = first[max(down, 0) : rows + min(down, 0), max(right, 0) : columns + min(right, 0)]
-    other = second[max(-down, 0) : rows + min(-down, 0), max(-right, 0) : columns + min(-right, 0)]
-    return own, other
+
+    def part(image: np.ndarray, down: int, right: int) -> np.ndarray:
+        # Crops that lie further apart than they are large share nothing.
+        below, beside = (max(size - abs(step), 0) for size, step in ((rows, down), (columns, right)))
+        top, left = max(down, 0), max(right, 0)
+        return image[top : top + below, left : left + beside]
+
+    return part(first, down, right), part(second, -down, -right)
 
 
 def tally_of(first: np.ndarray, second: np.ndarray, black_level: float, full_scale: float) -> np.ndarray:
