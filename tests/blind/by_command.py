@@ -32,7 +32,7 @@ def differences(job: Job, verdict: dict[str, Any], calibrations: Path, count: in
         if whole:
             (results / "_calibration").parent.mkdir()
             (results / "_calibration").symlink_to(calibrations.resolve())
-            _workflow(folder, results, count, seed)
+            workflow(folder, results, 1, null_simulations=count, seed=seed)
         else:
             by_subcommands(folder, results / folder.name, calibrations, count, seed)
         written = json.loads((results / folder.name / "verdict.json").read_text(encoding="utf-8"))
@@ -40,10 +40,10 @@ def differences(job: Job, verdict: dict[str, Any], calibrations: Path, count: in
     return list(_apart("", {key: value for key, value in verdict.items() if key not in BESIDE}, kept))
 
 
-def _workflow(folder: Path, results: Path, count: int, seed: int) -> None:
-    """The workflow's target, in a process of its own."""
-    config = [f"dataset={folder}", f"results={results}", f"null_simulations={count}", f"seed={seed}"]
-    command = [sys.executable, "-m", "snakemake", "--cores", "1", "--nolock", "verdict", "--config", *config]
+def workflow(folder: Path, results: Path, cores: int, **keys: int) -> None:
+    """The workflow's target, in a process of its own, with some keys of its config."""
+    config = [f"{key}={value}" for key, value in {"dataset": folder, "results": results, **keys}.items()]
+    command = [sys.executable, "-m", "snakemake", "--cores", str(cores), "--nolock", "verdict", "--config", *config]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if run.returncode:
         raise RuntimeError(f"snakemake: {(run.stdout + run.stderr).strip().splitlines()[-1]}")

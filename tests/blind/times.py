@@ -6,8 +6,6 @@ another of its kind.
 """
 
 import json
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -16,6 +14,7 @@ from pathlib import Path
 
 from rig import hidden
 from tests.blind import records
+from tests.blind.by_command import workflow
 from tests.blind.figure import Figure, Range
 
 # Seeds from here on, which no published score has; of each kind the first whose base is like this one.
@@ -57,13 +56,9 @@ def one(base: Path, kind: str, seeds: Iterator[int]) -> tuple[str, float]:
             break
     folder = base / f"set{seed}"
     hidden.write(case, folder, base / f"truth{seed}.json")
-    config = [f"dataset={folder}", f"results={base / 'results'}"]
-    command = [sys.executable, "-m", "snakemake", "--cores", "2", "--nolock", "verdict", "--config", *config]
     start = time.monotonic()
-    run = subprocess.run(command, cwd=records.ROOT, capture_output=True, text=True, check=False)
+    workflow(folder, base / "results", 2)
     seconds = time.monotonic() - start
-    if run.returncode:
-        sys.exit(f"snakemake: {(run.stdout + run.stderr).strip().splitlines()[-1]}")
     verdict = json.loads((base / "results" / folder.name / "verdict.json").read_text(encoding="utf-8"))
     return verdict["status"], seconds
 

@@ -18,10 +18,16 @@ from spotcheck.estimate.noise import CUT_AT_SD, FEWEST, NoiseCurve
 
 # Pixels of a block's side: small enough that brightness and width of the spot change r by a plane only.
 SIDE = 10
+
+
+def quadratic(down: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The six terms of a quadratic [term, …] at places."""
+    return np.stack([np.ones_like(down), down, right, down**2, down * right, right**2])
+
+
 # Places of a block's pixels [px], and what leaves of their values all but a quadratic.
 DOWN, RIGHT = np.mgrid[:SIDE, :SIDE].reshape(2, -1) - (SIDE - 1) / 2
-_QUADRATIC = np.stack([np.ones(SIDE**2), DOWN, RIGHT, DOWN**2, DOWN * RIGHT, RIGHT**2])
-LEFT_OVER = np.eye(SIDE**2) - np.linalg.pinv(_QUADRATIC) @ _QUADRATIC
+LEFT_OVER = np.eye(SIDE**2) - np.linalg.pinv(quadratic(DOWN, RIGHT)) @ quadratic(DOWN, RIGHT)
 # A block tells r where its light is this many times its own standard error; else there is no grain to take off.
 TELLS = 5.0
 # Bins of reading and of level [DN], ten a decade; the first holds what is less.
@@ -103,7 +109,7 @@ def _ratio(own: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     ratio = np.where(tells, light_2 / np.where(tells, light, 1.0), 1.0)
     tells &= ratio > 0
     down, right = (SIDE * (place - place.mean()) for place in np.indices(light.shape))
-    terms = np.stack([np.ones_like(down), down, right, down**2, down * right, right**2])[:, tells]
+    terms = quadratic(down, right)[:, tells]
     # The error of ln r by shot noise goes as one over the root of the light.
     weight = np.sqrt(light[tells])
     log = np.linalg.lstsq((terms * weight).T, np.log(ratio[tells]) * weight, rcond=None)[0]

@@ -68,9 +68,9 @@ BY_FLATS = {
     "full_well_e": "full_well",
     "black_level_dn": "dark_offset",
 }
-# How spots show a full well; the second where their noise is seen to be gone as well.
-AT_STOP = ("where the readings of spots gather", "where the readings of spots gather and their noise collapses")
 NEVER_TAKEN = ("full_well_e",)
+# How spots show a full well; the second where their noise is seen to be gone as well.
+SHOWN_BY = ("where the readings of spots gather", "where the readings of spots gather and their noise collapses")
 
 
 class Found(NamedTuple):
@@ -182,7 +182,7 @@ def _add_spots(found: dict[str, dict[str, Found]], seen: BySpots, top_hat: bool)
     if seen.stop is not None and (seen.collapses or not top_hat):
         level, error = np.array(seen.stop) / gain.value
         stderr = float(np.hypot(error, level * relative))
-        found["full_well_e"][SPOTS] = Found(float(level), stderr, AT_STOP[seen.collapses])
+        found["full_well_e"][SPOTS] = Found(float(level), stderr, SHOWN_BY[seen.collapses])
     if seen.gain is not None:
         floor, floor_error = max(seen.gain.floor - ROUNDING_VARIANCE, 0.0), seen.gain.floor_stderr
         noise = float(np.sqrt(floor)) / gain.value
