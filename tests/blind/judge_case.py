@@ -33,8 +33,8 @@ NULL_SEED, NULL_COUNT = 20210, 1500
 # A null set takes at most this long [s]; a verdict that takes more time of its process has failed [s].
 NULL_SECONDS, PATIENCE = 0.8, 400.0
 TOLERANCE = Tolerance()
-# So many jobs at the plan's beginning also go through folder, TIFF and command line; one in so many by the workflow.
-BY_COMMAND, WHOLE = 130, 12
+# One job in so many also goes through folder, TIFF and command line; one in so many by the workflow.
+BY_COMMAND, WHOLE = 15, 180
 
 
 class Busy(Exception):
@@ -77,7 +77,7 @@ def record_of(
 def compared(record: dict[str, Any], nulls: "Nulls") -> dict[str, Any]:
     """The record with what the command line says otherwise; as it is where that is not asked for."""
     job = Job(**record["job"])
-    if nulls.keep or job.budget or job.number >= BY_COMMAND or record["outcome"] != "judged":
+    if nulls.keep or job.budget or job.number % BY_COMMAND or record["outcome"] != "judged":
         return record
     start = time.perf_counter()
     whole = job.number % WHOLE == 0

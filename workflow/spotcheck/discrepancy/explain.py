@@ -89,8 +89,8 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     at = look.problem.evaluate(start)
     component, error, grain = _components(look, active, expected_of(look, at, direct))
     latent = _latent(look, component, grain, active)
-    fit = refit(look.problem, effects, start._replace(present=_with_rows(direct, component)), latent, target,
-                told=_told(look, direct))  # fmt: skip
+    told = _told(look, direct)
+    fit = refit(look.problem, effects, start._replace(present=_with_rows(direct, component)), latent, target, told=told)
     expected = expected_of(look, fit.moments, fit.model.present)
     if active or noisy:
         # What the means were off by before looked like noise.
@@ -100,7 +100,7 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
         component, error, grain = _components(look, active, expected)
         latent = _latent(look, component, grain, active)
         model = fit.model._replace(present=_with_rows(present_now, component))
-        fit = refit(look.problem, effects, model, latent, target, told=_told(look, direct))
+        fit = refit(look.problem, effects, model, latent, target, told=told)
         expected = expected_of(look, fit.moments, fit.model.present)
     names = {own.effect.name for own in present}
     fresh = "interference_fringes" in names and not any(
