@@ -1,6 +1,9 @@
-"""Records: one JSON line a job, in a file that later calls at the same commit add to."""
+"""Records: one JSON line a job, in a file that later calls at the same commit add to. Those that the published scores
+rest on are in the repository."""
 
 import json
+import lzma
+import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +13,8 @@ from spotcheck import provenance
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "results" / "blind"
+# One folder, named like that of the results it was copied from.
+KEPT = ROOT / "tests" / "blind" / "published"
 Record = dict[str, Any]
 
 
@@ -34,13 +39,46 @@ def commit() -> str:
     return last + ("-dirty" if _git("status", "--porcelain", "--", *files).strip() else "")
 
 
+def begin(folder: Path) -> Path:
+    """The file of records of a folder of results. It begins with what is published of the same commit."""
+    path, kept = folder / "jobs.jsonl", KEPT / folder.name
+    if not path.exists() and kept.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(lzma.decompress((kept / "jobs.jsonl.xz").read_bytes()))
+        for other in kept.glob("*.json"):
+            shutil.copyfile(other, folder / other.name)
+    return path
+
+
+def keep(folder: Path) -> None:
+    """Put the records of a folder of results into the repository, in place of all that was there."""
+    shutil.rmtree(KEPT, ignore_errors=True)
+    (KEPT / folder.name).mkdir(parents=True)
+    (KEPT / folder.name / "jobs.jsonl.xz").write_bytes(lzma.compress((folder / "jobs.jsonl").read_bytes()))
+    for other in folder.glob("*.json"):
+        shutil.copyfile(other, KEPT / folder.name / other.name)
+
+
+def published() -> Path | None:
+    """The folder that published scores rest on; None before any."""
+    return next(KEPT.iterdir(), None) if KEPT.exists() else None
+
+
+def base_of(rows: list[Record]) -> int:
+    """The seed that a plan began with."""
+    (base,) = {row["job"]["seed"] - row["job"]["number"] for row in rows}
+    return int(base)
+
+
 def read(path: Path) -> list[Record]:
-    """All records of a file, none if there is no file; a line cut short by a crash is left out."""
+    """All records of a file, packed or not, none if there is no file; a line cut short by a crash is left out."""
     return list(_lines(path)) if path.exists() else []
 
 
 def _lines(path: Path) -> Iterator[Record]:
-    for line in path.read_text(encoding="utf-8").splitlines():
+    with lzma.open(path, "rb") if path.suffix == ".xz" else path.open("rb") as stream:
+        text = stream.read().decode()
+    for line in text.splitlines():
         try:
             yield json.loads(line)
         except json.JSONDecodeError:

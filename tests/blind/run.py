@@ -33,8 +33,10 @@ def main() -> None:
         sys.exit("--write publishes: not with --tuning, nor with a base of one's own")
     name = "tuning" if args.tuning else records.commit()
     folder = records.RESULTS / name
-    path = folder / "jobs.jsonl"
+    path = records.begin(folder)
     done = records.read(path)
+    if args.write and args.score and not done:
+        sys.exit(f"nothing was judged at {name}, so there is nothing to publish")
     if not args.score:
         deadline = time.time() + 3600 * args.hours
         jobs = todo(args, {record["job"]["seed"] for record in done})
@@ -136,7 +138,8 @@ def finish(done: list[records.Record], folder: Path, name: str, base: int, write
 
 
 def publish(folder: Path) -> None:
-    """Scores into the pages and the README."""
+    """Scores into the pages and the README, and what they rest on beside the suite."""
+    records.keep(folder)
     for file in ("blind.md", "blind.png"):
         shutil.copyfile(folder / file, records.ROOT / "workflow" / "docs" / file)
     check = [sys.executable, "tests/check_readme.py", "README.md", "blind", str(folder / "summary.md"), "--write"]

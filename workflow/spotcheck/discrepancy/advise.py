@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.discrepancy.cells import pooled
+from spotcheck.discrepancy.cells import Cells, pooled
 from spotcheck.discrepancy.explain import Account, is_component
 from spotcheck.discrepancy.look import Look
-from spotcheck.discrepancy.refit import Problem, refit
+from spotcheck.discrepancy.refit import Model, Problem, refit
 
 # −2 ln L by which an explanation must fall behind to be told apart: five standard deviations.
 APART = 25.0
@@ -135,11 +135,7 @@ def separations(
             frames=np.append(cells.frames, frames),
             pixels=np.concatenate([cells.pixels, more]),
         )
-    model = first.refit.model
-    gain = np.ones(len(cells.place))
-    shift = np.zeros((int(cells.place.max()) + 1, 2))
-    shift[: len(model.shift)] = model.shift[: len(shift)]
-    truth = model._replace(shift=shift, gain=gain)
+    truth = _over(first.refit.model, cells)
     blank = cells._replace(residual=np.zeros(cells.pixels.shape), variance=np.ones(cells.pixels.shape))
     asimov = Problem(blank, look.setting, truth)
     at = asimov.at_start
@@ -147,8 +143,12 @@ def separations(
         return 0.0, True
     variance = np.where(cells.pixels > 0, pooled(at.variance) / np.maximum(cells.pixels, 1), np.inf)
     asimov.cells = asimov.cells._replace(variance=variance)
-    start = rival.refit.model
-    shift = np.zeros_like(shift)
-    shift[: len(start.shift)] = start.shift[: len(shift)]
-    fit = refit(asimov, rival.refit_effects, start._replace(shift=shift, gain=gain))
-    return fit.chi2, False
+    return refit(asimov, rival.refit_effects, _over(rival.refit.model, cells)).chi2, False
+
+
+def _over(model: Model, cells: Cells) -> Model:
+    """The model over the conditions and places of other cells; a new place has no shift and no stripes."""
+    shift, wave = np.zeros((2, int(cells.place.max()) + 1, 2))
+    shift[: len(model.shift)] = model.shift[: len(shift)]
+    wave[: len(model.wave)] = model.wave
+    return model._replace(shift=shift, gain=np.ones(len(cells.place)), wave=wave if len(model.wave) else model.wave)

@@ -8,6 +8,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from spotcheck.discrepancy.cells import pooled
 from spotcheck.discrepancy.detect import statistics
+from spotcheck.discrepancy.grain import REFINED, at_its_coarsest, grains_of, strays
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.modes import modes_of
 from spotcheck.discrepancy.noise import COMPONENTS, Observable, block_correlation, grained, scatter_of
@@ -25,8 +26,6 @@ COMPONENT = {
 }
 # Relative components of variance never exceed this: light does not scatter by more than itself.
 MOST_RELATIVE = {"pixel": 1.0, "grain": 1.0, "gain": 1.0}
-# Grains [px] among which a granular field's is sought, then refined.
-GRAINS = np.geomspace(0.5, 14.0, 12)
 # A predicted excess of noise is trusted to this part of itself: loads rest on block means and on the form of a field.
 TRUST = 0.03
 # The correlation of a granular field has no fixed form; what it does to anything but its own power is trusted less.
@@ -112,7 +111,7 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     numbers += len(active) - ("row" in active) + ("grain" in active) + fit.model.wave.size
     score = fit.score + noise_score + 2 * numbers + _occam(look, fit, component)
     score += 0.0 if "fixed_pattern" in names else look.hot
-    seen = [o for o in seen if not _settled(o, names, fresh)]
+    seen = [o for o in seen if not _settled(o, names, fresh, look.measured.design.sites)]
     shared = _shared_variance(look, component, grain, fit)
     modes = modes_of(look.cells, look.setting, fit.residual, fit.variance, look.problem.used, shared)
     freedom = max(int(look.problem.used.sum()) - fit.freedom, 1)
@@ -254,10 +253,12 @@ def _components(look: Look, active: Sequence[str], expected: np.ndarray):
     if "grain" not in active:
         value, error, _ = _solve(look, active, expected, 1.0)
         return dict(zip(active, value, strict=True)), dict(zip(active, error, strict=True)), 1.0
-    # A field coarser than half of the spot is not granular: it makes the whole spot brighter, or moves it.
-    fine = GRAINS[GRAINS <= max(0.5 * look.problem.context.sigma_px, GRAINS[0])]
-    grain = min(fine, key=lambda own: _solve(look, active, expected, own)[2])
-    grain = min(np.linspace(0.85 * grain, 1.18 * grain, 7), key=lambda own: _solve(look, active, expected, own)[2])
+
+    def cost(grain: float) -> float:
+        return _solve(look, active, expected, grain)[2]
+
+    first = min(grains_of(look.problem.context.sigma_px), key=cost)
+    grain = min(REFINED * first, key=cost)
     value, error, _ = _solve(look, active, expected, float(grain))
     return dict(zip(active, value, strict=True)), dict(zip(active, error, strict=True)), float(grain)
 
@@ -271,12 +272,15 @@ def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float
     floor = np.array([o.floor for o in seen])
     basic = np.array([o.error for o in seen])
     form = np.array([0.0 if o.label == "site" else TRUST_GRAIN for o in seen])
+    again = _one_draw(look)
     found = np.zeros(len(active))
     for _ in range(4 if active else 1):
         excess = loads @ found
         error = basic * (1 + np.maximum(excess + expected, 0) / floor) + TRUST * np.abs(excess)
         if "grain" in active:
             error = error + form * loads[:, list(active).index("grain")] * found[list(active).index("grain")]
+        if "pixel" in active:
+            error = error + again * loads[:, list(active).index("pixel")] * found[list(active).index("pixel")]
         scale = 1 / error[own]
         size = np.maximum(np.linalg.norm(loads[own] * scale[:, None], axis=0), 1e-300)
         if active:
@@ -320,17 +324,37 @@ def _striped(look: Look, present: Sequence[Present]) -> np.ndarray:
     return out
 
 
+def _one_draw(look: Look) -> np.ndarray:
+    """By what part of itself the power that a pattern of the sensor brings to each observable scatters more than its
+    error says: sites that see the same pixels are one draw of it, not many."""
+    sites = look.measured.design.sites if look.measured.common else 1
+    return np.array([
+        (np.sqrt(sites) - 1) * o.error / o.floor if o.block == "spectrum" and o.label in ("band", "site") else 0.0
+        for o in look.observables
+    ])  # fmt: skip
+
+
 def relief(look: Look, own: Account, effect: Effect) -> float:
-    """By how much −2 ln L of the noise may fall if a component of variance is added to an account, means unchanged;
-    gains and centres of the conditions are not counted."""
-    active = [*own.component, COMPONENT[effect.name]]
+    """By how much −2 ln L of the noise may fall if a component of variance, or white noise, is added to an account,
+    means unchanged; gains and centres of the conditions are not counted."""
+    name = COMPONENT.get(effect.name, "read")
+    active = [*own.component, name]
     expected = expected_of(look, own.refit.moments, own.refit.model.present)
     before = _solve(look, list(own.component), expected, own.grain)[2]
-    if COMPONENT[effect.name] in ("gain", "centre", "grain") and own.refit.chi2 > 1.05 * look.problem.used.sum():
+    if name in ("gain", "centre", "grain") and own.refit.chi2 > 1.05 * look.problem.used.sum():
         # They also move the condition means, in ways that only the fit can tell.
         return np.inf
     hot = look.hot if effect.name == "fixed_pattern" else 0.0
     return before - _solve(look, active, expected, own.grain)[2] + hot
+
+
+def granular(look: Look, own: Account) -> bool:
+    """Whether what an account calls a granular field may be one; true where it has none."""
+    variance = own.component.get("grain", 0.0)
+    if not variance:
+        return True
+    coarse = at_its_coarsest(own.grain, look.problem.context.sigma_px)
+    return not coarse and not strays(look.measured, float(np.sqrt(variance)))
 
 
 def _latent(look: Look, component: dict[str, float], grain: float, active: Sequence[str]) -> Latent:
@@ -381,11 +405,12 @@ def _left_over(look: Look, component: dict[str, float], grain: float, expected: 
     excess = loads @ value
     out, score = [], 0.0
     granular = loads[:, COMPONENTS.index("grain")] * component.get("grain", 0.0)
-    for o, own, change, plain, field, stripes in zip(
-        seen, excess, expected, _plain(look), granular, striped, strict=True
+    pattern = loads[:, COMPONENTS.index("pixel")] * component.get("pixel", 0.0) * _one_draw(look)
+    for o, own, change, plain, field, again, stripes in zip(
+        seen, excess, expected, _plain(look), granular, pattern, striped, strict=True
     ):
         error = o.error * (1 + max(own + change, 0.0) / o.floor) + TRUST * (abs(own) + abs(change))
-        error += (0.0 if o.label == "site" else TRUST_GRAIN) * field + stripes
+        error += (0.0 if o.label == "site" else TRUST_GRAIN) * field + again + stripes
         rest = o.value - own - change - stripes
         out.append(o._replace(value=rest, error=error) if plain else o)
         if o.label in SCATTER:
@@ -397,12 +422,13 @@ def _left_over(look: Look, component: dict[str, float], grain: float, expected: 
     return out, score
 
 
-def _settled(o: Observable, names: set[str], fresh: bool) -> bool:
-    """Marks that an effect in the model leaves by its nature; `fresh` fringes are not yet taken off."""
+def _settled(o: Observable, names: set[str], fresh: bool, sites: int) -> bool:
+    """Marks that an effect in the model leaves by its nature at so many sites; `fresh` fringes are not taken off."""
     if o.label.startswith("code"):  # where a level clips, readings gather at one code
         return "saturation" in names
     marked = {
-        "hot": {"fixed_pattern", "row_noise"},
+        # At one site a granular field is the same in all frames, as a pixel's offset is.
+        "hot": {"fixed_pattern", "row_noise"} | ({"speckle"} if sites == 1 else set()),
         # Clipped noise is skewed and has tails of its own; so has a granular field, so have hot pixels.
         "skewness": {"saturation", "black_clipping", "nonlinearity", "speckle", "fixed_pattern"},
         "outliers": {"saturation", "black_clipping", "speckle", "fixed_pattern", "row_noise"},

@@ -8,7 +8,7 @@ import numpy as np
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Detection, Null, detect
-from spotcheck.discrepancy.explain import Account, account
+from spotcheck.discrepancy.explain import Account, account, granular
 from spotcheck.discrepancy.freed_named import Freed, Left, freed_of, left_of
 from spotcheck.discrepancy.look import Look, look_again, look_at
 from spotcheck.discrepancy.name import assessable, present_of, search
@@ -20,8 +20,9 @@ from spotcheck.discrepancy.surround import LEFT, STATISTIC, Surround, surround_o
 # −log10 p from which on scatter, stripes or lines stand out clearly.
 CLEAR = 4.0
 FRINGES = "interference_fringes"
-# Where less than this many times the expected χ² is left, it may be an edge's that blocks do not resolve.
-NEARLY = 3.0
+# Where less than this many times the expected χ² is left, it may be an edge's that blocks do not resolve; and so often
+# is looked again.
+NEARLY, AGAIN = 3.0, 2
 
 
 class Tolerance(NamedTuple):
@@ -101,7 +102,9 @@ def investigate(
                 exact = closer_account(near, other)
                 looks[leader.key] = near
                 good = fits(near, exact)
-            if not good and exact.refit.chi2 < NEARLY * near.problem.used.sum() and "fixed_pattern" not in own.names:
+            for _ in range(AGAIN):
+                if good or exact.refit.chi2 >= NEARLY * near.problem.used.sum() or "fixed_pattern" in own.names:
+                    break
                 # The first look may lead astray: once more, from what the closer one found.
                 near = about(shots, near, exact)
                 exact = closer_account(near, exact)
@@ -110,7 +113,9 @@ def investigate(
         return exact, good
 
     def fits(near: Look, exact: Account) -> bool:
-        return consistent(detect(null, exact.left), size_of(near, exact), tolerance)
+        # A model gone astray may leave no block that could speak against it.
+        seen = near.problem.used.any() and granular(near, exact)
+        return bool(seen) and consistent(detect(null, exact.left), size_of(near, exact), tolerance)
 
     naming = search(look, effects, closer)
     evidence = {n: (own.score - first.score, own.refit.chi2) for n, own in naming.singles.items()}
@@ -178,7 +183,7 @@ def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> t
             present = list(present_of(own))
             present[k] = present[k]._replace(form=form)
             other, look = account(near, present, own.refit.model, own.refit.score), near
-            if edged and effect.name == "saturation":
+            if edged and effect.name == "saturation" and other.refit.chi2 < NEARLY * near.problem.used.sum():
                 look = near_to(other)
                 other = closer_account(look, other)
             if other.score < own.score - 1:

@@ -60,7 +60,8 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     for own in model.present:
         read = own.apply(read) if own.effect.place is Place.NOISE else read
     felt = setting.sensor._replace(read_noise_e=float(np.sqrt(read)))
-    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt)._replace(given=given)
+    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt)
+    measured = measured._replace(given=given, waves=own_waves(before, model, base))
     # The base has moved: no shift is left.
     near = _seen(measured, setting, model._replace(shift=0 * model.shift))
     # What was taken off still speaks against who knows nothing of it.
@@ -115,14 +116,13 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
     condition = design.condition
     rows, columns = shots[0].pixels().shape
     moved = _moved(before, model, latent)
+    if measured.waves.any():
+        moved = _with_own_places(measured, moved)
     if latent.centre:
         moved = with_own_centres(shots, measured, moved, setting)
     x0, y0 = moved.x0, moved.y0
     gain = own_gain(before, model, latent)
-    stripes = next((p for p in model.present if p.effect.name == "interference_fringes" and p.form == "site"), None)
-    waves = np.zeros((design.sites, 2))
-    if stripes is not None:
-        waves = _waves(measured, stripes.named(), x0, y0)
+    waves = own_waves(before, model, moved)
 
     first = before.cells.base
     bent = any(own.effect.place in (Place.WELL, Place.RESPONSE, Place.DIGITAL) for own in model.present)
@@ -216,16 +216,28 @@ def with_own_centres(shots: Sequence[Shot], measured: Measured, base: Base, sett
     return base
 
 
-def _waves(measured: Measured, fringes: dict[str, float], x0: np.ndarray, y0: np.ndarray) -> np.ndarray:
-    """Amplitudes (cos, sin) about each site's spot, from what the site's exposures share."""
+def _with_own_places(measured: Measured, base: Base) -> Base:
+    """A base whose sites lie where their frames see them now that stripes were taken off: those had pulled."""
+    fits, site = frame_fits(measured, "centre"), measured.design.site
+    weight = np.where(fits.known[:, None], 1 / np.where(fits.known[:, None], fits.variance, 1.0), 0.0)
+    step = weight * (fits.value - measured.given[:, 1:])
+    x, y = (np.bincount(site, step[:, k]) / np.maximum(np.bincount(site, weight[:, k]), 1e-300) for k in (0, 1))
+    return base._replace(x0=base.x0 + x[site], y0=base.y0 + y[site])
+
+
+def own_waves(before: Look, model: Model, base: Base) -> np.ndarray:
+    """Amplitudes [site, (cos, sin)] about each site's spot, from what the site's exposures share: those that a look was
+    about, and what it still saw of them; 0 without stripes of a site's own phase."""
+    measured = before.measured
+    stripes = next((p for p in model.present if p.effect.name == "interference_fringes" and p.form == "site"), None)
+    if stripes is None:
+        return np.zeros((measured.design.sites, 2))
+    fringes = stripes.named()
     angle = np.deg2rad(fringes["direction"])
     kx, ky = np.cos(angle) / fringes["period"], np.sin(angle) / fringes["period"]
     own = amplitudes(measured, kx, ky)
-    out = np.zeros((len(own), 2))
-    for site in range(len(own)):
-        first = np.flatnonzero(measured.design.site == site)[0]
-        dx = x0[first] + measured.left[first] - measured.site_left[site]
-        dy = y0[first] + measured.top[first] - measured.site_top[site]
-        turned = own[site] * np.exp(2j * np.pi * (kx * dx + ky * dy))
-        out[site] = turned.real, -turned.imag
-    return out
+    first = np.unique(measured.design.site, return_index=True)[1]
+    dx = base.x0[first] + measured.left[first] - measured.site_left
+    dy = base.y0[first] + measured.top[first] - measured.site_top
+    turned = own * np.exp(2j * np.pi * (kx * dx + ky * dy))
+    return measured.waves + np.stack([turned.real, -turned.imag], axis=1)

@@ -59,8 +59,9 @@ class Sums(NamedTuple):
 class Measured(NamedTuple):
     """Sums about a model, the base spots, score [frame, 7] and information [frame, 7, 7] of each frame's own spot (the
     parameters of `scoring`), side of a block [px], the corner (row, column) of the window on the sensor, whether sites
-    share it, where each crop and each site's window lies [px], and by how much the brightness and centre that a frame
-    was given of its own differ from the model's [frame, (relative, x px, y px)]."""
+    share it, where each crop and each site's window lies [px], by how much the brightness and centre that a frame was
+    given of its own differ from the model's [frame, (relative, x px, y px)], and the stripes that a site was given
+    [site, (cos, sin)]."""
 
     design: Design
     base: Base
@@ -75,6 +76,7 @@ class Measured(NamedTuple):
     site_left: np.ndarray
     site_top: np.ndarray
     given: np.ndarray
+    waves: np.ndarray
 
 
 def block_side(crop_px: int) -> int:
@@ -150,7 +152,7 @@ def measure(
             more = np.where(plain + margin > sensor.full_scale_dn, whole, more)
             score[k] -= pull_of(np.where(np.isfinite(image), more, 0.0), theta, baseline.top_hat)
     return Measured(design, base, sums, score, information, side, corner, common, left, top, site_left, site_top,
-                    np.zeros((count, 3)))  # fmt: skip
+                    np.zeros((count, 3)), np.zeros((design.sites, 2)))  # fmt: skip
 
 
 def spot_of(k: int, design: Design, base: Base, sensor: SensorModel) -> np.ndarray:

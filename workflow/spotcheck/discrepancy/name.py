@@ -9,7 +9,7 @@ from spotcheck.discrepancy.explain import Account, account, is_component, relief
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.refit import basis, screened
 from spotcheck.discrepancy.stripes import peak
-from spotcheck.model.effect import Effect, Present
+from spotcheck.model.effect import Effect, Place, Present
 from spotcheck.model.effects import vocabulary
 
 # Rivals whose −2 ln L (with 2 a free number) is within this of the best cannot be told from it: 2.8 standard
@@ -29,8 +29,9 @@ LAWS = ("angle_reflectance", "photon_budget", "laser_drift", "shutter_offset")
 CONTAINS = {"dark_offset": ("background_gradient",)} | {law: ("power_fluctuation",) for law in LAWS}
 # One effect more must close this part of what is left, or it only mimics.
 WORTH = 0.2
-# How many explanations are followed to the next size, how many effects of the mean and how many components of variance
-# are tried beside each, and starts of each. The two promise by different measures, and scatter feeds on a wrong mean.
+# How many explanations are followed to the next size, how many effects of the mean and how many of noise are tried
+# beside each (and all that promise what only a fit can tell), and starts of each. The two promise by different
+# measures, and scatter feeds on a wrong mean.
 BEAM, BESIDE, BESIDE_SCATTER, STARTS = 4, 3, 3, 3
 MOST = 3
 
@@ -130,6 +131,11 @@ def _added(
         assert best is not None
         first = next(p.values for p in best.refit.model.present if p.effect.name == effect.name)
     return best
+
+
+def scatters(effect: Effect) -> bool:
+    """Whether an effect promises nothing to the means: a component of variance, or white noise."""
+    return is_component(effect) or effect.place is Place.NOISE
 
 
 def present_of(own: Account) -> tuple[Present, ...]:
@@ -267,19 +273,18 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
         for effect in effects:
             if effect.name in parent.names:
                 continue
-            if is_component(effect):
+            if scatters(effect):
                 own = relief(look, parent, effect)
             elif effect.name == "interference_fringes":
-                own = parent.left.get("spectrum: stripes", 0.0) ** 2 if "speckle" not in parent.names else 0.0
+                own = np.inf if "speckle" not in parent.names else 0.0
             else:
                 firsts = [screened(look.problem, parent.refit, span, effect, form)[0][0] for form in effect.forms]
                 own = max(firsts, default=0.0)
             promise.append((own, effect))
         promise.sort(key=lambda item: -item[0])
         target = min((own.refit.score for own in seen.values()), default=np.inf)
-        means = [item for item in promise if not is_component(item[1])][:BESIDE]
-        scatter = [item for item in promise if is_component(item[1])][:BESIDE_SCATTER]
-        for own, effect in (*means, *scatter):
+        untold, means, scatter = _sorted(promise)
+        for own, effect in (*untold, *means[:BESIDE], *scatter[:BESIDE_SCATTER]):
             key = frozenset((*parent.names, effect.name))
             if key in seen or own < EARNS:
                 continue
@@ -288,6 +293,13 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
                 seen[key] = found
                 target = min(target, found.refit.score)
     return sorted(seen.values(), key=lambda own: own.score)
+
+
+def _sorted(promise: list[tuple[float, Effect]]) -> tuple[list, list, list]:
+    """Promises that only a fit can tell (infinite), of the means, and of noise."""
+    told = [item for item in promise if np.isfinite(item[0])]
+    means, scatter = ([item for item in told if scatters(item[1]) == noisy] for noisy in (False, True))
+    return [item for item in promise if np.isinf(item[0])], means, scatter
 
 
 def _rivals(look: Look, best: Account, effects: Sequence[Effect]) -> list[Account]:

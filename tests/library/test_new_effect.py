@@ -1,0 +1,70 @@
+"""A mechanism outside the vocabulary, made by the rig: `unknown` until one file says what it is, then named."""
+
+import importlib
+import sys
+
+import pytest
+
+from rig import hidden
+from spotcheck.discrepancy.extend import Tolerance
+from spotcheck.discrepancy.verdict import judge, verdict_json
+from spotcheck.model import effects
+from spotcheck.model.effects import vocabulary
+from tests.blind.crops import set_of
+from tests.blind.judge_case import Nulls
+
+COMA = '''"""Coma: the flanks reach further on one side."""
+
+import numpy as np
+
+from spotcheck.model.effect import Effect, Parameter, Place
+
+
+def tail(view, half, *, c, direction):
+    """Exponent of the shape with ρ over 1 + c ρ² cos(θ − direction)/(1 + ρ²)."""
+    theta = np.arctan2(view.y - view.y0, view.x - view.x0) - np.deg2rad(direction)
+    return half / (1 + c * 2 * half * np.cos(theta) / (1 + 2 * half)) ** 2
+
+
+EFFECT = Effect(
+    number=25,
+    name="coma",
+    sentence="the spot's flanks reach further on one side",
+    place=Place.PROFILE,
+    parameters=(Parameter("c", "1", 0.0, 0.9), Parameter("direction", "deg", -np.inf, np.inf)),
+    starts=lambda c: [(0.02, angle) for angle in range(0, 360, 45)],
+    function=tail,
+)
+'''
+
+
+@pytest.fixture
+def with_coma(tmp_path, monkeypatch):
+    """From its call on, the vocabulary holds coma; until the test ends."""
+    assert "coma" not in vocabulary()
+    (tmp_path / "coma.py").write_text(COMA, encoding="utf-8")
+    monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
+    importlib.invalidate_caches()
+    yield vocabulary.cache_clear
+    sys.modules.pop(f"{effects.__name__}.coma", None)
+    monkeypatch.undo()
+    vocabulary.cache_clear()
+
+
+@pytest.mark.slow
+def test_what_was_unknown_is_named_by_one_new_file(with_coma, tmp_path):
+    """By name, with the strength that the rig drew within 4 standard errors (false alarm 6e-5)."""
+    case = hidden.draw_case(8, "outside:coma:strong", "one_site")
+    seen, nulls = set_of(case), Nulls(tmp_path, 110)
+
+    def verdict():
+        return verdict_json(judge(seen.shots, seen.setting, seen.kind, nulls.null_for, Tolerance()), "8", Tolerance())
+
+    before = verdict()
+    assert before["status"] == "unknown" and not before["effects"]
+    with_coma()
+    after = verdict()
+    assert after["status"] == "named" and [own["name"] for own in after["effects"]] == ["coma"]
+    found, drawn = after["effects"][0]["parameters"]["c"], case.truth["outside"]["settings"]["c"]
+    assert abs(found["value"] - drawn) < 4 * found["stderr"]
+    assert after["gap"]["closed"] > 0.98
