@@ -24,12 +24,11 @@ def stop(mean, variance, read_variance, *, level, knee, form):
 
 
 def _soft(x, level, knee):
-    """Value, slope and curvature of a logarithmic knee, however wide 0 in the dark."""
+    """Value, slope and curvature of a logarithmic knee."""
     width = knee * level
     above = (x - level) / width
     slope = 1 / (1 + np.exp(np.clip(above, -60, 60)))
-    lost = np.logaddexp(0.0, above) - np.logaddexp(0.0, -1 / knee)
-    return x - width * lost, slope, -slope * (1 - slope) / width
+    return x - width * np.logaddexp(0.0, above), slope, -slope * (1 - slope) / width
 
 
 def _power(x, level, knee):
