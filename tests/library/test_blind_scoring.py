@@ -9,7 +9,7 @@ import pytest
 
 from rig import hidden
 from tests.blind import figure, intervals, outcome, picture, power, records, score, table, times
-from tests.blind.judge_case import Nulls, compared, record_of
+from tests.blind.judge_case import BY_COMMAND, Nulls, compared, record_of
 from tests.blind.plan import PUBLISHED, Job, plan
 from tests.check_readme import pattern
 
@@ -310,7 +310,8 @@ FIXED = [(2, "none"), (5, "none"), (1, "one:smear:strong"), (3, "one:super_gauss
 @pytest.mark.slow
 def test_a_small_fixed_run(tmp_path):
     nulls = Nulls(tmp_path, 110)
-    rows = [record_of(Job(k, seed, kind, "one_site"), nulls.null_for) for k, (seed, kind) in enumerate(FIXED)]
+    jobs = [Job(BY_COMMAND, seed, kind, "one_site") for seed, kind in FIXED]
+    rows = [record_of(job, nulls.null_for) for job in jobs]
     assert [(row["outcome"], row.get("error"), row.get("told_error")) for row in rows] == [("judged", None, "")] * 6
     json.dumps(rows, allow_nan=False)
     assert not any(map(outcome.alarm, rows[:2])) and all(map(outcome.detected, rows[2:]))
