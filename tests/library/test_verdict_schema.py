@@ -7,6 +7,7 @@ import pytest
 
 from spotcheck.discrepancy.locate import where
 from spotcheck.discrepancy.sentence import sentence
+from spotcheck.discrepancy.verdict import parameters_of
 from spotcheck.discrepancy.written import breach_of_verdict, rounded, write_verdict
 from spotcheck.model.effects import vocabulary
 from spotcheck.store import ContractError
@@ -28,6 +29,18 @@ def test_every_status_can_be_written(status, tmp_path):
     assert breach_of_verdict(own) is None
     write_verdict(own, tmp_path / "verdict.json")
     assert json.loads((tmp_path / "verdict.json").read_text(encoding="utf-8")) == rounded(own)
+
+
+@pytest.mark.parametrize("level", [319.6, 320.4])
+def test_a_level_that_readings_round_is_known_to_a_number(level):
+    """Readings that stop at code 332, 12 DN of it black level, tell of a level no more than that it lies from 319.5 to
+    320.5 DN: its middle, and at least the 1/√12 DN of a number that lies anywhere in it."""
+    late = small.present("saturation", level, 0.03, form="sharp with noise")
+    found = small.judgement("named", small.plain, late, after=lambda image, rng: np.minimum(image, 332)).findings
+    look, own = found.best
+    own = own._replace(refit=own.refit._replace(model=own.refit.model._replace(present=(late,))))
+    told = parameters_of(found._replace(best=(look, own)), "saturation")["level"]
+    assert told["value"] == pytest.approx(320.0, abs=1e-9) and told["stderr"] >= 12**-0.5
 
 
 @pytest.mark.parametrize("status", ["named", "unknown", "not_assessed"])

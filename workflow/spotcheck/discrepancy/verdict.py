@@ -12,12 +12,14 @@ from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
 from spotcheck.discrepancy.explain import COMPONENT, Account, account
 from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
-from spotcheck.discrepancy.freed_named import Freed, gap_of_freed
+from spotcheck.discrepancy.freed_named import gap_of_freed
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.noise import hot_pixels
 from spotcheck.discrepancy.saved import recalled, saved_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out, together
 from spotcheck.discrepancy.verify import Gap, verify
+from spotcheck.model.effect import Present
+from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
 
 class Judgement(NamedTuple):
@@ -161,25 +163,38 @@ def _candidates(own: str, names: list[tuple[str, ...]]) -> list[str]:
 def parameters_of(found: Findings, name: str) -> dict[str, dict[str, Any]]:
     """Parameters of an effect of the best explanation, with standard errors and units; those of the form left out."""
     if found.freed is not None:
-        return _freed_parameters(found.freed, name)
+        return _freed_parameters(found, name)
     assert found.best is not None
     own = found.best[1]
     at = 0
     out: dict[str, dict[str, Any]] = {}
     for present in own.refit.model.present:
         idle = present.effect.idle.get(present.form, ())
-        for parameter, value in zip(present.effect.parameters, present.values, strict=True):
+        errors = []
+        for parameter in present.effect.parameters:
             moving = parameter.name not in idle
-            if present.effect.name == name and not parameter.inner:
-                error = float(np.sqrt(max(own.refit.covariance[at, at], 0.0))) if moving else None
-                out[parameter.name] = {"value": float(value), "stderr": _number(error), "unit": parameter.unit}
+            errors.append(np.sqrt(max(own.refit.covariance[at, at], 0.0)) if moving else np.nan)
             at += moving
+        if present.effect.name == name:
+            out = _reported(present, errors, found.look.setting.sensor)
     return out | _scatter_parameters(found, own, name)
 
 
-def _freed_parameters(freed: Freed, name: str) -> dict[str, dict[str, Any]]:
-    present, errors = next(o for o in zip(freed.present, freed.errors, strict=True) if o[0].effect.name == name)
-    rows = zip(present.effect.parameters, present.values, errors, strict=True)
+def _freed_parameters(found: Findings, name: str) -> dict[str, dict[str, Any]]:
+    assert found.freed is not None
+    pairs = zip(found.freed.present, found.freed.errors, strict=True)
+    present, errors = next(own for own in pairs if own[0].effect.name == name)
+    return _reported(present, errors, found.look.setting.sensor)
+
+
+def _reported(present: Present, errors: Sequence[float | None], sensor: SensorModel) -> dict[str, dict[str, Any]]:
+    """Values, standard errors and units of an effect's parameters. A strength that readings show as a whole number
+    lies anywhere about that."""
+    values, errors = list(present.values), list(errors)
+    if present.form in present.effect.rounded:
+        values[0] = round(values[0] + sensor.black_level_dn) - sensor.black_level_dn
+        errors[0] = float(np.hypot(errors[0] or 0.0, np.sqrt(ROUNDING_VARIANCE)))
+    rows = zip(present.effect.parameters, values, errors, strict=True)
     return {p.name: {"value": float(v), "stderr": _number(e), "unit": p.unit} for p, v, e in rows if not p.inner}
 
 

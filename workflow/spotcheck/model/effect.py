@@ -71,7 +71,8 @@ class Effect(NamedTuple):
     vanishes; `starts` lists where its fit begins, one value a parameter; `forms` the forms among which the data
     choose; `replaces` the baseline's parameters that lose their meaning; `needs` what a design must vary for it to
     show ("exposure", "three exposures", "angle", "order", "frames", "law" for a law of the light in exposure); `idle`
-    the parameters that a form does not have."""
+    the parameters that a form does not have; `rounded` the forms whose strength [DN] shows in readings as a whole
+    number."""
 
     number: int
     name: str
@@ -86,6 +87,7 @@ class Effect(NamedTuple):
     needs: tuple[str, ...] = ()
     scatter: Scatter | None = None
     idle: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    rounded: tuple[str, ...] = ()
 
     def bounds(self, context: Context) -> np.ndarray:
         """Lowest and highest value of each parameter [parameter, 2]."""

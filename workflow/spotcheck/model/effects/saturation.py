@@ -66,4 +66,5 @@ EFFECT = Effect(
     forms=("sharp", "soft", "power", "sharp with noise", "soft with noise", "power with noise"),
     neutral=np.inf,
     idle={"sharp": ("knee",), "sharp with noise": ("knee",)},
+    rounded=("sharp with noise",),
 )
