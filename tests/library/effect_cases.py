@@ -4,16 +4,39 @@
 in the contract's order, and would not in another.
 """
 
+import importlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.model import chain
+from spotcheck.model import chain, effects
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law, View
 from spotcheck.model.effect import Context, Present
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import SensorModel
+
+
+@contextmanager
+def one_file_more(folder: Path, name: str, text: str) -> Iterator[None]:
+    """The vocabulary with one effect more: a file in a folder that is searched as well."""
+    (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    before = effects.__path__
+    effects.__path__ = [*before, str(folder)]
+    vocabulary.cache_clear()
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        effects.__path__ = before
+        sys.modules.pop(f"{effects.__name__}.{name}", None)
+        vars(effects).pop(name, None)
+        vocabulary.cache_clear()
+
 
 CONTEXTS = {
     "the paper's": Context(18.4, 640.0, 1023.0, 240.0, 1e-4, 13.0, 0.11, 0.17),

@@ -1,6 +1,5 @@
 """The vocabulary of effects: the dataset contract's words, strengths at which nothing happens, one file an effect."""
 
-import importlib
 import sys
 
 import numpy as np
@@ -26,6 +25,7 @@ from tests.library.effect_cases import (
     all_moments,
     fast_light,
     of,
+    one_file_more,
     title,
 )
 
@@ -171,19 +171,12 @@ EFFECTS_PAGE = ROOT / "workflow" / "docs" / "effects.md"
 
 
 @pytest.fixture
-def vignetting(tmp_path, monkeypatch):
-    """The page's own example, in a folder that is searched as well, for as long as a test lasts."""
+def vignetting(tmp_path):
+    """The page's own example, for as long as a test lasts."""
     blocks = EFFECTS_PAGE.read_text(encoding="utf-8").split("```python\n")
     assert len(blocks) == 2
-    (tmp_path / "vignetting.py").write_text(blocks[1].split("```")[0], encoding="utf-8")
-    monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
-    vocabulary.cache_clear()
-    importlib.invalidate_caches()
-    yield vocabulary()["vignetting"]
-    sys.modules.pop(f"{effects.__name__}.vignetting")
-    del effects.vignetting
-    monkeypatch.undo()
-    vocabulary.cache_clear()
+    with one_file_more(tmp_path, "vignetting", blocks[1].split("```")[0]):
+        yield vocabulary()["vignetting"]
 
 
 def test_a_new_file_is_a_new_effect(vignetting):

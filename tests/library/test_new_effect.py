@@ -1,17 +1,13 @@
 """A mechanism outside the vocabulary, made by the rig: `unknown` until one file says what it is, then named."""
 
-import importlib
-import sys
-
 import pytest
 
 from rig import hidden
 from spotcheck.discrepancy.extend import Tolerance
 from spotcheck.discrepancy.verdict import judge, verdict_json
-from spotcheck.model import effects
-from spotcheck.model.effects import vocabulary
 from tests.blind.crops import set_of
 from tests.blind.judge_case import Nulls
+from tests.library.effect_cases import one_file_more
 
 COMA = '''"""Coma: the flanks reach further on one side."""
 
@@ -38,21 +34,8 @@ EFFECT = Effect(
 '''
 
 
-@pytest.fixture
-def with_coma(tmp_path, monkeypatch):
-    """From its call on, the vocabulary holds coma; until the test ends."""
-    assert "coma" not in vocabulary()
-    (tmp_path / "coma.py").write_text(COMA, encoding="utf-8")
-    monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
-    importlib.invalidate_caches()
-    yield vocabulary.cache_clear
-    sys.modules.pop(f"{effects.__name__}.coma", None)
-    monkeypatch.undo()
-    vocabulary.cache_clear()
-
-
 @pytest.mark.slow
-def test_what_was_unknown_is_named_by_one_new_file(with_coma, tmp_path):
+def test_what_was_unknown_is_named_by_one_new_file(tmp_path):
     """By name, with the strength that the rig drew within 4 standard errors (false alarm 6e-5)."""
     case = hidden.draw_case(8, "outside:coma:strong", "one_site")
     seen, nulls = set_of(case), Nulls(tmp_path, 110)
@@ -62,8 +45,8 @@ def test_what_was_unknown_is_named_by_one_new_file(with_coma, tmp_path):
 
     before = verdict()
     assert before["status"] == "unknown" and not before["effects"]
-    with_coma()
-    after = verdict()
+    with one_file_more(tmp_path, "coma", COMA):
+        after = verdict()
     assert after["status"] == "named" and [own["name"] for own in after["effects"]] == ["coma"]
     found, drawn = after["effects"][0]["parameters"]["c"], case.truth["outside"]["settings"]["c"]
     assert abs(found["value"] - drawn) < 4 * found["stderr"]

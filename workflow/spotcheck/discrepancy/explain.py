@@ -272,7 +272,7 @@ def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float
     floor = np.array([o.floor for o in seen])
     basic = np.array([o.error for o in seen])
     form = np.array([0.0 if o.label == "site" else TRUST_GRAIN for o in seen])
-    again = _one_draw(look)
+    again = _one_draw(look) if "pixel" in active else 0.0
     found = np.zeros(len(active))
     for _ in range(4 if active else 1):
         excess = loads @ found

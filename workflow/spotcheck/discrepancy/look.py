@@ -49,7 +49,7 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     """Look at the same frames about a model with effects: every pixel's own mean, every frame's own brightness and
     place where those scatter; with `prnu`, the rms of the pixels' gains, also what hot pixels bring."""
     setting, design = before.setting, before.measured.design
-    base, expect = scenes(shots, before, model, latent)
+    base, waves, expect = scenes(shots, before, model, latent)
     if prnu is not None:
         expect = _with_hot(expect, before.measured, prnu)
     common = _moved(before, model, latent)
@@ -61,7 +61,7 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
         read = own.apply(read) if own.effect.place is Place.NOISE else read
     felt = setting.sensor._replace(read_noise_e=float(np.sqrt(read)))
     measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt)
-    measured = measured._replace(given=given, waves=own_waves(before, model, base))
+    measured = measured._replace(given=given, waves=waves)
     # The base has moved: no shift is left.
     near = _seen(measured, setting, model._replace(shift=0 * model.shift))
     # What was taken off still speaks against who knows nothing of it.
@@ -108,9 +108,11 @@ def held_blocks(design: Design, shape: tuple[int, ...]) -> np.ndarray:
     return out
 
 
-def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) -> tuple[Base, Callable[..., Scene]]:
-    """Each frame's expectation under a model that was fitted to condition means, and the base moved along with it; at
-    the crop's own pixels, or at points x, y [px of the sensor] that are evenly spaced."""
+def scenes(
+    shots: Sequence[Shot], before: Look, model: Model, latent: Latent
+) -> tuple[Base, np.ndarray, Callable[..., Scene]]:
+    """The base moved along with a model that was fitted to condition means, the amplitudes of each site's own stripes,
+    and each frame's expectation, at the crop's own pixels or at evenly spaced points x, y [px of the sensor]."""
     setting, measured = before.setting, before.measured
     design, base, view = measured.design, measured.base, before.cells.view
     condition = design.condition
@@ -122,7 +124,7 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
         moved = with_own_centres(shots, measured, moved, setting)
     x0, y0 = moved.x0, moved.y0
     gain = own_gain(before, model, latent)
-    waves = own_waves(before, model, moved)
+    waves = _own_waves(before, model, moved)
 
     first = before.cells.base
     bent = any(own.effect.place in (Place.WELL, Place.RESPONSE, Place.DIGITAL) for own in model.present)
@@ -160,7 +162,7 @@ def scenes(shots: Sequence[Shot], before: Look, model: Model, latent: Latent) ->
         whole = (np.broadcast_to(v, (1, len(y), len(x)))[0] for v in (at.mean, at.variance, spot, follows))
         return Scene(*map(np.ascontiguousarray, whole))
 
-    return moved, expect
+    return moved, waves, expect
 
 
 def own_gain(before: Look, model: Model, latent: Latent) -> np.ndarray:
@@ -219,13 +221,13 @@ def with_own_centres(shots: Sequence[Shot], measured: Measured, base: Base, sett
 def _with_own_places(measured: Measured, base: Base) -> Base:
     """A base whose sites lie where their frames see them now that stripes were taken off: those had pulled."""
     fits, site = frame_fits(measured, "centre"), measured.design.site
-    weight = np.where(fits.known[:, None], 1 / np.where(fits.known[:, None], fits.variance, 1.0), 0.0)
+    weight = fits.weight
     step = weight * (fits.value - measured.given[:, 1:])
     x, y = (np.bincount(site, step[:, k]) / np.maximum(np.bincount(site, weight[:, k]), 1e-300) for k in (0, 1))
     return base._replace(x0=base.x0 + x[site], y0=base.y0 + y[site])
 
 
-def own_waves(before: Look, model: Model, base: Base) -> np.ndarray:
+def _own_waves(before: Look, model: Model, base: Base) -> np.ndarray:
     """Amplitudes [site, (cos, sin)] about each site's spot, from what the site's exposures share: those that a look was
     about, and what it still saw of them; 0 without stripes of a site's own phase."""
     measured = before.measured

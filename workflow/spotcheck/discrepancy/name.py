@@ -283,7 +283,7 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
             promise.append((own, effect))
         promise.sort(key=lambda item: -item[0])
         target = min((own.refit.score for own in seen.values()), default=np.inf)
-        untold, means, scatter = _sorted(promise)
+        untold, means, scatter = _parted(promise)
         for own, effect in (*untold, *means[:BESIDE], *scatter[:BESIDE_SCATTER]):
             key = frozenset((*parent.names, effect.name))
             if key in seen or own < EARNS:
@@ -295,7 +295,7 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
     return sorted(seen.values(), key=lambda own: own.score)
 
 
-def _sorted(promise: list[tuple[float, Effect]]) -> tuple[list, list, list]:
+def _parted(promise: list[tuple[float, Effect]]) -> tuple[list, list, list]:
     """Promises that only a fit can tell (infinite), of the means, and of noise."""
     told = [item for item in promise if np.isfinite(item[0])]
     means, scatter = ([item for item in told if scatters(item[1]) == noisy] for noisy in (False, True))

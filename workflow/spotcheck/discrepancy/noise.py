@@ -345,6 +345,11 @@ class FrameFits(NamedTuple):
     variance: np.ndarray
     known: np.ndarray
 
+    @property
+    def weight(self) -> np.ndarray:
+        """One over the variance [frame, axis], 0 where nothing can be told."""
+        return np.where(self.known[:, None], 1 / np.where(self.known[:, None], self.variance, 1.0), 0.0)
+
 
 # Quantity → its own directions, and those fitted beside it: of gain, x, y, ln σ, two of the ellipse, offset.
 QUANTITIES = {
@@ -384,7 +389,7 @@ def frame_fits(measured: Measured, name: str) -> FrameFits:
 
 def scatter_of(fits: FrameFits, group: np.ndarray) -> tuple[float, int, float]:
     """χ² of the scatter within groups, its degrees of freedom, and by how much a variance of 1 would raise it."""
-    weight = np.where(fits.known[:, None], 1 / np.where(fits.known[:, None], fits.variance, 1.0), 0.0)
+    weight = fits.weight
     chi2, freedom, load = 0.0, 0, 0.0
     for g in np.unique(group):
         at = (group == g) & fits.known

@@ -63,8 +63,8 @@ def surround_of(shots: Sequence[Shot], look: Look, own: Account) -> Surround | N
     if any(shot.beside is None for shot in shots):
         return None
     design = look.measured.design
-    _, expect = scenes(shots, look, own.refit.model, own.latent)
-    _, bare = scenes(shots, look, plain(look.cells), own.latent)
+    *_, expect = scenes(shots, look, own.refit.model, own.latent)
+    *_, bare = scenes(shots, look, plain(look.cells), own.latent)
     crop = shots[0].pixels().shape
     total: np.ndarray | None = None
     for k, shot in enumerate(shots):
