@@ -129,11 +129,12 @@ def isolation_of(record: Record) -> float | None:
 
 
 def isolable(record: Record) -> bool | None:
-    """Whether a single effect can be told from every rival in its design; None where it is not known."""
-    if tied(record):
-        return False
+    """Whether a single effect can be told from every rival in its design; None where it is not known. The contract's
+    ties are ambiguous where they occur: bounds, grain or many frames may part them."""
     apart = isolation_of(record)
-    return None if apart is None else apart >= ISOLABLE
+    if apart is None:
+        return False if tied(record) else None
+    return apart >= ISOLABLE
 
 
 def failed(record: Record) -> bool:

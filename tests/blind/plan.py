@@ -21,8 +21,8 @@ EFFECT_DESIGNS = {
     "default": 12, "two_exposures": 1, "three_repeats": 2, "one_exposure": 1, "one_site": 1, "single_frame": 1,
     "eight_angles": 1,
 }  # fmt: skip
-# Shares of the streams. Of 4500 jobs 2070 are null sets, 1215 have one strong effect (50 each).
-SHARES = {"none": 46, "strong": 27, "mid": 5, "faint": 6, "outside": 7, "two": 5, "three": 2, "four": 2}
+# Shares of the streams. Of 4300 jobs 2064 are null sets, 1204 have one strong effect (50 each).
+SHARES = {"none": 48, "strong": 28, "mid": 5, "faint": 5, "outside": 7, "two": 5, "three": 1, "four": 1}
 
 
 class Job(NamedTuple):

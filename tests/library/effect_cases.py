@@ -60,9 +60,10 @@ class Case(NamedTuple):
     values: dict[str, float]
 
     def present(self) -> Present:
-        """As the library takes it."""
+        """As the library takes it; what the form lacks is NaN, so that nothing may depend on it."""
         effect = vocabulary()[self.name]
-        return Present(effect, self.form, tuple(float(self.values[p.name]) for p in effect.parameters))
+        assert set(self.values) >= {p.name for p in effect.parameters} - set(effect.idle.get(self.form, ()))
+        return Present(effect, self.form, tuple(float(self.values.get(p.name, np.nan)) for p in effect.parameters))
 
 
 def of(name: str, form: str = "", **values: float) -> Case:
@@ -121,6 +122,13 @@ class Frame(NamedTuple):
     form: dict[str, str]
 
 
+def course(order: float, form: str, own: dict[str, float]) -> float:
+    """How far a drift has run at a place in the order of acquisition: steadily, or as what warms up."""
+    if form == "linear":
+        return order
+    return (1 - np.exp(-own["rate"] * order)) / (1 - np.exp(-own["rate"]))
+
+
 def slow_frame(view: View, k: int, cases, budget: str, top_hat: bool) -> Frame:
     """Width and peak of frame `k`: σ_g = p_b + laser, peak ∝ (p_b/σ_g)² or t/σ_g², each law as it is written."""
     own, form = {c.name: c.values for c in cases}, {c.name: c.form for c in cases}
@@ -142,7 +150,7 @@ def slow_frame(view: View, k: int, cases, budget: str, top_hat: bool) -> Frame:
         d, gamma0 = own["angle_reflectance"]["d"], np.deg2rad(own["angle_reflectance"]["gamma0"])
         amplitude *= 1 + d * np.cos(2 * (angle - gamma0))
     if "laser_drift" in own:
-        amplitude *= 1 + own["laser_drift"]["total"] * order
+        amplitude *= 1 + own["laser_drift"]["total"] * course(order, form["laser_drift"], own["laser_drift"])
     x0, y0, a, b = (float(v[k, 0, 0]) for v in (view.x0, view.y0, view.wave_cos, view.wave_sin))
     sigma = spread(true) + LASER
     return Frame(x0, y0, nominal, np.rad2deg(angle), order, (a, b), amplitude, sigma, top_hat, own, form)
@@ -288,6 +296,7 @@ LAWS = [
     of("shutter_offset", offset=3e-5),
     of("spread_law", exponent=0.31),
     of("laser_drift", total=-0.4),
+    of("laser_drift", "settling", total=0.3, rate=2.5),
 ]
 PEDESTALS = [
     of("dark_offset", "light", level=17.0),

@@ -354,6 +354,15 @@ def test_brightness_laws():
         assert ratio[2] == pytest.approx(1, rel=1e-14)
     drift = states([of("laser_drift", total=0.3)])[0] / plain
     np.testing.assert_allclose(drift, 1 + 0.3 * np.arange(6) / 5, rtol=1e-12)
+    settling = of("laser_drift", "settling", total=0.3, rate=2.5).present()
+    places = VIEW.order[:, 0, 0]
+    np.testing.assert_allclose(
+        settling.apply(VIEW)[:, 0, 0], 1 + 0.3 * (1 - np.exp(-2.5 * places)) / (1 - np.exp(-2.5))
+    )
+    # Frames of one condition: the mean of the course, not the course of the mean; NaN is no frame.
+    many = VIEW._replace(order=np.array([[[0.1, 0.5, 0.9]], [[0.2, 0.4, np.nan]]]))
+    alone = [settling.apply(VIEW._replace(order=np.full((1, 1, 1), u)))[0, 0, 0] for u in (0.1, 0.5, 0.9, 0.2, 0.4)]
+    np.testing.assert_allclose(settling.apply(many)[:, 0, 0], [np.mean(alone[:3]), np.mean(alone[3:])], rtol=1e-14)
     reflected = of("angle_reflectance", d=0.3, gamma0=28.0).present()
     at = VIEW._replace(angle=np.deg2rad(np.arange(0.0, 360.0, 15.0))[:, None, None])
     ratio = reflected.apply(at)[:, 0, 0]

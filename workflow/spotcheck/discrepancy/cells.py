@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.measure import Measured
+from spotcheck.discrepancy.shots import Design
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law, View
 from spotcheck.model.sensor import SensorModel
@@ -101,7 +102,7 @@ def view_of(measured: Measured, setting: Setting) -> View:
         mean(base.y0 + measured.top),
         exposure,
         angle,
-        mean(np.nan_to_num(design.order, nan=0.5)),
+        orders_of(design),
         0.0 * exposure,
         0.0 * exposure,
         longest,
@@ -110,6 +111,18 @@ def view_of(measured: Measured, setting: Setting) -> View:
         setting.frame_rows,
         side / 2,
     )
+
+
+def orders_of(design: Design) -> np.ndarray:
+    """Places in the order of acquisition of each condition's frames [condition, 1, frame], NaN where it has fewer; an
+    unknown order counts as its middle."""
+    own = [np.nan_to_num(design.order[design.condition == c], nan=0.5) for c in range(design.conditions)]
+    out = np.full((design.conditions, 1, max(1, *(len(o) for o in own))), np.nan)
+    for row, orders in zip(out[:, 0], own, strict=True):
+        row[: len(orders)] = orders
+        if not len(orders):
+            row[0] = 0.5
+    return out
 
 
 def pooled(points: np.ndarray) -> np.ndarray:

@@ -1,18 +1,26 @@
 """What a set of effects makes of a look: one joint fit of condition means and of noise, and what it leaves over."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar, nnls
+from scipy.optimize import least_squares, minimize_scalar, nnls
 
 from spotcheck.discrepancy.cells import pooled
 from spotcheck.discrepancy.detect import statistics
 from spotcheck.discrepancy.grain import REFINED, at_its_coarsest, grains_of, strays
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.modes import modes_of
-from spotcheck.discrepancy.noise import COMPONENTS, Observable, block_correlation, grained, scatter_of
-from spotcheck.discrepancy.refit import Latent, Model, Refit, Told, refit
+from spotcheck.discrepancy.noise import (
+    COMPONENTS,
+    FrameFits,
+    Observable,
+    block_correlation,
+    deviations,
+    grained,
+    scatter_of,
+)
+from spotcheck.discrepancy.refit import Latent, Model, Refit, Told, moving, refit
 from spotcheck.model.chain import Moments
 from spotcheck.model.effect import Effect, Place, Present
 
@@ -30,17 +38,21 @@ MOST_RELATIVE = {"pixel": 1.0, "grain": 1.0, "gain": 1.0}
 TRUST = 0.03
 # The correlation of a granular field has no fixed form; what it does to anything but its own power is trusted less.
 TRUST_GRAIN = 0.3
-# Step of a drift's curvature.
-ORDER_STEP = 1e-3
 # Observables of what scatters from frame to frame and has a component of its own.
 SCATTER = ("brightness", "centre")
+# White noise and the means are fitted in turn, so often at most, until the noise moves by less than this part of its
+# standard error.
+ROUNDS, STILL = 8, 0.2
+# Relative step to bend a cost by.
+BEND = 3e-3
 # Shape of observables that no component explains; they speak only in what is left over.
 MARKS = ("stripes", "spot", "hot", "outliers", "skewness")
 
 
 class Account(NamedTuple):
-    """Effects with their forms; the joint fit; variance components with standard errors; the grain [px]; −2 ln L of
-    everything with 2 for each free number of an effect; statistics and observables of what is left."""
+    """Effects with their forms; the joint fit; variance components; standard errors of these, of the grain (`size`
+    [px]) and of white noise (`read` [e-]); the grain [px]; −2 ln L of everything with 2 for each free number of an
+    effect; statistics and observables of what is left."""
 
     effects: tuple[tuple[Effect, str], ...]
     refit: Refit
@@ -83,24 +95,29 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     start = start._replace(present=direct)
     noisy = any(own.effect.place is Place.NOISE for own in direct)
     if noisy:
-        direct = _with_noise(look, direct, start)
+        direct, _ = _with_noise(look, direct, start, active)
         start = start._replace(present=direct)
     at = look.problem.evaluate(start)
     component, error, grain = _components(look, active, expected_of(look, at, direct))
     latent = _latent(look, component, grain, active)
-    told = _told(look, direct)
+    told, before = _told(look, direct), direct
     fit = refit(look.problem, effects, start._replace(present=_with_rows(direct, component)), latent, target, told=told)
     expected = expected_of(look, fit.moments, fit.model.present)
-    if active or noisy:
-        # What the means were off by before looked like noise.
-        present_now = _with_noise(look, fit.model.present, fit.model) if noisy else fit.model.present
+    for _ in range(ROUNDS if active or noisy else 0):
+        # What the means were off by before looked like noise; and where black cuts noise, it raises the means.
+        present_now, white = fit.model.present, {}
         if noisy:
+            present_now, white["read"] = _with_noise(look, fit.model.present, fit.model, active)
             expected = expected_of(look, look.problem.evaluate(fit.model._replace(present=present_now)), present_now)
         component, error, grain = _components(look, active, expected)
+        error |= white
         latent = _latent(look, component, grain, active)
         model = fit.model._replace(present=_with_rows(present_now, component))
         fit = refit(look.problem, effects, model, latent, target, told=told)
         expected = expected_of(look, fit.moments, fit.model.present)
+        if not noisy or abs(_total(present_now) - _total(before)) < STILL * white["read"]:
+            break
+        before = present_now
     names = {own.effect.name for own in present}
     fresh = "interference_fringes" in names and not any(
         p.effect.name == "interference_fringes" for p in look.problem.start.present
@@ -124,16 +141,30 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     return Account(listed, fit, component, error, grain, score, left, seen, latent)
 
 
+def _total(direct: Sequence[Present]) -> float:
+    """Read noise [e-] of the effect that says it."""
+    return next(own.values[0] for own in direct if own.effect.place is Place.NOISE)
+
+
 def _with_rows(direct: tuple[Present, ...], component: dict[str, float]) -> tuple[Present, ...]:
     """The effects with the row noise that the scatter of lines tells."""
     rms = float(np.sqrt(component.get("row", 0.0)))
     return tuple(own._replace(values=(rms,)) if own.effect.name == "row_noise" else own for own in direct)
 
 
-def _with_noise(look: Look, direct: tuple[Present, ...], start: Model) -> tuple[Present, ...]:
-    """The effects with the read noise that the scatter within blocks, and the means where black cuts it, tell."""
+def _with_noise(
+    look: Look, direct: tuple[Present, ...], start: Model, active: Sequence[str]
+) -> tuple[tuple[Present, ...], float]:
+    """The effects with the read noise that the scatter within frames, beside active components, and the means where
+    black cuts it, tell; and its standard error [e-]."""
     sensor = look.setting.sensor
     problem = look.problem
+    at_start = problem.evaluate(start)
+    # Fixed weights: means that are off for another reason are no noise.
+    weight = 1 / problem.variance(at_start, Latent())[problem.used]
+    grain = _components(look, active, expected_of(look, at_start, direct))[2]
+    # A frame's own brightness, once it is strong, leaves more in the frames' numbers than white noise does.
+    within = _plain(look) & np.array([o.block != "frame" for o in look.observables])
 
     def model(total: float) -> Model:
         present = tuple(own._replace(values=(total,)) if own.effect.place is Place.NOISE else own for own in direct)
@@ -142,19 +173,24 @@ def _with_noise(look: Look, direct: tuple[Present, ...], start: Model) -> tuple[
     def cost(log_total: float) -> float:
         own = model(float(np.exp(log_total)))
         at = problem.evaluate(own)
-        residual, variance = problem.residual(at), problem.variance(at, Latent())
-        used = problem.used
-        means = float(np.sum(residual[used] ** 2 / variance[used] + np.log(variance[used] / look.cells.variance[used])))
-        return means + _solve(look, [], expected_of(look, at, own.present), 1.0)[2]
+        means = float(weight @ problem.residual(at)[problem.used] ** 2)
+        return means + _solve(look, active, expected_of(look, at, own.present), grain, within)[2]
 
     least = np.log(max(sensor.read_noise_e, 0.1))
     # The cost is flat far from its minimum: first a coarse grid, then inwards.
-    grid = least + np.linspace(0, 3, 13)
+    grid = least + np.linspace(0, 3, 7)
     costs = [cost(v) for v in grid]
     k = int(np.argmin(costs))
-    best = minimize_scalar(cost, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, 12)]), method="bounded",
-                           options={"xatol": 1e-5})  # fmt: skip
-    return model(float(np.exp(best.x))).present
+    best = minimize_scalar(cost, bounds=(grid[max(k - 1, 0)], grid[min(k + 1, 6)]), method="bounded",
+                           options={"xatol": 1e-4})  # fmt: skip
+    total = float(np.exp(best.x))
+    return model(total).present, total * _spread(cost, best.x)
+
+
+def _spread(cost: Callable[[float], float], best: float) -> float:
+    """Standard error of the logarithm that makes a cost (−2 ln L) least; NaN where the cost has no bottom there."""
+    bend = (cost(best - BEND) - 2 * cost(best) + cost(best + BEND)) / BEND**2
+    return float(np.sqrt(2 / bend)) if bend > 0 else float("nan")
 
 
 def expected_of(look: Look, at: Moments, present: Sequence[Present]) -> np.ndarray:
@@ -200,32 +236,41 @@ def _scatter_beside(look: Look, present: Sequence[Present]) -> float:
 def _scatter(look: Look, present: Sequence[Present]) -> tuple[float, int]:
     """χ² of the brightness of frames within their conditions beside what runs with the order of acquisition, and its
     degrees of freedom."""
-    design, fits = look.measured.design, look.brightness
+    return scatter_of(_beside_course(look, present), look.measured.design.condition)[:2]
+
+
+def _beside_course(look: Look, present: Sequence[Present]) -> FrameFits:
+    """Brightness of every frame beside what runs with the order of acquisition."""
+    condition, fits = look.measured.design.condition, look.brightness
     course = course_of(look, present) - course_of(look, look.problem.start.present)
     # A course is relative to its condition's mean, a frame's brightness to the base.
-    mean = np.bincount(design.condition, fits.value[:, 0]) / np.bincount(design.condition)
-    course = course * (1 + mean[design.condition])
-    return scatter_of(fits._replace(value=fits.value - course[:, None]), design.condition)[:2]
+    mean = np.bincount(condition, fits.value[:, 0]) / np.bincount(condition)
+    course = course * (1 + mean[condition])
+    return fits._replace(value=fits.value - course[:, None])
 
 
 def _told(look: Look, present: Sequence[Present]) -> list[Told]:
     """What the brightness of the frames of a condition tells of an effect that acts frame by frame: means of conditions
     lose it."""
-    out = []
+    condition, out = look.measured.design.condition, []
     for k, own in enumerate(present):
         if "order" not in own.effect.needs:
             continue
+        free = moving(own.effect, own.form)
 
-        def chi2(value: float, k: int = k, own: Present = own) -> float:
-            return _scatter(look, [*present[:k], own._replace(values=(value,)), *present[k + 1 :]])[0]
+        def rest(values: np.ndarray, k: int = k, own: Present = own, free: list[int] = free) -> np.ndarray:
+            all_values = np.array(own.values)
+            all_values[free] = values
+            tried = own._replace(values=tuple(map(float, all_values)))
+            return deviations(_beside_course(look, [*present[:k], tried, *present[k + 1 :]]), condition)
 
         _, freedom = _scatter(look, present)
-        low, high = own.effect.bounds(look.problem.context)[0]
-        best = minimize_scalar(chi2, bounds=(low, high), method="bounded", options={"xatol": 1e-7})
-        curvature = (chi2(best.x + ORDER_STEP) - 2 * best.fun + chi2(best.x - ORDER_STEP)) / ORDER_STEP**2
+        low, high = own.effect.bounds(look.problem.context)[free].T
+        begin = np.clip(np.array(own.values)[free], low, high)
+        best = least_squares(rest, begin, bounds=(low, high), x_scale="jac", xtol=1e-9)
         # Where brightness scatters besides, frames tell less.
-        if freedom and curvature > 0:
-            out.append(Told(k, 0, float(best.x), curvature / 2 / max(best.fun / freedom, 1.0)))
+        if freedom:
+            out.append(Told(k, best.x, best.jac.T @ best.jac / max(2 * best.cost / freedom, 1.0)))
     return out
 
 
@@ -235,9 +280,8 @@ def course_of(look: Look, present: Sequence[Present]) -> np.ndarray:
     out = np.zeros(len(design.condition))
     for own in present:
         if "order" in own.effect.needs:
-            frame = own.apply(view._replace(order=design.order))
-            mean = np.broadcast_to(own.apply(view), view.order.shape).ravel()[design.condition]
-            out += frame / mean - 1
+            frame = own.apply(view._replace(order=design.order[:, None, None]))
+            out += (frame / own.apply(view)[design.condition]).ravel() - 1
     return out
 
 
@@ -258,15 +302,26 @@ def _components(look: Look, active: Sequence[str], expected: np.ndarray):
         return _solve(look, active, expected, grain)[2]
 
     first = min(grains_of(look.problem.context.sigma_px), key=cost)
-    grain = min(REFINED * first, key=cost)
-    value, error, _ = _solve(look, active, expected, float(grain))
-    return dict(zip(active, value, strict=True)), dict(zip(active, error, strict=True)), float(grain)
+
+    def by_log(log_grain: float) -> float:
+        return cost(float(np.exp(log_grain)))
+
+    best = minimize_scalar(
+        by_log, bounds=np.log(first * np.array(REFINED)), method="bounded", options={"xatol": 2e-3}
+    ).x
+    grain = float(np.exp(best))
+    value, error, _ = _solve(look, active, expected, grain)
+    size = grain * _spread(by_log, best)
+    errors = dict(zip(active, error, strict=True)) | {"size": size}
+    return dict(zip(active, value, strict=True)), errors, grain
 
 
-def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float):
+def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float, among: np.ndarray | None = None):
+    """Active components, their standard errors, and −2 ln L, from the observables `among` (all that components may
+    move)."""
     index = [COMPONENTS.index(name) for name in active]
     seen = look.observables
-    own = _plain(look)
+    own = _plain(look) if among is None else among
     loads = grained(seen, grain, look.measured.side)[:, index]
     value = np.array([o.value for o in seen]) - expected
     floor = np.array([o.floor for o in seen])

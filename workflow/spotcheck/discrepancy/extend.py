@@ -156,7 +156,8 @@ def with_freed(found: Findings, freed: Freed, shots: Sequence[Shot], null: Null 
 
 
 def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
-    """A closer look: about what an account expects of every pixel."""
+    """A closer look: about what an account expects of every pixel. Long stripes pull at the sites' centres: once they
+    are taken off, the spots are placed anew."""
     prnu = float(np.sqrt(leader.component["pixel"])) if "pixel" in leader.component and look.measured.common else None
     model = leader.refit.model
     others = tuple(own for own in model.present if own.effect.name != FRINGES)
@@ -167,7 +168,10 @@ def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
         values = (found.depth, found.period, found.direction, 0.0)
         present = tuple(own if own in others else own._replace(values=values) for own in model.present)
         model = model._replace(present=present, shift=0 * model.shift)
-    return look_again(shots, look, model, leader.latent, prnu)
+    near = look_again(shots, look, model, leader.latent, prnu)
+    if near.measured.waves.any():
+        near = look_again(shots, near, near.problem.start, leader.latent, prnu)
+    return near
 
 
 def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> tuple[Account, Look]:

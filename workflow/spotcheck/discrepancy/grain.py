@@ -5,10 +5,12 @@ from scipy import stats
 
 from spotcheck.discrepancy.measure import Measured
 
-# Grains [px] among which a granular field's is sought, then refined by these factors.
-GRAINS, REFINED = np.geomspace(0.5, 14.0, 12), np.linspace(0.85, 1.18, 7)
+# Grains [px] among which a granular field's is sought, then refined between these parts of the best.
+GRAINS, REFINED = np.geomspace(0.5, 14.0, 12), (0.85, 1.18)
 # A field coarser than this part of σ_g is not granular: it makes the whole spot brighter, or moves it.
 COARSEST = 0.5
+# From this part of the coarsest on, a grain is at its end.
+EDGE = 0.975
 # A field strays in some place by what it does there once in so many sets, or it is no granular field.
 ONCE_IN = 1e6
 
@@ -20,7 +22,7 @@ def grains_of(sigma_px: float) -> np.ndarray:
 
 def at_its_coarsest(grain: float, sigma_px: float) -> bool:
     """Whether a field would be coarser than granular ones are, if it could."""
-    return grain > (REFINED[-2] + REFINED[-1]) / 2 * grains_of(sigma_px)[-1]
+    return grain > EDGE * REFINED[1] * grains_of(sigma_px)[-1]
 
 
 def strays(measured: Measured, contrast: float) -> bool:

@@ -13,10 +13,10 @@ from spotcheck.discrepancy.noise import FrameFits, Observable, frame_fits, hot_f
 from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import Latent, Model, Problem
 from spotcheck.discrepancy.shots import Design, Shot
-from spotcheck.discrepancy.stripes import amplitudes
+from spotcheck.discrepancy.stripes import beside_places, depth_of
 from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.chain import Free, light, offset_response, readings, spot_state
-from spotcheck.model.effect import Place
+from spotcheck.model.effect import Place, Present
 
 # Relative change of the light by which it is asked how a reading follows.
 RIPPLE = 1e-3
@@ -62,6 +62,7 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     felt = setting.sensor._replace(read_noise_e=float(np.sqrt(read)))
     measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt)
     measured = measured._replace(given=given, waves=waves)
+    model = model._replace(present=tuple(_with_depth(own, measured) for own in model.present))
     # The base has moved: no shift is left.
     near = _seen(measured, setting, model._replace(shift=0 * model.shift))
     # What was taken off still speaks against who knows nothing of it.
@@ -124,7 +125,8 @@ def scenes(
         moved = with_own_centres(shots, measured, moved, setting)
     x0, y0 = moved.x0, moved.y0
     gain = own_gain(before, model, latent)
-    waves = _own_waves(before, model, moved)
+    stripes = next((own for own in model.present if _of_sites(own)), None)
+    waves = _own_waves(measured, stripes, moved)[0] if stripes else np.zeros((design.sites, 2))
 
     first = before.cells.base
     bent = any(own.effect.place in (Place.WELL, Place.RESPONSE, Place.DIGITAL) for own in model.present)
@@ -227,19 +229,28 @@ def _with_own_places(measured: Measured, base: Base) -> Base:
     return base._replace(x0=base.x0 + x[site], y0=base.y0 + y[site])
 
 
-def _own_waves(before: Look, model: Model, base: Base) -> np.ndarray:
+def _of_sites(own: Present) -> bool:
+    """Whether an effect is stripes of a site's own phase."""
+    return (own.effect.name, own.form) == ("interference_fringes", "site")
+
+
+def _with_depth(own: Present, measured: Measured) -> Present:
+    """Stripes of a site's own phase with the depth of all that was seen of them, other effects as they are."""
+    if not _of_sites(own):
+        return own
+    amplitude, noise = _own_waves(measured, own, measured.base)
+    return own._replace(values=(depth_of((amplitude**2).sum(axis=1), noise), *own.values[1:]))
+
+
+def _own_waves(measured: Measured, stripes: Present, base: Base) -> tuple[np.ndarray, np.ndarray]:
     """Amplitudes [site, (cos, sin)] about each site's spot, from what the site's exposures share: those that a look was
-    about, and what it still saw of them; 0 without stripes of a site's own phase."""
-    measured = before.measured
-    stripes = next((p for p in model.present if p.effect.name == "interference_fringes" and p.form == "site"), None)
-    if stripes is None:
-        return np.zeros((measured.design.sites, 2))
+    about, and what it still saw of them; and the mean square of each that is noise alone."""
     fringes = stripes.named()
     angle = np.deg2rad(fringes["direction"])
     kx, ky = np.cos(angle) / fringes["period"], np.sin(angle) / fringes["period"]
-    own = amplitudes(measured, kx, ky)
+    own, noise = beside_places(measured, fringes["period"], fringes["direction"])
     first = np.unique(measured.design.site, return_index=True)[1]
     dx = base.x0[first] + measured.left[first] - measured.site_left
     dy = base.y0[first] + measured.top[first] - measured.site_top
     turned = own * np.exp(2j * np.pi * (kx * dx + ky * dy))
-    return measured.waves + np.stack([turned.real, -turned.imag], axis=1)
+    return measured.waves + np.stack([turned.real, -turned.imag], axis=1), noise

@@ -91,9 +91,10 @@ def grained(seen: list[Observable], grain: float, side: int) -> np.ndarray:
     k = COMPONENTS.index("grain")
     together = 2 * np.pi * grain**2
     neighbours = np.exp(-np.array([1.0, 4.0]) / (2 * grain**2))
+    rough = 1 - _smooth_part(grain, side)
     for row, o in zip(loads, seen, strict=True):
         if o.block == "variance":
-            row[k] *= 1 - _smooth_part(grain, side)
+            row[k] *= rough
         elif o.label == "band":
             a, low, high = 2 * (np.pi * grain) ** 2, 1 / o.high, 1 / o.low
             row[k] *= together * (np.exp(-a * low**2) - np.exp(-a * high**2)) / (a * (high**2 - low**2))
@@ -390,17 +391,27 @@ def frame_fits(measured: Measured, name: str) -> FrameFits:
 def scatter_of(fits: FrameFits, group: np.ndarray) -> tuple[float, int, float]:
     """χ² of the scatter within groups, its degrees of freedom, and by how much a variance of 1 would raise it."""
     weight = fits.weight
-    chi2, freedom, load = 0.0, 0, 0.0
+    freedom, load = 0, 0.0
     for g in np.unique(group):
         at = (group == g) & fits.known
         if np.count_nonzero(at) < 2:
             continue
         total = weight[at].sum(axis=0)
-        mean = (weight[at] * fits.value[at]).sum(axis=0) / total
-        chi2 += float((weight[at] * (fits.value[at] - mean) ** 2).sum())
         freedom += (np.count_nonzero(at) - 1) * weight.shape[1]
         load += float((total - (weight[at] ** 2).sum(axis=0) / total).sum())
-    return chi2, freedom, load
+    return float((deviations(fits, group) ** 2).sum()), freedom, load
+
+
+def deviations(fits: FrameFits, group: np.ndarray) -> np.ndarray:
+    """Deviations of the frames from the mean of their group, in standard deviations [frame × axis]; 0 where a frame
+    tells nothing."""
+    weight, out = fits.weight, np.zeros_like(fits.value)
+    for g in np.unique(group):
+        at = (group == g) & fits.known
+        if at.any():
+            mean = (weight[at] * fits.value[at]).sum(axis=0) / weight[at].sum(axis=0)
+            out[at] = np.sqrt(weight[at]) * (fits.value[at] - mean)
+    return out.ravel()
 
 
 def pointing_of(fits: FrameFits, design: Design) -> tuple[float, int, float]:

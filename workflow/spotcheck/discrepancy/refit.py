@@ -43,13 +43,12 @@ NOTHING = Latent()
 
 
 class Told(NamedTuple):
-    """What something beside the cells tells of an effect's parameter: place of the effect in `present`, of the
-    parameter, its value and the information of it (one over its variance)."""
+    """What something beside the cells tells of an effect's parameters: place of the effect in `present`, the values of
+    those that its form has, and their information (inverse of the covariance)."""
 
     effect: int
-    parameter: int
-    value: float
-    information: float
+    values: np.ndarray
+    information: np.ndarray
 
 
 class Model(NamedTuple):
@@ -168,8 +167,12 @@ def refit(
     point = chart.point(start)
     at = problem.evaluate(chart.model(point))
     variance = problem.variance(at, latent)
-    known, weights = chart.told(() if fixed else told)
-    value = _score(problem, problem.residual(at), variance) + float(weights @ (point - known) ** 2)
+    known, information = chart.told(() if fixed else told)
+
+    def strain(at: np.ndarray) -> float:
+        return float((at - known) @ information @ (at - known))
+
+    value = _score(problem, problem.residual(at), variance) + strain(point)
     damping = 1e-3
     matrix = np.eye(len(point))
     used = problem.used
@@ -180,7 +183,7 @@ def refit(
         weight = np.sqrt(1 / variance[used])
         slopes = raw[:, used] * weight
         rest = problem.residual(at)[used] * weight
-        matrix, pull = slopes @ slopes.T + np.diag(weights), slopes @ rest + weights * (known - point)
+        matrix, pull = slopes @ slopes.T + information, slopes @ rest + information @ (known - point)
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         normal, force = matrix / np.outer(scale, scale), pull / scale
         better = False
@@ -191,8 +194,7 @@ def refit(
             trial = chart.bounded(point + step)
             at_trial = problem.evaluate(chart.model(trial))
             variance_trial = problem.variance(at_trial, latent)
-            fresh = _score(problem, problem.residual(at_trial), variance_trial)
-            fresh += float(weights @ (trial - known) ** 2)
+            fresh = _score(problem, problem.residual(at_trial), variance_trial) + strain(trial)
             if np.isfinite(fresh) and fresh <= value:
                 better = True
                 break
@@ -207,7 +209,7 @@ def refit(
     model = chart.model(point)
     residual = problem.residual(at)
     chi2 = float(np.sum((residual**2 / variance)[problem.used]))
-    score = value - float(weights @ (point - known) ** 2)
+    score = value - strain(point)
     return Refit(model, score, chi2, _inverse(matrix), residual, variance, at, len(point))
 
 
@@ -235,6 +237,14 @@ def screened(problem: Problem, fit: Refit, span: np.ndarray, effect: Effect, for
         pull = float(change @ rest)
         out.append((pull * pull / size if size > 1e-12 else 0.0, values))
     return sorted(out, key=lambda item: -item[0])
+
+
+def moving(effect: Effect, form: str) -> list[int]:
+    """Indices of the parameters that a fit of this form moves; those of a granular field are told by the noise."""
+    if effect.name == "speckle":
+        return []
+    idle = effect.idle.get(form, ())
+    return [k for k, p in enumerate(effect.parameters) if p.name not in idle]
 
 
 def _score(problem: Problem, residual: np.ndarray, variance: np.ndarray) -> float:
@@ -266,7 +276,7 @@ class _Chart:
             if fixed
             else [name for name in ("p1", "p2", "peak") if name not in replaced and not (name == "p1" and one)]
         )
-        self.inner = [self._moving(effect, form) for effect, form in self.effects]
+        self.inner = [moving(effect, form) for effect, form in self.effects]
         waves = any((effect.name, form) == ("interference_fringes", "site") for effect, form in self.effects)
         self.waves = int(cells.place.max()) + 1 if waves else 0
         self.count = 0 if fixed else sum(len(own) for own in self.inner)
@@ -274,14 +284,6 @@ class _Chart:
             effect.bounds(problem.context)[own] for (effect, _), own in zip(self.effects, self.inner, strict=True)
         ]
         self.bounds = np.concatenate([np.zeros((0, 2)), *bounds])
-
-    @staticmethod
-    def _moving(effect: Effect, form: str) -> list[int]:
-        """Indices of the parameters that this form has; those of a granular field are told by the noise."""
-        if effect.name == "speckle":
-            return []
-        idle = effect.idle.get(form, ())
-        return [k for k, p in enumerate(effect.parameters) if p.name not in idle]
 
     def point(self, model: Model) -> np.ndarray:
         """The vector of a model."""
@@ -303,13 +305,14 @@ class _Chart:
         return np.array([*own, *base, *shift.ravel(), *gains, *wave.ravel()], float)
 
     def told(self, told: Sequence[Told]) -> tuple[np.ndarray, np.ndarray]:
-        """Values [parameter] that are told, and the information of each (0: nothing is told)."""
-        value, information = np.zeros((2, len(self.point(self.start))))
+        """Values [parameter] that are told, and their information [parameter, parameter] (0: nothing is told)."""
+        count = len(self.point(self.start))
+        values, information = np.zeros(count), np.zeros((count, count))
         first = np.cumsum([0, *(len(own) for own in self.inner)])
         for own in told:
-            k = first[own.effect] + self.inner[own.effect].index(own.parameter)
-            value[k], information[k] = own.value, own.information
-        return value, information
+            at = slice(first[own.effect], first[own.effect + 1])
+            values[at], information[at, at] = own.values, own.information
+        return values, information
 
     def model(self, point: np.ndarray) -> Model:
         """The model of a vector."""

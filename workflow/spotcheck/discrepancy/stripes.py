@@ -13,13 +13,11 @@ LOWEST = 0.25
 
 
 class Stripes(NamedTuple):
-    """Depth [1], period [px], direction [deg] across the stripes, and the complex amplitude of each site about its own
-    window's corner [site]."""
+    """Depth [1], period [px], direction [deg] across the stripes."""
 
     depth: float
     period: float
     direction: float
-    amplitude: np.ndarray
 
 
 def peak(measured: Measured) -> Stripes:
@@ -47,11 +45,41 @@ def peak(measured: Measured) -> Stripes:
     best = minimize(minus, start, method="Nelder-Mead",
                     options={"initial_simplex": start + 0.5 / columns * np.array([[0, 0], [1, 0], [0, 1]]),
                              "xatol": 1e-6, "fatol": 1e-6})  # fmt: skip
-    found = amplitudes(measured, *best.x)
-    noise = 4 / weight.sum(axis=(1, 2), dtype=float)
-    depth = float(np.sqrt(max(np.mean(np.abs(found) ** 2 - noise), 1e-8)))
     frequency = float(np.hypot(*best.x))
-    return Stripes(depth, 1 / max(frequency, 1e-3), float(np.degrees(np.arctan2(best.x[1], best.x[0]))) % 180, found)
+    period, direction = 1 / max(frequency, 1e-3), float(np.degrees(np.arctan2(best.x[1], best.x[0]))) % 180
+    found, noise = beside_places(measured, period, direction)
+    return Stripes(depth_of(np.abs(found) ** 2, noise), period, direction)
+
+
+def depth_of(square: np.ndarray, noise: np.ndarray) -> float:
+    """Depth of stripes of which each site tells the square of its own amplitude [site]: root of the mean, less what is
+    noise [site]."""
+    return float(np.sqrt(max(np.mean(square - noise), 1e-8)))
+
+
+def depth_error(depth: float, noise: np.ndarray) -> float:
+    """Standard error of such a depth."""
+    return float(np.sqrt(np.sum(2 * depth**2 * noise + noise**2)) / len(noise) / (2 * depth))
+
+
+def beside_places(measured: Measured, period: float, direction: float) -> tuple[np.ndarray, np.ndarray]:
+    """Complex amplitude [site] of stripes of a period [px] and direction [deg] beside a displacement of the site's
+    spot, which would take up a part of long ones; and the mean square of each that is noise alone."""
+    pull, weight = measured.sums.pull, measured.sums.weight
+    rows, columns = pull.shape[1:]
+    y, x = np.mgrid[:rows, :columns].astype(np.float32)
+    across = np.deg2rad(direction)
+    phase = 2 * np.pi / period * (np.cos(across) * x + np.sin(across) * y)
+    # About the middle of the light, which the sites' windows share.
+    middle = [float((weight.sum(axis=0) * axis).sum() / weight.sum()) for axis in (x, y)]
+    terms = np.stack([np.cos(phase), np.sin(phase), x - middle[0], y - middle[1]]).reshape(4, -1)
+    found, noise = np.zeros(len(pull), complex), np.zeros(len(pull))
+    for k, (own, heavy) in enumerate(zip(pull, weight, strict=True)):
+        normal = ((terms * heavy.ravel()) @ terms.T).astype(float)
+        covariance = np.linalg.pinv(normal, hermitian=True)
+        cosine, sine = (covariance @ (terms @ own.ravel()))[:2]
+        found[k], noise[k] = complex(cosine, -sine), covariance[0, 0] + covariance[1, 1]
+    return found, noise
 
 
 def amplitudes(measured: Measured, kx: float, ky: float) -> np.ndarray:

@@ -11,14 +11,15 @@ from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
 from spotcheck.discrepancy.explain import COMPONENT, Account, account
-from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
+from spotcheck.discrepancy.extend import FRINGES, Findings, Tolerance, investigate
 from spotcheck.discrepancy.freed_named import gap_of_freed
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.noise import hot_pixels
 from spotcheck.discrepancy.saved import recalled, saved_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out, together
+from spotcheck.discrepancy.stripes import beside_places, depth_error
 from spotcheck.discrepancy.verify import Gap, verify
-from spotcheck.model.effect import Present
+from spotcheck.model.effect import Place, Present
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
 
@@ -175,6 +176,11 @@ def parameters_of(found: Findings, name: str) -> dict[str, dict[str, Any]]:
             moving = parameter.name not in idle
             errors.append(np.sqrt(max(own.refit.covariance[at, at], 0.0)) if moving else np.nan)
             at += moving
+        if present.effect.place is Place.NOISE:
+            errors[0] = own.component_error["read"]
+        if (present.effect.name, present.form) == (FRINGES, "site"):
+            depth, period, direction = present.values[:3]
+            errors[0] = depth_error(depth, beside_places(found.best[0].measured, period, direction)[1])
         if present.effect.name == name:
             out = _reported(present, errors, found.look.setting.sensor)
     return out | _scatter_parameters(found, own, name)
@@ -209,7 +215,7 @@ def _scatter_parameters(found: Findings, own: Account, name: str) -> dict[str, d
              "power_fluctuation": ("rms", "1"), "pointing_jitter": ("rms", "px")}[name]  # fmt: skip
     out = {first[0]: {"value": root, "stderr": _number(spread), "unit": first[1]}}
     if name == "speckle":
-        out["grain"] = {"value": own.grain, "stderr": None, "unit": "px"}
+        out["grain"] = {"value": own.grain, "stderr": _number(own.component_error["size"]), "unit": "px"}
     if name == "fixed_pattern":
         out["hot_pixels"] = {"value": hot_pixels(found.look.measured, root), "stderr": None, "unit": "1"}
     return out

@@ -22,8 +22,9 @@ from spotcheck.model.sensor import SensorModel, clipped_normal
 
 class View(NamedTuple):
     """What some frames (views) see. Points lie on a grid: x [view, 1, column], y [view, row, 1] in px of the sensor;
-    all else is [view, 1, 1]: spot centre x0, y0 [px], exposure [s], fibre angle [rad], place in the order of
-    acquisition (0 to 1), and amplitudes (cos, sin) of fringes whose phase is anew at each site.
+    all else is [view, 1, 1]: spot centre x0, y0 [px], exposure [s], fibre angle [rad], and amplitudes (cos, sin) of
+    fringes whose phase is anew at each site; but for the places in the order of acquisition (0 to 1) of all frames that
+    a view is the mean of [view, 1, frame], NaN where a view has fewer.
 
     Scalars: the longest exposure and the reference exposure of the spread law [s], the frame's centre and rows [px],
     and how many rows of pixels each row of points stands for.

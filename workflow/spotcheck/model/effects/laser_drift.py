@@ -1,11 +1,17 @@
 """Laser drift: brightness runs steadily with the order of acquisition."""
 
+import numpy as np
+
 from spotcheck.model.effect import Effect, Parameter, Place
 
+FORMS = ("linear", "settling")
 
-def drift(view, *, total):
-    """Factor 1 + total × (place in the order of acquisition, 0 to 1)."""
-    return 1 + total * view.order
+
+def drift(view, *, total, rate, form):
+    """Factor 1 + total × course, mean over a view's frames. The course runs from 0 to 1 with the place in the order of
+    acquisition: as it, or as a laser that warms up, by 1 − exp(−rate × place)."""
+    course = np.expm1(-rate * view.order) / np.expm1(-rate) if form == "settling" else view.order
+    return 1 + total * np.nanmean(course, axis=2, keepdims=True)
 
 
 EFFECT = Effect(
@@ -13,8 +19,10 @@ EFFECT = Effect(
     name="laser_drift",
     sentence="the brightness runs steadily with the order of acquisition",
     place=Place.BRIGHTNESS,
-    parameters=(Parameter("total", "1", -0.95, 5.0),),
-    starts=lambda c: [(0.02,)],
+    parameters=(Parameter("total", "1", -0.95, 5.0), Parameter("rate", "1", 0.02, 20.0, inner=True)),
+    starts=lambda c: [(0.02, 2.0)],
     function=drift,
+    forms=FORMS,
+    idle={"linear": ("rate",)},
     needs=("order", "law"),
 )
