@@ -144,3 +144,12 @@ def test_the_error_of_a_depth():
         depth, period, direction = peak(look.measured)
         found.append((depth - 0.02, depth_error(depth, beside_places(look.measured, period, direction)[1])))
     scattered(found)
+
+
+def test_stripes_where_nothing_tells_anything():
+    """Sites without weight have no amplitude and no noise; nothing fails."""
+    look, _ = looked()
+    sums = look.measured.sums
+    dark = look.measured._replace(sums=sums._replace(pull=0 * sums.pull, weight=0 * sums.weight))
+    amplitude, noise = beside_places(dark, 9.0, 30.0)
+    assert not amplitude.any() and not noise.any()

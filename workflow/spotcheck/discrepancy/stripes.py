@@ -70,8 +70,9 @@ def beside_places(measured: Measured, period: float, direction: float) -> tuple[
     y, x = np.mgrid[:rows, :columns].astype(np.float32)
     across = np.deg2rad(direction)
     phase = 2 * np.pi / period * (np.cos(across) * x + np.sin(across) * y)
-    # About the middle of the light, which the sites' windows share.
-    middle = [float((weight.sum(axis=0) * axis).sum() / weight.sum()) for axis in (x, y)]
+    # About the middle of the light, which the sites' windows share; where nothing tells anything, about a corner.
+    light = weight.sum(axis=0, dtype=float)
+    middle = [float((light * axis).sum() / max(light.sum(), 1e-300)) for axis in (x, y)]
     terms = np.stack([np.cos(phase), np.sin(phase), x - middle[0], y - middle[1]]).reshape(4, -1)
     found, noise = np.zeros(len(pull), complex), np.zeros(len(pull))
     for k, (own, heavy) in enumerate(zip(pull, weight, strict=True)):
