@@ -5,6 +5,7 @@ import json
 import lzma
 import shutil
 import subprocess
+import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "results" / "blind"
 # One folder, named like that of the results it was copied from.
 KEPT = ROOT / "tests" / "blind" / "published"
+# Null laws, in a folder of results; they take longer than a quarter of a call to make.
+LAWS = "_calibration"
 Record = dict[str, Any]
 
 
@@ -40,13 +43,16 @@ def commit() -> str:
 
 
 def begin(folder: Path) -> Path:
-    """The file of records of a folder of results. It begins with what is published of the same commit."""
+    """The file of records of a folder of results. It begins with what is published of the same commit, as do its null
+    laws."""
     path, kept = folder / "jobs.jsonl", KEPT / folder.name
     if not path.exists() and kept.exists():
         folder.mkdir(parents=True, exist_ok=True)
         path.write_bytes(lzma.decompress((kept / "jobs.jsonl.xz").read_bytes()))
         for other in kept.glob("*.json"):
             shutil.copyfile(other, folder / other.name)
+        with tarfile.open(kept / "laws.tar.xz") as packed:
+            packed.extractall(folder, filter="data")
     return path
 
 
@@ -57,6 +63,9 @@ def keep(folder: Path) -> None:
     (KEPT / folder.name / "jobs.jsonl.xz").write_bytes(lzma.compress((folder / "jobs.jsonl").read_bytes()))
     for other in folder.glob("*.json"):
         shutil.copyfile(other, KEPT / folder.name / other.name)
+    with tarfile.open(KEPT / folder.name / "laws.tar.xz", "w:xz") as packed:
+        for law in sorted((folder / LAWS).glob("*/null.nc")):
+            packed.add(law, law.relative_to(folder))
 
 
 def published() -> Path | None:

@@ -42,7 +42,7 @@ def main() -> None:
         jobs = todo(args, {record["job"]["seed"] for record in done})
         writer = records.Writer(path)
         try:
-            for number, record in enumerate(run(jobs, args, deadline), 1):
+            for number, record in enumerate(run(jobs, folder, args, deadline), 1):
                 writer.add(record)
                 done.append(record)
                 progress(number, record, deadline, args.verbose)
@@ -79,10 +79,10 @@ def todo(args: argparse.Namespace, seen: set[int]) -> list[Job]:
     return [j for j in jobs if j.seed not in seen and (not wanted or set(wanted) <= set(j.kind.split(":")))]
 
 
-def run(jobs: list[Job], args: argparse.Namespace, deadline: float) -> Iterator[records.Record]:
+def run(jobs: list[Job], folder: Path, args: argparse.Namespace, deadline: float) -> Iterator[records.Record]:
     """Records as they come. Jobs whose null law another process is making come again a little later."""
     queue = deque(jobs)
-    start = (args.patience, records.RESULTS / "_calibration", args.nulls, args.tuning, deadline)
+    start = (args.patience, folder / records.LAWS, args.nulls, args.tuning, deadline)
     # Fresh processes: no threads of the parent, no half-filled caches.
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(args.workers, fresh, ready, start) as pool:

@@ -283,10 +283,14 @@ def test_a_clone_goes_on_from_what_is_published(tmp_path, monkeypatch):
         writer.add(row)
         writer.close()
         (tmp_path / name / "times.json").write_text("{}")
+        law = tmp_path / name / records.LAWS / name / "null.nc"
+        law.parent.mkdir(parents=True)
+        law.write_text("a law")
         records.keep(tmp_path / name)
     assert records.published() == tmp_path / "published" / "new"
     cloned = tmp_path / "clone" / "new"
     assert records.read(records.begin(cloned)) == [{"a": 2}] and (cloned / "times.json").exists()
+    assert [str(p.relative_to(cloned)) for p in cloned.rglob("null.nc")] == [f"{records.LAWS}/new/null.nc"]
     assert records.read(records.begin(tmp_path / "clone" / "old")) == []
 
 
