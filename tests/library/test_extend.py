@@ -1,0 +1,80 @@
+"""The loop's own decisions: what is worth an alarm, how large a rest is, which form of an effect is kept."""
+
+import numpy as np
+import pytest
+
+from spotcheck.discrepancy.detect import Detection
+from spotcheck.discrepancy.explain import account
+from spotcheck.discrepancy.extend import CLEAR, Size, Tolerance, about, best_form, closer_account, consistent, size_of
+from spotcheck.discrepancy.look import look_at
+from spotcheck.discrepancy.shots import design_of
+from tests.library.small_verdict import frames, ghost, looked, plain, present
+
+SMALL, LARGE = Size(0.001, 0.01, 0.01), Size(0.003, 0.01, 0.01)
+
+
+def seen(p, **by_statistic):
+    """A detection; `_` in a name stands for `: `."""
+    return Detection(p, 400, 3.0, {"mean: all": 9.0, "variance: all": 9.0} | by_statistic)
+
+
+@pytest.mark.parametrize(
+    "detection, size, expected",
+    [
+        (seen(0.5, line=0.1), LARGE, True),
+        (seen(0.0025, line=0.1), SMALL, True),
+        (seen(0.0025, line=0.1), LARGE, False),
+        (seen(0.0025, line=0.1), SMALL._replace(of_noise=0.03), False),
+        (seen(0.0025, line=0.1), SMALL._replace(excess_variance=-0.05), False),
+        (seen(0.0025, line=CLEAR + 0.1), SMALL, False),
+        (seen(0.01, line=CLEAR + 0.1), SMALL, True),
+    ],
+)
+def test_what_is_worth_an_alarm(detection, size, expected):
+    """Chance, or too small to matter in mean, noise and variance; scatter that stands out clearly always matters."""
+    assert consistent(detection, size, Tolerance()) is expected
+
+
+def test_the_size_of_nothing_and_of_something():
+    """Frames of the base have no size beyond noise; a ghost of 6 % has the rms that its picture has, within the part
+    that p1, p2, peak and centres take up."""
+    look, own = looked(plain)
+    assert size_of(look, own).of_peak < 0.002
+    look, own = looked(ghost)
+    light = look.light[-1]
+    y, x = np.mgrid[: light.shape[0], : light.shape[1]] * float(look.measured.side) + (look.measured.side - 1) / 2
+    middle = 29.5
+    sigma = np.sqrt((light * (x - middle) ** 2).sum() / light.sum())
+    copy = 0.06 * np.exp(-((x - middle - 12) ** 2 + (y - middle + 5) ** 2) / (2 * sigma**2))
+    rms = np.sqrt(np.mean(copy**2))
+    assert 0.1 * rms < size_of(look, own).of_peak < rms
+
+
+def test_the_form_that_the_data_want_is_kept():
+    """Halos of one width and different profiles: from the wrong form the right one is found, and kept from there."""
+
+    def halo(dx, dy, angle, exposure, sigma, spot):
+        wide = np.exp(-(dx**2 + dy**2) / (2 * 18.0**2))
+        return spot + 0.3 * spot.sum() * wide / wide.sum()
+
+    shots, base, setting = frames(halo)
+    look = look_at(shots, design_of(shots), base, setting)
+    near_to = lambda own: about(shots, look, own)  # noqa: E731
+    wrong = account(look, [present("scatter_halo", 0.2, 15.0, 2.0, form="exponential")])
+    found, _ = best_form(look, wrong, near_to)
+    assert found.key == (("scatter_halo", "gaussian"),)
+    assert best_form(look, found, near_to)[0].key == found.key
+
+
+def test_a_closer_look_remembers_what_it_takes_off():
+    """Each frame's own brightness is off at the closer look: how much they scatter is what was seen before."""
+    rng = np.random.default_rng(5)
+    shots, base, setting = frames(lambda *a: a[-1] * (1 + rng.normal(0, 0.02)), repeats=6)
+    look = look_at(shots, design_of(shots), base, setting)
+    own = account(look, [present("power_fluctuation", 0.0)])
+    near = about(shots, look, own)
+    exact = closer_account(near, own)
+    assert exact.component["gain"] == own.component["gain"]
+    assert exact.component_error["gain"] == own.component_error["gain"]
+    # 24 frames tell a scatter to 15 %: four standard deviations.
+    assert np.sqrt(exact.component["gain"]) == pytest.approx(0.02, rel=0.6)

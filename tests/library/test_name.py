@@ -1,0 +1,115 @@
+"""The search over sets of effects: what is tried, what holds, and which name stands where two explain."""
+
+import numpy as np
+import pytest
+
+from spotcheck.discrepancy import name
+from spotcheck.discrepancy.explain import account
+from spotcheck.model.effects import vocabulary
+from tests.library.small_verdict import ghost, looked, plain, present
+
+FEW = ("ghost_reflection", "dark_offset", "background_gradient", "fibre_anisotropy", "power_fluctuation")
+
+
+def effects(*names):
+    """Effects of the vocabulary."""
+    return [vocabulary()[own] for own in names]
+
+
+def offset(dx, dy, angle, exposure, sigma, spot):
+    """A uniform pedestal of 6 DN."""
+    return spot + 6.0
+
+
+def both(dx, dy, angle, exposure, sigma, spot):
+    """A ghost and a pedestal."""
+    return ghost(dx, dy, angle, exposure, sigma, spot) + 6.0
+
+
+def enough(leader, own):
+    """Holds where the means of blocks are explained: χ² within five standard deviations of what is expected."""
+    freedom = own.refit.residual.size - own.refit.freedom
+    return own, own.refit.chi2 < freedom + 5 * np.sqrt(2 * freedom)
+
+
+@pytest.mark.parametrize(
+    "options, why",
+    [
+        ({"exposures": (1e-4,)}, {"photon_budget": "one exposure", "spread_law": "two exposures fit"}),
+        ({"angles": (0.0, 45.0)}, {"angle_reflectance": "fewer than three"}),
+        ({"exposures": (None,)}, {"photon_budget": "one exposure", "laser_drift": "free"}),
+        ({"exposures": (1e-4,), "repeats": 1, "angles": (0.0,)}, {"power_fluctuation": "too few frames"}),
+    ],
+)
+def test_what_a_design_cannot_show_is_not_assessed(options, why):
+    """With the reason, before any effect is fitted; all 24 are on one of the two lists."""
+    look, _ = looked(**options)
+    can, cannot = name.assessable(look)
+    assert {effect.name for effect in can} | set(cannot) == set(vocabulary())
+    assert not {effect.name for effect in can} & set(cannot)
+    for effect, words in why.items():
+        assert words in cannot[effect], cannot[effect]
+
+
+def test_one_effect_is_enough_where_one_explains():
+    """The search stops at the first size that holds; every effect that promises something has its own account."""
+    look, _ = looked(ghost)
+    found = name.search(look, effects(*FEW), enough)
+    assert [own.names for own in found.holding] == [("ghost_reflection",)]
+    assert found.best is found.holding[0] and "ghost_reflection" in found.singles
+
+
+def test_two_where_no_single_one_explains():
+    """The pair, with what each of them is; no third beside it."""
+    look, _ = looked(both)
+    found = name.search(look, effects(*FEW), enough)
+    assert set(found.holding[0].names) == {"ghost_reflection", "dark_offset"}
+    assert all(len(own.names) == 2 for own in found.holding)
+
+
+def test_nothing_holds_where_nothing_is_good_enough():
+    """The best that was tried is there, but no explanation; never more effects than the most."""
+    look, _ = looked(both)
+    found = name.search(look, effects(*FEW), lambda leader, own: (own, False))
+    assert found.holding == [] and found.best is not None and len(found.best.names) <= name.MOST
+
+
+def test_the_simpler_of_two_is_the_name():
+    """A uniform pedestal is no gradient of slope zero, though that explains it as well."""
+    look, _ = looked(offset)
+    simple, general = (
+        account(look, [present("dark_offset", 3.0)]),
+        account(look, [present("background_gradient", 1.0, 3.0, 10.0)]),
+    )
+    assert abs(simple.score - general.score) < name.TIED
+    assert name._simplest([general, simple]) == [simple]
+    # Sets that share all but these two count in the same way; others do not.
+    pair, other = (
+        account(look, [present("ghost_reflection", 0.01, 12.0, -5.0), *own.refit.model.present])
+        for own in (simple, general)
+    )
+    assert name._simplest([other, pair]) == [pair]
+    assert name._simplest([general, pair]) == [general, pair]
+
+
+def test_what_a_set_does_not_need_is_dropped():
+    """A pair that was reached by way of one that mimicked gives way to the single one that holds."""
+    look, _ = looked(ghost)
+    pair = account(look, [present("ghost_reflection", 0.05, 12.0, -5.0), present("dark_offset", 0.1)])
+    fewer = name._fewer(look, pair, enough)
+    assert fewer is not None and fewer.names == ("ghost_reflection",)
+    assert name._fewer(look, fewer, enough) is None
+
+
+def test_effects_that_only_scatter_are_told_from_those_of_the_mean():
+    """White noise is no component of variance, and promises as little to the means."""
+    noisy = {own.name for own in vocabulary().values() if name.scatters(own)}
+    assert noisy == {"speckle", "power_fluctuation", "pointing_jitter", "fixed_pattern", "row_noise",
+                     "excess_read_noise"}  # fmt: skip
+
+
+def test_no_effect_no_name():
+    """Frames of the base alone: the best effect does not earn its place by far."""
+    look, empty = looked(plain)
+    alone = name.singles(look, effects(*FEW))
+    assert min(own.score for own in alone.values()) > empty.score - name.EARNS
