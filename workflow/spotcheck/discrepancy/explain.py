@@ -205,13 +205,14 @@ def expected_of(look: Look, at: Moments, present: Sequence[Present]) -> np.ndarr
     dyy, dxx, dxy = np.gradient(dy, side, axis=1), np.gradient(dx, side, axis=2), np.gradient(dx, side, axis=1)
     bent = (dxx**2 + dyy**2) * side**4 / 720 + dxy**2 * (side**2 / 12) ** 2
     ratio = ratio + bent / problem.variance_start
+    course = any("order" in own.effect.needs for own in (*problem.start.present, *present))
     out = np.zeros(len(look.observables))
     for k, o in enumerate(look.observables):
         if o.block == "variance":
             own = cells.level[o.condition] == int(o.label.split()[1])
             own &= cells.pixels[o.condition] > 0
             out[k] = float(np.mean(ratio[o.condition][own])) if own.any() else 0.0
-        elif o.label == "brightness":
+        elif o.label == "brightness" and course:
             out[k] = _scatter_beside(look, look.problem.start.present) - _scatter_beside(look, present)
     more = _excess_noise(look, present) - _excess_noise(look, look.problem.start.present)
     if more:

@@ -115,7 +115,12 @@ def investigate(
     def fits(near: Look, exact: Account) -> bool:
         # A model gone astray may leave no block that could speak against it.
         seen = near.problem.used.any() and granular(near, exact)
-        return bool(seen) and consistent(detect(null, exact.left), size_of(near, exact), tolerance)
+        rest = detect(null, exact.left)
+        # Hot pixels alone settle outliers, whatever these are: then nothing odd may be left, however small.
+        hot_alone = "fixed_pattern" in exact.names and not exact.component.get("pixel")
+        if not seen or (hot_alone and rest.p_value < tolerance.alpha):
+            return False
+        return consistent(rest, size_of(near, exact), tolerance)
 
     naming = search(look, effects, closer)
     evidence = {n: (own.score - first.score, own.refit.chi2) for n, own in naming.singles.items()}
@@ -161,8 +166,8 @@ def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
     prnu = float(np.sqrt(leader.component["pixel"])) if "pixel" in leader.component and look.measured.common else None
     model = leader.refit.model
     others = tuple(own for own in model.present if own.effect.name != FRINGES)
-    if 0 < len(others) < len(model.present):
-        # Blocks do not resolve short stripes, and other effects turn their peak: it is sought again without these.
+    if len(others) < len(model.present):
+        # Blocks do not resolve short stripes, and other effects turn their peak: it is sought where these are off.
         look = look_again(shots, look, model._replace(present=others, wave=NO_WAVE), leader.latent, prnu)
         found = peak(look.measured)
         values = (found.depth, found.period, found.direction, 0.0)

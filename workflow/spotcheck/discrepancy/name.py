@@ -104,9 +104,14 @@ def _promising(look: Look, before: Account, effects: Sequence[Effect], span: np.
 
 
 def _added(
-    look: Look, before: Account, effect: Effect, span: np.ndarray | None = None, target: float = np.inf
+    look: Look,
+    before: Account,
+    effect: Effect,
+    span: np.ndarray | None = None,
+    target: float = np.inf,
+    forms: Sequence[str] = (),
 ) -> Account | None:
-    """The best account of an effect added to another account, over its forms and starts."""
+    """The best account of an effect added to another account, over its forms (or those given) and starts."""
     kept = present_of(before)
     if is_component(effect):
         blank = Present(effect, "", tuple(0.0 for _ in effect.parameters))
@@ -120,7 +125,7 @@ def _added(
         span = basis(problem, before.refit, before.refit_effects, before.latent)
     best = None
     first: tuple[float, ...] | None = None
-    for form in effect.forms:
+    for form in forms or effect.forms:
         promising = [values for _, values in screened(problem, before.refit, span, effect, form)]
         starts = promising[:STARTS] if first is None else [first, promising[0]]
         for values in starts:
@@ -236,7 +241,9 @@ def _contest(ranked: Sequence[Account], empty: Account, closer: Closer) -> list[
         if not first[1]:
             continue
         slack = TIED + SLACK * abs(empty.refit.score - leader.refit.score)
-        near = [own for own in ranked if own.refit.score < leader.refit.score + slack]
+        # A special case is as good as what holds it wherever the rest does not count, far off as a first look has it.
+        near = [own for own in ranked if _special(own, leader)]
+        near += [own for own in ranked if own.refit.score < leader.refit.score + slack]
         near += [own for own in ranked if own.score < leader.score + slack]
         contest = [own for own in _distinct(near) if set(own.names) != set(leader.names)][:LARGEST_CONTEST]
         exact = sorted([first, *(closer(leader, own) for own in contest)], key=lambda item: item[0].score)
@@ -251,17 +258,13 @@ def _contest(ranked: Sequence[Account], empty: Account, closer: Closer) -> list[
 
 def _simplest(holding: list[Account]) -> list[Account]:
     """Without those that contain another of the list as a special case."""
-    names = [frozenset(own.names) for own in holding]
-    keep = []
-    for own, mine in zip(holding, names, strict=True):
-        contained = any(
-            len(mine - other) == len(other - mine) == 1
-            and set(mine - other) <= set(CONTAINS.get(next(iter(other - mine)), ()))
-            for other in names
-        )
-        if not contained:
-            keep.append(own)
-    return keep
+    return [own for own in holding if not any(_special(other, own) for other in holding)]
+
+
+def _special(own: Account, of: Account) -> bool:
+    """Whether a set of effects is a special case of another: they differ in one, and the other's contains it."""
+    gone, came = set(of.names) - set(own.names), set(own.names) - set(of.names)
+    return len(gone) == len(came) == 1 and gone <= set(CONTAINS.get(came.pop(), ()))
 
 
 def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) -> list[Account]:
@@ -303,14 +306,17 @@ def _parted(promise: list[tuple[float, Effect]]) -> tuple[list, list, list]:
 
 
 def _rivals(look: Look, best: Account, effects: Sequence[Effect]) -> list[Account]:
-    """Every member swapped for every other effect."""
+    """Every member swapped for every other effect; for one that it contains in its own form, which a closer look
+    chose."""
     out = []
-    for leave in best.names:
-        kept = tuple(p for p in present_of(best) if p.effect.name != leave)
+    for leave in present_of(best):
+        kept = tuple(p for p in present_of(best) if p.effect.name != leave.effect.name)
         reduced = account(look, kept)
         for effect in effects:
-            if effect.name not in best.names:
-                own = _added(look, reduced, effect, target=best.refit.score)
-                if own is not None:
-                    out.append(own)
+            if effect.name in best.names:
+                continue
+            same = leave.effect.name in CONTAINS.get(effect.name, ()) and leave.form in effect.forms
+            own = _added(look, reduced, effect, None, best.refit.score, (leave.form,) if same else ())
+            if own is not None:
+                out.append(own)
     return sorted(out, key=lambda own: own.score)

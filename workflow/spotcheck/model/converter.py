@@ -8,8 +8,10 @@ from numba import njit
 FAR = 6.0
 # And one beyond which not even the last digit of a sum knows of it.
 NEVER = 9.0
-# Below this noise [DN] the reading's law is a sum over a few whole numbers; above, rounding counts as 1/12 DN².
+# Below this noise [DN] what rounding does depends on the mean; above, it counts as 1/12 DN².
 FINE = 0.7
+# Noise [DN] down to which few waves of the rounding error outlast it: a sixth would be exp(-2π²·36·0.25²) = 5e-20.
+RIPPLED, WAVES = 0.25, 5
 ROUNDING = 1 / 12
 ROOT_HALF, PDF = 0.7071067811865476, 0.3989422804014327
 
@@ -24,6 +26,8 @@ def convert(mean, variance, full_scale, dead):
         sd = math.sqrt(v)
         if dead > 0.0 and m < dead + FAR * sd:
             mean[k], variance[k] = _beyond(m, sd, full_scale, dead)
+        elif RIPPLED < sd < FINE and FAR * sd < m < full_scale - FAR * sd:
+            mean[k], variance[k] = _rippled(m, sd)
         elif sd < FINE:
             mean[k], variance[k] = _whole(m, sd, full_scale)
         elif m < FAR * sd or m > full_scale - FAR * sd:
@@ -48,8 +52,42 @@ def _whole(m, sd, full_scale):
 
 
 @compiled
+def _rippled(m, sd):
+    """Rounding far from both ends: the error is a sawtooth of the signal, whose waves the noise damps."""
+    damping = math.exp(-2 * (math.pi * sd) ** 2)
+    cosine, sine = math.cos(2 * math.pi * m), math.sin(2 * math.pi * m)
+    shift = slope = square = 0.0
+    turned_cos, turned_sin = 1.0, 0.0
+    for k in range(1, WAVES + 1):
+        # By (-1)^k, since readings change half-way between whole numbers.
+        turned_cos, turned_sin = turned_sin * sine - turned_cos * cosine, -turned_sin * cosine - turned_cos * sine
+        left = damping ** (k * k)
+        shift += left * turned_sin / (math.pi * k)
+        slope += left * 2 * turned_cos
+        square += left * turned_cos / (math.pi * k) ** 2
+    return m + shift, sd * sd * (1 + 2 * slope) + ROUNDING + square - shift * shift
+
+
+@compiled
 def _beyond(m, sd, full_scale, dead):
-    """Sum over the readings of signals that get out of the dead zone."""
+    """Signals that get out of the dead zone. `_beyond_summed` by Euler-Maclaurin, to its third derivative."""
+    if sd < FINE or m > full_scale - FAR * sd:
+        return _beyond_summed(m, sd, full_scale, dead)
+    lowest = math.floor(dead + 0.5)
+    edge = lowest + 0.5
+    z = (edge - m) / sd
+    above, density = 0.5 * math.erfc(z * ROOT_HALF), PDF * math.exp(-z * z / 2) / sd
+    at_lowest = 0.5 * math.erfc((dead - m) / sd * ROOT_HALF) - above
+    third = (z * z - 1) / (720 * sd * sd)
+    first = lowest * at_lowest + m * above + (sd * sd + ROUNDING - third) * density
+    second = lowest * lowest * at_lowest + (m * m + sd * sd + ROUNDING) * above
+    second += (sd * sd * (m + edge) + 2 * (ROUNDING - third) * edge + z / (120 * sd)) * density
+    return first, max(second - first * first, 1e-8)
+
+
+@compiled
+def _beyond_summed(m, sd, full_scale, dead):
+    """As `_beyond`, by a sum over the readings."""
     lowest = max(math.floor(dead + 0.5), 0.0)
     above = 0.5 * math.erfc((dead - m) / sd * ROOT_HALF)
     first, second = lowest * above, lowest * lowest * above
