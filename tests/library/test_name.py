@@ -92,6 +92,21 @@ def test_the_simpler_of_two_is_the_name():
     assert name._simplest([general, pair]) == [general, pair]
 
 
+def test_the_simpler_is_compared_wherever_a_first_look_has_it():
+    """Blocks blur what is strong, and a rival's free numbers make up for it: what it contains stays in the contest."""
+    look, _ = looked(offset)
+    empty = account(look, ())
+    simple, general = (
+        account(look, [present("dark_offset", 3.0)]),
+        account(look, [present("background_gradient", 1.0, 3.0, 10.0)]),
+    )
+    off = 0.1 * empty.score
+    far = simple._replace(score=simple.score + off, refit=simple.refit._replace(score=simple.refit.score + off))
+    exact = {own.names: own for own in (simple, general)}
+    found = name._contest([general, far], empty, lambda leader, own: (exact[own.names], True))
+    assert {own.names for own, _ in found} == {("dark_offset",), ("background_gradient",)}
+
+
 def test_what_a_set_does_not_need_is_dropped():
     """A pair that was reached by way of one that mimicked gives way to the single one that holds."""
     look, _ = looked(ghost)
