@@ -16,8 +16,8 @@ def weakest(rows: Sequence[tuple[float, float]]) -> tuple[float, tuple[float, fl
     """Strength over limit from which the power is reached, with its interval.
 
     `rows` are (strength over limit, 1 if found else 0). Of the curve nothing is assumed but that it rises: effects that
-    are found far below their limit, such as stripes, would flatten any curve of two numbers. Below 200 sets the value is
-    some 5 % low.
+    are found far below their limit, such as stripes, would flatten any curve of two numbers. Below 200 sets the value
+    is some 5 % low.
     """
     table = np.array(rows, float).reshape(-1, 2)
     if len(table) < LEAST or len(np.unique(table[:, 1])) < 2:
