@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from spotcheck import provenance
+from spotcheck import provenance, store
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "results" / "blind"
@@ -43,16 +43,17 @@ def commit() -> str:
 
 
 def begin(folder: Path) -> Path:
-    """The file of records of a folder of results. It begins with what is published of the same commit, as do its null
-    laws."""
-    path, kept = folder / "jobs.jsonl", KEPT / folder.name
-    if not path.exists() and kept.exists():
+    """The file of records of a folder of results. It begins with what is published of the same commit; null laws, which
+    are found by their content, with those of any."""
+    path, kept = folder / "jobs.jsonl", published()
+    if not path.exists() and kept is not None:
         folder.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(lzma.decompress((kept / "jobs.jsonl.xz").read_bytes()))
-        for other in kept.glob("*.json"):
-            shutil.copyfile(other, folder / other.name)
         with tarfile.open(kept / "laws.tar.xz") as packed:
             packed.extractall(folder, filter="data")
+        if kept.name == folder.name:
+            path.write_bytes(lzma.decompress((kept / "jobs.jsonl.xz").read_bytes()))
+            for other in kept.glob("*.json"):
+                shutil.copyfile(other, folder / other.name)
     return path
 
 
@@ -63,9 +64,14 @@ def keep(folder: Path) -> None:
     (KEPT / folder.name / "jobs.jsonl.xz").write_bytes(lzma.compress((folder / "jobs.jsonl").read_bytes()))
     for other in folder.glob("*.json"):
         shutil.copyfile(other, KEPT / folder.name / other.name)
+    # Laws of earlier code are of no more use.
+    code = provenance.code_digest("spotcheck.discrepancy.calibration")
     with tarfile.open(KEPT / folder.name / "laws.tar.xz", "w:xz") as packed:
         for law in sorted((folder / LAWS).glob("*/null.nc")):
-            packed.add(law, law.relative_to(folder))
+            with store.read(law) as ds:
+                useful = ds.attrs["code_version"] == code
+            if useful:
+                packed.add(law, law.relative_to(folder))
 
 
 def published() -> Path | None:

@@ -6,8 +6,10 @@ from collections import Counter
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from rig import hidden
+from spotcheck import provenance, store
 from tests.blind import figure, intervals, outcome, picture, power, records, score, table, times
 from tests.blind.judge_case import BY_COMMAND, Nulls, compared, record_of
 from tests.blind.plan import PUBLISHED, Job, plan
@@ -279,23 +281,26 @@ def test_records_outlive_a_crash(tmp_path):
 
 
 def test_a_clone_goes_on_from_what_is_published(tmp_path, monkeypatch):
+    """With the records of the same commit alone, and with null laws of any, while the code that made them stands."""
     monkeypatch.setattr(records, "KEPT", tmp_path / "published")
     assert records.published() is None
+    code = provenance.code_digest("spotcheck.discrepancy.calibration")
     for name, row in (("old", {"a": 1}), ("new", {"a": 2})):
         path = records.begin(tmp_path / name)
         writer = records.Writer(path)
         writer.add(row)
         writer.close()
         (tmp_path / name / "times.json").write_text("{}")
-        law = tmp_path / name / records.LAWS / name / "null.nc"
-        law.parent.mkdir(parents=True)
-        law.write_text("a law")
+        for law, made_by in ((name, code), (f"{name} code", "another")):
+            law_path = tmp_path / name / records.LAWS / law / "null.nc"
+            law_path.parent.mkdir(parents=True)
+            store.write(xr.Dataset(attrs={"title": "a law", "dataset": "none"}), law_path, code=made_by)
         records.keep(tmp_path / name)
     assert records.published() == tmp_path / "published" / "new"
-    cloned = tmp_path / "clone" / "new"
-    assert records.read(records.begin(cloned)) == [{"a": 2}] and (cloned / "times.json").exists()
-    assert [str(p.relative_to(cloned)) for p in cloned.rglob("null.nc")] == [f"{records.LAWS}/new/null.nc"]
-    assert records.read(records.begin(tmp_path / "clone" / "old")) == []
+    for name, rows in (("new", [{"a": 2}]), ("old", [])):
+        cloned = tmp_path / "clone" / name
+        assert records.read(records.begin(cloned)) == rows and (cloned / "times.json").exists() == bool(rows)
+        assert {path.parent.name for path in cloned.rglob("null.nc")} == {"old", "new"}
 
 
 def test_the_published_scores_follow_from_their_records():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy.extend import Tolerance
-from spotcheck.discrepancy.flats import SHOWN, explanations, series_of
+from spotcheck.discrepancy.flats import ASTRAY, SHOWN, explanations, fitted, series_of
 from spotcheck.discrepancy.flats_verdict import verdict_of
 from spotcheck.discrepancy.written import breach_of_verdict, rounded
 from spotcheck.estimate.levels import Level, Spatial
@@ -87,6 +87,15 @@ def test_two_effects():
     }  # fmt: skip
     assert breach_of_verdict(rounded(verdict)) is None
     assert {own["effect"] for own in verdict["not_assessed"]} == set(vocabulary()) - set(SHOWN)
+
+
+def test_light_without_noise():
+    """Where noise does not grow with the light, as where readings stop below full scale, K comes to an end."""
+    own = levels(np.random.default_rng(5))
+    series = series_of(transfer_of(own, FULL), FULL)
+    assert series is not None
+    fit = fitted(series._replace(excess=0 * series.excess), ())
+    assert fit.gain == pytest.approx(series.sensor.gain_dn_per_e / ASTRAY, rel=1e-3) and np.isfinite(fit.chi2)
 
 
 def test_too_few_levels():

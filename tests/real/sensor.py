@@ -6,7 +6,6 @@
 import argparse
 import contextlib
 import io
-import json
 import tempfile
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from spotcheck.pages.report import ranges
 from tests.benchmarks import gain
 from tests.blind.records import RESULTS, ROOT
 from tests.blind.table import markdown
+from tests.real import levels
 from tests.real.emva import reference
 
 SOURCE = ROOT.parent / "shared" / "data" / "emva-ccd"
@@ -66,15 +66,14 @@ def main() -> None:
 def page() -> str:
     """The page."""
     with tempfile.TemporaryDirectory() as base:
-        frames, transfer, verdict = (str(Path(base, name)) for name in ("frames.nc", "transfer.nc", "verdict.json"))
+        frames, transfer = (str(Path(base, name)) for name in ("frames.nc", "transfer.nc"))
         with contextlib.redirect_stdout(io.StringIO()):
             command(["ingest", str(SOURCE), "--output", frames])
             command(["transfer", str(SOURCE), "--frames", frames, "--output", transfer])
-            command(["flats", str(SOURCE), "--frames", frames, "--output", verdict])
-        said = json.loads(Path(verdict).read_text(encoding="utf-8"))
         with store.read(transfer) as ds:
             own = quantities_of(ds)
             by_range = ranges(ds)
+    said = levels.verdict_on(SOURCE)
     other, by_spots = reference(SOURCE, HALF), gain.measure().tables[0]
     rows = []
     for name, (key, factor, why) in BESIDE.items():
@@ -92,6 +91,13 @@ def page() -> str:
             *markdown(("quantity", "symbol", "ours", "emva1288", "apart, in standard errors", "why"), rows), "",
             "## What the verdict says", "",
             f"Status `{said['status']}`. {said['sentence']}", "",
+            "## With an effect put in", "",
+            "The same flats with a known effect put into their readings (the shutter's into their list, the light left "
+            "out of it):", "",
+            *levels.lines(SOURCE, said), "",
+            "What was put in is in every best set and its size is right, but for the shutter's: at these levels it is "
+            "told from a pedestal by shot noise alone. Where the status is `unknown`, what the effect does to the few "
+            "levels at its edge is not met: light varies over the frame, so pixels get there one after the other.", "",
             "## Up to which level?", "",
             "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
             "because the response bends:", "",

@@ -41,6 +41,8 @@ EARNS, TIED = 10.0, 8.0
 MOST = 3
 # Sets that grow by one effect more.
 BEAM = 3
+# Factor by which R and K may differ from what a plain look says: where noise hardly shows, a fit would take K anywhere.
+ASTRAY = 10.0
 
 
 class Series(NamedTuple):
@@ -165,8 +167,8 @@ def fitted(series: Series, present: Sequence[Present]) -> FlatFit:
     start = [own.values[k] for own, ks in zip(present, moving, strict=True) for k in ks]
     slope = float(np.median(series.signal / series.light))
     first = np.array([np.log(slope), np.log(series.sensor.gain_dn_per_e), *start])
-    low = np.concatenate([[-np.inf, -np.inf], bounds[:, 0]])
-    high = np.concatenate([[np.inf, np.inf], bounds[:, 1]])
+    low = np.concatenate([first[:2] - np.log(ASTRAY), bounds[:, 0]])
+    high = np.concatenate([first[:2] + np.log(ASTRAY), bounds[:, 1]])
     first = np.clip(first, low, high)
     best = least_squares(
         lambda p: pulls(p)[:, chosen].ravel(),
