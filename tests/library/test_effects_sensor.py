@@ -38,12 +38,18 @@ def smear(s: Noisy) -> Noisy:
     return s._replace(signal=s.signal + s.own["smear"]["fraction"] * s.signal.mean(axis=0) / 4)
 
 
+def soft_knee(y, level, width):
+    """What (1 + e^(x/w − 1/k)) / (1 + e^(−1/k)) leaves of x: 0 at 0, the level at the end."""
+    scale = level / np.log1p(np.exp(1 / width)) if width > 0.01 else level * width
+    return y - scale * (np.logaddexp(0, y / scale - 1 / width) - np.logaddexp(0, -1 / width))
+
+
 def knee(y, level, width, form):
     """The bent response itself."""
     if form.startswith("sharp"):
         return np.minimum(y, level)
     if form.startswith("soft"):
-        return y - width * level * np.logaddexp(0, (y - level) / (width * level))
+        return soft_knee(y, level, width)
     lit = np.maximum(y, 1e-9)
     return np.where(y > 1e-9, (lit ** (-1 / width) + level ** (-1 / width)) ** -width, y)
 
@@ -292,7 +298,7 @@ def test_a_sharp_knee_clips_a_normal_law(form, sd):
 
 
 KNEES = {
-    "soft": lambda x, level, k: x - k * level * np.logaddexp(0, (x - level) / (k * level)),
+    "soft": soft_knee,
     # (x^−m + level^−m)^(−1/m), by logarithms: high powers of numbers of hundreds overflow.
     "power": lambda x, level, k: np.exp(-k * np.logaddexp(-np.log(x) / k, -np.log(level) / k)),
 }
@@ -311,6 +317,8 @@ def test_soft_knees(form, width):
     np.testing.assert_allclose(value, closed(x, level, width), rtol=1e-12, atol=1e-9)
     np.testing.assert_array_equal(still, 0.0)
     assert np.all(value <= level * (1 + 1e-12))
+    # Darkness stays dark, and light without end comes to the level.
+    assert well_of(form, [0.0, 1e6 * level], [0.0, 0.0], 0.0, level, width)[0] == pytest.approx([0, level], abs=1e-3)
     # Errors of five points: h⁴/30 f⁗ and rounding 1e-13/h²; h a fiftieth of the knee.
     h = min(0.02 * width * level, 2.0)
     ends = {k: closed(x + k * h, level, width) for k in (-2, -1, 0, 1, 2)}

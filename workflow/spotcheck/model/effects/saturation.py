@@ -9,8 +9,8 @@ from spotcheck.model.effect import Effect, Parameter, Place
 def stop(mean, variance, read_variance, *, level, knee, form):
     """Mean and variance [DN] of a signal that stops at `level` [DN without black level], read noise left out.
 
-    `sharp`: a clip; `soft`: a knee `knee` times the level wide; `power`: (x⁻ᵐ + level⁻ᵐ)^(−1/m), m = 1/knee. The well
-    clips before read noise comes in; forms that say `with noise` clip that as well, as a converter does.
+    `sharp`: a clip; `soft`: a knee some `knee` times the level wide; `power`: (x⁻ᵐ + level⁻ᵐ)^(−1/m), m = 1/knee. The
+    well clips before read noise comes in; forms that say `with noise` clip that as well, as a converter does.
     """
     clips_noise = form.endswith("with noise")
     noise = read_variance if clips_noise else 0.0
@@ -24,11 +24,11 @@ def stop(mean, variance, read_variance, *, level, knee, form):
 
 
 def _soft(x, level, knee):
-    """Value, slope and curvature of a logarithmic knee."""
-    width = knee * level
-    above = (x - level) / width
+    """Value, slope and curvature of a logarithmic knee that begins at 0, however wide it is, and ends at the level."""
+    width = level / np.logaddexp(0.0, 1 / knee)
+    above = x / width - 1 / knee
     slope = 1 / (1 + np.exp(np.clip(above, -60, 60)))
-    return x - width * np.logaddexp(0.0, above), slope, -slope * (1 - slope) / width
+    return x - width * (np.logaddexp(0.0, above) - np.log1p(np.exp(-1 / knee))), slope, -slope * (1 - slope) / width
 
 
 def _power(x, level, knee):
