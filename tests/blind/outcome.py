@@ -10,6 +10,8 @@ Record = dict[str, Any]
 # −2 ln L by which the nearest rival must fall behind for an effect to be isolable: five standard deviations.
 ISOLABLE = 25.0
 STRONG = 100.0
+# A model that is told the truth and closes less of the gap has missed it.
+LEAST_CLOSED = 0.5
 # Where what an effect has beyond a simpler one is fainter than this, the simpler one is a right answer.
 UNSEEN = 5.0
 # Ties of the dataset contract: pairs, and where they are tied.
@@ -122,10 +124,19 @@ def unknown_and_empty(record: Record) -> bool:
 
 
 def isolation_of(record: Record) -> float | None:
-    """−2 ln L by which the nearest rival of a single effect falls behind; None where it was not computed."""
+    """−2 ln L by which the nearest rival of a single effect falls behind; None where it was not computed, or where what
+    was told the truth did not find it: then a rival is ahead, or no gap closes."""
     told = record.get("told") or {}
     rivals = told.get("isolation")
-    return min(rivals.values()) if rivals else None
+    if not rivals or min(rivals.values()) < -ISOLABLE or _lost(told):
+        return None
+    return min(rivals.values())
+
+
+def _lost(told: Record) -> bool:
+    """Whether a model that was told the truth closes next to nothing of the gap."""
+    closed = told.get("closed")
+    return closed is not None and closed < LEAST_CLOSED
 
 
 def isolable(record: Record) -> bool | None:
@@ -169,7 +180,7 @@ def closed_share(record: Record) -> float | None:
     closed = record["verdict"]["gap"]["closed"]
     if not record["verdict"]["effects"]:
         return 0.0
-    if told.get("closed") is None or told["closed"] <= 0 or closed is None:
+    if told.get("closed") is None or _lost(told) or closed is None:
         return None
     return closed / told["closed"]
 
