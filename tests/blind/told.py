@@ -13,7 +13,7 @@ from spotcheck.discrepancy.name import CONTAINS, assessable
 from spotcheck.discrepancy.shots import Shot, design_of, held_out
 from spotcheck.discrepancy.verdict import Judgement, parameters_of
 from spotcheck.discrepancy.verify import verify
-from spotcheck.model.effect import Effect, Present
+from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
 
 # Where isolation is worth its time: signal-to-noise of the truth.
@@ -44,7 +44,7 @@ def told_truth(judgement: Judgement, truth: dict[str, Any], shots: Sequence[Shot
 def account_of(look: Look, entries: Sequence[dict[str, Any]]) -> Account:
     """The best account of the true effects, from their true parameters, over the library's forms and, for constants
     that the truth does not hold, over its starts."""
-    trials = [_presents(look, vocabulary()[entry["name"]], entry["parameters"]) for entry in entries]
+    trials = [_presents(look, entry) for entry in entries]
     chosen = [own[0] for own in trials]
     best = account(look, chosen)
     for k, others in enumerate(trials):
@@ -56,7 +56,11 @@ def account_of(look: Look, entries: Sequence[dict[str, Any]]) -> Account:
     return best
 
 
-def _presents(look: Look, effect: Effect, given: dict[str, float]) -> list[Present]:
+def _presents(look: Look, entry: dict[str, Any]) -> list[Present]:
+    effect, given = vocabulary()[entry["name"]], dict(entry["parameters"])
+    if "order" in entry["form"] and effect.name == "saturation":
+        # The rig's soft clip is our `power`.
+        given["knee"] = 1 / entry["form"]["order"]
     starts = list(effect.starts(look.problem.context)) or [tuple(0.0 for _ in effect.parameters)]
     values = [
         tuple(float(given.get(p.name, value)) for p, value in zip(effect.parameters, start, strict=True))
