@@ -127,10 +127,8 @@ def isolation_of(record: Record) -> float | None:
     """−2 ln L by which the nearest rival of a single effect falls behind; None where it was not computed, or where what
     was told the truth did not find it: then a rival is ahead, or no gap closes."""
     told = record.get("told") or {}
-    rivals = told.get("isolation")
-    if not rivals or min(rivals.values()) < -ISOLABLE or _lost(told):
-        return None
-    return min(rivals.values())
+    nearest = min((told.get("isolation") or {}).values(), default=-np.inf)
+    return None if nearest < -ISOLABLE or _lost(told) else nearest
 
 
 def _lost(told: Record) -> bool:

@@ -5,7 +5,6 @@ tables say what was named.
 """
 
 import argparse
-import csv
 import json
 import shutil
 import tempfile
@@ -20,6 +19,7 @@ from PIL import Image
 from tests.blind.by_command import by_subcommands
 from tests.blind.records import RESULTS, ROOT
 from tests.blind.table import markdown
+from tests.real.listed import rows_of
 
 SOURCE = ROOT.parent / "shared" / "data" / "hene-zscan"
 NULLS, SEED = 400, 20210
@@ -47,8 +47,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.real.beams", description=__doc__)
     parser.add_argument("--write", action="store_true", help="also into workflow/docs/real-beams.md")
     write = parser.parse_args().write
-    with (SOURCE / "manifest.csv").open(encoding="utf-8") as stream:
-        rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
+    rows = rows_of(SOURCE)
     found = {row["file"]: {name: judged(row, name) for name in HIDDEN} for row in rows}
     text = page(found)
     (RESULTS / "real-beams.md").write_text(text, encoding="utf-8")

@@ -1,10 +1,11 @@
 """The package `emva1288`, the standard's reference implementation, on a dataset folder."""
 
-import csv
 import logging
 
 import numpy as np
 import pytest
+
+from tests.real.listed import rows_of
 
 
 def reference(folder, spatial_photons):
@@ -17,10 +18,9 @@ def reference(folder, spatial_photons):
         from emva1288.process.results import Results1288
 
         frames: dict = {}
-        with (folder / "manifest.csv").open(encoding="utf-8") as stream:
-            for row in csv.DictReader(line for line in stream if not line.startswith("#")):
-                photons = float(row["photons_per_px"] or 0) if row["kind"] == "flat" else 0.0
-                frames.setdefault(float(row["exposure_s"]) * 1e9, {}).setdefault(photons, []).append(row["file"])
+        for row in rows_of(folder):
+            photons = float(row["photons_per_px"] or 0) if row["kind"] == "flat" else 0.0
+            frames.setdefault(float(row["exposure_s"]) * 1e9, {}).setdefault(photons, []).append(row["file"])
         half = min(frames, key=lambda t: abs(max(frames[t]) - spatial_photons))
         images = {"temporal": frames, "spatial": {half: frames[half]}}
         data = Data1288(LoadImageData(images, path=str(folder), loglevel=logging.WARNING).data).data

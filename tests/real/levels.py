@@ -16,6 +16,7 @@ from PIL import Image
 from spotcheck.cli import main as command
 from spotcheck.figures.style import plus_minus
 from tests.blind.table import markdown
+from tests.real.listed import rows_of
 
 FULL_SCALE = 4095
 # Sizes that a camera or a bench might have.
@@ -42,8 +43,7 @@ def verdict_on(folder: Path) -> dict[str, Any]:
 def with_effect(source: Path, name: str, folder: Path) -> Path:
     """A copy of a folder of flats and darks with an effect put in, readings rounded anew."""
     shutil.copytree(source, folder)
-    with (source / "manifest.csv").open(encoding="utf-8") as stream:
-        rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
+    rows = rows_of(source)
     rng = np.random.default_rng(1)
     for row in rows:
         if row["kind"] == "flat":

@@ -95,10 +95,10 @@ def page() -> str:
             "The same flats with a known effect put into their readings (the shutter's into their list, the light left "
             "out of it):", "",
             *levels.lines(SOURCE, said), "",
-            "What was put in is in every best set, with its size, but for the shutter's, which at these levels only "
-            "shot noise tells from a pedestal. Where the status is `unknown`, what happens to the levels at an edge is "
-            "not met, and the edge lies higher than it was put: light varies over the frame, so pixels get there one "
-            "after the other.", "",
+            "What was put in is in every best set, but for the shutter's, which at these levels only shot noise tells "
+            "from a pedestal; of the bend and the offset the size is right. Where the status is `unknown`, what "
+            "happens to the levels at an edge is not met, and the edge lies higher than it was put: light varies over "
+            "the frame, so pixels get there one after the other.", "",
             "## Up to which level?", "",
             "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
             "because the response bends:", "",
