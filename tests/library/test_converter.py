@@ -26,7 +26,7 @@ def converted(mean, sd, dead=0.0, full_scale=FULL_SCALE):
     """The library's mean and variance."""
     out = np.array(mean, float)
     spread = np.broadcast_to(np.square(sd), out.shape).astype(float)
-    convert(out, spread, full_scale, dead)
+    convert(out, spread, np.full(out.shape, full_scale), dead)
     return out, spread
 
 
@@ -149,3 +149,21 @@ def test_no_full_scale():
     signal = np.array([5.0, 900.0, 60_000.0])
     for a, b in zip(converted(signal, 3.0, full_scale=1e9), converted(signal, 3.0, full_scale=65_535.0), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("sd", [0.3, 0.5, 2.0])
+def test_every_signal_has_its_own_highest_reading(sd):
+    """Signals about levels of their own; below 0.7 DN of noise a level between two readings is the nearer one's."""
+    level = np.array([300.0, 400.0, 510.4])
+    mean = level[:, None] + sd * np.linspace(-7, 9, 30)
+    out, spread = mean.ravel().copy(), np.full(mean.size, sd**2)
+    convert(out, spread, np.repeat(level, 30), 0.0)
+    for k, (m, own, variance) in enumerate(zip(mean.ravel(), out, spread, strict=True)):
+        highest = level[k // 30]
+        if highest == round(highest) or sd < FINE:
+            first, second = summed(m, sd, full_scale=round(highest))
+            at_mean, at_variance = tolerances(sd)
+            assert own == pytest.approx(first, abs=at_mean)
+            assert variance == pytest.approx(second, abs=at_variance)
+        # Far above it nothing but the level is read.
+        assert own <= highest + 0.5

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from spotcheck.discrepancy.cells import pooled
 from spotcheck.discrepancy.explain import account
 from spotcheck.discrepancy.extend import about, closer_account
 from spotcheck.discrepancy.look import look_at
-from spotcheck.discrepancy.refit import Told, refit
+from spotcheck.discrepancy.pixels import CERTAIN
+from spotcheck.discrepancy.refit import NOTHING, Told, refit
 from spotcheck.discrepancy.shots import design_of
 from spotcheck.discrepancy.stripes import beside_places, depth_error, peak
-from tests.library.small_verdict import EXPOSURES, SENSOR, SIDE, frames, looked, present
+from tests.library.small_verdict import EXPOSURES, SENSOR, SIDE, frames, looked, plain, present
 
 # One angle: the means of two exposures say little of a drift.
 DESIGN = {"angles": (0.0,), "repeats": 6}
@@ -153,3 +155,17 @@ def test_stripes_where_nothing_tells_anything():
     dark = look.measured._replace(sums=sums._replace(pull=0 * sums.pull, weight=0 * sums.weight))
     amplitude, noise = beside_places(dark, 9.0, 30.0)
     assert not amplitude.any() and not noise.any()
+
+
+def test_where_noise_is_clipped_readings_count_no_more_than_what_is_certain():
+    """A converter's clip far below the light: every reading there is one number, without noise. A level that is off by
+    0.05 DN must not be worth 10⁸ standard deviations: as pixels of 0.12 DN² it is worth (0.05 DN)² · pixels / 0.12."""
+    look, _ = looked(plain)
+    model = look.problem.start._replace(present=(present("saturation", 200.0, 0.03, form="sharp with noise"),))
+    at = look.problem.evaluate(model)
+    above = look.light > 300.0
+    np.testing.assert_allclose(pooled(at.mean)[above], 200.0 + SENSOR.black_level_dn, atol=1e-6)
+    assert pooled(at.variance)[above].max() < 1e-6
+    variance = look.problem.variance(at, NOTHING)[above]
+    want = look.cells.variance[above] * CERTAIN / look.problem.variance_start[above]
+    np.testing.assert_allclose(variance, want, rtol=1e-12)

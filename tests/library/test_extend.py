@@ -6,7 +6,9 @@ import pytest
 from spotcheck.discrepancy.detect import Detection
 from spotcheck.discrepancy.explain import account
 from spotcheck.discrepancy.extend import CLEAR, Size, Tolerance, about, best_form, closer_account, consistent, size_of
+from spotcheck.discrepancy.lasting import lasting
 from spotcheck.discrepancy.look import look_at
+from spotcheck.discrepancy.noise import hot_field
 from spotcheck.discrepancy.shots import design_of
 from tests.library.small_verdict import frames, ghost, looked, plain, present
 
@@ -78,3 +80,34 @@ def test_a_closer_look_remembers_what_it_takes_off():
     assert exact.component_error["gain"] == own.component_error["gain"]
     # 24 frames tell a scatter to 15 %: four standard deviations.
     assert np.sqrt(exact.component["gain"]) == pytest.approx(0.02, rel=0.6)
+
+
+SPIKE = (14, 40)
+
+
+def hot_once(spike, frame):
+    """Adds readings to one pixel: in every frame, or in the one of that number."""
+    count = iter(range(1000))
+
+    def after(image, rng):
+        image[SPIKE] += spike if frame is None or next(count) == frame else 0.0
+        return image
+
+    return after
+
+
+@pytest.mark.parametrize(("spike", "frame", "expected"), [(6.0, None, True), (120.0, 5, False)])
+def test_a_hot_pixel_is_hot_in_every_frame_and_a_ray_hits_once(spike, frame, expected):
+    """Alike in the sum of all 12 frames, some ten standard deviations; what each frame has tells them apart."""
+    shots, base, setting = frames(after=hot_once(spike, frame))
+    look = look_at(shots, design_of(shots), base, setting)
+    assert np.argwhere(hot_field(look.measured, 0.0)).tolist() == [list(SPIKE)]
+    assert lasting(shots, look, 0.0) is expected
+
+
+def test_too_few_frames_tell_no_ray_from_a_hot_pixel():
+    """Two frames: what one of them has may be either, so that nothing is refused."""
+    shots, base, setting = frames(after=hot_once(60.0, 0), angles=(0.0,), exposures=(4e-4,), repeats=2)
+    look = look_at(shots, design_of(shots), base, setting)
+    assert hot_field(look.measured, 0.0).any()
+    assert lasting(shots, look, 0.0)

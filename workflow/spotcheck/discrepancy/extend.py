@@ -10,6 +10,7 @@ from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Detection, Null, detect
 from spotcheck.discrepancy.explain import Account, account, granular
 from spotcheck.discrepancy.freed_named import Freed, Left, freed_of, left_of
+from spotcheck.discrepancy.lasting import lasting
 from spotcheck.discrepancy.look import Look, look_again, look_at
 from spotcheck.discrepancy.name import assessable, present_of, search
 from spotcheck.discrepancy.refit import NO_WAVE
@@ -120,6 +121,8 @@ def investigate(
         hot_alone = "fixed_pattern" in exact.names and not exact.component.get("pixel")
         if not seen or (hot_alone and rest.p_value < tolerance.alpha):
             return False
+        if "fixed_pattern" in exact.names and not lasting(shots, look, _prnu(exact)):
+            return False
         return consistent(rest, size_of(near, exact), tolerance)
 
     naming = search(look, effects, closer)
@@ -163,7 +166,7 @@ def with_freed(found: Findings, freed: Freed, shots: Sequence[Shot], null: Null 
 def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
     """A closer look: about what an account expects of every pixel. Long stripes pull at the sites' centres: once they
     are taken off, the spots are placed anew."""
-    prnu = float(np.sqrt(leader.component["pixel"])) if "pixel" in leader.component and look.measured.common else None
+    prnu = _prnu(leader) if "pixel" in leader.component and look.measured.common else None
     model = leader.refit.model
     others = tuple(own for own in model.present if own.effect.name != FRINGES)
     if len(others) < len(model.present):
@@ -177,6 +180,11 @@ def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
     if near.measured.waves.any():
         near = look_again(shots, near, near.problem.start, leader.latent, prnu)
     return near
+
+
+def _prnu(own: Account) -> float:
+    """Rms of the pixels' gains."""
+    return float(np.sqrt(own.component["pixel"]))
 
 
 def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> tuple[Account, Look]:

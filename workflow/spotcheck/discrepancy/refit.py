@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import Cells, Setting, pooled
+from spotcheck.discrepancy.pixels import CERTAIN
 from spotcheck.model.chain import Free, Law, Moments, View, bounds_context, granular_variance, light, moments
 from spotcheck.model.effect import Context, Effect, Present
 
@@ -133,10 +134,13 @@ class Problem:
         return self.cells.residual - (pooled(at.mean) - self.mean_start)
 
     def variance(self, at: Moments, latent: Latent) -> np.ndarray:
-        """Variance of each cell mean [DN²]: the base's own, scaled by the model's change of the noise."""
+        """Variance of each cell mean [DN²]: the base's own, scaled by the model's change of the noise.
+
+        Where a level stops noise and all, readings repeat one number: more certain than `CERTAIN` they do not count.
+        """
         if latent.known is not None:
             return latent.known
-        out = self.cells.variance * (pooled(at.variance) / self.variance_start)
+        out = self.cells.variance * (np.maximum(pooled(at.variance), CERTAIN) / self.variance_start)
         light = pooled(at.mean) - self.setting.sensor.black_level_dn
         return out + latent.relative * light**2 + latent.absolute
 

@@ -323,21 +323,29 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
     if np.isfinite(sensor.full_well_e):
         at_well = clipped_normal(mean, variance, gain, -np.inf, gain * sensor.full_well_e, rounding=0.0)
         mean, variance = at_well.mean, at_well.variance
+    # Clipped noise is not normal, so the converter clips it where it rounds: the level moves along up to there.
+    stops: list = []
     for own in _at(present, Place.WELL):
-        mean, variance = own.apply(mean, variance, read)
+        if own.form == "sharp with noise":
+            stops.append(own.values[0])
+        else:
+            mean, variance = own.apply(mean, variance, read)
     variance = variance + read
     for own in _at(present, Place.RESPONSE):
         mean, variance = own.apply(mean, variance, sensor.full_scale_dn)
-    mean = mean + sensor.black_level_dn
+        stops = [own.apply(stop, 0.0, sensor.full_scale_dn)[0] for stop in stops]
+    mean, stops = mean + sensor.black_level_dn, [stop + sensor.black_level_dn for stop in stops]
     for own in _at(present, Place.PEDESTAL):
         if own.form == "electronic":
-            mean = mean + own.apply(view)
+            mean, stops = mean + own.apply(view), [stop + own.apply(view) for stop in stops]
     out, spread = (np.array(v, float) for v in np.broadcast_arrays(mean, variance))
     zones = _at(present, Place.DIGITAL)
     lowest = float(zones[0].apply()) if zones else 0.0
     black, dead = (lowest, 0.0) if zones and zones[0].form == "subtracted" else (0.0, lowest)
     out -= black
-    highest = float(min(sensor.full_scale_dn, 1e9))
+    highest = np.full(out.size, min(sensor.full_scale_dn, 1e9))
+    for stop in stops:
+        highest = np.minimum(highest, np.broadcast_to(stop - black, out.shape).reshape(-1))
     rows = sum(own.values[0] ** 2 for own in present if own.effect.scatter and own.effect.scatter.of == "row")
     if rows:
         # Rows that scatter move the mean where black cuts them; the variance given is that of pixels within a row.
@@ -364,7 +372,8 @@ def offset_response(light_dn: np.ndarray, sensor: SensorModel, rms_dn: float = 0
     moved = []
     for node in max(rms_dn, SMALL_DN) * nodes:
         mean, spread = np.array(light_dn + sensor.black_level_dn + node, float), np.array(variance, float)
-        convert(mean.reshape(-1), spread.reshape(-1), float(min(sensor.full_scale_dn, 1e9)), 0.0)
+        highest = np.full(mean.size, min(sensor.full_scale_dn, 1e9))
+        convert(mean.reshape(-1), spread.reshape(-1), highest, 0.0)
         moved.append(mean)
     about = np.stack(moved) - np.tensordot(weights, moved, 1)
     return np.sqrt(np.tensordot(weights, about**2, 1)) / max(rms_dn, SMALL_DN)

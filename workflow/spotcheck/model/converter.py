@@ -1,4 +1,4 @@
-"""The converter's last step, compiled: normal signals rounded once and cut at 0 and at full scale."""
+"""The converter's last step, compiled: normal signals rounded once and cut at 0 and at the highest reading."""
 
 import math
 
@@ -19,10 +19,11 @@ compiled = njit(cache=True, error_model="numpy")
 
 
 @compiled
-def convert(mean, variance, full_scale, dead):
-    """Replace mean [DN] and variance [DN²] of each signal by those of its reading; signals below `dead` [DN] read 0."""
+def convert(mean, variance, highest, dead):
+    """Replace mean [DN] and variance [DN²] of each signal by those of its reading, which is `highest` [DN] at most, of
+    each its own; signals below `dead` [DN] read 0."""
     for k in range(mean.size):
-        m, v = mean[k], max(variance[k], 1e-8)
+        m, v, full_scale = mean[k], max(variance[k], 1e-8), highest[k]
         sd = math.sqrt(v)
         if dead > 0.0 and m < dead + FAR * sd:
             mean[k], variance[k] = _beyond(m, sd, full_scale, dead)
@@ -39,6 +40,8 @@ def convert(mean, variance, full_scale, dead):
 @compiled
 def _whole(m, sd, full_scale):
     """Sum over the readings that may occur."""
+    # A level between two readings shows as the nearer one.
+    full_scale = math.floor(full_scale + 0.5)
     low, high = max(math.floor(m - FAR * sd), 0.0), min(math.ceil(m + FAR * sd), full_scale)
     if high <= low:
         return (0.0 if m < 0 else full_scale), 1e-8
@@ -91,7 +94,7 @@ def _beyond_summed(m, sd, full_scale, dead):
     lowest = max(math.floor(dead + 0.5), 0.0)
     above = 0.5 * math.erfc((dead - m) / sd * ROOT_HALF)
     first, second = lowest * above, lowest * lowest * above
-    reading, highest = lowest + 1, min(math.ceil(m + FAR * sd), full_scale)
+    reading, highest = lowest + 1, min(math.ceil(m + FAR * sd), math.floor(full_scale + 0.5))
     while reading <= highest:
         above = 0.5 * math.erfc((max(reading - 0.5, dead) - m) / sd * ROOT_HALF)
         first += above

@@ -10,7 +10,8 @@ def stop(mean, variance, read_variance, *, level, knee, form):
     """Mean and variance [DN] of a signal that stops at `level` [DN without black level], read noise left out.
 
     `sharp`: a clip; `soft`: a knee some `knee` times the level wide; `power`: (x⁻ᵐ + level⁻ᵐ)^(−1/m), m = 1/knee. The
-    well clips before read noise comes in; forms that say `with noise` clip that as well, as a converter does.
+    well clips before read noise comes in; forms that say `with noise` clip that as well, as a converter does. Of these
+    the chain leaves the sharp one to the converter, which knows the law of what it rounds.
     """
     clips_noise = form.endswith("with noise")
     noise = read_variance if clips_noise else 0.0
@@ -66,5 +67,5 @@ EFFECT = Effect(
     forms=("sharp", "soft", "power", "sharp with noise", "soft with noise", "power with noise"),
     neutral=np.inf,
     idle={"sharp": ("knee",), "sharp with noise": ("knee",)},
-    rounded=("sharp with noise",),
+    rounded=("sharp with noise", "soft with noise", "power with noise"),
 )
