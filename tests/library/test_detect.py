@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.detect import detect, moments_of, null_of
+from spotcheck.discrepancy.detect import LEAST_SKEW, MOST_SKEW, detect, moments_of, null_of
 
 
 def some_sets(rng, count):
@@ -26,7 +26,7 @@ def test_moments_with_and_without_each_set(gap):
 
     def by_scipy(part):
         skew = np.ma.filled(stats.skew(part, axis=0, nan_policy="omit"), np.nan)
-        return np.nanmean(part, axis=0), np.nanstd(part, axis=0), np.clip(skew, 0.05, 4.0)
+        return np.nanmean(part, axis=0), np.nanstd(part, axis=0), np.clip(skew, LEAST_SKEW, MOST_SKEW)
 
     np.testing.assert_allclose(np.array(moments_of(table)), by_scipy(table), rtol=1e-9)
     rest = np.array(moments_of(table, without_one=True))
@@ -44,3 +44,19 @@ def test_of_new_sets_one_in_a_hundred_is_odd():
         null = null_of(as_samples(some_sets(rng, 400)))
         rates.append(np.mean([detect(null, own).p_value < 0.01 for own in as_samples(some_sets(rng, 1000))]))
     assert 0.006 < np.mean(rates) < 0.014
+
+
+def test_what_a_single_null_set_has_is_rare_and_no_wonder():
+    """Outliers are counted, and one of 110 sets has one: without that set nothing says how rare they are. It must not
+    stand for a wonder, or no new set could ever be called odd."""
+    table = some_sets(np.random.default_rng(4), 110)
+    table[:, 7] = 0.0
+    table[60, 7] = 1.8
+    null = null_of(as_samples(table))
+    assert null.surprise[-1] < 6
+    odd = table[10].copy()
+    odd[20] = 9.0
+    assert detect(null, as_samples([odd])[0]).p_value == 1 / 111
+    many = table[10].copy()
+    many[7] = 12.0
+    assert detect(null, as_samples([many])[0]).p_value == 1 / 111

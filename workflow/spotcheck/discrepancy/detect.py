@@ -15,6 +15,9 @@ from spotcheck.discrepancy.noise import Observable
 
 # Where a fitted tail is no longer to be believed, one more decade means nothing.
 DEEPEST = 300.0
+# Skewness from a nearly normal law to one of rare counts; and the spread below which a statistic, of some 1 by theory,
+# is a count that few null sets have: its law is not known but for its kind.
+LEAST_SKEW, MOST_SKEW, LEAST_SPREAD = 0.05, 4.0, 0.2
 
 
 class Null(NamedTuple):
@@ -98,9 +101,11 @@ def moments_of(table: np.ndarray, without_one: bool = False) -> tuple[np.ndarray
     powers[0] = np.isfinite(off).astype(float)
     count, *sums = (power.sum(axis=0) - (power if without_one else 0.0) for power in powers)
     first, second, third = (total / np.maximum(count, 1.0) for total in sums)
-    spread = np.maximum(np.sqrt(np.maximum(second - first**2, 0.0)), 1e-9)
-    skew = (third - 3 * first * second + 2 * first**3) / spread**3
-    return about + first, spread, np.clip(skew, 0.05, 4.0)
+    spread = np.sqrt(np.maximum(second - first**2, 0.0))
+    rare = spread < LEAST_SPREAD
+    spread = np.where(rare, LEAST_SPREAD, spread)
+    skew = np.clip((third - 3 * first * second + 2 * first**3) / spread**3, LEAST_SKEW, MOST_SKEW)
+    return about + first, spread, np.where(rare, MOST_SKEW, skew)
 
 
 def surprises(null: Null, found: dict[str, float]) -> dict[str, float]:
