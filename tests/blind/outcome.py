@@ -100,12 +100,17 @@ def named_exactly(record: Record) -> bool:
     return status(record) == "named" and explanations(record) == [truth(record)]
 
 
+def holds_truth(record: Record) -> bool:
+    """The true effects, and nothing else, are one of the explanations that the verdict holds possible."""
+    return truth(record) in explanations(record)
+
+
 def ambiguous_with_truth(record: Record) -> bool:
     """Status `ambiguous` with the truth among the explanations; or a simpler effect that it cannot be told from."""
     found = explanations(record)
     if status(record) == "named":
         return right_names(record) != truth(record) and found[0] <= right_names(record) - truth(record)
-    return status(record) == "ambiguous" and truth(record) in found
+    return status(record) == "ambiguous" and holds_truth(record)
 
 
 def right_first(record: Record) -> bool:

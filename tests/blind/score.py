@@ -43,6 +43,8 @@ def figures(records: Sequence[Record]) -> list[Figure]:
             at_least(0.90, 0.97), short_of="" if mechanisms >= LEAST_OUTSIDE else f"{mechanisms} mechanisms",
         ),
         share("two effects: both named, nothing else", several["two"], outcome.named_exactly, at_least(0.80, 0.90)),
+        share("two effects: both named, or tied with what the data cannot tell from them", several["two"],
+              outcome.holds_truth),
         *(share(f"{n} effects: all named, nothing else", several[n], outcome.named_exactly) for n in ("three", "four")),
         gap_closed([*strong, *several["two"]]),
         strength(strong),

@@ -134,6 +134,8 @@ def test_two_effects_need_both_names_and_no_more():
     ]
     figure_ = found(rows, "two effects")
     assert figure_.value == pytest.approx(1 / 6) and figure_.verdict() == "short"
+    # A tie that holds the truth says nothing wrong.
+    assert found(rows, "two effects: both named, or").value == pytest.approx(2 / 6)
 
 
 def test_ambiguous_must_hold_the_truth():
