@@ -121,9 +121,9 @@ def investigate(
         hot_alone = "fixed_pattern" in exact.names and not exact.component.get("pixel")
         if not seen or (hot_alone and rest.p_value < tolerance.alpha):
             return False
-        if "fixed_pattern" in exact.names and not lasting(shots, look, _prnu(exact)):
-            return False
-        return consistent(rest, size_of(near, exact), tolerance)
+        good = consistent(rest, size_of(near, exact), tolerance)
+        # Last, for it opens every frame again.
+        return good and ("fixed_pattern" not in exact.names or lasting(shots, look, _prnu(exact)))
 
     naming = search(look, effects, closer)
     evidence = {n: (own.score - first.score, own.refit.chi2) for n, own in naming.singles.items()}

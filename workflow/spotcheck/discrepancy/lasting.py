@@ -21,6 +21,8 @@ def lasting(shots: Sequence[Shot], look: Look, prnu: float) -> bool:
     own are; what hits once, as a cosmic ray, is no pattern. True where too few frames saw any of them to say."""
     measured, setting = look.measured, look.setting
     places = np.argwhere(hot_field(measured, prnu))
+    if not len(places):
+        return True
     scene = base_scenes(shots, measured.design, measured.base, setting.baseline, setting.sensor)
     off = np.zeros((len(shots), len(places)))
     seen = np.zeros(off.shape, bool)

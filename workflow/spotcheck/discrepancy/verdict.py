@@ -167,27 +167,25 @@ def parameters_of(found: Findings, name: str) -> dict[str, dict[str, Any]]:
         return _freed_parameters(found, name)
     assert found.best is not None
     own = found.best[1]
-    for present, errors in zip(own.refit.model.present, _errors_of(own), strict=True):
-        if present.effect.name != name:
-            continue
-        if present.effect.place is Place.NOISE:
-            errors[0] = own.component_error["read"]
-        if (present.effect.name, present.form) == (FRINGES, "site"):
-            depth, period, direction = present.values[:3]
-            errors[0] = depth_error(depth, beside_places(found.best[0].measured, period, direction)[1])
-        if present.form in present.effect.rounded:
-            # A closer look leaves out what repeats one number, and that may be what tells it.
-            first = found.explanations[0]
-            pairs = zip(first.refit.model.present, _errors_of(first), strict=True)
-            before = next(pair for pair in pairs if pair[0].effect.name == name)
-            present, errors = before if before[1][0] < errors[0] else (present, errors)
-        return _reported(present, errors, found.look.setting.sensor) | _scatter_parameters(found, own, name)
-    return _scatter_parameters(found, own, name)
+    if name not in (fitted := _fitted(own)):
+        return _scatter_parameters(found, own, name)
+    present, errors = fitted[name]
+    if present.effect.place is Place.NOISE:
+        errors[0] = own.component_error["read"]
+    if (present.effect.name, present.form) == (FRINGES, "site"):
+        depth, period, direction = present.values[:3]
+        errors[0] = depth_error(depth, beside_places(found.best[0].measured, period, direction)[1])
+    if present.form in present.effect.rounded:
+        # A closer look leaves out what repeats one number, and that may be what tells it.
+        first = _fitted(found.explanations[0])[name]
+        present, errors = first if first[1][0] < errors[0] else (present, errors)
+    return _reported(present, errors, found.look.setting.sensor) | _scatter_parameters(found, own, name)
 
 
-def _errors_of(own: Account) -> list[list[float]]:
-    """Standard errors of each effect's parameters; NaN for those that its form does not have."""
-    at, out = 0, []
+def _fitted(own: Account) -> dict[str, tuple[Present, list[float]]]:
+    """Every effect of the joint fit by name, with the standard errors of its parameters; NaN for those that its form
+    does not have."""
+    at, out = 0, {}
     for present in own.refit.model.present:
         idle = present.effect.idle.get(present.form, ())
         errors = []
@@ -195,7 +193,7 @@ def _errors_of(own: Account) -> list[list[float]]:
             moving = parameter.name not in idle
             errors.append(float(np.sqrt(max(own.refit.covariance[at, at], 0.0))) if moving else np.nan)
             at += moving
-        out.append(errors)
+        out[present.effect.name] = present, errors
     return out
 
 

@@ -337,7 +337,8 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
     mean, stops = mean + sensor.black_level_dn, [stop + sensor.black_level_dn for stop in stops]
     for own in _at(present, Place.PEDESTAL):
         if own.form == "electronic":
-            mean, stops = mean + own.apply(view), [stop + own.apply(view) for stop in stops]
+            pedestal = own.apply(view)
+            mean, stops = mean + pedestal, [stop + pedestal for stop in stops]
     out, spread = (np.array(v, float) for v in np.broadcast_arrays(mean, variance))
     zones = _at(present, Place.DIGITAL)
     lowest = float(zones[0].apply()) if zones else 0.0
