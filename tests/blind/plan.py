@@ -12,7 +12,7 @@ from rig import hidden
 # ASSUME: everything below was used for tuning at one time or another.
 FIRST_FRESH = 1_000_000
 # The base seed of the next scores to be published; what earlier ones showed was mended since.
-PUBLISHED = 34_000_000
+PUBLISHED = 35_000_000
 # Where several designs have a part in a stream, how often each.
 NULL_DESIGNS = {
     "default": 6, "two_exposures": 4, "three_repeats": 4, "one_exposure": 3, "one_site": 2, "single_frame": 2,
