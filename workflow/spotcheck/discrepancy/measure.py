@@ -6,18 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.base import Base
-from spotcheck.discrepancy.pixels import CODES, Scene, add_frame, fill_scene, table_of
+from spotcheck.discrepancy.pixels import CERTAIN, CODES, DARK, Scene, add_frame, awake, fill_scene, table_of
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import offset_response
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 from spotcheck.model.spot import TOP_HAT_LEVEL
 
 # Blocks along a crop: 8 px of 240.
 BLOCKS = 30
-# Standard deviations from full scale within which it cuts the law of a reading.
-CUT = 3.0
+# Light above so many times (1 DN and its noise in the dark) is read as it is, unless the model says otherwise.
+FAINT = 16.0
 # Crops that lie further apart than this [px] share no pixel worth the memory of a common window.
 LARGEST_WINDOW = 2048
 
@@ -121,13 +120,14 @@ def measure(
     at_base = base_scenes(shots, design, base, baseline, sensor)
     felt = felt or sensor
     law = law_of(felt)
-    faint = np.linspace(0.0, 16.0 * (1 + sensor.gain_dn_per_e * sensor.read_noise_e), 400)
-    response = faint, offset_response(faint, sensor)
-    score, information = np.zeros((count, 7)), np.zeros((count, 7, 7))
     dark_variance = (felt.gain_dn_per_e * felt.read_noise_e) ** 2 + ROUNDING_VARIANCE
+    table = table_of(felt, FAINT * (1 + felt.gain_dn_per_e * felt.read_noise_e))
+    slope = np.gradient(table.mean, felt.gain_dn_per_e * table.step_e)
+    score, information = np.zeros((count, 7)), np.zeros((count, 7, 7))
     for k, shot in enumerate(shots):
         image = np.ascontiguousarray(shot.pixels(), dtype=np.float64)
         scene, site = expect(k) if expect else at_base(k), design.site[k]
+        scene = awake(image, scene, DARK * np.sqrt(dark_variance), side)
         chip_at = (int(top[k]) - corner[0], int(left[k]) - corner[1]) if common else (0, 0)
         at = (int(top[k] - site_top[site]), int(left[k] - site_left[site]))
         add_frame(  # type: ignore[call-arg]
@@ -135,22 +135,14 @@ def measure(
             *(part[k] for part in sums[:14]), sums.pull[site], sums.weight[site], *sums[16:], at, chip_at,
         )  # fmt: skip
         theta = spot_of(k, design, base, sensor)
-        lift = 0.0
-        if expect:
-            # The exact law of a faint reading is asked where the reading lies: on the model's pedestal.
-            lift = max(float(np.median(scene.mean - at_base(k).mean)), 0.0)
-            theta[6] += lift
-        score[k], information[k], _, _ = one_pass(image, theta, LIKELIHOOD, law, baseline.top_hat)
-        if expect:
-            # What the model has over the base spot is no sign of another brightness, place or width.
-            spot = at_base(k, lift)
-            more = np.interp(spot.light + lift, *response) * (scene.mean - spot.mean) / spot.variance
-            # Where full scale cuts the base spot, a reading below it has been scored by the plain law.
-            plain, spread = theta[6] + spot.light, dark_variance + sensor.gain_dn_per_e * (spot.light + lift)
-            margin = CUT * np.sqrt(spread)
-            whole = np.where(scene.mean + margin < sensor.full_scale_dn, (scene.mean - plain) / spread, 0.0)
-            more = np.where(plain + margin > sensor.full_scale_dn, whole, more)
-            score[k] -= pull_of(np.where(np.isfinite(image), more, 0.0), theta, baseline.top_hat)
+        if expect is None:
+            score[k], information[k], _, _ = one_pass(image, theta, LIKELIHOOD, law, baseline.top_hat)
+        else:
+            # Where black cuts readings the sensor's law says how much of light they show; else the model.
+            follows = np.interp(scene.mean, table.mean, slope)
+            lit = scene.light > DARK * np.sqrt(dark_variance)
+            follows *= np.divide(scene.shown, scene.light, out=np.ones_like(follows), where=lit)
+            score[k], information[k] = about_scene(image, scene, follows, theta, baseline.top_hat)
     return Measured(design, base, sums, score, information, side, corner, common, left, top, site_left, site_top,
                     np.zeros((count, 3)), np.zeros((design.sites, 2)))  # fmt: skip
 
@@ -163,43 +155,57 @@ def spot_of(k: int, design: Design, base: Base, sensor: SensorModel) -> np.ndarr
     return np.array([base.amplitude[k], base.x0[k], base.y0[k], curvature, 0.0, curvature, dark])
 
 
-def pull_of(weighted: np.ndarray, theta: np.ndarray, top_hat: bool) -> np.ndarray:
-    """Σ of weighted residuals [row, column] in 1/DN times the slopes of the spot's light, in the order of `scoring`."""
+def about_scene(
+    image: np.ndarray, scene: Scene, follows: np.ndarray, theta: np.ndarray, top_hat: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Score [7] and information [7, 7] of a frame's spot, as `scoring` has them, about any expectation.
+
+    Quasi-likelihood (Wedderburn 1974, doi:10.1093/biomet/61.3.439): it needs no law of a reading but its mean, its
+    variance, and by how much it `follows` light.
+    """
+    known = np.isfinite(image) & (scene.variance >= CERTAIN)
+    variance = np.where(known, scene.variance, np.inf)
+    pull = follows * np.where(known, image - scene.mean, 0.0) / variance
+    weight = follows**2 / variance
     amplitude, x0, y0, a, _, c, _ = theta
-    dx, dy = np.arange(weighted.shape[1]) - x0, np.arange(weighted.shape[0]) - y0
+    dx, dy = np.arange(image.shape[1]) - x0, np.arange(image.shape[0]) - y0
     along, across = np.exp(-c * dy**2 / 2), np.exp(-a * dx**2 / 2)
-    plateau = 0.0
-    if top_hat:
-        high = along[:, None] * across[None] > TOP_HAT_LEVEL
-        plateau = TOP_HAT_LEVEL * float(weighted[high].sum())
-        rest = float(weighted.sum())
-        weighted = np.where(high, 0.0, weighted)
-    else:
-        rest = float(weighted.sum())
+    # On a top hat's plateau nothing but brightness and pedestal show.
+    flat = along[:, None] * across > (TOP_HAT_LEVEL if top_hat else 2.0)
+    x_powers, y_powers = dx ** np.arange(5)[:, None], dy ** np.arange(5)[:, None]
 
-    def total(power_x: int, power_y: int) -> float:
-        return float((along * dy**power_y) @ weighted @ (across * dx**power_x))
+    def moments(values: np.ndarray, power: int) -> np.ndarray:
+        """Σ values × (light of unit amplitude)^power × dx^p dy^q, flanks only [p, q]."""
+        flanks = np.where(flat, 0.0, values)
+        return (x_powers * across**power) @ flanks.T @ (y_powers * along**power).T
 
-    by_shape = (a * total(1, 0), c * total(0, 1), -total(2, 0) / 2, -total(1, 1), -total(0, 2) / 2)
-    return np.array([total(0, 0) + plateau, *(amplitude * own for own in by_shape), rest])
+    # Slopes are `scale` times the light times these powers of dx and dy.
+    p, q = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]).T
+    scale = np.array([1.0, amplitude * a, amplitude * c, -amplitude / 2, -amplitude, -amplitude / 2])
+    score, information = np.empty(7), np.empty((7, 7))
+    score[:6], score[6] = scale * moments(pull, 1)[p, q], pull.sum()
+    information[:6, :6] = np.outer(scale, scale) * moments(weight, 2)[np.add.outer(p, p), np.add.outer(q, q)]
+    information[:6, 6] = information[6, :6] = scale * moments(weight, 1)[p, q]
+    information[6, 6] = weight.sum()
+    score[0] += TOP_HAT_LEVEL * pull[flat].sum()
+    information[0, 0] += TOP_HAT_LEVEL**2 * weight[flat].sum()
+    information[0, 6] = information[6, 0] = information[0, 6] + TOP_HAT_LEVEL * weight[flat].sum()
+    return score, information
 
 
 def base_scenes(
     shots: Sequence[Shot], design: Design, base: Base, baseline: Baseline, sensor: SensorModel
-) -> Callable[..., Scene]:
-    """The base model's expectation of each frame, if need be on a pedestal [DN], in arrays that are filled anew for
-    every frame."""
+) -> Callable[[int], Scene]:
+    """The base model's expectation of each frame, in arrays that are filled anew for every frame."""
     gain = sensor.gain_dn_per_e
     exposures = np.nan_to_num(design.exposure_s)
-    # Room for a pedestal.
-    brightest = 1.05 * float(np.max(base.amplitude)) + 0.5 * min(sensor.full_scale_dn, 65535.0)
-    highest = brightest + gain * sensor.dark_current_e_per_s * float(exposures.max()) + 1.0
+    highest = 1.05 * float(np.max(base.amplitude)) + gain * sensor.dark_current_e_per_s * float(exposures.max()) + 1.0
     table = table_of(sensor, 16.0 * float(np.ceil(highest / 16.0)))
     mean, variance, spot_light = (np.empty(shots[0].pixels().shape) for _ in range(3))
     scene = Scene(mean, variance, spot_light, spot_light)
 
-    def expect(k: int, lift_dn: float = 0.0) -> Scene:
-        dark_e = sensor.dark_current_e_per_s * exposures[design.condition[k]] + lift_dn / gain
+    def expect(k: int) -> Scene:
+        dark_e = sensor.dark_current_e_per_s * exposures[design.condition[k]]
         spot = (base.amplitude[k], base.x0[k], base.y0[k], base.sigma[k])
         fill_scene(*spot, baseline.top_hat, gain, dark_e, *table, *scene[:3])
         return scene

@@ -22,6 +22,11 @@ OUTLIER = 5.0
 # Readings with less variance [DN²] than this (1/12 is the rounding's own) repeat one number: they say little, and
 # what they say hangs on the noise's law far from its middle.
 CERTAIN = 0.12
+# Unless dark pixels of a block do not: their sum is off by so many standard deviations of readings on that verge. Less
+# would wake blocks by chance, since so few numbers have no normal law.
+AWAKE = 8.0
+# Less light than this many standard deviations of a dark reading counts as none.
+DARK = 6.0
 # Light whose noise a level cuts to less than this part of itself has heavy tails: only the blocks' own means and
 # variances look at it.
 FREE = 0.4
@@ -92,6 +97,25 @@ def fill_scene(amplitude, x0, y0, sigma, top_hat, gain, dark_e, step, means, var
             variance[j, k] = variances[i] + f * (variances[i + 1] - variances[i])
 
 
+def awake(image: np.ndarray, scene: Scene, faint_dn: float, side: int) -> Scene:
+    """A scene in which dark pixels (light below `faint_dn`) that should repeat one number have the variance `CERTAIN`
+    wherever those of a block [side × side px] do not: a pedestal or a halo would else go unheard by a camera that
+    rounds its noise away."""
+    sure = (scene.variance < CERTAIN) & (scene.light < faint_dn) & np.isfinite(image)
+    rows, columns = (n // side for n in image.shape)
+    if not sure.any() or not rows * columns:
+        return scene
+    inner = slice(rows * side), slice(columns * side)
+    off = np.where(sure, image - scene.mean, 0.0)
+    total, count = (v[inner].reshape(rows, side, columns, side).sum(axis=(1, 3)) for v in (off, sure))
+    loud = np.abs(total) > AWAKE * np.sqrt(CERTAIN * count)
+    if not loud.any():
+        return scene
+    variance = scene.variance.copy()
+    variance[inner][sure[inner] & loud.repeat(side, 0).repeat(side, 1)] = CERTAIN
+    return scene._replace(variance=variance)
+
+
 @compiled
 def add_frame(
     image, mean, variance, light, shown, black, top, dark_variance, third, side,
@@ -105,7 +129,7 @@ def add_frame(
     rows, columns = image.shape
     blocks_y, blocks_x = residual.shape
     sums = np.zeros((blocks_x, 12))
-    per_electron, lit = math.sqrt(third), 6 * math.sqrt(dark_variance)
+    per_electron, lit = math.sqrt(third), DARK * math.sqrt(dark_variance)
     middle = (side - 1) / 2
     for j in range(rows):
         by = j // side
