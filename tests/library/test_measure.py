@@ -16,7 +16,7 @@ GAIN, READ = 0.09, 1.6
 
 
 def light_of(theta: np.ndarray, cut: float) -> np.ndarray:
-    """A spot, as the issue of the fit has it."""
+    """Light [DN] of a spot [row, column], its profile cut at `cut`."""
     amplitude, x0, y0, a, b, c, offset = theta
     dy, dx = np.mgrid[:SIDE, :SIDE] - np.array([y0, x0])[:, None, None]
     return amplitude * np.minimum(np.exp(-(a * dx**2 + 2 * b * dx * dy + c * dy**2) / 2), cut) + offset
@@ -43,8 +43,7 @@ def test_score_and_information_by_central_differences(top_hat):
     1e-6."""
     rng = np.random.default_rng(1)
     slopes = slopes_of(TOP_HAT_LEVEL if top_hat else 2.0)
-    mean, variance, follows = rng.uniform(0, 50, (SIDE, SIDE)), rng.uniform(0.05, 3, (SIDE, SIDE)), rng.uniform(
-        0.2, 1, (SIDE, SIDE))  # fmt: skip
+    mean, variance, follows = (rng.uniform(*ends, (SIDE, SIDE)) for ends in ((0, 50), (0.05, 3), (0.2, 1)))
     image = mean + rng.normal(size=mean.shape)
     image[rng.random(image.shape) < 0.02] = np.nan
     own = np.isfinite(image) & (variance >= CERTAIN)

@@ -134,6 +134,8 @@ def page(found: dict[str, dict[str, dict[str, Any]]]) -> str:
             right += name in names
             wrong += bool(names) and name not in names | known
             hidden.append((f"`{stem}`", name, closing(with_it), said(with_it)))
+    # The spot takes less than half of any frame.
+    dark = [np.median(own[""]["seen"].frame) for own in found.values()]
     lines = [
         "# Real frames", "",
         "Nine frames of a HeNe beam (`hene-zscan`), each judged alone with its own brightness and width, by "
@@ -142,10 +144,10 @@ def page(found: dict[str, dict[str, dict[str, Any]]]) -> str:
         "## As they are", "",
         *markdown(("frame", "what a person sees", "off by (rms, of the peak)", "closes most of that alone", "verdict"),
                   plain), "",
-        "What closes most is what the eye sees first: dark pixels read 4 to 6 DN (1 DN in `t-168mm`), where the data "
-        "sheet has black at 0, and a pedestal takes most of that away; so would a halo as broad as the crop. The "
-        "lobes, bars and rings that are left leave no set of effects standing, so nothing is named. Frames of which "
-        "not even the gain can be told, for they are fine structure throughout, are not assessed.", "",
+        f"What closes most is what the eye sees first: dark pixels read {min(dark):g} to {max(dark):g} DN by frame, "
+        "where the data sheet has black at 0, and a pedestal takes most of that away; so would a halo as broad as the "
+        "crop. The lobes, bars and rings that are left leave no set of effects standing, so nothing is named. Frames "
+        "of which not even the gain can be told, for they are fine structure throughout, are not assessed.", "",
         "## With an effect put in", "",
         f"Readings are cut at {CLIP:g} of the spot's highest, raised by {OFFSET:g} DN, bent by {BEND:g} y²/full scale, "
         f"or given stripes of {DEPTH:g} in depth and {PERIOD:g} px in period, then rounded anew. Of {total} sets what "
