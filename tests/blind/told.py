@@ -67,6 +67,9 @@ def _presents(look: Look, entry: dict[str, Any]) -> list[Present]:
         for start in starts
     ]
     forms = effect.forms[:1] if is_component(effect) else effect.forms
+    if "clips" in entry["form"]:
+        behind = entry["form"]["clips"] == "after read noise"
+        forms = tuple(form for form in forms if form.endswith("with noise") == behind)
     return [Present(effect, form, own) for form in forms for own in dict.fromkeys(values)]
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.special import ndtr
+from scipy.stats import poisson
 
 from spotcheck.model.converter import FAR, FINE, convert
 from spotcheck.model.sensor import clipped_normal
@@ -22,11 +23,11 @@ def some_means(sd: float) -> np.ndarray:
     return np.unique(out[(out >= -5) & (out <= 1030)])
 
 
-def converted(mean, sd, dead=0.0, full_scale=FULL_SCALE):
+def converted(mean, sd, dead=0.0, full_scale=FULL_SCALE, third=0.0):
     """The library's mean and variance."""
     out = np.array(mean, float)
     spread = np.broadcast_to(np.square(sd), out.shape).astype(float)
-    convert(out, spread, np.full(out.shape, full_scale), dead)
+    convert(out, spread, np.broadcast_to(third, out.shape).astype(float), np.full(out.shape, full_scale), dead)
     return out, spread
 
 
@@ -52,14 +53,25 @@ def tolerances(sd: float) -> tuple[float, float]:
     scatters and a DN away at most, which is 27 DN². No variance is below 1e-8 DN².
 
     Above, rounding counts as 1/12 DN² of noise, and by Poisson's sum formula the mean is off by exp(−2π² sd²)/π, the
-    variance by (4 sd² + 1/π²) times that exponential: 2e-5 and 1e-4 at 0.7 DN, nothing at 1.5. A clip has
+    variance by (4 sd² + 1/π²) times that exponential: 2e-5 and 1e-4 at 0.7 DN, nothing at 1.5. The upper clip has
     Euler–Maclaurin's first term; its next, 7/5760 of a third derivative, is 7/5760 · φ(0)/sd³ = 4.9e-4/sd³ of the mean
-    and 7/5760 · 6 φ(1)/sd² = 1.8e-3/sd² of the variance, and terms beyond add a third of it at 0.7 DN.
+    and 7/5760 · 6 φ(1)/sd² = 1.8e-3/sd² of the variance, and terms beyond add a third of it at 0.7 DN. The lower one is
+    better: `at_black`.
     """
     if sd < FINE:
         return 2e-8, 5e-8
     wave = np.exp(-2 * np.pi**2 * sd**2)
     return wave / np.pi + 7e-4 / sd**3, (4 * sd**2 + 0.2) * wave + 2.5e-3 / sd**2
+
+
+def at_black(sd: float) -> tuple[float, float]:
+    """As `tolerances`, far from full scale: by Euler–Maclaurin to the fifth derivative the mean is off by the seventh's
+    1/1209600 · 15 φ(0)/sd⁷ = 5e-6/sd⁷ and the variance by 1/1209600 · 14 · 5.8 φ(0.6)/sd⁶ at most, some 2.5e-5/sd⁶; and
+    terms beyond add half of it at 0.7 DN."""
+    if sd < FINE:
+        return tolerances(sd)
+    wave = np.exp(-2 * np.pi**2 * sd**2)
+    return wave / np.pi + 8e-6 / sd**7, (4 * sd**2 + 0.2) * wave + 5e-5 / sd**6
 
 
 @pytest.mark.parametrize("dead", DEAD)
@@ -69,9 +81,41 @@ def test_readings_against_the_sum(sd, dead):
     means = some_means(sd)
     mean, variance = converted(means, sd, dead)
     want = np.array([summed(m, sd, dead) for m in means])
-    of_mean, of_variance = tolerances(sd)
-    np.testing.assert_allclose(mean, want[:, 0], rtol=0, atol=of_mean)
-    np.testing.assert_allclose(variance, want[:, 1], rtol=0, atol=of_variance)
+    for part, (of_mean, of_variance) in ((means > 500, tolerances(sd)), (means <= 500, at_black(sd))):
+        # Six scatters away a clip is left out: φ(6)/36 of a scatter, and 6 φ(6) of a variance.
+        np.testing.assert_allclose(mean[part], want[part, 0], rtol=0, atol=of_mean + 2e-10 * sd)
+        np.testing.assert_allclose(variance[part], want[part, 1], rtol=0, atol=of_variance + 4e-8 * sd**2)
+
+
+@pytest.mark.parametrize("dead", DEAD)
+@pytest.mark.parametrize(("gain", "noise"), [(0.2, 2.0), (0.03, 22.0), (0.1137, 6.99), (0.2, 7.0), (0.3, 25.0)])
+def test_shot_noise_is_skewed_where_black_cuts_it(gain, noise, dead):
+    """Mean and variance against the plain sum over electrons, with the third moment of shot noise and without.
+
+    Edgeworth's first term leaves the next: of the mean sd φ (excess/24 He₂ + skew²/72 He₄), He₂ φ ≤ 0.4, He₄ φ ≤ 1.2.
+    λ electrons beside a noise of σ have skew λ/(λ + σ²)^1.5 ≤ 0.385/σ and excess λ/(λ + σ²)² ≤ 0.25/σ²: 0.0066 sd/σ².
+    At a dead zone a reading changes by as much as the zone. The variance is off by some 2 sd times that. A normal law
+    is off by more than three times as much.
+    """
+    light = np.concatenate([np.linspace(0, 1, 21), np.linspace(1.2, 12, 28)])
+    edge = np.maximum(np.arange(0.5, 400), dead)
+    want = []
+    for electrons in light / gain:
+        counts = np.arange(int(electrons + 12 * np.sqrt(electrons) + 30))
+        above = poisson.pmf(counts, electrons) @ ndtr((gain * counts[:, None] - edge) / (gain * noise))
+        want.append((above.sum(), (2 * np.arange(edge.size) + 1) @ above - above.sum() ** 2))
+    sd = np.sqrt((gain * noise) ** 2 + gain * light)
+    off = {}
+    for third in (0.0, gain**2):
+        pairs = [converted([m], own, dead, third=third * m) for m, own in zip(light, sd, strict=True)]
+        off[third] = np.abs(np.array(pairs)[:, :, 0] - want)
+    reach = 1 + dead / (gain * noise)
+    next_term = 0.0066 * sd / noise**2 * reach
+    # Light brings the scatter to where sums hand over.
+    rounding = at_black(max(gain * noise, FINE))
+    assert np.all(off[gain**2][:, 0] < next_term + rounding[0])
+    assert np.all(off[gain**2][:, 1] < 2 * sd * next_term * reach + rounding[1])
+    assert np.all(3 * off[gain**2].max(axis=0) < off[0.0].max(axis=0))
 
 
 @pytest.mark.parametrize("dead", DEAD)
@@ -135,13 +179,18 @@ def test_mean_rises_with_the_signal():
 
 @pytest.mark.parametrize("sd", [0.8, 2.0, 20.0])
 def test_it_agrees_with_the_sensors_closed_form(sd):
-    """`clipped_normal` of model/sensor, which fits and bounds use: one formula, written twice."""
+    """`clipped_normal` of model/sensor, which fits and bounds use: one formula at full scale, and at black as far as
+    its rounding goes."""
     means = some_means(sd)
     want = clipped_normal(means, np.full(means.size, sd**2), 0.0, 0.0, FULL_SCALE, rounding=1 / 12)
     mean, variance = converted(means, sd)
     # A clip six scatters away is left out: φ(6)/36 of a scatter.
-    np.testing.assert_allclose(mean, want.mean, rtol=1e-13, atol=1e-9 * sd)
-    np.testing.assert_allclose(variance, want.variance, rtol=1e-7, atol=1.1e-8)
+    high = means > 500
+    np.testing.assert_allclose(mean[high], want.mean[high], rtol=1e-13, atol=1e-9 * sd)
+    np.testing.assert_allclose(variance[high], want.variance[high], rtol=1e-7, atol=1.1e-8)
+    of_mean, of_variance = tolerances(sd)
+    np.testing.assert_allclose(mean, want.mean, rtol=0, atol=of_mean + 1e-9 * sd)
+    np.testing.assert_allclose(variance, want.variance, rtol=0, atol=of_variance + 4e-8 * sd**2)
 
 
 def test_no_full_scale():
@@ -157,7 +206,7 @@ def test_every_signal_has_its_own_highest_reading(sd):
     level = np.array([300.0, 400.0, 510.4])
     mean = level[:, None] + sd * np.linspace(-7, 9, 30)
     out, spread = mean.ravel().copy(), np.full(mean.size, sd**2)
-    convert(out, spread, np.repeat(level, 30), 0.0)
+    convert(out, spread, np.zeros(mean.size), np.repeat(level, 30), 0.0)
     for k, (m, own, variance) in enumerate(zip(mean.ravel(), out, spread, strict=True)):
         highest = level[k // 30]
         if highest == round(highest) or sd < FINE:

@@ -17,6 +17,7 @@ from spotcheck.discrepancy.stripes import beside_places, depth_of
 from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.model.chain import Free, light, offset_response, readings, spot_state
 from spotcheck.model.effect import Place, Present
+from spotcheck.model.sensor import SensorModel
 
 # Relative change of the light by which it is asked how a reading follows.
 RIPPLE = 1e-3
@@ -56,10 +57,7 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     gain = own_gain(before, model, latent) / model.gain[design.condition] - 1
     given = np.stack([gain, base.x0 - common.x0, base.y0 - common.y0], axis=1)
     given[:, 1:] += before.measured.given[:, 1:]
-    read = setting.sensor.read_noise_e**2
-    for own in model.present:
-        read = own.apply(read) if own.effect.place is Place.NOISE else read
-    felt = setting.sensor._replace(read_noise_e=float(np.sqrt(read)))
+    felt = _felt(setting, model.present)
     measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt)
     measured = measured._replace(given=given, waves=waves)
     model = model._replace(present=tuple(_with_depth(own, measured) for own in model.present))
@@ -95,9 +93,17 @@ def _seen(measured: Measured, setting: Setting, model: Model | None) -> Look:
     fits = frame_fits(measured, "brightness")
     present = problem.start.present
     row = max((own.values[0] for own in present if own.effect.name == "row_noise"), default=0.0)
-    response = offset_response(problem.light(problem.start), setting.sensor, row)
+    response = offset_response(problem.light(problem.start), _felt(setting, present), row)
     seen = observables(measured, cells, at, response, setting.baseline.top_hat)
     return Look(setting, measured, cells, problem, at, response, seen, fits, hot_power(measured))
+
+
+def _felt(setting: Setting, present: Sequence[Present]) -> SensorModel:
+    """The sensor with the read noise that a model gives it."""
+    read = setting.sensor.read_noise_e**2
+    for own in present:
+        read = own.apply(read) if own.effect.place is Place.NOISE else read
+    return setting.sensor._replace(read_noise_e=float(np.sqrt(read)))
 
 
 def held_blocks(design: Design, shape: tuple[int, ...]) -> np.ndarray:

@@ -119,10 +119,13 @@ def measure(
     sums = Sums(*parts)
     at_base = base_scenes(shots, design, base, baseline, sensor)
     felt = felt or sensor
-    law = law_of(felt)
-    dark_variance = (felt.gain_dn_per_e * felt.read_noise_e) ** 2 + ROUNDING_VARIANCE
-    table = table_of(felt, FAINT * (1 + felt.gain_dn_per_e * felt.read_noise_e))
-    slope = np.gradient(table.mean, felt.gain_dn_per_e * table.step_e)
+    dark_noise = felt.gain_dn_per_e * felt.read_noise_e
+    dark_variance = dark_noise**2 + ROUNDING_VARIANCE
+    if expect is None:
+        law = law_of(sensor)
+    else:
+        table = table_of(felt, FAINT * (1 + dark_noise))
+        slope = np.gradient(table.mean, felt.gain_dn_per_e * table.step_e)
     score, information = np.zeros((count, 7)), np.zeros((count, 7, 7))
     for k, shot in enumerate(shots):
         image = np.ascontiguousarray(shot.pixels(), dtype=np.float64)

@@ -316,6 +316,8 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
     for own in _at(present, Place.CHARGE):
         electrons = own.apply(view, electrons)
     mean, variance = gain * electrons, gain**2 * variance
+    # Of shot noise; what stops or bends does so far from black, where alone it is asked for.
+    third = gain * variance
     read = sensor.read_noise_e**2
     for own in _at(present, Place.NOISE):
         read = own.apply(read)
@@ -339,7 +341,7 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
         if own.form == "electronic":
             pedestal = own.apply(view)
             mean, stops = mean + pedestal, [stop + pedestal for stop in stops]
-    out, spread = (np.array(v, float) for v in np.broadcast_arrays(mean, variance))
+    out, spread, third = (np.array(v, float) for v in np.broadcast_arrays(mean, variance, third))
     zones = _at(present, Place.DIGITAL)
     lowest = float(zones[0].apply()) if zones else 0.0
     black, dead = (lowest, 0.0) if zones and zones[0].form == "subtracted" else (0.0, lowest)
@@ -353,11 +355,11 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
         within, wider = np.zeros_like(spread), spread + rows
         for node, weight in zip(np.sqrt(rows) * ROW_NODES, ROW_WEIGHTS, strict=True):
             moved, around = out + node, spread.copy()
-            convert(moved.reshape(-1), around.reshape(-1), highest, dead)
+            convert(moved.reshape(-1), around.reshape(-1), third.reshape(-1), highest, dead)
             within += weight * around
-        convert(out.reshape(-1), wider.reshape(-1), highest, dead)
+        convert(out.reshape(-1), wider.reshape(-1), third.reshape(-1), highest, dead)
         return Moments(out, within)
-    convert(out.reshape(-1), spread.reshape(-1), highest, dead)
+    convert(out.reshape(-1), spread.reshape(-1), third.reshape(-1), highest, dead)
     return Moments(out, spread)
 
 
@@ -369,12 +371,13 @@ def offset_response(light_dn: np.ndarray, sensor: SensorModel, rms_dn: float = 0
     """
     nodes, weights = np.polynomial.hermite_e.hermegauss(2 if rms_dn < SMALL_DN else 9)
     weights = weights / weights.sum()
-    variance = sensor.gain_dn_per_e * np.maximum(light_dn, 0.0) + (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2
+    shot = sensor.gain_dn_per_e * np.maximum(np.asarray(light_dn, float), 0.0)
+    variance, third = shot + (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2, sensor.gain_dn_per_e * shot
     moved = []
     for node in max(rms_dn, SMALL_DN) * nodes:
         mean, spread = np.array(light_dn + sensor.black_level_dn + node, float), np.array(variance, float)
         highest = np.full(mean.size, min(sensor.full_scale_dn, 1e9))
-        convert(mean.reshape(-1), spread.reshape(-1), highest, 0.0)
+        convert(mean.reshape(-1), spread.reshape(-1), third.reshape(-1), highest, 0.0)
         moved.append(mean)
     about = np.stack(moved) - np.tensordot(weights, moved, 1)
     return np.sqrt(np.tensordot(weights, about**2, 1)) / max(rms_dn, SMALL_DN)

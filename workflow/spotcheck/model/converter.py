@@ -1,4 +1,4 @@
-"""The converter's last step, compiled: normal signals rounded once and cut at 0 and at the highest reading."""
+"""The converter's last step, compiled: signals rounded once and cut at 0 and at the highest reading."""
 
 import math
 
@@ -6,35 +6,49 @@ from numba import njit
 
 # Standardised distance to a clip beyond which it never acts.
 FAR = 6.0
-# And one beyond which not even the last digit of a sum knows of it.
-NEVER = 9.0
 # Below this noise [DN] what rounding does depends on the mean; above, it counts as 1/12 DN².
 FINE = 0.7
 # Noise [DN] down to which few waves of the rounding error outlast it: a sixth would be exp(-2π²·36·0.25²) = 5e-20.
 RIPPLED, WAVES = 0.25, 5
 ROUNDING = 1 / 12
+# Edgeworth's first term is good for no more skewness than this: light of a few electrons over hardly any read noise.
+MOST_SKEWED = 0.5
 ROOT_HALF, PDF = 0.7071067811865476, 0.3989422804014327
 
 compiled = njit(cache=True, error_model="numpy")
 
 
 @compiled
-def convert(mean, variance, highest, dead):
+def convert(mean, variance, third, highest, dead):
     """Replace mean [DN] and variance [DN²] of each signal by those of its reading, which is `highest` [DN] at most, of
-    each its own; signals below `dead` [DN] read 0."""
+    each its own; signals below `dead` [DN] read 0. `third` [DN³] is the signals' third central moment: shot noise is
+    skewed, which tells where black cuts it; at the highest reading it is not asked for."""
     for k in range(mean.size):
         m, v, full_scale = mean[k], max(variance[k], 1e-8), highest[k]
         sd = math.sqrt(v)
-        if dead > 0.0 and m < dead + FAR * sd:
-            mean[k], variance[k] = _beyond(m, sd, full_scale, dead)
-        elif RIPPLED < sd < FINE and FAR * sd < m < full_scale - FAR * sd:
+        if m < dead + FAR * sd:
+            skew = min(third[k] / (v * sd), MOST_SKEWED)
+            if sd < FINE or m > full_scale - FAR * sd:
+                mean[k], variance[k] = _beyond_summed(m, sd, skew, full_scale, dead)
+            else:
+                mean[k], variance[k] = _beyond(m, sd, skew, dead)
+        elif RIPPLED < sd < FINE and m < full_scale - FAR * sd:
             mean[k], variance[k] = _rippled(m, sd)
         elif sd < FINE:
             mean[k], variance[k] = _whole(m, sd, full_scale)
-        elif m < FAR * sd or m > full_scale - FAR * sd:
-            mean[k], variance[k] = _cut(m, sd, full_scale)
+        elif m > full_scale - FAR * sd:
+            mean[k], variance[k] = _stopped(m, sd, full_scale)
         else:
             variance[k] = v + ROUNDING
+
+
+@compiled
+def _above(z, skew):
+    """Part of a nearly normal law above `z`, by Edgeworth's first term."""
+    part = 0.5 * math.erfc(z * ROOT_HALF)
+    if skew == 0.0:
+        return part
+    return min(max(part + skew / 6 * (z * z - 1) * PDF * math.exp(-z * z / 2), 0.0), 1.0)
 
 
 @compiled
@@ -42,9 +56,9 @@ def _whole(m, sd, full_scale):
     """Sum over the readings that may occur."""
     # A level between two readings shows as the nearer one.
     full_scale = math.floor(full_scale + 0.5)
-    low, high = max(math.floor(m - FAR * sd), 0.0), min(math.ceil(m + FAR * sd), full_scale)
+    low, high = math.floor(m - FAR * sd), min(math.ceil(m + FAR * sd), full_scale)
     if high <= low:
-        return (0.0 if m < 0 else full_scale), 1e-8
+        return full_scale, 1e-8
     first = second = 0.0
     # Σ P(y > k) and Σ (2k + 1) P(y > k), counted from the lowest reading.
     for j in range(int(high - low)):
@@ -72,31 +86,37 @@ def _rippled(m, sd):
 
 
 @compiled
-def _beyond(m, sd, full_scale, dead):
-    """Signals that get out of the dead zone. `_beyond_summed` by Euler-Maclaurin, to its third derivative."""
-    if sd < FINE or m > full_scale - FAR * sd:
-        return _beyond_summed(m, sd, full_scale, dead)
+def _beyond(m, sd, skew, dead):
+    """Signals that get out of the dead zone, or above black. `_beyond_summed` by Euler-Maclaurin, to its fifth
+    derivative, and to the first in what skewness adds."""
     lowest = math.floor(dead + 0.5)
     edge = lowest + 0.5
     z = (edge - m) / sd
+    two, three, four = z * z - 1, z * (z * z - 3), z * z * (z * z - 6) + 3
     above, density = 0.5 * math.erfc(z * ROOT_HALF), PDF * math.exp(-z * z / 2) / sd
-    at_lowest = 0.5 * math.erfc((dead - m) / sd * ROOT_HALF) - above
-    third = (z * z - 1) / (720 * sd * sd)
-    first = lowest * at_lowest + m * above + (sd * sd + ROUNDING - third) * density
-    second = lowest * lowest * at_lowest + (m * m + sd * sd + ROUNDING) * above
-    second += (sd * sd * (m + edge) + 2 * (ROUNDING - third) * edge + z / (120 * sd)) * density
+    beyond = ROUNDING - two / (720 * sd * sd) + four / (30240 * sd**4)
+    first = m * above + (sd * sd + beyond) * density
+    second = (m * m + sd * sd + ROUNDING) * above
+    second += (sd * sd * (m + edge) + 2 * beyond * edge + z / (120 * sd) - three / (3024 * sd**3)) * density
+    skewed = skew / 6 * sd * density
+    first += skewed * (sd * z + two / 2 + three / (12 * sd))
+    second += skewed * (2 * sd * (edge * z + sd) + edge * two - (two - edge * three / sd) / 6)
+    if lowest:
+        at_lowest = _above((dead - m) / sd, skew) - above
+        first += lowest * at_lowest
+        second += lowest * lowest * at_lowest
     return first, max(second - first * first, 1e-8)
 
 
 @compiled
-def _beyond_summed(m, sd, full_scale, dead):
+def _beyond_summed(m, sd, skew, full_scale, dead):
     """As `_beyond`, by a sum over the readings."""
     lowest = max(math.floor(dead + 0.5), 0.0)
-    above = 0.5 * math.erfc((dead - m) / sd * ROOT_HALF)
+    above = _above((dead - m) / sd, skew) if lowest else 0.0
     first, second = lowest * above, lowest * lowest * above
     reading, highest = lowest + 1, min(math.ceil(m + FAR * sd), math.floor(full_scale + 0.5))
     while reading <= highest:
-        above = 0.5 * math.erfc((max(reading - 0.5, dead) - m) / sd * ROOT_HALF)
+        above = _above((max(reading - 0.5, dead) - m) / sd, skew)
         first += above
         second += (2 * reading - 1) * above
         reading += 1
@@ -104,19 +124,12 @@ def _beyond_summed(m, sd, full_scale, dead):
 
 
 @compiled
-def _cut(m, sd, full_scale):
-    """As `sensor.clipped_normal`, for one signal."""
-    a, b = max(-m / sd, -40.0), min((full_scale - m) / sd, 40.0)
-    below = above = pdf_a = pdf_b = 0.0
-    # Nearly always one of the two is out of reach, and its functions cost as much as the other's.
-    if a > -NEVER:
-        below, pdf_a = 0.5 * math.erfc(-a * ROOT_HALF), PDF * math.exp(-a * a / 2)
-    if b < NEVER:
-        above, pdf_b = 0.5 * math.erfc(b * ROOT_HALF), PDF * math.exp(-b * b / 2)
-    inside = 1 - below - above
-    first = a * below + b * above + pdf_a - pdf_b
-    second = a * a * below + b * b * above + inside + a * pdf_a - b * pdf_b
-    at_low, at_high = ROUNDING * pdf_a / (2 * sd), ROUNDING * pdf_b / (2 * sd)
-    spread = sd * sd * max(second - first * first, 0.0) + ROUNDING * inside
-    spread += 2 * sd * ((first - a) * at_low + (b - first) * at_high)
-    return m + sd * first - at_low + at_high, max(spread, 1e-8)
+def _stopped(m, sd, full_scale):
+    """As `sensor.clipped_normal` at its upper end, for one signal."""
+    b = min((full_scale - m) / sd, 40.0)
+    above, pdf = 0.5 * math.erfc(b * ROOT_HALF), PDF * math.exp(-b * b / 2)
+    first = b * above - pdf
+    second = b * b * above + 1 - above - b * pdf
+    at_end = ROUNDING * pdf / (2 * sd)
+    spread = sd * sd * max(second - first * first, 0.0) + ROUNDING * (1 - above) + 2 * sd * (b - first) * at_end
+    return m + sd * first + at_end, max(spread, 1e-8)
