@@ -81,8 +81,7 @@ def published() -> Path | None:
 
 def base_of(rows: list[Record]) -> int:
     """The seed that a plan began with."""
-    (base,) = {row["job"]["seed"] - row["job"]["number"] for row in rows}
-    return int(base)
+    return min(int(row["job"]["seed"] - row["job"]["number"]) for row in rows)
 
 
 def read(path: Path) -> list[Record]:

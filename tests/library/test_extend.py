@@ -1,11 +1,23 @@
 """The loop's own decisions: what is worth an alarm, how large a rest is, which form of an effect is kept."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from spotcheck.discrepancy.detect import Detection
 from spotcheck.discrepancy.explain import account
-from spotcheck.discrepancy.extend import CLEAR, Size, Tolerance, about, best_form, closer_account, consistent, size_of
+from spotcheck.discrepancy.extend import (
+    CLEAR,
+    Size,
+    Tolerance,
+    about,
+    best_form,
+    closer_account,
+    consistent,
+    much_left,
+    size_of,
+)
 from spotcheck.discrepancy.lasting import lasting
 from spotcheck.discrepancy.look import look_at
 from spotcheck.discrepancy.noise import hot_field
@@ -50,6 +62,22 @@ def test_the_size_of_nothing_and_of_something():
     copy = 0.06 * np.exp(-((x - middle - 12) ** 2 + (y - middle + 5) ** 2) / (2 * sigma**2))
     rms = np.sqrt(np.mean(copy**2))
     assert 0.1 * rms < size_of(look, own).of_peak < rms
+
+
+@pytest.mark.parametrize(
+    "excess, left, much",
+    [(30_000, 1_400, False), (30_000, 1_600, True), (10_000, 450, False), (3_000, 700, False), (3_000, 750, True)],
+)
+def test_a_tolerance_forgives_a_small_part_of_what_was_found(excess, left, much):
+    """At most a twentieth; of 10,800 blocks χ² scatters by 147, so 735 is five standard errors from nothing."""
+    look, own = looked(plain)
+    blocks = np.ones(10_800, bool)
+    look = look._replace(problem=SimpleNamespace(used=blocks))
+
+    def leaving(chi2):
+        return own._replace(refit=own.refit._replace(chi2=blocks.sum() + chi2))
+
+    assert much_left(leaving(left), look, leaving(excess), look) == much
 
 
 def test_the_form_that_the_data_want_is_kept():

@@ -24,6 +24,9 @@ FRINGES = "interference_fringes"
 # Where less than this many times the expected χ² is left, it may be an edge's that blocks do not resolve; and so often
 # is looked again.
 NEARLY, AGAIN = 3.0, 2
+# Of the mean's excess χ² a tolerance forgives at most this part, where what is left is so many standard errors from
+# nothing: else a tolerance would name whatever takes most of a faint disagreement.
+FORGIVEN, CERTAINLY = 0.05, 5.0
 
 
 class Tolerance(NamedTuple):
@@ -122,6 +125,7 @@ def investigate(
         if not seen or (hot_alone and rest.p_value < tolerance.alpha):
             return False
         good = consistent(rest, size_of(near, exact), tolerance)
+        good &= rest.p_value >= tolerance.alpha or not much_left(exact, near, first, look)
         # Last, for it opens every frame again.
         return good and ("fixed_pattern" not in exact.names or lasting(shots, look, _prnu(exact)))
 
@@ -144,6 +148,12 @@ def investigate(
         status, not_assessed = "unknown", not_assessed | {"all": LEFT}
     return Findings(look, first, detection, size, explanations, (near, best), rest, rest_size, naming.singles,
                     not_assessed, status, evidence, around=around)  # fmt: skip
+
+
+def much_left(own: Account, near: Look, first: Account, look: Look) -> bool:
+    """Whether an account leaves more of the first excess χ² of the means than a tolerance may forgive."""
+    left, excess = (fit.refit.chi2 - float(seen.problem.used.sum()) for fit, seen in ((own, near), (first, look)))
+    return left > max(FORGIVEN * excess, CERTAINLY * float(np.sqrt(2 * near.problem.used.sum())))
 
 
 def told(around: Surround | None) -> dict[str, float]:
@@ -242,10 +252,10 @@ def size_of(look: Look, own: Account, around: Surround | None = None) -> Size:
             continue
         excess = np.mean((fit.residual[c][at]) ** 2 - fit.variance[c][at])
         error = np.sqrt(2 * np.mean(fit.variance[c][at] ** 2) / at.sum())
-        # Within two standard errors of nothing it is nothing.
-        peak = max(peak, np.sqrt(max(excess - 2 * error, 0.0)) / top)
+        # Less a standard error, since the worst of many conditions is a large one by chance.
+        peak = max(peak, np.sqrt(max(excess - error, 0.0)) / top)
         z = fit.residual[c][at] ** 2 / fit.variance[c][at] - 1
-        over = np.mean(z) - 2 * np.sqrt(2 / at.sum())
+        over = np.mean(z) - np.sqrt(2 / at.sum())
         noise = max(noise, np.sqrt(max(over, 0.0) / np.mean(cells.pixels[c][at])))
     levels = [o for o in own.observables if o.block == "variance"]
     weight = np.array([o.error**-2 for o in levels])
