@@ -88,6 +88,19 @@ def test_readings_against_the_sum(sd, dead):
 
 
 @pytest.mark.parametrize("dead", DEAD)
+@pytest.mark.parametrize("sd", [0.8, 2.0, 8.0, 300.0])
+def test_both_ends_within_reach(sd, dead):
+    """A converter of hardly more readings than the noise scatters over; the upper end has the tolerance of such."""
+    highest = max(round(3 * sd), 6) + 0.0
+    means = np.linspace(-3 * sd, dead + 5.9 * sd, 60)
+    mean, variance = converted(means, sd, dead, full_scale=highest)
+    want = np.array([summed(m, sd, dead, full_scale=highest) for m in means])
+    of_mean, of_variance = tolerances(sd)
+    np.testing.assert_allclose(mean, want[:, 0], rtol=0, atol=of_mean + 1e-8 * sd)
+    np.testing.assert_allclose(variance, want[:, 1], rtol=0, atol=of_variance + 1e-6 * sd**2)
+
+
+@pytest.mark.parametrize("dead", DEAD)
 @pytest.mark.parametrize(("gain", "noise"), [(0.2, 2.0), (0.03, 22.0), (0.1137, 6.99), (0.2, 7.0), (0.3, 25.0)])
 def test_shot_noise_is_skewed_where_black_cuts_it(gain, noise, dead):
     """Mean and variance against the plain sum over electrons, with the third moment of shot noise and without.

@@ -28,10 +28,10 @@ def convert(mean, variance, third, highest, dead):
         sd = math.sqrt(v)
         if m < dead + FAR * sd:
             skew = min(third[k] / (v * sd), MOST_SKEWED)
-            if sd < FINE or m > full_scale - FAR * sd:
+            if sd < FINE:
                 mean[k], variance[k] = _beyond_summed(m, sd, skew, full_scale, dead)
             else:
-                mean[k], variance[k] = _beyond(m, sd, skew, dead)
+                mean[k], variance[k] = _beyond(m, sd, skew, full_scale, dead)
         elif RIPPLED < sd < FINE and m < full_scale - FAR * sd:
             mean[k], variance[k] = _rippled(m, sd)
         elif sd < FINE:
@@ -86,9 +86,9 @@ def _rippled(m, sd):
 
 
 @compiled
-def _beyond(m, sd, skew, dead):
+def _beyond(m, sd, skew, full_scale, dead):
     """Signals that get out of the dead zone, or above black. `_beyond_summed` by Euler-Maclaurin, to its fifth
-    derivative, and to the first in what skewness adds."""
+    derivative, and to the first in what skewness adds and at the highest reading."""
     lowest = math.floor(dead + 0.5)
     edge = lowest + 0.5
     z = (edge - m) / sd
@@ -105,6 +105,13 @@ def _beyond(m, sd, skew, dead):
         at_lowest = _above((dead - m) / sd, skew) - above
         first += lowest * at_lowest
         second += lowest * lowest * at_lowest
+    if m > full_scale - FAR * sd:
+        b = (full_scale - m) / sd
+        over, pdf = 0.5 * math.erfc(b * ROOT_HALF), PDF * math.exp(-b * b / 2)
+        at_end = ROUNDING * pdf / (2 * sd)
+        first += sd * (b * over - pdf) + at_end
+        second += (full_scale**2 - m * m - sd * sd - ROUNDING) * over - sd * (m + full_scale) * pdf
+        second += 2 * full_scale * at_end
     return first, max(second - first * first, 1e-8)
 
 
