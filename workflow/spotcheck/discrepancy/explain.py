@@ -9,7 +9,7 @@ from scipy.optimize import least_squares, minimize_scalar, nnls
 from spotcheck.discrepancy.cells import pooled
 from spotcheck.discrepancy.detect import statistics
 from spotcheck.discrepancy.grain import REFINED, at_its_coarsest, grains_of, strays
-from spotcheck.discrepancy.look import Look
+from spotcheck.discrepancy.look import Look, course_of
 from spotcheck.discrepancy.modes import modes_of
 from spotcheck.discrepancy.noise import (
     COMPONENTS,
@@ -52,7 +52,7 @@ MARKS = ("stripes", "spot", "hot", "outliers", "skewness")
 class Account(NamedTuple):
     """Effects with their forms; the joint fit; variance components; standard errors of these, of the grain (`size`
     [px]) and of white noise (`read` [e-]); the grain [px]; −2 ln L of everything with 2 for each free number of an
-    effect; statistics and observables of what is left."""
+    effect; statistics and observables of what is left; how many blocks scatter as one."""
 
     effects: tuple[tuple[Effect, str], ...]
     refit: Refit
@@ -63,6 +63,7 @@ class Account(NamedTuple):
     left: dict[str, float]
     observables: list[Observable]
     latent: Latent
+    together: float
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -134,11 +135,11 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     freedom = max(int(look.problem.used.sum()) - fit.freedom, 1)
     # Blocks that scatter together are fewer numbers than blocks.
     used = look.problem.used
-    together = float(np.mean((shared / fit.variance)[used])) if np.ndim(shared) else 0.0
-    left = statistics(modes, fit.chi2, freedom, seen, 1 + together)
+    together = 1 + (float(np.mean((shared / fit.variance)[used])) if np.ndim(shared) else 0.0)
+    left = statistics(modes, fit.chi2, freedom, seen, together)
     # In the order in which they were given.
     listed = tuple((p.effect, p.form) for p in present)
-    return Account(listed, fit, component, error, grain, score, left, seen, latent)
+    return Account(listed, fit, component, error, grain, score, left, seen, latent, together)
 
 
 def _total(direct: Sequence[Present]) -> float:
@@ -272,17 +273,6 @@ def _told(look: Look, present: Sequence[Present]) -> list[Told]:
         # Where brightness scatters besides, frames tell less.
         if freedom:
             out.append(Told(k, best.x, best.jac.T @ best.jac / max(2 * best.cost / freedom, 1.0)))
-    return out
-
-
-def course_of(look: Look, present: Sequence[Present]) -> np.ndarray:
-    """Relative brightness of each frame to its condition's mean under effects that act frame by frame [frame]."""
-    design, view = look.measured.design, look.cells.view
-    out = np.zeros(len(design.condition))
-    for own in present:
-        if "order" in own.effect.needs:
-            frame = own.apply(view._replace(order=design.order[:, None, None]))
-            out += (frame / own.apply(view)[design.condition]).ravel() - 1
     return out
 
 

@@ -153,7 +153,8 @@ def investigate(
 def much_left(own: Account, near: Look, first: Account, look: Look) -> bool:
     """Whether an account leaves more of the first excess χ² of the means than a tolerance may forgive."""
     left, excess = (fit.refit.chi2 - float(seen.problem.used.sum()) for fit, seen in ((own, near), (first, look)))
-    return left > max(FORGIVEN * excess, CERTAINLY * float(np.sqrt(2 * near.problem.used.sum())))
+    error = float(np.sqrt(2 * near.problem.used.sum() * own.together))
+    return left > max(FORGIVEN * excess, CERTAINLY * error)
 
 
 def told(around: Surround | None) -> dict[str, float]:
@@ -251,11 +252,12 @@ def size_of(look: Look, own: Account, around: Surround | None = None) -> Size:
         if not at.any():
             continue
         excess = np.mean((fit.residual[c][at]) ** 2 - fit.variance[c][at])
-        error = np.sqrt(2 * np.mean(fit.variance[c][at] ** 2) / at.sum())
+        count = at.sum() / own.together
+        error = np.sqrt(2 * np.mean(fit.variance[c][at] ** 2) / count)
         # Less a standard error, since the worst of many conditions is a large one by chance.
         peak = max(peak, np.sqrt(max(excess - error, 0.0)) / top)
         z = fit.residual[c][at] ** 2 / fit.variance[c][at] - 1
-        over = np.mean(z) - np.sqrt(2 / at.sum())
+        over = np.mean(z) - np.sqrt(2 / count)
         noise = max(noise, np.sqrt(max(over, 0.0) / np.mean(cells.pixels[c][at])))
     levels = [o for o in own.observables if o.block == "variance"]
     weight = np.array([o.error**-2 for o in levels])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import pooled
-from spotcheck.discrepancy.explain import COMPONENT, Account, account, course_of, expected_of
+from spotcheck.discrepancy.explain import COMPONENT, Account, account, expected_of
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.name import CONTAINS, present_of, singles
 from spotcheck.discrepancy.noise import COMPONENTS, grained

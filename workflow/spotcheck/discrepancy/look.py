@@ -175,13 +175,34 @@ def scenes(
 
 def own_gain(before: Look, model: Model, latent: Latent) -> np.ndarray:
     """Factor [frame] on the model's brightness: each frame's own where those scatter, else its condition's."""
-    measured, setting = before.measured, before.setting
+    measured = before.measured
     condition = measured.design.condition
     if not latent.gain:
         return model.gain[condition]
-    own = frame_fits(measured, "brightness").value[:, 0]
-    now = np.asarray(spot_state(before.cells.view, setting.baseline, model.base, model.present)[0])
-    return measured.base.amplitude * (1 + own) / np.broadcast_to(now, (len(model.gain), 1, 1))[condition, 0, 0]
+    given = measured.given[:, 0]
+    step = measured.base.amplitude * (frame_fits(measured, "brightness").value[:, 0] - given)
+    start = before.problem.start
+    seen = _brightness(before, start) * start.gain[condition] * (1 + given) + step
+    return seen / _brightness(before, model)
+
+
+def _brightness(look: Look, model: Model) -> np.ndarray:
+    """A model's peak [DN] of each frame [frame], its conditions' gains left out."""
+    peak = np.asarray(spot_state(look.cells.view, look.setting.baseline, model.base, model.present)[0])
+    design = look.measured.design
+    by_condition = np.broadcast_to(peak, (design.conditions, 1, 1))[design.condition, 0, 0]
+    return by_condition * (1 + course_of(look, model.present))
+
+
+def course_of(look: Look, present: Sequence[Present]) -> np.ndarray:
+    """Relative brightness of each frame to its condition's mean under effects that act frame by frame [frame]."""
+    design, view = look.measured.design, look.cells.view
+    out = np.zeros(len(design.condition))
+    for own in present:
+        if "order" in own.effect.needs:
+            frame = own.apply(view._replace(order=design.order[:, None, None]))
+            out += (frame / own.apply(view)[design.condition]).ravel() - 1
+    return out
 
 
 def _moved(before: Look, model: Model, latent: Latent) -> Base:
