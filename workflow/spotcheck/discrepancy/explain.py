@@ -215,18 +215,13 @@ def expected_of(look: Look, at: Moments, present: Sequence[Present]) -> np.ndarr
             out[k] = float(np.mean(ratio[o.condition][own])) if own.any() else 0.0
         elif o.label == "brightness" and course:
             out[k] = _scatter_beside(look, look.problem.start.present) - _scatter_beside(look, present)
-    more = _excess_noise(look, present) - _excess_noise(look, look.problem.start.present)
-    if more:
+    if present or problem.start.present:
+        # Whatever makes pixels noisier, read noise or the shot noise of a pedestal, as lines and bands weigh them.
+        weight = np.where(problem.used, problem.variance_start, np.inf) ** -2
+        more = float((weight * (pooled(at.variance) - problem.variance_start)).sum() / weight.sum())
         white = np.array([o.load[COMPONENTS.index("read")] * (o.block != "variance") for o in look.observables])
         out += more * white
     return out
-
-
-def _excess_noise(look: Look, present: Sequence[Present]) -> float:
-    """Read variance [DN²] over the stated one."""
-    sensor = look.setting.sensor
-    totals = [own.values[0] for own in present if own.effect.place is Place.NOISE]
-    return sum(sensor.gain_dn_per_e**2 * (total**2 - sensor.read_noise_e**2) for total in totals)
 
 
 def _scatter_beside(look: Look, present: Sequence[Present]) -> float:

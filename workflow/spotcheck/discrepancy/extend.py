@@ -209,8 +209,14 @@ def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> t
             if form == own.effects[k][1] or effect.name == FRINGES:
                 continue
             present = list(present_of(own))
-            present[k] = present[k]._replace(form=form)
-            other, look = account(near, present, own.refit.model, own.refit.score), near
+            # Where a form has parameters of its own, the values at hand may mean another thing in it.
+            afresh = effect.idle.get(form) != effect.idle.get(own.effects[k][1])
+            starts = [present[k].values, *(effect.starts(near.problem.context) if afresh else ())]
+            tried = []
+            for values in starts:
+                present[k] = present[k]._replace(form=form, values=values)
+                tried.append(account(near, present, own.refit.model, own.refit.score))
+            other, look = min(tried, key=lambda one: one.score), near
             if edged and effect.name == "saturation" and other.refit.chi2 < NEARLY * near.problem.used.sum():
                 look = near_to(other)
                 other = closer_account(look, other)
