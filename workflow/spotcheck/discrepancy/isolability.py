@@ -12,7 +12,7 @@ import numpy as np
 
 from spotcheck.discrepancy.cells import pooled
 from spotcheck.discrepancy.explain import COMPONENT, Account, account, expected_of
-from spotcheck.discrepancy.look import Look
+from spotcheck.discrepancy.look import Look, course_of
 from spotcheck.discrepancy.name import CONTAINS, present_of, singles
 from spotcheck.discrepancy.noise import COMPONENTS, grained
 from spotcheck.discrepancy.refit import Model, Problem, plain
