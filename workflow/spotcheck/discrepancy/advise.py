@@ -44,14 +44,21 @@ def advise(look: Look, tied: Sequence[Account]) -> list[Advice]:
 
 
 def conditions_for(look: Look, first: Account, rival: Account) -> list[tuple[Condition, float, float]]:
-    """Every feasible condition with the frames of it that tell two explanations apart (inf: none do), and −2 ln L by
-    which the rival falls behind with each."""
-    already = 0.0 if _scatter(first, rival) else separations(look, first, rival, None)[0]
+    """Every feasible condition with the frames of it that tell two explanations apart whichever is true (inf: none do),
+    and −2 ln L by which the false one falls behind with each.
+
+    One may mimic whatever the other does, as a broad enough halo does a pedestal: then they are told apart if it is the
+    true one, or not at all, and the frames are those for that.
+    """
+    ways = ((first, rival), (rival, first))
+    before = [0.0 if _scatter(*way) else separations(look, *way, None)[0] for way in ways]
     out = []
     for condition in feasible(look):
-        gain = separation(look, first, rival, condition)
-        frames = float(np.ceil(max(APART - already, 1.0) / gain)) if gain > 0 else np.inf
-        out.append((condition, frames, gain))
+        tried = []
+        for way, already in zip(ways, before, strict=True):
+            gain = separation(look, *way, condition)
+            tried.append((float(np.ceil(max(APART - already, 1.0) / gain)) if gain > 0 else np.inf, gain))
+        out.append((condition, *max([own for own in tried if own[0] <= MOST_FRAMES] or tried)))
     return out
 
 
