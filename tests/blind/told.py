@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from spotcheck.discrepancy.assess import assessable
 from spotcheck.discrepancy.explain import Account, account, is_component
 from spotcheck.discrepancy.extend import Findings, about, closer_account
 from spotcheck.discrepancy.isolability import isolation
 from spotcheck.discrepancy.look import Look
-from spotcheck.discrepancy.name import CONTAINS, assessable
+from spotcheck.discrepancy.name import CONTAINS
 from spotcheck.discrepancy.shots import Shot, design_of, held_out
 from spotcheck.discrepancy.verdict import Judgement, parameters_of
 from spotcheck.discrepancy.verify import verify

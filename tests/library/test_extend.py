@@ -53,7 +53,7 @@ def test_the_size_of_nothing_and_of_something():
     """Frames of the base have no size beyond noise; a ghost of 6 % has the rms that its picture has, within the part
     that p1, p2, peak and centres take up."""
     look, own = looked(plain)
-    assert size_of(look, own).of_peak < 0.002
+    assert size_of(look, own, 0.0).of_peak < 0.002
     look, own = looked(ghost)
     light = look.light[-1]
     y, x = np.mgrid[: light.shape[0], : light.shape[1]] * float(look.measured.side) + (look.measured.side - 1) / 2
@@ -61,7 +61,7 @@ def test_the_size_of_nothing_and_of_something():
     sigma = np.sqrt((light * (x - middle) ** 2).sum() / light.sum())
     copy = 0.06 * np.exp(-((x - middle - 12) ** 2 + (y - middle + 5) ** 2) / (2 * sigma**2))
     rms = np.sqrt(np.mean(copy**2))
-    assert 0.1 * rms < size_of(look, own).of_peak < rms
+    assert 0.1 * rms < size_of(look, own, 0.0).of_peak < rms
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy import name
+from spotcheck.discrepancy.assess import assessable
 from spotcheck.discrepancy.explain import account
 from spotcheck.model.effects import vocabulary
 from tests.library.small_verdict import ghost, looked, plain, present
@@ -44,7 +45,7 @@ def enough(leader, own):
 def test_what_a_design_cannot_show_is_not_assessed(options, why):
     """With the reason, before any effect is fitted; all 24 are on one of the two lists."""
     look, _ = looked(**options)
-    can, cannot = name.assessable(look)
+    can, cannot = assessable(look)
     assert {effect.name for effect in can} | set(cannot) == set(vocabulary())
     assert not {effect.name for effect in can} & set(cannot)
     for effect, words in why.items():

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import provenance, store
+from spotcheck.discrepancy.assess import likeliest
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null, null_of
@@ -92,7 +93,9 @@ def null_statistics(design: Design, kind: Kind, seed: int, number: int) -> dict[
     """Statistics of one null set."""
     # Blocks beside the crops are sums of thousands of pixels: by theory their statistic is a normal number.
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(number, 1))))
-    return account(null_look(design, kind, seed, number), ()).left | {STATISTIC: float(rng.standard_normal())}
+    look = null_look(design, kind, seed, number)
+    own = account(look, ())
+    return own.left | likeliest(look, own) | {STATISTIC: float(rng.standard_normal())}
 
 
 def calibrate(design: Design, kind: Kind, count: int, seed: int, workers: int = 1) -> Null:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy.assess import BY_CHANCE, LIKELIEST, assessable, likeliest
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Detection, Null, detect
@@ -12,7 +13,7 @@ from spotcheck.discrepancy.explain import Account, account, granular
 from spotcheck.discrepancy.freed_named import Freed, Left, freed_of, left_of
 from spotcheck.discrepancy.lasting import lasting
 from spotcheck.discrepancy.look import Look, look_again, look_at
-from spotcheck.discrepancy.name import assessable, present_of, search
+from spotcheck.discrepancy.name import present_of, search
 from spotcheck.discrepancy.refit import NO_WAVE
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import peak
@@ -77,13 +78,14 @@ def investigate(
     look = look_at(shots, design, base, setting)
     first = account(look, ())
     around = surround_of(shots, look, first)
-    detection = detect(null, first.left | told(around))
-    size = size_of(look, first, around)
+    left = first.left | likeliest(look, first)
+    detection = detect(null, left | told(around))
+    size = size_of(look, first, left[LIKELIEST], around)
     effects, not_assessed = assessable(look)
     if consistent(detection, size, tolerance):
         return Findings(look, first, detection, size, [], None, detection, size, {}, not_assessed, "consistent", {},
                         around=around)  # fmt: skip
-    if consistent(detect(null, first.left), size_of(look, first), tolerance):
+    if consistent(detect(null, left), size_of(look, first, left[LIKELIEST]), tolerance):
         # Effects are told by the crops, which agree.
         return Findings(look, first, detection, size, [], None, detection, size, {}, not_assessed | {"all": LEFT},
                         "unknown", {}, around=around)  # fmt: skip
@@ -119,12 +121,13 @@ def investigate(
     def fits(near: Look, exact: Account) -> bool:
         # A model gone astray may leave no block that could speak against it.
         seen = near.problem.used.any() and granular(near, exact)
-        rest = detect(null, exact.left)
+        more = likeliest(near, exact)
+        rest = detect(null, exact.left | more)
         # Hot pixels alone settle outliers, whatever these are: then nothing odd may be left, however small.
         hot_alone = "fixed_pattern" in exact.names and not exact.component.get("pixel")
         if not seen or (hot_alone and rest.p_value < tolerance.alpha):
             return False
-        good = consistent(rest, size_of(near, exact), tolerance)
+        good = consistent(rest, size_of(near, exact, more[LIKELIEST]), tolerance)
         good &= rest.p_value >= tolerance.alpha or not much_left(exact, near, first, look)
         # Last, for it opens every frame again.
         return good and ("fixed_pattern" not in exact.names or lasting(shots, look, _prnu(exact)))
@@ -142,9 +145,10 @@ def investigate(
         return unknown if freed is None else with_freed(unknown, freed, shots, null)
     near = near_to(explanations[0])
     best = closer_account(near, explanations[0])
-    left = surround_of(shots, near, best)
-    rest, rest_size = detect(null, best.left | told(left)), size_of(near, best, left)
-    if left is not None and not consistent(rest, rest_size, tolerance):
+    beside, more = surround_of(shots, near, best), likeliest(near, best)
+    rest = detect(null, best.left | more | told(beside))
+    rest_size = size_of(near, best, more[LIKELIEST], beside)
+    if beside is not None and not consistent(rest, rest_size, tolerance):
         status, not_assessed = "unknown", not_assessed | {"all": LEFT}
     return Findings(look, first, detection, size, explanations, (near, best), rest, rest_size, naming.singles,
                     not_assessed, status, evidence, around=around)  # fmt: skip
@@ -247,12 +251,14 @@ def consistent(detection: Detection, size: Size, tolerance: Tolerance) -> bool:
     return detection.p_value >= tolerance.alpha or (small and other < CLEAR)
 
 
-def size_of(look: Look, own: Account, around: Surround | None = None) -> Size:
-    """Size of what is left of an account, in the worst condition; of the mean also beside the crops."""
+def size_of(look: Look, own: Account, likeliest_z: float, around: Surround | None = None) -> Size:
+    """Size of what is left of an account, in the worst condition or as the likeliest effect (its z) over all; of the
+    mean also beside the crops."""
     fit, cells = own.refit, look.cells
     used = look.problem.used
     top = float(np.max(look.light))
-    peak, noise = 0.0, 0.0
+    pixels = float(cells.pixels[used].sum())
+    peak, noise = 0.0, np.sqrt(max(likeliest_z**2 - BY_CHANCE**2, 0.0) / max(pixels, 1.0))
     for c in range(len(cells.place)):
         at = used[c]
         if not at.any():

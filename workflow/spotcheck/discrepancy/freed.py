@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from spotcheck.discrepancy.assess import assessable
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting, pooled
 from spotcheck.discrepancy.look import Look, look_again, look_at
 from spotcheck.discrepancy.measure import BLOCKS
-from spotcheck.discrepancy.name import EARNS, MOST, assessable
+from spotcheck.discrepancy.name import EARNS, MOST
 from spotcheck.discrepancy.noise import block_correlation
 from spotcheck.discrepancy.pixels import Scene
 from spotcheck.discrepancy.refit import NOTHING, Latent, Refit, basis, refit, screened

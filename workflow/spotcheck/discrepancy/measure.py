@@ -31,7 +31,8 @@ class Sums(NamedTuple):
     number, Σ (µr/v)², Σ (µ²/v)², Σ (µ/v)²)].
 
     Fields: `pull`, `weight` [site, row, column] Σ µr/v and Σ µ²/v over the frames of a site, in its own window; over
-    the whole set on the sensor [row, column] `dark_pull`, `dark_weight`, `dark_light` Σ r/v, Σ 1/v and Σ µ/v.
+    the whole set on the sensor [row, column] `dark_pull`, `dark_weight`, `dark_light` Σ r/v, Σ 1/v and Σ µ/v,
+    where v is at least that of the noise before black cuts it.
     """
 
     residual: np.ndarray

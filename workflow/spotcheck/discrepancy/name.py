@@ -10,7 +10,6 @@ from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.refit import basis, screened
 from spotcheck.discrepancy.stripes import peak
 from spotcheck.model.effect import Effect, Place, Present
-from spotcheck.model.effects import vocabulary
 
 # Rivals whose −2 ln L (with 2 a free number) is within this of the best cannot be told from it: 2.8 standard
 # deviations.
@@ -47,33 +46,6 @@ class Naming(NamedTuple):
     best: Account | None
     holding: list[Account]
     singles: dict[str, Account]
-
-
-def assessable(look: Look) -> tuple[list[Effect], dict[str, str]]:
-    """Effects that the design can show, and why the others cannot be shown: both before the data are looked at."""
-    design = look.measured.design
-    law = look.measured.base.law is not None
-    exposures = len(np.unique(design.exposure_s[np.isfinite(design.exposure_s)]))
-    angles = len(np.unique(design.angle_deg[np.isfinite(design.angle_deg)]))
-    frames = len(design.condition)
-    per_site = np.bincount(design.site)
-    reasons = {
-        "exposure": "" if exposures > 1 else "all frames have one exposure",
-        "three exposures": "" if exposures > 2 else "two exposures fit any law of the width",
-        "angle": "" if angles > 2 else "fewer than three fibre angles",
-        "order": "" if np.isfinite(design.order).all() and frames > 2 else "the order of acquisition is not known",
-        "frames": "" if frames > 2 else "too few frames",
-        "exposures of a site": "" if per_site.max(initial=0) > 1 else "no site was seen more than once",
-        "law": "" if law else "the baseline leaves brightness and width of every frame free",
-    }
-    out, why = [], {}
-    for effect in vocabulary().values():
-        missing = next((reasons[need] for need in effect.needs if reasons[need]), "")
-        if missing:
-            why[effect.name] = missing
-        else:
-            out.append(effect)
-    return out, why
 
 
 def singles(look: Look, effects: Sequence[Effect]) -> dict[str, Account]:

@@ -156,7 +156,8 @@ def add_frame(
                 column_weight[k] += w
                 column_light[k] += lw * lw
                 # Where black cuts the law of a reading its tail is that of the noise before the cut.
-                if abs(r) > OUTLIER * math.sqrt(max(variance[j, k], dark_variance)):
+                before_cut = 1 / max(variance[j, k], dark_variance)
+                if r * r * before_cut > OUTLIER * OUTLIER:
                     totals[0] += 1
                 factor = shown[j, k]
                 totals[3] += (factor * rw) ** 2
@@ -164,9 +165,9 @@ def add_frame(
                 totals[5] += (factor * w) ** 2
                 pull[at[0] + j, at[1] + k] += factor * rw
                 weight[at[0] + j, at[1] + k] += factor * factor * w
-                dark_pull[chip_at[0] + j, chip_at[1] + k] += rw
-                dark_weight[chip_at[0] + j, chip_at[1] + k] += w
-                dark_light[chip_at[0] + j, chip_at[1] + k] += lw
+                dark_pull[chip_at[0] + j, chip_at[1] + k] += r * before_cut
+                dark_weight[chip_at[0] + j, chip_at[1] + k] += before_cut
+                dark_light[chip_at[0] + j, chip_at[1] + k] += own * before_cut
             # At either end the converter itself makes readings gather.
             if CODE_FLOOR < y < top and max(CODE_FLOOR, black) + 6 * sd < mean[j, k] < top - 6 * sd:
                 wide = 0
