@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar, nnls
+from scipy.stats import gamma
 
 from spotcheck.discrepancy.cells import pooled
 from spotcheck.discrepancy.detect import statistics
@@ -45,6 +46,8 @@ SCATTER = ("brightness", "centre")
 ROUNDS, STILL = 8, 0.2
 # Relative step to bend a cost by.
 BEND = 3e-3
+# Of some 30,000 places in a spectrum none is higher by chance, but once in a million sets.
+RARE = 3e-11
 # Shape of observables that no component explains; they speak only in what is left over.
 MARKS = ("stripes", "spot", "hot", "outliers", "skewness")
 
@@ -129,7 +132,9 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     numbers += len(active) - ("row" in active) + ("grain" in active) + fit.model.wave.size
     score = fit.score + noise_score + 2 * numbers + _occam(look, fit, component)
     score += 0.0 if "fixed_pattern" in names else look.hot
-    seen = [o for o in seen if not _settled(o, names, fresh, look.measured.design.sites)]
+    sites = look.measured.design.sites
+    pattern = _by_pattern(look.observables, component.get("pixel", 0.0), sites)
+    seen = [o for o in seen if not _settled(o, names, fresh, sites, pattern)]
     shared = _shared_variance(look, component, grain, fit)
     modes = modes_of(look.cells, look.setting, fit.residual, fit.variance, look.problem.used, shared)
     freedom = max(int(look.problem.used.sum()) - fit.freedom, 1)
@@ -463,8 +468,19 @@ def _left_over(look: Look, component: dict[str, float], grain: float, expected: 
     return out, score
 
 
-def _settled(o: Observable, names: set[str], fresh: bool, sites: int) -> bool:
+def _by_pattern(seen: Sequence[Observable], variance: float, sites: int) -> float:
+    """How high a peak of the sites' common spectrum a pattern of the pixels' gains may bring, over its surroundings:
+    power that is noise's is a mean over the sites, what all sites share is one draw."""
+    site = next((o for o in seen if o.label == "site"), None)
+    part = variance * site.load[COMPONENTS.index("pixel")] if site else 0.0
+    alike = part / (part + site.floor) if site and part else 0.0
+    return float((1 - alike) * gamma.isf(RARE, sites) / sites + alike * gamma.isf(RARE, 1))
+
+
+def _settled(o: Observable, names: set[str], fresh: bool, sites: int, by_pattern: float) -> bool:
     """Marks that an effect in the model leaves by its nature at so many sites; `fresh` fringes are not taken off."""
+    if o.label == "stripes" and "row_noise" not in names and o.value > by_pattern:
+        return fresh
     if o.label.startswith("code"):  # where a level clips, readings gather at one code
         return "saturation" in names
     marked = {

@@ -13,7 +13,7 @@ from spotcheck.discrepancy.explain import Account, account, granular
 from spotcheck.discrepancy.freed_named import Freed, Left, freed_of, left_of
 from spotcheck.discrepancy.lasting import lasting
 from spotcheck.discrepancy.look import Look, look_again, look_at
-from spotcheck.discrepancy.name import present_of, search
+from spotcheck.discrepancy.name import FRINGES, present_of, search
 from spotcheck.discrepancy.refit import NO_WAVE
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import peak
@@ -21,7 +21,6 @@ from spotcheck.discrepancy.surround import LEFT, STATISTIC, Surround, surround_o
 
 # −log10 p from which on scatter, stripes or lines stand out clearly.
 CLEAR = 4.0
-FRINGES = "interference_fringes"
 # Where less than this many times the expected χ² is left, it may be an edge's that blocks do not resolve; and so often
 # is looked again.
 NEARLY, AGAIN = 3.0, 2

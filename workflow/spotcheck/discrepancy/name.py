@@ -19,7 +19,8 @@ EARNS = 10.0
 # An effect that promises less than this part of the best, to first order, is not fitted; but for those whose first
 # order says nothing.
 HOPELESS = 0.004
-ALWAYS = ("interference_fringes", "spread_law", "excess_read_noise", "ghost_reflection", "black_clipping", "saturation")
+FRINGES = "interference_fringes"
+ALWAYS = (FRINGES, "spread_law", "excess_read_noise", "ghost_reflection", "black_clipping", "saturation")
 # At the first look rivals are compared to this part of the gap they close: blocks blur what is strong.
 SLACK = 0.004
 LARGEST_CONTEST = 6
@@ -66,7 +67,7 @@ def _promising(look: Look, before: Account, effects: Sequence[Effect], span: np.
     promise = {}
     for effect in effects:
         own = 0.0
-        if not is_component(effect) and effect.name != "interference_fringes":
+        if not is_component(effect) and effect.name != FRINGES:
             first = [screened(look.problem, before.refit, span, effect, form)[:1] for form in effect.forms]
             own = max((s[0][0] for s in first if s), default=0.0)
         promise[effect.name] = own
@@ -88,7 +89,7 @@ def _added(
     if is_component(effect):
         blank = Present(effect, "", tuple(0.0 for _ in effect.parameters))
         return account(look, (*kept, blank), before.refit.model)
-    if effect.name == "interference_fringes":
+    if effect.name == FRINGES:
         return _fringes(look, before, effect)
     if any(set(effect.replaces) & set(own.effect.replaces) for own in kept):
         return None
@@ -144,6 +145,10 @@ def search(look: Look, effects: Sequence[Effect], closer: Closer) -> Naming:
         if not ranked:
             break
         best = _contest(ranked, empty, closer)
+        if not best[0][1] and size == 1 and FRINGES in alone:
+            # Blocks see nothing of stripes as short as they are: only a closer look does.
+            found = closer(alone[FRINGES], alone[FRINGES])
+            best = [found] if found[1] else best
         if best[0][1]:
             break
         if size == MOST:
@@ -250,7 +255,7 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
                 continue
             if scatters(effect):
                 own = relief(look, parent, effect)
-            elif effect.name == "interference_fringes":
+            elif effect.name == FRINGES:
                 own = np.inf if "speckle" not in parent.names else 0.0
             else:
                 firsts = [screened(look.problem, parent.refit, span, effect, form)[0][0] for form in effect.forms]

@@ -11,9 +11,9 @@ from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
 from spotcheck.discrepancy.explain import COMPONENT, Account, account
-from spotcheck.discrepancy.extend import FRINGES, Findings, Tolerance, investigate
+from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
 from spotcheck.discrepancy.freed_named import gap_of_freed
-from spotcheck.discrepancy.name import present_of
+from spotcheck.discrepancy.name import FRINGES, present_of
 from spotcheck.discrepancy.noise import hot_pixels
 from spotcheck.discrepancy.saved import recalled, saved_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out, together
