@@ -169,3 +169,13 @@ def test_where_noise_is_clipped_readings_count_no_more_than_what_is_certain():
     variance = look.problem.variance(at, NOTHING)[above]
     want = look.cells.variance[above] * CERTAIN / look.problem.variance_start[above]
     np.testing.assert_allclose(variance, want, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name, values, more", [("dark_offset", (0.1,), 1), ("ghost_reflection", (0.01, 9.0, 5.0), 3),
+                                                ("spread_law", (0.1,), 0)])  # fmt: skip
+def test_every_free_number_costs_two(name, values, more):
+    """Akaike 1974 (doi:10.1109/TAC.1974.1100705); a law of the width has one number for the one that it takes away. What
+    noise within blocks says changes by far less than one number costs."""
+    look, empty = looked(exposures=(1e-4, 2e-4, 4e-4))
+    own = account(look, (present(name, *values),))
+    assert own.score - own.refit.score == pytest.approx(empty.score - empty.refit.score + 2 * more, abs=0.7)

@@ -130,6 +130,8 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     seen, noise_score = _left_over(look, component, grain, expected, striped)
     numbers = sum(max(len(e.parameters) - len(e.idle.get(form, ())), 1) for e, form in effects)
     numbers += len(active) - ("row" in active) + ("grain" in active) + fit.model.wave.size
+    # A law that takes the place of another has no use for its numbers.
+    numbers -= sum(len(e.replaces) for e, _ in effects)
     score = fit.score + noise_score + 2 * numbers + _occam(look, fit, component)
     score += 0.0 if "fixed_pattern" in names else look.hot
     sites = look.measured.design.sites
