@@ -174,8 +174,24 @@ def test_where_noise_is_clipped_readings_count_no_more_than_what_is_certain():
 @pytest.mark.parametrize("name, values, more", [("dark_offset", (0.1,), 1), ("ghost_reflection", (0.01, 9.0, 5.0), 3),
                                                 ("spread_law", (0.1,), 0)])  # fmt: skip
 def test_every_free_number_costs_two(name, values, more):
-    """Akaike 1974 (doi:10.1109/TAC.1974.1100705); a law of the width has one number for the one that it takes away. What
-    noise within blocks says changes by far less than one number costs."""
+    """Akaike 1974 (doi:10.1109/TAC.1974.1100705); a law of the width has one number for the one that it takes away.
+    What noise within blocks says changes by far less than one number costs."""
     look, empty = looked(exposures=(1e-4, 2e-4, 4e-4))
     own = account(look, (present(name, *values),))
     assert own.score - own.refit.score == pytest.approx(empty.score - empty.refit.score + 2 * more, abs=0.7)
+
+
+def test_where_every_condition_is_one_frame_its_centre_tells_the_jitter():
+    """Three frames of one site: the variance is that of the three places, with two degrees of freedom an axis."""
+    places = {1e-4: (0.3, 0.0), 2e-4: (-0.1, 0.2), 4e-4: (-0.2, -0.2)}
+
+    def moved(dx, dy, angle, exposure, sigma, spot):
+        x, y = places[exposure]
+        return np.max(spot) * np.exp(-((dx - x) ** 2 + (dy - y) ** 2) / (2 * sigma**2))
+
+    look, still = looked(moved, angles=(0.0,), exposures=tuple(places), repeats=1)
+    own = account(look, (present("pointing_jitter", 0.1),))
+    true = float(np.var(list(places.values()), axis=0, ddof=1).mean())
+    assert own.component["centre"] == pytest.approx(true, rel=0.1)  # centres are known to 0.02 px
+    assert own.component_error["centre"] == pytest.approx(own.component["centre"] * np.sqrt(2 / 4))
+    assert own.score < still.score - 20

@@ -122,6 +122,8 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
         if not noisy or abs(_total(present_now) - _total(before)) < STILL * white["read"]:
             break
         before = present_now
+    if "centre" in active and (look.cells.frames <= 1).all():
+        component["centre"], error["centre"] = _of_shifts(fit, look.cells.place)
     names = {own.effect.name for own in present}
     fresh = "interference_fringes" in names and not any(
         p.effect.name == "interference_fringes" for p in look.problem.start.present
@@ -437,6 +439,15 @@ def _occam(look: Look, fit: Refit, component: dict[str, float]) -> float:
             cost += float((own**2 / variance[place == p, None]).sum())
         cost += float(np.log1p(variance / 1e-5).sum())
     return cost
+
+
+def _of_shifts(fit: Refit, place: np.ndarray) -> tuple[float, float]:
+    """Variance [px²] of a frame's centre along an axis, and its standard error, where every condition is one frame:
+    then nothing but the conditions' own centres tells it."""
+    about = np.array([fit.model.shift[place == p].mean(axis=0) for p in place])
+    freedom = 2 * (len(place) - len(np.unique(place)))
+    variance = float(((fit.model.shift - about) ** 2).sum()) / max(freedom, 1)
+    return variance, variance * float(np.sqrt(2 / max(freedom, 1)))
 
 
 def _gain_error(look: Look) -> np.ndarray:
