@@ -128,7 +128,9 @@ def plainly(frame: Frame, side: int) -> Sums:
     site = (slice(AT[0], AT[0] + rows), slice(AT[1], AT[1] + columns))
     chip = (slice(CHIP_AT[0], CHIP_AT[0] + rows), slice(CHIP_AT[1], CHIP_AT[1] + columns))
     out.pull[site], out.weight[site] = nu * r * w, nu * nu * w
-    out.dark_pull[chip], out.dark_weight[chip], out.dark_light[chip] = r * w, w, mu * w
+    # What is hot is asked of the noise before black cuts it.
+    before = np.minimum(w, 1 / DARK_VARIANCE)
+    out.dark_pull[chip], out.dark_weight[chip], out.dark_light[chip] = r * before, before, mu * before
     known = np.nan_to_num(image)
     lit = everything & (known > CODE_FLOOR) & (known < TOP)
     lit &= (mean > max(CODE_FLOOR, BLACK) + 6 * np.sqrt(variance)) & (mean < TOP - 6 * np.sqrt(variance))
