@@ -52,3 +52,10 @@ def test_noise_that_just_passes_a_dead_zone_is_not_hot():
     own = account(look, (present("black_clipping", 1.5, form="dead zone"),))
     assert own.refit.model.present[0].values[0] == pytest.approx(1.5, abs=0.5)  # readings are whole numbers
     assert hot_power(about(shots, look, own).measured) == 0
+
+
+def test_where_no_block_is_left_nothing_is_asked_for():
+    """As of a crop that is clipped throughout."""
+    look, own = looked()
+    look.problem.used[:] = False
+    assert likeliest(look, own) == {LIKELIEST: 0.0}

@@ -4,7 +4,7 @@ import numpy as np
 
 from spotcheck.discrepancy.explain import Account, is_component
 from spotcheck.discrepancy.look import Look
-from spotcheck.discrepancy.refit import basis, screened
+from spotcheck.discrepancy.refit import basis, promised
 from spotcheck.model.effect import Effect
 from spotcheck.model.effects import vocabulary
 
@@ -45,14 +45,14 @@ def likeliest(look: Look, own: Account) -> dict[str, float]:
     """The largest z, to first order, with which the means that an account leaves ask for one effect more: a faint one
     drowns in statistics that see everything."""
     problem, fit = look.problem, own.refit
+    if not problem.used.any():
+        return {LIKELIEST: 0.0}
     span = basis(problem, fit, own.refit_effects, own.latent)
     taken = {name for present in fit.model.present for name in (present.effect.name, *present.effect.replaces)}
-    best = 0.0
+    promises = [0.0]
     for effect in assessable(look)[0]:
         # Stripes show in the spectrum, what goes with the order from frame to frame.
         told = is_component(effect) or effect.name == "interference_fringes" or "order" in effect.needs
-        if told or taken & {effect.name, *effect.replaces}:
-            continue
-        for form in effect.forms:
-            best = max([best, *(promise for promise, _ in screened(problem, fit, span, effect, form)[:1])])
-    return {LIKELIEST: float(np.sqrt(best / own.together))}
+        if not told and not taken & {effect.name, *effect.replaces}:
+            promises.append(promised(problem, fit, span, effect))
+    return {LIKELIEST: float(np.sqrt(max(promises) / own.together))}

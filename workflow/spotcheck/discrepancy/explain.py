@@ -224,7 +224,7 @@ def expected_of(look: Look, at: Moments, present: Sequence[Present]) -> np.ndarr
             out[k] = float(np.mean(ratio[o.condition][own])) if own.any() else 0.0
         elif o.label == "brightness" and course:
             out[k] = _scatter_beside(look, look.problem.start.present) - _scatter_beside(look, present)
-    if present or problem.start.present:
+    if (present or problem.start.present) and problem.used.any():
         # Whatever makes pixels noisier, read noise or the shot noise of a pedestal, as lines and bands weigh them.
         weight = np.where(problem.used, problem.variance_start, np.inf) ** -2
         more = float((weight * (pooled(at.variance) - problem.variance_start)).sum() / weight.sum())

@@ -7,7 +7,7 @@ import numpy as np
 
 from spotcheck.discrepancy.explain import Account, account, is_component, relief
 from spotcheck.discrepancy.look import Look
-from spotcheck.discrepancy.refit import basis, screened
+from spotcheck.discrepancy.refit import basis, promised, screened
 from spotcheck.discrepancy.stripes import peak
 from spotcheck.model.effect import Effect, Place, Present
 
@@ -68,8 +68,7 @@ def _promising(look: Look, before: Account, effects: Sequence[Effect], span: np.
     for effect in effects:
         own = 0.0
         if not is_component(effect) and effect.name != FRINGES:
-            first = [screened(look.problem, before.refit, span, effect, form)[:1] for form in effect.forms]
-            own = max((s[0][0] for s in first if s), default=0.0)
+            own = promised(look.problem, before.refit, span, effect)
         promise[effect.name] = own
     least = HOPELESS * max(promise.values(), default=0.0)
     chosen = [e for e in effects if promise[e.name] >= least or is_component(e) or e.name in ALWAYS]
@@ -258,8 +257,7 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
             elif effect.name == FRINGES:
                 own = np.inf if "speckle" not in parent.names else 0.0
             else:
-                firsts = [screened(look.problem, parent.refit, span, effect, form)[0][0] for form in effect.forms]
-                own = max(firsts, default=0.0)
+                own = promised(look.problem, parent.refit, span, effect)
             promise.append((own, effect))
         promise.sort(key=lambda item: -item[0])
         target = min((own.refit.score for own in seen.values()), default=np.inf)

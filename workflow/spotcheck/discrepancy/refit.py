@@ -243,6 +243,11 @@ def screened(problem: Problem, fit: Refit, span: np.ndarray, effect: Effect, for
     return sorted(out, key=lambda item: -item[0])
 
 
+def promised(problem: Problem, fit: Refit, span: np.ndarray, effect: Effect) -> float:
+    """The largest fall of χ² that any form and start of an effect promises."""
+    return max((own for form in effect.forms for own, _ in screened(problem, fit, span, effect, form)), default=0.0)
+
+
 def moving(effect: Effect, form: str) -> list[int]:
     """Indices of the parameters that a fit of this form moves; those of a granular field are told by the noise."""
     if effect.name == "speckle":
