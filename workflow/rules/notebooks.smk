@@ -1,4 +1,6 @@
 # Executed notebooks are results. Each appears whole: papermill writes as it goes, so it writes beside.
+# A kernel may fail to start: its ports are drawn before they are bound (nteract/papermill#511), and a busy machine takes
+# longer than the minute that papermill waits.
 rule notebook:
     input:
         MANIFEST,
@@ -13,6 +15,7 @@ rule notebook:
         f"{OUT}/benchmarks/notebook_{{notebook}}.tsv"
     wildcard_constraints:
         notebook="|".join(NOTEBOOKS),
+    retries: 1
     conda:
         "../envs/spotcheck.yaml"
     threads: 1
@@ -27,6 +30,6 @@ rule notebook:
     message:
         "Executing notebook {wildcards.notebook} on {DATASET.name}"
     shell:
-        "papermill {input.source:q} {params.scratch:q} -k python3 --no-progress-bar"
+        "papermill {input.source:q} {params.scratch:q} -k python3 --no-progress-bar --start-timeout 300"
         " -p dataset {params.folder:q} -p results {params.results:q} &> {log:q} || {{ cat {log:q} >&2; exit 1; }}"
         "; mv {params.scratch:q} {output:q}"
