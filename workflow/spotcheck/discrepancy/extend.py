@@ -119,12 +119,13 @@ def investigate(
 
     def fits(near: Look, exact: Account) -> bool:
         # A model gone astray may leave no block that could speak against it.
-        seen = near.problem.used.any() and granular(near, exact)
+        if not near.problem.used.any() or not granular(near, exact):
+            return False
         more = likeliest(near, exact)
         rest = detect(null, exact.left | more)
         # Hot pixels alone settle outliers, whatever these are: then nothing odd may be left, however small.
         hot_alone = "fixed_pattern" in exact.names and not exact.component.get("pixel")
-        if not seen or (hot_alone and rest.p_value < tolerance.alpha):
+        if hot_alone and rest.p_value < tolerance.alpha:
             return False
         good = consistent(rest, size_of(near, exact, more[LIKELIEST]), tolerance)
         good &= rest.p_value >= tolerance.alpha or not much_left(exact, near, first, look)
