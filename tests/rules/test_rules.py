@@ -13,6 +13,7 @@ ORDER = [
     "log",
     "benchmark",
     "wildcard_constraints",
+    "retries",
     "conda",
     "threads",
     "resources",
