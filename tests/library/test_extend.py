@@ -96,6 +96,17 @@ def test_the_form_that_the_data_want_is_kept():
     assert best_form(look, found, near_to)[0].key == found.key
 
 
+def test_a_rival_is_compared_in_the_form_that_it_has_at_the_closer_look():
+    """A pedestal of the electronics about which a gradient was drawn: as light it has shot noise that is not there."""
+    shots, base, setting = frames(after=lambda image, rng: image + 9.0, repeats=6)
+    look = look_at(shots, design_of(shots), base, setting)
+    near = about(shots, look, account(look, [present("background_gradient", 0.0, 9.0, 0.0, form="electronic")]))
+    wrong = closer_account(near, account(look, [present("dark_offset", 9.0, form="light")]))
+    found, seen_at = best_form(near, wrong, lambda _: near)
+    assert found.key == (("dark_offset", "electronic"),) and found.score < wrong.score - 100
+    assert seen_at is near
+
+
 def test_a_closer_look_remembers_what_it_takes_off():
     """Each frame's own brightness is off at the closer look: how much they scatter is what was seen before."""
     rng = np.random.default_rng(5)

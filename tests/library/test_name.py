@@ -117,6 +117,21 @@ def test_what_a_set_does_not_need_is_dropped():
     assert name._fewer(look, fewer, enough) is None
 
 
+def test_free_gains_leave_when_a_law_of_the_brightness_has_come():
+    """Rows that scatter and a drift: free gains stand in for the drift until that is tried beside them."""
+    count = iter(range(1000))
+
+    def drift(dx, dy, angle, exposure, sigma, spot):
+        return spot * (1 + 0.1 * next(count) / 23)
+
+    look, empty = looked(drift, repeats=6)
+    gains = account(look, [present("power_fluctuation", 0.0)])
+    closer = lambda leader, own: (own, own.score < gains.score + 1)  # noqa: E731
+    found = name._beside_scatter(look, [(gains, True)], effects("laser_drift"), empty, closer)
+    assert set(found[0][0].names) == {"power_fluctuation", "laser_drift"}
+    assert name._thinned(look, found, closer)[0][0].names == ("laser_drift",)
+
+
 def test_effects_that_only_scatter_are_told_from_those_of_the_mean():
     """White noise is no component of variance, and promises as little to the means."""
     noisy = {own.name for own in vocabulary().values() if name.scatters(own)}

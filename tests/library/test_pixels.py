@@ -48,7 +48,7 @@ class Frame(NamedTuple):
     shown: np.ndarray
 
 
-BLACK, TOP, DARK_VARIANCE, THIRD = 20.0, 160.0, 2.5, 0.05
+BLACK, TOP, DARK_VARIANCE, GAIN = 20.0, 160.0, 2.5, 0.22
 AT, CHIP_AT = (3, 5), (7, 2)
 SITE, CHIP = (60, 70), (80, 66)
 
@@ -82,7 +82,7 @@ def nothing(rows: int, columns: int, side: int) -> Sums:
 
 def added(frame: Frame, side: int, parts: Sums) -> Sums:
     """The library's sums."""
-    add_frame(*frame, BLACK, TOP, DARK_VARIANCE, THIRD, side, *parts, AT, CHIP_AT)
+    add_frame(*frame, BLACK, TOP, DARK_VARIANCE, GAIN, side, *parts, AT, CHIP_AT)
     return parts
 
 
@@ -111,11 +111,11 @@ def plainly(frame: Frame, side: int) -> Sums:
             out.rough_dof[by, bx] = side**2 - 3
             out.fourth[by, bx] = (z[own] ** 4).sum()
             if np.all((mean[own] > 6 * np.sqrt(variance[own])) & (variance[own] > 1)):
-                third = (THIRD * light[own] / variance[own] ** 1.5).sum()
+                third = (GAIN * np.maximum(variance[own] - DARK_VARIANCE, 0) / variance[own] ** 1.5).sum()
                 out.totals[1] += ((z[own] - z[own].mean()) ** 3).sum() - third
                 out.totals[2] += side**2
     # Light whose noise a level cuts speaks in blocks alone.
-    cut = (light >= 6 * np.sqrt(DARK_VARIANCE)) & (variance <= FREE * (DARK_VARIANCE + np.sqrt(THIRD) * light))
+    cut = (light >= 6 * np.sqrt(DARK_VARIANCE)) & (variance <= FREE * (DARK_VARIANCE + GAIN * light))
     assert 0 < np.sum(used & cut) < np.sum(used)
     everything, used = used, used & ~cut
     r, w, mu = (np.where(used, own, 0.0) for own in (r, w, mu))
@@ -211,9 +211,10 @@ def test_sums_of_a_true_model():
     light = np.full((256, 256), 900.0)
     # Poisson electrons at 2 DN each: third moment K² light, standardised by 1.5 powers of the variance.
     image = 2.0 * rng.poisson(light / 2.0)
-    frame = Frame(image, light, 2.0 * light, light, light)
+    # Nine tenths of the light are a pedestal's, which is no light of the spot.
+    frame = Frame(image, light, 2.0 * light, light / 10, light / 10)
     parts = nothing(256, 256, 8)._replace(**{name: np.zeros((300, 300)) for name in Sums._fields[14:]})
-    add_frame(*frame, 0.0, 1e4, 1.0, 4.0, 8, *parts, (0, 0), (0, 0))
+    add_frame(*frame, 0.0, 1e4, 1.0, 2.0, 8, *parts, (0, 0), (0, 0))
     n = 256**2
     # χ² of n degrees of freedom, five standard errors √(2n); kurtosis √(96/n); skewness √(15/n).
     assert abs(parts.rough.sum() - parts.rough_dof.sum()) < 5 * np.sqrt(2 * n)

@@ -18,16 +18,19 @@ from spotcheck.discrepancy.verdict import Judgement, prepared, verdict_json
 from spotcheck.frames import reduce_frame
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.sensor import SensorModel
+from tests.library.small_verdict import present
 
 FRAME, CROP, BLOCK, SIGMA = 384, 96, 64, 12.0
 SENSOR = SensorModel(0.11, 10.0, black_level_dn=3.0, full_scale_dn=1023.0)
 KIND = Kind(CROP, 10, "free", False)
 
 
-def shots_of(rng, beside=0.0, bend=0.0, repeats=2):
+def shots_of(rng, beside=0.0, bend=0.0, repeats=2, rows=0.0, hot=0):
     """Frames of 384 px with a spot in the middle, at two angles; light of a source beside the crop [DN]; a response
-    that bends."""
+    that bends; rms of the rows' own offsets [DN]; hot pixels, the same in every frame."""
     y, x = np.mgrid[:FRAME, :FRAME].astype(float)
+    spikes = np.zeros(FRAME**2)
+    spikes[rng.choice(FRAME**2, hot, replace=False)] = 150.0
     corner = (FRAME - CROP) // 2
     out = []
     for angle in (0.0, 45.0):
@@ -37,6 +40,7 @@ def shots_of(rng, beside=0.0, bend=0.0, repeats=2):
             light += beside * np.exp(-((x - 60) ** 2 + (y - 200) ** 2) / (2 * 20.0**2))
             signal = 0.11 * (rng.poisson(light / 0.11) + rng.normal(0, 10.0, light.shape))
             signal -= bend * np.maximum(signal, 0) ** 2 / 1023
+            signal += rows * rng.standard_normal((FRAME, 1)) + spikes.reshape(x.shape)
             frame = np.clip(np.rint(3.0 + signal), 0, 1023)
             crop = frame[corner : corner + CROP, corner : corner + CROP]
             blocks = Blocks(reduce_frame(frame.astype(np.uint16)).block_mean, BLOCK)
@@ -69,6 +73,30 @@ def test_a_source_beside_the_crop_stands_out_on_its_side():
     assert around.statistic > 20 and around.off() > 0.2
     rows = where(look, account(look, ()), 0.01, around=around)
     assert rows[0]["block"] == "surround" and rows[0]["bin"]["quantity"] == "blocks left of the crops"
+
+
+@pytest.mark.parametrize(
+    "own, options",
+    [(present("row_noise", 1.0), {"rows": 1.0}), (present("fixed_pattern", 0.0, 200.0), {"hot": 200})],
+)
+def test_what_an_effect_brings_to_the_whole_frame_is_no_surprise_beside_the_crops(own, options):
+    """Rows scatter and pixels are hot there too: with that in the model the statistic is a normal number (of 12 sets
+    the mean is within four standard errors of 0, 1.2; a false alarm in 16,000)."""
+    rng = np.random.default_rng(34)
+    found = np.array([with_and_without(shots_of(rng, **options), own) for _ in range(12)])
+    assert found[:, 0].min() > 4
+    assert abs(found[:, 1].mean()) < 1.2
+
+
+def test_a_source_is_seen_beside_rows_that_scatter():
+    shots = shots_of(np.random.default_rng(35), beside=8.0, rows=1.0)
+    assert with_and_without(shots, present("row_noise", 1.0))[1] > 8
+
+
+def with_and_without(shots, own):
+    chosen, design, base, setting = opened(shots)
+    look = look_at(chosen, design, base, setting)
+    return [surround_of(chosen, look, account(look, effects)).statistic for effects in ((), (own,))]
 
 
 def test_frames_without_their_surroundings_have_none():

@@ -43,6 +43,12 @@ def test_a_level_that_readings_round_is_known_to_a_number(level):
     assert told["value"] == pytest.approx(320.0, abs=1e-9) and told["stderr"] >= 12**-0.5
 
 
+def test_a_direction_lies_within_one_turn():
+    """A fit may leave it any number of turns on; numbers of a file have nine digits."""
+    own = small.judgement("named", small.ghost, small.present("beam_ellipticity", 1.05, 30.0 - 1000 * 360.0))
+    assert 0 <= parameters_of(own.findings, "beam_ellipticity")["direction"]["value"] < 360
+
+
 @pytest.mark.parametrize("status", ["named", "unknown", "not_assessed"])
 def test_what_the_judgement_says_keeps_the_contract(status, tmp_path):
     """The stage's own dictionary, with table and sentence, as it is written."""

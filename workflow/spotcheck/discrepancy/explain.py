@@ -17,11 +17,16 @@ from spotcheck.discrepancy.noise import (
     FrameFits,
     Observable,
     block_correlation,
+    crossed,
     deviations,
+    frame_fits,
     grained,
+    hottest,
+    pointing_of,
     scatter_of,
 )
 from spotcheck.discrepancy.refit import Latent, Model, Refit, Told, moving, refit
+from spotcheck.discrepancy.shots import Design
 from spotcheck.model.chain import Moments
 from spotcheck.model.effect import Effect, Place, Present
 
@@ -44,6 +49,9 @@ SCATTER = ("brightness", "centre")
 # White noise and the means are fitted in turn, so often at most, until the noise moves by less than this part of its
 # standard error.
 ROUNDS, STILL = 8, 0.2
+# From so many standard deviations on a quantity of the frames scatters clearly; and no granular field brings more than
+# this part of that to the differences between exposures of a site (a tenth where widths differ by a third).
+CLEARLY, APART = 10.0, 0.5
 # Relative step to bend a cost by.
 BEND = 3e-3
 # Of some 30,000 places in a spectrum none is higher by chance, but once in a million sets.
@@ -137,6 +145,9 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     score = fit.score + noise_score + 2 * numbers + _occam(look, fit, component)
     score += 0.0 if "fixed_pattern" in names else look.hot
     sites = look.measured.design.sites
+    if component.get("grain"):
+        hottest_left = hottest(look.measured, component["grain"])
+        seen = [o._replace(value=hottest_left) if o.label == "hot" else o for o in seen]
     pattern = _by_pattern(look.observables, component.get("pixel", 0.0), sites)
     seen = [o for o in seen if not _settled(o, names, fresh, sites, pattern)]
     shared = _shared_variance(look, component, grain, fit)
@@ -329,6 +340,7 @@ def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float
         error = basic * (1 + np.maximum(excess + expected, 0) / floor) + TRUST * np.abs(excess)
         if "grain" in active:
             error = error + form * loads[:, list(active).index("grain")] * found[list(active).index("grain")]
+            error = error + _by_grain(seen, found[list(active).index("grain")], grain)
         if "pixel" in active:
             error = error + again * loads[:, list(active).index("pixel")] * found[list(active).index("pixel")]
         scale = 1 / error[own]
@@ -384,6 +396,19 @@ def _one_draw(look: Look) -> np.ndarray:
     ])  # fmt: skip
 
 
+def _by_grain(seen: Sequence[Observable], variance: float, grain: float) -> np.ndarray:
+    """By how much what the sensor's pixels share is less certain beside a granular field of that relative variance and
+    grain [px]: where two sites' fields are alike, they are so by chance."""
+    out = np.zeros(len(seen))
+    site = next((o for o in seen if o.label == "site"), None)
+    if site is None or not variance:
+        return out
+    for k, o in enumerate(seen):
+        if o.label == "sensor":
+            out[k] = o.error * (crossed(grain, variance / site.floor) - 1)
+    return out
+
+
 def relief(look: Look, own: Account, effect: Effect) -> float:
     """By how much −2 ln L of the noise may fall if a component of variance, or white noise, is added to an account,
     means unchanged; gains and centres of the conditions are not counted."""
@@ -403,8 +428,21 @@ def granular(look: Look, own: Account) -> bool:
     variance = own.component.get("grain", 0.0)
     if not variance:
         return True
-    coarse = at_its_coarsest(own.grain, look.problem.context.sigma_px)
-    return not coarse and not strays(look.measured, float(np.sqrt(variance)))
+    if at_its_coarsest(own.grain, look.problem.context.sigma_px) or strays(look.measured, float(np.sqrt(variance))):
+        return False
+    quantities = [frame_fits(look.measured, "width")]
+    if "gain" not in own.component:
+        quantities.append(_beside_course(look, own.refit.model.present))
+    return all(by_site(fits, look.measured.design) for fits in quantities)
+
+
+def by_site(fits: FrameFits, design: Design) -> bool:
+    """Whether a quantity of the frames scatters as a field of each site has it: alike at all exposures, but for what
+    spots of other widths see of it; true where it scatters too little to say."""
+    (total, sites, _), (apart, rest, _) = scatter_of(fits, design.condition), pointing_of(fits, design)
+    if not rest or total < sites + CLEARLY * np.sqrt(2 * sites):
+        return True
+    return bool(apart / rest - 1 < APART * (total / sites - 1))
 
 
 def _latent(look: Look, component: dict[str, float], grain: float, active: Sequence[str]) -> Latent:
@@ -465,8 +503,9 @@ def _left_over(look: Look, component: dict[str, float], grain: float, expected: 
     out, score = [], 0.0
     granular = loads[:, COMPONENTS.index("grain")] * component.get("grain", 0.0)
     pattern = loads[:, COMPONENTS.index("pixel")] * component.get("pixel", 0.0) * _one_draw(look)
+    crossing = _by_grain(seen, component.get("grain", 0.0), grain)
     for o, own, change, plain, field, again, stripes in zip(
-        seen, excess, expected, _plain(look), granular, pattern, striped, strict=True
+        seen, excess, expected, _plain(look), granular, pattern + crossing, striped, strict=True
     ):
         error = o.error * (1 + max(own + change, 0.0) / o.floor) + TRUST * (abs(own) + abs(change))
         error += (0.0 if o.label == "site" else TRUST_GRAIN) * field + again + stripes

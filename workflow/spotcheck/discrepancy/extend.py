@@ -115,6 +115,10 @@ def investigate(
                 exact = closer_account(near, exact)
                 looks[leader.key] = near
                 good = fits(near, exact)
+        elif not good and own.names != leader.names:
+            # The form that a rival has from there may be the wrong one.
+            exact, _ = best_form(near, exact, lambda _: near)
+            good = fits(near, exact)
         return exact, good
 
     def fits(near: Look, exact: Account) -> bool:

@@ -135,7 +135,7 @@ def measure(
         chip_at = (int(top[k]) - corner[0], int(left[k]) - corner[1]) if common else (0, 0)
         at = (int(top[k] - site_top[site]), int(left[k] - site_left[site]))
         add_frame(  # type: ignore[call-arg]
-            image, *scene, sensor.black_level_dn, sensor.full_scale_dn, dark_variance, sensor.gain_dn_per_e**2, side,
+            image, *scene, sensor.black_level_dn, sensor.full_scale_dn, dark_variance, sensor.gain_dn_per_e, side,
             *(part[k] for part in sums[:14]), sums.pull[site], sums.weight[site], *sums[16:], at, chip_at,
         )  # fmt: skip
         theta = spot_of(k, design, base, sensor)

@@ -161,9 +161,9 @@ def search(look: Look, effects: Sequence[Effect], closer: Closer) -> Naming:
         ranked = grown
     if best is None:
         return Naming(None, [], alone)
-    while best[0][1] and (fewer := _fewer(look, best[0][0], closer)) is not None:
-        best = [(fewer, True)]
-    best = _beside_scatter(look, best, effects, empty, closer)
+    best = _thinned(look, best, closer)
+    beside = _beside_scatter(look, best, effects, empty, closer)
+    best = _thinned(look, beside, closer) if beside is not best else best
     holding = [own for own, good in best if good]
     if holding and len(holding[0].effects) > 1:
         rivals = _rivals(look, holding[0], effects)
@@ -186,6 +186,13 @@ def _beside_scatter(
         return best
     found = _contest(sorted(grown, key=lambda own: own.score), empty, closer)
     return found if found[0][1] else best
+
+
+def _thinned(look: Look, best: list[tuple[Account, bool]], closer: Closer) -> list[tuple[Account, bool]]:
+    """The contest, or alone an account that holds with fewer effects than its best one."""
+    while best[0][1] and (fewer := _fewer(look, best[0][0], closer)) is not None:
+        best = [(fewer, True)]
+    return best
 
 
 def _fewer(look: Look, best: Account, closer: Closer) -> Account | None:

@@ -32,6 +32,11 @@ BOX = 5
 LEAST_PAIRS = 6
 HOT = 7.0
 HOT_GAIN = 0.1
+# No place of a granular field is brighter by more than so many times its contrast, but once in 10⁵ sets: one fully
+# developed pattern has an exponential tail (Goodman, Speckle Phenomena in Optics, 2nd ed., sec. 3.2).
+GRAIN_TAIL = 22.0
+# Frequencies along an axis for `crossed`.
+CROSSED = 64
 # Rings of spatial frequency, over whose mean stripes must rise: fine enough for the steepest spectrum of grain.
 RINGS = 120
 
@@ -113,6 +118,23 @@ def _fine_part(grain: float) -> float:
     line = np.exp(-((u[:, None] - u[None, :]) ** 2) / (2 * grain**2))
     mean, cross = (line.mean()) ** 2, (line[BOX // 2].mean()) ** 2
     return float((1 - 2 * cross + mean) / (1 - 1 / BOX**2))
+
+
+def crossed(grain: float, excess: float) -> float:
+    """By what factor products of the fine structure of two sites scatter more where a field of that grain [px] has
+    `excess` times the power of a pixel's noise.
+
+    # ASSUME: the weight falls off as a Gaussian spot does, so that bright pixels count 4/3 and twice as much.
+    """
+    u = fft.fftfreq(CROSSED)
+    square = u[:, None] ** 2 + u[None, :] ** 2
+    power = np.exp(-2 * (np.pi * grain) ** 2 * square)
+    power *= excess / max(float(power.mean()), 1e-300)
+    box = np.zeros(CROSSED)
+    box[np.arange(BOX) - BOX // 2] = 1 / BOX
+    line = fft.fft(box).real
+    kept = (1 - np.outer(line, line)) ** 4
+    return float(np.sqrt((kept * (1 + 8 / 3 * power + 2 * power**2)).sum() / kept.sum()))
 
 
 def _levels(measured: Measured, cells: Cells, light: np.ndarray, response: np.ndarray) -> list[Observable]:
@@ -232,10 +254,7 @@ def _shared(measured: Measured, squared: float, by_row: float) -> list[Observabl
         out.append(Observable("spectrum", "sensor", None, np.nan, np.nan, "", value, error, 30 * error,
                               _load(pixel=1.0)))  # fmt: skip
     out += _about_the_spot(measured)
-    dark = sums.dark_weight > 0
-    z = np.where(dark, sums.dark_pull / np.sqrt(np.where(dark, sums.dark_weight, 1.0)), 0.0)
-    rough = z - ndimage.median_filter(z, BOX)
-    out.append(Observable("spectrum", "hot", None, np.nan, np.nan, "", float(np.abs(rough).max()), 1.0, 1.0, _load()))
+    out.append(Observable("spectrum", "hot", None, np.nan, np.nan, "", hottest(measured), 1.0, 1.0, _load()))
     return out
 
 
@@ -257,6 +276,13 @@ def _about_the_spot(measured: Measured) -> list[Observable]:
     return [Observable("spectrum", "spot", None, np.nan, np.nan, "", value, error, 30 * error, _load())]
 
 
+def hottest(measured: Measured, grain: float = 0.0) -> float:
+    """By how many standard deviations the oddest dark pixel is off in all frames together, beyond what a granular field
+    of relative variance `grain` brings to faint light: far less than this where sites differ."""
+    off, by_light = _off(measured)
+    return float((np.abs(off) - GRAIN_TAIL * np.sqrt(grain) * by_light).max())
+
+
 def hot_pixels(measured: Measured, prnu: float) -> int:
     """Pixels that are off in all frames alike, far beyond their neighbours and what gains of rms `prnu` bring."""
     return int(np.count_nonzero(hot_field(measured, prnu)))
@@ -270,12 +296,18 @@ def hot_power(measured: Measured) -> float:
 
 def hot_field(measured: Measured, prnu: float) -> np.ndarray:
     """By how much each of them is off [row, column of the window] in DN, 0 elsewhere."""
+    off, by_light = _off(measured)
+    weight = np.where(measured.sums.dark_weight > 0, measured.sums.dark_weight, 1.0)
+    return np.where(np.abs(off) > HOT * np.sqrt(1 + (prnu * by_light) ** 2), off / np.sqrt(weight), 0.0)
+
+
+def _off(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
+    """How far every dark pixel of the window is off its neighbours in all frames together, in standard deviations, and
+    by how much more for each part of its light; 0 elsewhere."""
     sums = measured.sums
-    weight = np.where(sums.dark_weight > 0, sums.dark_weight, 1.0)
-    z = np.where(sums.dark_weight > 0, sums.dark_pull / np.sqrt(weight), 0.0)
-    off = z - ndimage.median_filter(z, BOX)
-    by_gain = prnu**2 * sums.dark_light**2 / weight
-    return np.where(np.abs(off) > HOT * np.sqrt(1 + by_gain), off / np.sqrt(weight), 0.0)
+    root = np.sqrt(np.where(sums.dark_weight > 0, sums.dark_weight, 1.0))
+    z = np.where(sums.dark_weight > 0, sums.dark_pull / root, 0.0)
+    return z - ndimage.median_filter(z, BOX), sums.dark_light / root
 
 
 def _window(measured: Measured, site: int, chip: tuple[int, ...], part: tuple[int, ...]):

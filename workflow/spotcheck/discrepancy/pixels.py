@@ -118,18 +118,19 @@ def awake(image: np.ndarray, scene: Scene, faint_dn: float, side: int) -> Scene:
 
 @compiled
 def add_frame(
-    image, mean, variance, light, shown, black, top, dark_variance, third, side,
+    image, mean, variance, light, shown, black, top, dark_variance, gain, side,
     residual, spread, count, rough, rough_dof, fourth, row, row_weight, row_light, column, column_weight,
     column_light, comb, totals, pull, weight, dark_pull, dark_weight, dark_light, at, chip_at,
 ):  # fmt: skip
     """Add one frame to the sums of `measure.Sums`. `side` is that of a block [px]; `at`, `chip_at` are (row, column) of
     the crop's corner in the windows of the site's and the chip's fields; `black` and `top` are the readings [DN]
-    without light and at the converter's end; `dark_variance` [DN²] that of a reading
-    without light and clips, `third` [DN²] times the light the third moment of shot noise [DN³]."""
+    without light and at the converter's end; `dark_variance` [DN²] is that of a reading without light and clips, and
+    what a reading has beyond it, a pedestal's light included, times the `gain` [DN per electron] the third moment of
+    shot noise."""
     rows, columns = image.shape
     blocks_y, blocks_x = residual.shape
     sums = np.zeros((blocks_x, 12))
-    per_electron, lit = math.sqrt(third), DARK * math.sqrt(dark_variance)
+    lit = DARK * math.sqrt(dark_variance)
     middle = (side - 1) / 2
     for j in range(rows):
         by = j // side
@@ -148,7 +149,7 @@ def add_frame(
             rw = r * w
             own = light[j, k]
             lw = own * w
-            if own < lit or variance[j, k] > FREE * (dark_variance + per_electron * own):
+            if own < lit or variance[j, k] > FREE * (dark_variance + gain * own):
                 row[j] += rw
                 row_weight[j] += w
                 row_light[j] += lw * lw
@@ -188,7 +189,7 @@ def add_frame(
                 sums[b, 8] += v * v
                 sums[b, 9] += z * z * z * z
                 if mean[j, k] > 6 * sd and variance[j, k] > 1:
-                    sums[b, 10] += z * z * z - third * own / (variance[j, k] * sd)
+                    sums[b, 10] += z * z * z - gain * max(variance[j, k] - dark_variance, 0.0) / (variance[j, k] * sd)
                     sums[b, 11] += 1
         if fresh == side - 1 and by < blocks_y:
             for b in range(blocks_x):

@@ -79,19 +79,36 @@ def surround_of(shots: Sequence[Shot], look: Look, own: Account) -> Surround | N
         if total is None:
             total = np.zeros((3, design.conditions, *blocks.mean.shape))
             side = _sides(blocks, shot, crop)
+        off = blocks.mean - _pooled(scene.mean)
+        if "row_noise" in own.names:
+            off, variance = _apart(off, np.where(dark, variance, np.inf), axis=1)
+            dark = np.isfinite(variance)
         c = design.condition[k]
         # A frame's own weight is 1: its blocks differ by little else than the light of the spot.
-        total[0, c] += np.where(dark, blocks.mean - _pooled(scene.mean), 0.0)
+        total[0, c] += np.where(dark, off, 0.0)
         total[1, c] += np.where(dark, variance, 0.0)
         total[2, c] += dark
     assert total is not None  # there are frames
     count = np.maximum(total[2], 1)
     residual = total[0] / count
     variance = np.where(total[2] > 0, total[1] / count**2, np.inf)
+    if "fixed_pattern" in own.names and look.hot:
+        # Hot pixels lie beside the crops as well, and read the same in every condition.
+        residual, variance = _apart(residual, variance, axis=0)
     weight = 1 / variance
     if np.count_nonzero(weight) < LEAST:
         return None
     return Surround(np.where(weight > 0, residual - (weight * residual).sum() / weight.sum(), 0.0), variance, side)
+
+
+def _apart(residual: np.ndarray, variance: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals without what blocks along an axis share, and their variance: inf where a block is the only one."""
+    weight = 1 / variance
+    total = weight.sum(axis=axis, keepdims=True)
+    mean = (weight * residual).sum(axis=axis, keepdims=True) / np.maximum(total, 1e-300)
+    left = 1 - weight / np.maximum(total, 1e-300)
+    alone = (weight == 0) | (left < 1e-9)
+    return residual - mean, np.where(alone, np.inf, variance * np.where(alone, 1.0, left))
 
 
 def _pooled(values: np.ndarray) -> np.ndarray:

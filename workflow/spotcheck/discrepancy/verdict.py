@@ -211,7 +211,9 @@ def _reported(present: Present, errors: Sequence[float | None], sensor: SensorMo
     if present.form in present.effect.rounded:
         values[0] = round(values[0] + sensor.black_level_dn) - sensor.black_level_dn
         errors[0] = float(np.hypot(errors[0] or 0.0, np.sqrt(ROUNDING_VARIANCE)))
-    rows = zip(present.effect.parameters, values, errors, strict=True)
+    # A fit may leave a direction some turns on.
+    turned = [v % 360 if p.unit == "deg" else v for p, v in zip(present.effect.parameters, values, strict=True)]
+    rows = zip(present.effect.parameters, turned, errors, strict=True)
     return {p.name: {"value": float(v), "stderr": _number(e), "unit": p.unit} for p, v, e in rows if not p.inner}
 
 
