@@ -57,8 +57,11 @@ def frames(
     repeats: int = REPEATS,
     after: Callable[[np.ndarray, np.random.Generator], np.ndarray] | None = None,
     seed: int = 4,
+    sensor: SensorModel = SENSOR,
+    rows_dn: float = 0.0,
 ) -> tuple[list[Shot], Base, Setting]:
-    """Random frames with their true base; `after` alters the readings [DN] of a frame."""  # fmt: skip
+    """Random frames with their true base; `after` alters the readings [DN] of a frame, `rows_dn` is the rms of rows'
+    offsets."""  # fmt: skip
     rng = np.random.default_rng(seed)
     known = [t for t in exposures if t is not None]
     baseline = Baseline(0.0, "linear" if known else "free", False, max(known, default=1.0))
@@ -72,12 +75,16 @@ def frames(
                 sigma = float(LAW.p1 * np.log(t) + LAW.p2) if known else 7.0
                 peak = LAW.peak * float(baseline.relative_peak(t, LAW.p1, LAW.p2)) if known else LAW.peak
                 spot = peak * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * sigma**2))
-                image = draw(light(x - x0, y - y0, angle, exposure, sigma, spot), t, SENSOR, rng).astype(float)
+                own = sensor
+                if rows_dn:
+                    offset = rows_dn * rng.standard_normal((SIDE, 1))
+                    own = sensor._replace(black_level_dn=sensor.black_level_dn + offset)
+                image = draw(light(x - x0, y - y0, angle, exposure, sigma, spot), t, own, rng).astype(float)
                 image = after(image, rng) if after else image
                 shots.append(Shot(angle, exposure, repeat, len(shots), (), 0, 0, lambda image=image: image))
                 rows.append((peak, sigma, x0, y0))
     base = Base(*np.array(rows).T, LAW if known else None)
-    return shots, base, Setting(baseline, SENSOR, float(SIDE), ((SIDE - 1) / 2, (SIDE - 1) / 2))
+    return shots, base, Setting(baseline, sensor, float(SIDE), ((SIDE - 1) / 2, (SIDE - 1) / 2))
 
 
 def looked(*arguments: Any, **options: Any) -> tuple[Look, Account]:

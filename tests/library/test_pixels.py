@@ -48,7 +48,7 @@ class Frame(NamedTuple):
     shown: np.ndarray
 
 
-BLACK, TOP, DARK_VARIANCE, GAIN = 20.0, 160.0, 2.5, 0.22
+BLACK, TOP, DARK_VARIANCE, LEAST, GAIN = 20.0, 160.0, 2.5, 0.8, 0.22
 AT, CHIP_AT = (3, 5), (7, 2)
 SITE, CHIP = (60, 70), (80, 66)
 
@@ -82,7 +82,7 @@ def nothing(rows: int, columns: int, side: int) -> Sums:
 
 def added(frame: Frame, side: int, parts: Sums) -> Sums:
     """The library's sums."""
-    add_frame(*frame, BLACK, TOP, DARK_VARIANCE, GAIN, side, *parts, AT, CHIP_AT)
+    add_frame(*frame, BLACK, TOP, DARK_VARIANCE, LEAST, GAIN, side, *parts, AT, CHIP_AT)
     return parts
 
 
@@ -117,11 +117,12 @@ def plainly(frame: Frame, side: int) -> Sums:
     # Light whose noise a level cuts speaks in blocks alone.
     cut = (light >= 6 * np.sqrt(DARK_VARIANCE)) & (variance <= FREE * (DARK_VARIANCE + GAIN * light))
     assert 0 < np.sum(used & cut) < np.sum(used)
+    assert np.sum(used & (variance <= LEAST)) > 0
     everything, used = used, used & ~cut
     r, w, mu = (np.where(used, own, 0.0) for own in (r, w, mu))
     for axis, line in ((1, ("row", "row_weight", "row_light")), (0, ("column", "column_weight", "column_light"))):
         for name, value in zip(line, (r * w, w, (mu * w) ** 2), strict=True):
-            getattr(out, name)[:] = value.sum(axis=axis)
+            getattr(out, name)[:] = np.where(variance > LEAST, value, 0.0).sum(axis=axis)
     out.totals[0] = np.sum(used & (np.abs(r) > OUTLIER * np.sqrt(np.maximum(variance, DARK_VARIANCE))))
     nu = np.where(used, shown, 0.0)
     out.totals[3:] = ((nu * r * w) ** 2).sum(), ((nu * nu * w) ** 2).sum(), ((nu * w) ** 2).sum()
@@ -214,7 +215,7 @@ def test_sums_of_a_true_model():
     # Nine tenths of the light are a pedestal's, which is no light of the spot.
     frame = Frame(image, light, 2.0 * light, light / 10, light / 10)
     parts = nothing(256, 256, 8)._replace(**{name: np.zeros((300, 300)) for name in Sums._fields[14:]})
-    add_frame(*frame, 0.0, 1e4, 1.0, 2.0, 8, *parts, (0, 0), (0, 0))
+    add_frame(*frame, 0.0, 1e4, 1.0, 0.0, 2.0, 8, *parts, (0, 0), (0, 0))
     n = 256**2
     # χ² of n degrees of freedom, five standard errors √(2n); kurtosis √(96/n); skewness √(15/n).
     assert abs(parts.rough.sum() - parts.rough_dof.sum()) < 5 * np.sqrt(2 * n)
@@ -223,7 +224,7 @@ def test_sums_of_a_true_model():
     assert abs(parts.totals[1] / n) < 5 * np.sqrt(15 / n) + 3 / 64 * 2 / np.sqrt(450)
     # A skew of 1/√ν that the model does not know of is seen: here 0.047.
     blind = nothing(256, 256, 8)._replace(**{name: np.zeros((300, 300)) for name in Sums._fields[14:]})
-    add_frame(*frame, 0.0, 1e4, 1.0, 0.0, 8, *blind, (0, 0), (0, 0))
+    add_frame(*frame, 0.0, 1e4, 1.0, 0.0, 0.0, 8, *blind, (0, 0), (0, 0))
     assert blind.totals[1] / n == pytest.approx(1 / np.sqrt(450), abs=5 * np.sqrt(15 / n))
 
 

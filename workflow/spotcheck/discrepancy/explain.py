@@ -538,8 +538,9 @@ def _settled(o: Observable, names: set[str], fresh: bool, sites: int, by_pattern
     marked = {
         # At one site a granular field is the same in all frames, as a pixel's offset is.
         "hot": {"fixed_pattern", "row_noise"} | ({"speckle"} if sites == 1 else set()),
-        # Clipped noise is skewed and has tails of its own; so has a granular field, so have hot pixels.
-        "skewness": {"saturation", "black_clipping", "nonlinearity", "speckle", "fixed_pattern"},
+        # Clipped noise is skewed and has tails of its own; so has a granular field, so have hot pixels; pixels of a
+        # row share what it got.
+        "skewness": {"saturation", "black_clipping", "nonlinearity", "speckle", "fixed_pattern", "row_noise"},
         "outliers": {"saturation", "black_clipping", "speckle", "fixed_pattern", "row_noise"},
         # What sites or rows share adds up as stripes would.
         "stripes": {"fixed_pattern", "row_noise"},

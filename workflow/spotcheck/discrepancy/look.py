@@ -58,7 +58,7 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     given = np.stack([gain, base.x0 - common.x0, base.y0 - common.y0], axis=1)
     given[:, 1:] += before.measured.given[:, 1:]
     felt = _felt(setting, model.present)
-    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt)
+    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt, _rows(model.present))
     measured = measured._replace(given=given, waves=waves)
     model = model._replace(present=tuple(_with_depth(own, measured) for own in model.present))
     # The base has moved: no shift is left.
@@ -92,9 +92,9 @@ def _seen(measured: Measured, setting: Setting, model: Model | None) -> Look:
     at = pooled(problem.at_start.mean) - setting.sensor.black_level_dn
     fits = frame_fits(measured, "brightness")
     present = problem.start.present
-    row = max((own.values[0] for own in present if own.effect.name == "row_noise"), default=0.0)
-    response = offset_response(problem.light(problem.start), _felt(setting, present), row)
-    seen = observables(measured, cells, at, response, setting.baseline.top_hat)
+    shone = problem.light(problem.start)
+    response = offset_response(shone, _felt(setting, present), _rows(present))
+    seen = observables(measured, cells, at, shone, response, setting.baseline.top_hat)
     return Look(setting, measured, cells, problem, at, response, seen, fits, hot_power(measured))
 
 
@@ -104,6 +104,11 @@ def _felt(setting: Setting, present: Sequence[Present]) -> SensorModel:
     for own in present:
         read = own.apply(read) if own.effect.place is Place.NOISE else read
     return setting.sensor._replace(read_noise_e=float(np.sqrt(read)))
+
+
+def _rows(present: Sequence[Present]) -> float:
+    """Rms [DN] of the offsets that rows get."""
+    return max((own.values[0] for own in present if own.effect.name == "row_noise"), default=0.0)
 
 
 def held_blocks(design: Design, shape: tuple[int, ...]) -> np.ndarray:

@@ -17,6 +17,8 @@ from spotcheck.model.spot import TOP_HAT_LEVEL
 BLOCKS = 30
 # Light above so many times (1 DN and its noise in the dark) is read as it is, unless the model says otherwise.
 FAINT = 16.0
+# A pixel whose readings scatter by less than this part of the dark's variance hardly ever shows any.
+SILENCED = 0.2
 # Crops that lie further apart than this [px] share no pixel worth the memory of a common window.
 LARGEST_WINDOW = 2048
 
@@ -92,9 +94,11 @@ def measure(
     sensor: SensorModel,
     expect: Callable[[int], Scene] | None = None,
     felt: SensorModel | None = None,
+    rows_dn: float = 0.0,
 ) -> Measured:
     """One pass over every frame, about the base model or what `expect` says of a frame; `felt` is the sensor with the
-    noise that the model gives it, where that is another than the data sheet's."""
+    noise that the model gives it, where that is another than the data sheet's, and `rows_dn` the rms of what its rows
+    get."""
     rows, columns = shots[0].pixels().shape
     count, side = len(shots), block_side(min(rows, columns))
     blocks = (count, rows // side, columns // side)
@@ -122,10 +126,14 @@ def measure(
     felt = felt or sensor
     dark_noise = felt.gain_dn_per_e * felt.read_noise_e
     dark_variance = dark_noise**2 + ROUNDING_VARIANCE
+    # Where a dead zone silences nearly all readings, a line's sum is that of a few rare ones and no normal number.
+    least = 0.0 if expect is None else SILENCED * dark_variance
     if expect is None:
         law = law_of(sensor)
     else:
-        table = table_of(felt, FAINT * (1 + dark_noise))
+        # Readings of all rows together: what black cuts of them follows light by the wider law.
+        wide = felt._replace(read_noise_e=float(np.hypot(felt.read_noise_e, rows_dn / felt.gain_dn_per_e)))
+        table = table_of(wide, FAINT * (1 + felt.gain_dn_per_e * wide.read_noise_e))
         slope = np.gradient(table.mean, felt.gain_dn_per_e * table.step_e)
     score, information = np.zeros((count, 7)), np.zeros((count, 7, 7))
     for k, shot in enumerate(shots):
@@ -135,7 +143,8 @@ def measure(
         chip_at = (int(top[k]) - corner[0], int(left[k]) - corner[1]) if common else (0, 0)
         at = (int(top[k] - site_top[site]), int(left[k] - site_left[site]))
         add_frame(  # type: ignore[call-arg]
-            image, *scene, sensor.black_level_dn, sensor.full_scale_dn, dark_variance, sensor.gain_dn_per_e, side,
+            image, *scene, sensor.black_level_dn, sensor.full_scale_dn, dark_variance, least,
+            sensor.gain_dn_per_e, side,
             *(part[k] for part in sums[:14]), sums.pull[site], sums.weight[site], *sums[16:], at, chip_at,
         )  # fmt: skip
         theta = spot_of(k, design, base, sensor)

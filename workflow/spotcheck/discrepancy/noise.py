@@ -59,14 +59,14 @@ class Observable(NamedTuple):
 
 
 def observables(
-    measured: Measured, cells: Cells, light: np.ndarray, response: np.ndarray, top_hat: bool
+    measured: Measured, cells: Cells, light: np.ndarray, shone: np.ndarray, response: np.ndarray, top_hat: bool
 ) -> list[Observable]:
-    """All observables; `light` [condition, row, column] is the model's at the blocks, `response` what a reading there
-    follows of an offset."""
+    """All observables; `light` [condition, row, column] is what the model reads at the blocks above black, `shone` what
+    it has there before black cuts and without a pedestal, `response` what a reading there follows of an offset."""
     out = _levels(measured, cells, light, response)
     out += _fields(measured, light, response)
     out += _lines(measured, response)
-    out += _frames(measured, light, response, top_hat)
+    out += _frames(measured, shone, response, top_hat)
     out += _readings(measured)
     return [o for o in out if np.isfinite(o.value) and np.isfinite(o.error) and np.isfinite(o.load).all()]
 

@@ -118,7 +118,7 @@ def awake(image: np.ndarray, scene: Scene, faint_dn: float, side: int) -> Scene:
 
 @compiled
 def add_frame(
-    image, mean, variance, light, shown, black, top, dark_variance, gain, side,
+    image, mean, variance, light, shown, black, top, dark_variance, least, gain, side,
     residual, spread, count, rough, rough_dof, fourth, row, row_weight, row_light, column, column_weight,
     column_light, comb, totals, pull, weight, dark_pull, dark_weight, dark_light, at, chip_at,
 ):  # fmt: skip
@@ -126,7 +126,7 @@ def add_frame(
     the crop's corner in the windows of the site's and the chip's fields; `black` and `top` are the readings [DN]
     without light and at the converter's end; `dark_variance` [DN²] is that of a reading without light and clips, and
     what a reading has beyond it, a pedestal's light included, times the `gain` [DN per electron] the third moment of
-    shot noise."""
+    shot noise; a pixel of `least` variance [DN²] or less has no part in the sums of lines."""
     rows, columns = image.shape
     blocks_y, blocks_x = residual.shape
     sums = np.zeros((blocks_x, 12))
@@ -150,12 +150,13 @@ def add_frame(
             own = light[j, k]
             lw = own * w
             if own < lit or variance[j, k] > FREE * (dark_variance + gain * own):
-                row[j] += rw
-                row_weight[j] += w
-                row_light[j] += lw * lw
-                column[k] += rw
-                column_weight[k] += w
-                column_light[k] += lw * lw
+                if variance[j, k] > least:
+                    row[j] += rw
+                    row_weight[j] += w
+                    row_light[j] += lw * lw
+                    column[k] += rw
+                    column_weight[k] += w
+                    column_light[k] += lw * lw
                 # Where black cuts the law of a reading its tail is that of the noise before the cut.
                 before_cut = 1 / max(variance[j, k], dark_variance)
                 if r * r * before_cut > OUTLIER * OUTLIER:
