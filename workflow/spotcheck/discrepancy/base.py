@@ -40,9 +40,19 @@ class Base(NamedTuple):
 
 
 def spots_of(shots: Sequence[Shot], sensor: SensorModel, top_hat: bool) -> np.ndarray:
-    """A round spot for every frame, each fitted alone [frame, (peak, x0, y0, σ, trusted)]."""
-    fits = [fit_spots(shot.pixels()[None], sensor, top_hat=top_hat, circular=True) for shot in shots]
-    return np.array([(*fit.value[0, :4], fit.status[0] == 0) for fit in fits], float)
+    """A round spot for every frame, each fitted alone [frame, (peak, x0, y0, σ, trusted)].
+
+    By the sensor's law, or by least squares where that has no root: noise may be far above the data sheet's.
+    """
+    out = []
+    for shot in shots:
+        image = shot.pixels()[None]
+        fits = (
+            fit_spots(image, sensor, weighting=own, top_hat=top_hat, circular=True) for own in ("likelihood", "equal")
+        )
+        fit = next((fit for fit in fits if fit.status[0] == 0), None)
+        out.append([np.nan] * 4 + [0.0] if fit is None else [*fit.value[0, :4], 1.0])
+    return np.array(out)
 
 
 def base_of(spots: np.ndarray, corners: np.ndarray, design: Design, baseline: Baseline, crop_px: int) -> Base | None:
