@@ -8,7 +8,7 @@ READY  := .venv/.ready
 BENCH  := .venv-bench
 CHECK  := results/check
 
-.PHONY: all test lint check-numbers bench blind blind-times real snakemake-report lock lock-bench clean
+.PHONY: all test lint check-numbers bench blind blind-times second real snakemake-report lock lock-bench clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
@@ -60,6 +60,10 @@ blind: $(READY)
 # Times of the whole command, for the same table; nothing else should run beside it.
 blind-times: $(READY)
 	$(BIN)/python -m tests.blind.times
+
+# Hidden effects by a generator that shares nothing with the rig: SECOND="--sets 40" for fewer sets; table in results/blind/.
+second: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.second.judge --workers $(CORES) $(SECOND)
 
 # Pages of real frames: beams, each judged alone and with a known effect put into its readings; a CCD by flats and darks beside
 # the standard's own package. Needs the frames beside the repository. REAL=--write puts them into workflow/docs/.
