@@ -359,6 +359,11 @@ def test_brightness_laws():
     np.testing.assert_allclose(
         settling.apply(VIEW)[:, 0, 0], 1 + 0.3 * (1 - np.exp(-2.5 * places)) / (1 - np.exp(-2.5))
     )
+    # By equal factors, and as straight as a rate of 0 says.
+    grown = of("laser_drift", "settling", total=0.3, rate=-np.log(1.3)).present().apply(VIEW)[:, 0, 0]
+    np.testing.assert_allclose(grown, 1.3**places, rtol=1e-12)
+    straight = of("laser_drift", "settling", total=0.3, rate=0.0).present().apply(VIEW)[:, 0, 0]
+    np.testing.assert_allclose(straight, 1 + 0.3 * places, rtol=1e-6)
     # Frames of one condition: the mean of the course, not the course of the mean; NaN is no frame.
     many = VIEW._replace(order=np.array([[[0.1, 0.5, 0.9]], [[0.2, 0.4, np.nan]]]))
     alone = [settling.apply(VIEW._replace(order=np.full((1, 1, 1), u)))[0, 0, 0] for u in (0.1, 0.5, 0.9, 0.2, 0.4)]

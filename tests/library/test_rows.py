@@ -44,3 +44,8 @@ def test_lines_that_a_dead_zone_silences():
     left, _ = near(present("black_clipping", 7.5, form="dead zone"), after=silenced, repeats=12)
     for label in ("rows of a frame", "columns of a frame"):
         assert abs(left[label].value) < 4 * left[label].error, label
+
+
+def test_what_smears_along_a_column_may_carry_its_noise():
+    left, _ = near(present("smear", 0.1))
+    assert "columns of a frame" not in left and "rows of a frame" in left

@@ -544,6 +544,8 @@ def _settled(o: Observable, names: set[str], fresh: bool, sites: int, by_pattern
         "outliers": {"saturation", "black_clipping", "speckle", "fixed_pattern", "row_noise"},
         # What sites or rows share adds up as stripes would.
         "stripes": {"fixed_pattern", "row_noise"},
+        # What smears along a column may carry its noise.
+        "columns of a frame": {"smear"},
     }
     return bool(names & marked.get(o.label, set())) or (
         fresh and o.label in ("stripes", "spot", "outliers", "skewness")
