@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 from spotcheck.discrepancy.cells import pooled
 from spotcheck.discrepancy.explain import account
 from spotcheck.discrepancy.extend import about, closer_account
-from spotcheck.discrepancy.look import look_at
+from spotcheck.discrepancy.look import look_again, look_at
 from spotcheck.discrepancy.pixels import CERTAIN
 from spotcheck.discrepancy.refit import NOTHING, Told, refit
 from spotcheck.discrepancy.shots import design_of
@@ -169,6 +169,18 @@ def test_where_noise_is_clipped_readings_count_no_more_than_what_is_certain():
     variance = look.problem.variance(at, NOTHING)[above]
     want = look.cells.variance[above] * CERTAIN / look.problem.variance_start[above]
     np.testing.assert_allclose(variance, want, rtol=1e-12)
+
+
+def test_a_level_that_stops_noise_too_is_told_by_readings_that_repeat():
+    """About a clip at a reading of 400 a closer look leaves all pixels out that read it: no other lies above it, and
+    nothing but they could say that it is no higher. Within the half DN that rounding hides."""
+    shots, base, setting = frames(after=lambda image, rng: np.minimum(image, 400.0))
+    look = look_at(shots, design_of(shots), base, setting)
+    first = account(look, [present("saturation", 380.0, 0.03, form="sharp with noise")])
+    near = look_again(shots, look, first.refit.model, first.latent)
+    assert near.problem.used.sum() < look.problem.used.sum()
+    own = account(near, [present("saturation", 450.0, 0.03, form="sharp with noise")])
+    assert own.refit.model.present[0].values[0] == pytest.approx(400 - SENSOR.black_level_dn, abs=0.5)
 
 
 @pytest.mark.parametrize("name, values, more", [("dark_offset", (0.1,), 1), ("ghost_reflection", (0.01, 9.0, 5.0), 3),

@@ -29,6 +29,7 @@ from spotcheck.discrepancy.refit import Latent, Model, Refit, Told, moving, refi
 from spotcheck.discrepancy.shots import Design
 from spotcheck.model.chain import Moments
 from spotcheck.model.effect import Effect, Place, Present
+from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 # Which component of variance an effect is.
 COMPONENT = {
@@ -268,9 +269,14 @@ def _beside_course(look: Look, present: Sequence[Present]) -> FrameFits:
 
 def _told(look: Look, present: Sequence[Present]) -> list[Told]:
     """What the brightness of the frames of a condition tells of an effect that acts frame by frame: means of conditions
-    lose it."""
+    lose it. And where the look's own model stops noise and all, that pixels repeat one number, for which they are left
+    out, tells the level to rounding."""
     condition, out = look.measured.design.condition, []
+    about = {(p.effect.name, p.form): p.values for p in look.problem.start.present}
     for k, own in enumerate(present):
+        if own.form in own.effect.rounded and len(moving(own.effect, own.form)) == 1:
+            if level := about.get((own.effect.name, own.form)):
+                out.append(Told(k, np.array(level[:1]), np.array([[1 / ROUNDING_VARIANCE]])))
         if "order" not in own.effect.needs:
             continue
         free = moving(own.effect, own.form)
