@@ -65,7 +65,7 @@ def outcome(effects: tuple[str, ...], verdict: dict[str, Any]) -> str:
     if not effects:
         return {"consistent": "right", "unknown": "unknown"}.get(verdict["status"], "wrong")
     if effects[0].startswith("outside:"):
-        return "wrong" if names else {"unknown": "right", "consistent": "unseen"}[verdict["status"]]
+        return "wrong" if names else {"unknown": "right", "consistent": "unseen"}.get(verdict["status"], "wrong")
     if not names:
         return {"consistent": "unseen"}.get(verdict["status"], "unknown")
     if verdict["status"] == "named":
@@ -101,7 +101,7 @@ def table(done: list[dict[str, Any]]) -> str:
         f"| {kind} | {sum(own.values())} | {' | '.join(str(own[name]) for name in OUTCOMES)} |"
         for kind, own in sorted(kinds.items())
     ]
-    return head + "\n".join(rows) + "\n\n" + "\n".join(map(said, done)).strip() + "\n"
+    return head + "\n".join(rows) + "\n\n" + "\n".join(filter(None, map(said, done))) + "\n"
 
 
 def said(record: dict[str, Any]) -> str:
@@ -128,12 +128,14 @@ def main() -> None:
     jobs = [job for job, _ in zip(plan(args.first), range(args.sets), strict=False) if job.seed not in seen]
     writer = records.Writer(path)
     # Fresh processes: no threads of the parent, no half-filled caches.
-    with ProcessPoolExecutor(args.workers, multiprocessing.get_context("spawn")) as pool:
-        for number, record in enumerate(pool.map(partial(judged, calibrations=laws), jobs), 1):
-            writer.add(record)
-            done.append(record)
-            print(f"{number} of {len(jobs)}: {said(record) or record['job']['effects']}", flush=True)
-    writer.close()
+    try:
+        with ProcessPoolExecutor(args.workers, multiprocessing.get_context("spawn")) as pool:
+            for number, record in enumerate(pool.map(partial(judged, calibrations=laws), jobs), 1):
+                writer.add(record)
+                done.append(record)
+                print(f"{number} of {len(jobs)}: {said(record) or record['job']['effects']}", flush=True)
+    finally:
+        writer.close()
     text = table(done)
     (folder / "second.md").write_text(text, encoding="utf-8")
     print(text)

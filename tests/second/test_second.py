@@ -53,6 +53,7 @@ def verdict(status, *explanations):
         (("outside:donut",), verdict("unknown"), "right"),
         (("outside:donut",), verdict("consistent"), "unseen"),
         (("outside:donut",), verdict("named", ["super_gaussian"]), "wrong"),
+        (("outside:donut",), verdict("not_assessed"), "wrong"),
     ],
 )
 def test_what_becomes_of_a_set(effects, own, expected):
