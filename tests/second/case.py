@@ -49,7 +49,7 @@ class Effect:
     """One hidden effect. `at(s)` turns a strength s into the contract's parameters; the rest fixes its form.
 
     `unknowns` counts the random numbers hidden in its realisation (0: deterministic). `stage` and `hook` belong to
-    mechanisms outside the vocabulary, which act through `Case.apply`. `floor` is the least s of a strong case, for
+    mechanisms outside the vocabulary, which act through `Case.apply`. `floor` is the least s, for
     effects that hardly move the mean; `variance(s)` is the factor on the shot-noise variance.
     """
 

@@ -13,7 +13,7 @@ from tests.second.strength import Refit, fit_under_full_scale, tune
 from tests.second.write import instrument, write_dataset
 
 
-def hide(case: Case, names: list[str], strength: str) -> tuple[list[dict[str, object]], dict[str, float]]:
+def hide(case: Case, names: list[str]) -> tuple[list[dict[str, object]], dict[str, float]]:
     """Draw the named effects into the case, each tuned by itself. Returns their truths, and that of all together."""
     refit = Refit(case)
     truths = []
@@ -22,7 +22,7 @@ def hide(case: Case, names: list[str], strength: str) -> tuple[list[dict[str, ob
         outside = name.startswith("outside:")
         effect = (MECHANISMS[name.removeprefix("outside:")] if outside else VOCABULARY[name])(case, rng)
         effect.name = name
-        strengths = tune(refit, effect, strength, rng)
+        strengths = tune(refit, effect, rng)
         case.effects[name] = effect
         truths.append({"name": name, "form": effect.form, "strength": strengths})
     fit_under_full_scale(case)
@@ -33,15 +33,14 @@ def hide(case: Case, names: list[str], strength: str) -> tuple[list[dict[str, ob
     return truths, together
 
 
-def write_case(seed: int, names: list[str], design: str, strength: str, folder: Path) -> dict[str, object]:
+def write_case(seed: int, names: list[str], design: str, folder: Path) -> dict[str, object]:
     """Draw effects (or `outside:KIND`) into a case, write it as a dataset folder, and return the truth."""
     case = draw_case(seed, design, names)
-    effects, together = hide(case, names, strength)
+    effects, together = hide(case, names)
     write_dataset(case, folder)
     return {
         "seed": seed,
         "design": design,
-        "strength": strength,
         "effects": effects,
         "together": together,
         "frame_px": case.size,

@@ -78,7 +78,7 @@ def judged(job: Job, calibrations: Path) -> dict[str, Any]:
     """Draw and judge one set; an exception is an outcome like others."""
     with tempfile.TemporaryDirectory(prefix="spotcheck-second-") as base:
         folder, out = Path(base, f"set{job.seed}"), Path(base, "results")
-        truth = write_case(job.seed, list(job.effects), job.design, "strong", folder)
+        truth = write_case(job.seed, list(job.effects), job.design, folder)
         try:
             by_subcommands(folder, out, calibrations, NULL_COUNT, NULL_SEED)
         except Exception as error:

@@ -10,8 +10,8 @@ from tests.second.optics import budget, light
 from tests.second.sensor import expose, read_out, variance
 
 STRIDE = 2
-TARGETS = {"faint": (5.0, 15.0), "mid": (25.0, 36.0), "strong": (150.0, 400.0)}  # signal-to-noise after the refit
-STRONG_RMS = (0.6, 2.0)  # % of the peak, what is left of a strong effect after the refit
+TARGET = (150.0, 400.0)  # signal-to-noise after the refit
+LEFT = (0.6, 2.0)  # % of the peak, what is left of an effect after the refit
 HEADROOM = 0.92  # highest light plus black level, of full scale
 
 
@@ -112,25 +112,24 @@ class Refit:
         }
 
 
-def tune(refit: Refit, effect: Effect, strength: str, rng: np.random.Generator) -> dict[str, object]:
-    """Set the effect's strength: the wanted signal-to-noise, and for `strong` also a size far above 0.2 % of the peak.
+def tune(refit: Refit, effect: Effect, rng: np.random.Generator) -> dict[str, object]:
+    """Set the effect's strength: a signal-to-noise ratio of `TARGET`, and a size far above 0.2 % of the peak.
 
     Returns what was measured, and whether the target was met within the effect's own limits.
     """
-    low, high = TARGETS[strength]
-    target, size = float(np.exp(rng.uniform(np.log(low), np.log(high)))), rng.uniform(*STRONG_RMS)
-    floor = effect.floor if strength == "strong" else 0.0
-    effect.s = max(effect.start, floor)
+    low, high = TARGET
+    target, size = float(np.exp(rng.uniform(np.log(low), np.log(high)))), rng.uniform(*LEFT)
+    effect.s = max(effect.start, effect.floor)
     for attempt in range(7):
         found = refit.measure(refit.case.only(effect), effect.unknowns)
         wanted = target / max(found["snr_detect"], 1e-6)
-        if strength == "strong" and found["snr_variance"] < found["snr_refit"]:
+        if found["snr_variance"] < found["snr_refit"]:
             wanted = max(wanted, size / max(found["rms_after_refit_percent_of_peak"], 1e-9))
-        step = float(np.clip(effect.s * np.clip(wanted, 0.1, 10) ** 0.9, floor, effect.cap))
+        step = float(np.clip(effect.s * np.clip(wanted, 0.1, 10) ** 0.9, effect.floor, effect.cap))
         if attempt == 6 or abs(np.log(wanted)) < 0.15 or abs(step / effect.s - 1) < 0.02:
             break
         effect.s = step
-    met = low <= 1.15 * found["snr_detect"] and (strength == "strong" or found["snr_detect"] <= 1.15 * high)
+    met = low <= 1.15 * found["snr_detect"]
     return {"target": target, "met": bool(met), **found}
 
 

@@ -14,7 +14,7 @@ from tests.second.outside import MECHANISMS
 
 @pytest.mark.parametrize("names", [[], ["saturation"], ["speckle", "dark_offset"], ["outside:donut"]])
 def test_a_folder_keeps_the_contract_and_a_seed_its_frames(tmp_path, names):
-    truths = [write_case(FIRST - 1, names, "one_site", "strong", tmp_path / folder) for folder in "ab"]
+    truths = [write_case(FIRST - 1, names, "one_site", tmp_path / folder) for folder in "ab"]
     found = dataset.load(str(tmp_path / "a"))
     assert len(found.frames) == 3 and found.instrument.sensor.bit_depth == 10
     one, other = (sorted((tmp_path / folder / "frames").iterdir()) for folder in "ab")
