@@ -35,9 +35,10 @@ def told_truth(judgement: Judgement, truth: dict[str, Any], shots: Sequence[Shot
     if len(entries) == 1 and entries[0]["snr"] >= STRONG:
         out["isolation"] = isolation_of(found, own)
     if found.explanations:
-        out["closed"] = closed_by(found, own, shots)
         near = about(shots_of_discovery(shots), found.look, own)
-        best = found._replace(best=(near, closer_account(near, own)))
+        exact = closer_account(near, own)
+        out["closed"] = closed_by(found, own, exact, shots)
+        best = found._replace(best=(near, exact))
         out["parameters"] = {name: parameters_of(best, name) for name in own.names}
     return out
 
@@ -74,12 +75,12 @@ def _presents(look: Look, entry: dict[str, Any]) -> list[Present]:
     return [Present(effect, form, own) for form in forms for own in dict.fromkeys(values)]
 
 
-def closed_by(found: Findings, own: Account, shots: Sequence[Shot]) -> float | None:
-    """Part of the gap on unseen data that the account closes."""
+def closed_by(found: Findings, own: Account, exact: Account, shots: Sequence[Shot]) -> float | None:
+    """Part of the gap on unseen data that the account closes, at a first and at a closer look."""
     whole = design_of(shots)
     out = np.flatnonzero(held_out(whole.repeat))
     unseen = [shots[int(k)] for k in out]
-    gap = verify(found.look, found.base, [own], unseen, whole.take(out) if len(out) else None)
+    gap = verify(found.look, found.base, [own], unseen, whole.take(out) if len(out) else None, exact)
     return float(gap.closed) if np.isfinite(gap.closed) else None
 
 

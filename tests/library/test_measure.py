@@ -120,6 +120,19 @@ def test_dark_pixels_that_all_read_more_are_heard():
     assert (awake(image, scene, 1.0, 8).variance[:8, :8] == CERTAIN).all()
 
 
+def test_lit_pixels_that_scatter_are_heard():
+    """Where a model stops noise at a level: a block of 64 px speaks from a sum of squares of 4 · 0.12 · (64 + 8) = 34.6
+    DN² on, though its mean is right; every sixth pixel one code lower, as a variance near `CERTAIN` brings, stays
+    silent, and so do the other blocks."""
+    scene = dark_scene()._replace(light=np.full((32, 32), 90.0), mean=np.full((32, 32), 100.0))
+    image = np.full((32, 32), 100.0)
+    image.flat[::6] = 99.0
+    assert awake(image, scene, 1.0, 8).variance.max() < CERTAIN
+    image[8:16, 8:16] = 100 + np.resize([1.0, -1.0], (8, 8))
+    heard = awake(image, scene, 1.0, 8).variance >= CERTAIN
+    assert heard[8:16, 8:16].all() and heard.sum() == 64
+
+
 def test_pixels_beyond_the_last_block_stay_silent():
     """Blocks of 8 px leave two rows and columns of 34."""
     scene = Scene(*(np.pad(own, (0, 2), mode="edge") for own in dark_scene()))

@@ -12,6 +12,7 @@ from spotcheck.discrepancy.pixels import (
     CODE_VARIANCE,
     CODES,
     FREE,
+    JUMP,
     OUTLIER,
     STEP_DN,
     add_frame,
@@ -48,7 +49,7 @@ class Frame(NamedTuple):
     shown: np.ndarray
 
 
-BLACK, TOP, DARK_VARIANCE, LEAST, GAIN = 20.0, 160.0, 2.5, 0.8, 0.22
+BLACK, TOP, DARK_VARIANCE, LEAST, ZONE, GAIN = 20.0, 160.0, 2.5, 0.8, 25.0, 0.22
 AT, CHIP_AT = (3, 5), (7, 2)
 SITE, CHIP = (60, 70), (80, 66)
 
@@ -82,7 +83,7 @@ def nothing(rows: int, columns: int, side: int) -> Sums:
 
 def added(frame: Frame, side: int, parts: Sums) -> Sums:
     """The library's sums."""
-    add_frame(*frame, BLACK, TOP, DARK_VARIANCE, LEAST, GAIN, side, *parts, AT, CHIP_AT)
+    add_frame(*frame, BLACK, TOP, DARK_VARIANCE, LEAST, ZONE, GAIN, side, *parts, AT, CHIP_AT)
     return parts
 
 
@@ -118,19 +119,23 @@ def plainly(frame: Frame, side: int) -> Sums:
     cut = (light >= 6 * np.sqrt(DARK_VARIANCE)) & (variance <= FREE * (DARK_VARIANCE + GAIN * light))
     assert 0 < np.sum(used & cut) < np.sum(used)
     assert np.sum(used & (variance <= LEAST)) > 0
+    # Some readings pass the end of the dead zone; what they are off counts four standard deviations.
+    silent = mean < ZONE + JUMP * np.sqrt(DARK_VARIANCE + GAIN * ZONE)
+    noise = np.maximum(DARK_VARIANCE, np.where(silent, (ZONE / JUMP) ** 2, 0.0))
+    assert 0 < np.sum(used & silent) < np.sum(used)
     everything, used = used, used & ~cut
     r, w, mu = (np.where(used, own, 0.0) for own in (r, w, mu))
     for axis, line in ((1, ("row", "row_weight", "row_light")), (0, ("column", "column_weight", "column_light"))):
         for name, value in zip(line, (r * w, w, (mu * w) ** 2), strict=True):
             getattr(out, name)[:] = np.where(variance > LEAST, value, 0.0).sum(axis=axis)
-    out.totals[0] = np.sum(used & (np.abs(r) > OUTLIER * np.sqrt(np.maximum(variance, DARK_VARIANCE))))
+    out.totals[0] = np.sum(used & (np.abs(r) > OUTLIER * np.sqrt(np.maximum(variance, noise))))
     nu = np.where(used, shown, 0.0)
     out.totals[3:] = ((nu * r * w) ** 2).sum(), ((nu * nu * w) ** 2).sum(), ((nu * w) ** 2).sum()
     site = (slice(AT[0], AT[0] + rows), slice(AT[1], AT[1] + columns))
     chip = (slice(CHIP_AT[0], CHIP_AT[0] + rows), slice(CHIP_AT[1], CHIP_AT[1] + columns))
     out.pull[site], out.weight[site] = nu * r * w, nu * nu * w
     # What is hot is asked of the noise before black cuts it.
-    before = np.minimum(w, 1 / DARK_VARIANCE)
+    before = np.minimum(w, 1 / noise)
     out.dark_pull[chip], out.dark_weight[chip], out.dark_light[chip] = r * before, before, mu * before
     known = np.nan_to_num(image)
     lit = everything & (known > CODE_FLOOR) & (known < TOP)
@@ -215,7 +220,7 @@ def test_sums_of_a_true_model():
     # Nine tenths of the light are a pedestal's, which is no light of the spot.
     frame = Frame(image, light, 2.0 * light, light / 10, light / 10)
     parts = nothing(256, 256, 8)._replace(**{name: np.zeros((300, 300)) for name in Sums._fields[14:]})
-    add_frame(*frame, 0.0, 1e4, 1.0, 0.0, 2.0, 8, *parts, (0, 0), (0, 0))
+    add_frame(*frame, 0.0, 1e4, 1.0, 0.0, 0.0, 2.0, 8, *parts, (0, 0), (0, 0))
     n = 256**2
     # χ² of n degrees of freedom, five standard errors √(2n); kurtosis √(96/n); skewness √(15/n).
     assert abs(parts.rough.sum() - parts.rough_dof.sum()) < 5 * np.sqrt(2 * n)
@@ -224,7 +229,7 @@ def test_sums_of_a_true_model():
     assert abs(parts.totals[1] / n) < 5 * np.sqrt(15 / n) + 3 / 64 * 2 / np.sqrt(450)
     # A skew of 1/√ν that the model does not know of is seen: here 0.047.
     blind = nothing(256, 256, 8)._replace(**{name: np.zeros((300, 300)) for name in Sums._fields[14:]})
-    add_frame(*frame, 0.0, 1e4, 1.0, 0.0, 0.0, 8, *blind, (0, 0), (0, 0))
+    add_frame(*frame, 0.0, 1e4, 1.0, 0.0, 0.0, 0.0, 8, *blind, (0, 0), (0, 0))
     assert blind.totals[1] / n == pytest.approx(1 / np.sqrt(450), abs=5 * np.sqrt(15 / n))
 
 

@@ -58,7 +58,8 @@ def look_again(shots: Sequence[Shot], before: Look, model: Model, latent: Latent
     given = np.stack([gain, base.x0 - common.x0, base.y0 - common.y0], axis=1)
     given[:, 1:] += before.measured.given[:, 1:]
     felt = _felt(setting, model.present)
-    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, felt, _rows(model.present))
+    sensed = felt, _rows(model.present), _zone(model.present)
+    measured = measure(shots, design, base, setting.baseline, setting.sensor, expect, *sensed)
     measured = measured._replace(given=given, waves=waves)
     model = model._replace(present=tuple(_with_depth(own, measured) for own in model.present))
     # The base has moved: no shift is left.
@@ -109,6 +110,11 @@ def _felt(setting: Setting, present: Sequence[Present]) -> SensorModel:
 def _rows(present: Sequence[Present]) -> float:
     """Rms [DN] of the offsets that rows get."""
     return max((own.values[0] for own in present if own.effect.name == "row_noise"), default=0.0)
+
+
+def _zone(present: Sequence[Present]) -> float:
+    """End [DN] of the dead zone of readings, 0 without one."""
+    return max((own.values[0] for own in present if own.form == "dead zone"), default=0.0)
 
 
 def held_blocks(design: Design, shape: tuple[int, ...]) -> np.ndarray:

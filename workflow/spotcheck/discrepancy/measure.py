@@ -95,10 +95,11 @@ def measure(
     expect: Callable[[int], Scene] | None = None,
     felt: SensorModel | None = None,
     rows_dn: float = 0.0,
+    zone_dn: float = 0.0,
 ) -> Measured:
     """One pass over every frame, about the base model or what `expect` says of a frame; `felt` is the sensor with the
-    noise that the model gives it, where that is another than the data sheet's, and `rows_dn` the rms of what its rows
-    get."""
+    noise that the model gives it, where that is another than the data sheet's, `rows_dn` the rms of what its rows
+    get, and below `zone_dn` signals read 0."""
     rows, columns = shots[0].pixels().shape
     count, side = len(shots), block_side(min(rows, columns))
     blocks = (count, rows // side, columns // side)
@@ -143,7 +144,7 @@ def measure(
         chip_at = (int(top[k]) - corner[0], int(left[k]) - corner[1]) if common else (0, 0)
         at = (int(top[k] - site_top[site]), int(left[k] - site_left[site]))
         add_frame(  # type: ignore[call-arg]
-            image, *scene, sensor.black_level_dn, sensor.full_scale_dn, dark_variance, least,
+            image, *scene, sensor.black_level_dn, sensor.full_scale_dn, dark_variance, least, zone_dn,
             sensor.gain_dn_per_e, side,
             *(part[k] for part in sums[:14]), sums.pull[site], sums.weight[site], *sums[16:], at, chip_at,
         )  # fmt: skip

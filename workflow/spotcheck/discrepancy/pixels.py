@@ -25,8 +25,13 @@ CERTAIN = 0.12
 # Unless dark pixels of a block do not: their sum is off by so many standard deviations of readings on that verge. Less
 # would wake blocks by chance, since so few numbers have no normal law.
 AWAKE = 8.0
+# Nor do lit ones if their mean square is so many times that: a reading on the verge is at times the next number.
+SCATTERED = 4.0
 # Less light than this many standard deviations of a dark reading counts as none.
 DARK = 6.0
+# A reading that passes a dead zone where others do not counts as so many standard deviations at most, and so far beyond
+# its end is one that does not as rare as that.
+JUMP = 4.0
 # Light whose noise a level cuts to less than this part of itself has heavy tails: only the blocks' own means and
 # variances look at it.
 FREE = 0.4
@@ -98,27 +103,35 @@ def fill_scene(amplitude, x0, y0, sigma, top_hat, gain, dark_e, step, means, var
 
 
 def awake(image: np.ndarray, scene: Scene, faint_dn: float, side: int) -> Scene:
-    """A scene in which dark pixels (light below `faint_dn`) that should repeat one number have the variance `CERTAIN`
-    wherever those of a block [side × side px] do not: a pedestal or a halo would else go unheard by a camera that
-    rounds its noise away."""
-    sure = (scene.variance < CERTAIN) & (scene.light < faint_dn) & np.isfinite(image)
+    """A scene in which pixels that should repeat one number have the variance `CERTAIN` wherever those of a block [side
+    × side px] do not: dark ones (light below `faint_dn`) whose mean is off, since a pedestal or a halo would else go
+    unheard by a camera that rounds its noise away; lit ones that scatter, where a model stops noise at a level and the
+    camera does not."""
+    sure = (scene.variance < CERTAIN) & np.isfinite(image)
     rows, columns = (n // side for n in image.shape)
     if not sure.any() or not rows * columns:
         return scene
     inner = slice(rows * side), slice(columns * side)
+
+    def blocks(values: np.ndarray) -> np.ndarray:
+        return values[inner].reshape(rows, side, columns, side).sum(axis=(1, 3))
+
+    dark = sure & (scene.light < faint_dn)
+    lit = sure & ~dark
     off = np.where(sure, image - scene.mean, 0.0)
-    total, count = (v[inner].reshape(rows, side, columns, side).sum(axis=(1, 3)) for v in (off, sure))
-    loud = np.abs(total) > AWAKE * np.sqrt(CERTAIN * count)
-    if not loud.any():
+    restless = np.abs(blocks(off * dark)) > AWAKE * np.sqrt(CERTAIN * blocks(dark))
+    scattered = blocks(off**2 * lit) > SCATTERED * CERTAIN * (blocks(lit) + side)
+    if not restless.any() and not scattered.any():
         return scene
     variance = scene.variance.copy()
-    variance[inner][sure[inner] & loud.repeat(side, 0).repeat(side, 1)] = CERTAIN
+    for pixels, loud in ((dark, restless), (lit, scattered)):
+        variance[inner][pixels[inner] & loud.repeat(side, 0).repeat(side, 1)] = CERTAIN
     return scene._replace(variance=variance)
 
 
 @compiled
 def add_frame(
-    image, mean, variance, light, shown, black, top, dark_variance, least, gain, side,
+    image, mean, variance, light, shown, black, top, dark_variance, least, zone, gain, side,
     residual, spread, count, rough, rough_dof, fourth, row, row_weight, row_light, column, column_weight,
     column_light, comb, totals, pull, weight, dark_pull, dark_weight, dark_light, at, chip_at,
 ):  # fmt: skip
@@ -126,11 +139,14 @@ def add_frame(
     the crop's corner in the windows of the site's and the chip's fields; `black` and `top` are the readings [DN]
     without light and at the converter's end; `dark_variance` [DN²] is that of a reading without light and clips, and
     what a reading has beyond it, a pedestal's light included, times the `gain` [DN per electron] the third moment of
-    shot noise; a pixel of `least` variance [DN²] or less has no part in the sums of lines."""
+    shot noise; a pixel of `least` variance [DN²] or less has no part in the sums of lines; signals below `zone` [DN]
+    read 0."""
     rows, columns = image.shape
     blocks_y, blocks_x = residual.shape
     sums = np.zeros((blocks_x, 12))
     lit = DARK * math.sqrt(dark_variance)
+    beyond = zone + JUMP * math.sqrt(dark_variance + gain * zone) if zone else -1.0
+    jump = max(dark_variance, (zone / JUMP) ** 2)
     middle = (side - 1) / 2
     for j in range(rows):
         by = j // side
@@ -157,8 +173,9 @@ def add_frame(
                     column[k] += rw
                     column_weight[k] += w
                     column_light[k] += lw * lw
-                # Where black cuts the law of a reading its tail is that of the noise before the cut.
-                before_cut = 1 / max(variance[j, k], dark_variance)
+                # Where black cuts the law of a reading its tail is that of the noise before the cut, but where a dead
+                # zone does it has a few readings far from all others.
+                before_cut = 1 / max(variance[j, k], jump if mean[j, k] < beyond else dark_variance)
                 if r * r * before_cut > OUTLIER * OUTLIER:
                     totals[0] += 1
                 factor = shown[j, k]

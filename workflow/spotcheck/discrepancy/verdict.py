@@ -86,7 +86,8 @@ def gap_of(found: Findings, shots: Sequence[Shot]) -> Gap | None:
     design = whole.take(out) if len(out) else None
     if found.freed is not None:
         return gap_of_freed(found.freed, found.base, found.look, unseen, design)
-    return verify(found.look, found.base, stages_of(found), unseen, design)
+    exact = found.best[1] if found.best else None
+    return verify(found.look, found.base, stages_of(found), unseen, design, exact)
 
 
 def stages_of(found: Findings) -> list[Account]:

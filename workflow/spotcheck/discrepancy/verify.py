@@ -9,7 +9,7 @@ import xarray as xr
 from spotcheck.discrepancy.base import base_of, spots_of
 from spotcheck.discrepancy.cells import cells_of
 from spotcheck.discrepancy.explain import Account
-from spotcheck.discrepancy.look import Look, held_blocks, look_at
+from spotcheck.discrepancy.look import Look, held_blocks, look_again, look_at
 from spotcheck.discrepancy.measure import Measured
 from spotcheck.discrepancy.refit import Model, Problem, Refit, refit
 from spotcheck.discrepancy.shots import Design, Shot
@@ -37,15 +37,20 @@ def verify(
     stages: Sequence[Account],
     unseen: Sequence[Shot],
     unseen_design: Design | None,
+    exact: Account | None = None,
 ) -> Gap:
-    """Predict unseen data with the base model (`first`) and with the models of `stages`, each with one effect more.
+    """Predict unseen data with the base model (`first`) and with the models of `stages`, each with one effect more;
+    `exact` is the last of these as a closer look fitted it, for unseen repeats to be looked at as closely.
 
     Laws and effects keep the values that the other data gave them.
     """
     accounts = [first, *stages]
     if unseen and unseen_design is not None:
-        problem = _problem_of(unseen, unseen_design, look)
+        seen = _look_of(unseen, unseen_design, look)
+        problem = seen.problem
         tests = [(problem, [_frozen(problem, own, own.refit.model) for own in accounts])]
+        if exact is not None:
+            tests[0][1][-1] = _closely(unseen, seen, exact)
         on = "unseen repeats"
     elif len(np.unique(look.measured.design.repeat)) > 1:
         tests, on = [], "left-out repeats"
@@ -86,17 +91,32 @@ def part_of(measured: Measured, frames: np.ndarray) -> Measured:
     return measured._replace(design=design, base=base, sums=sums, left=measured.left[frames], top=measured.top[frames])
 
 
-def _problem_of(unseen: Sequence[Shot], design: Design, look: Look) -> Problem:
+def _look_of(unseen: Sequence[Shot], design: Design, look: Look) -> Look:
     setting = look.setting
     spots = spots_of(unseen, setting.sensor, setting.baseline.top_hat)
     corners = np.array([(s.left, s.top) for s in unseen], float)
     base = base_of(spots, corners, design, setting.baseline, unseen[0].pixels().shape[0])
     assert base is not None  # the discovery frames of the same set had a base
-    return look_at(unseen, design, base, setting).problem
+    return look_at(unseen, design, base, setting)
 
 
 def _frozen(problem: Problem, own: Account, model: Model) -> Refit:
     return refit(problem, own.refit_effects, model, own.latent, fixed=True)
+
+
+def _closely(unseen: Sequence[Shot], seen: Look, exact: Account) -> Refit:
+    """An account's prediction of every pixel, edges and all, which blocks alone would blur."""
+    blurred = _frozen(seen.problem, exact, exact.refit.model)
+    near = look_again(unseen, seen, blurred.model, exact.latent)
+    sharp = _frozen(near.problem, exact, near.problem.start)
+    # Where a model says that readings repeat one number a closer look does not hear them.
+    heard = near.problem.used
+    residual, variance = (
+        np.where(heard, one, other)
+        for one, other in ((sharp.residual, blurred.residual), (sharp.variance, blurred.variance))
+    )
+    chi2 = float(np.sum((residual**2 / variance)[seen.problem.used]))
+    return blurred._replace(residual=residual, variance=variance, chi2=chi2)
 
 
 def _at(problem: Problem, own: Account, model: Model) -> Refit:
