@@ -82,6 +82,28 @@ def scattered(found):
     assert z.std(ddof=1) == pytest.approx(1.0, abs=0.55)
 
 
+def test_a_law_of_brightness_that_scatters_is_told_by_how_much_it_does():
+    """A power of the exposure beside gains of 3 % rms, which could be any law if nothing said how far they go: the
+    same number from whatever start, with an error that the gains' own scatter says."""
+
+    def bright(rng):
+        return lambda dx, dy, angle, exposure, sigma, spot: (
+            spot * (exposure / 4e-4) ** 0.05 * (1 + 0.03 * rng.standard_normal())
+        )
+
+    found = []
+    for seed in range(16):
+        look, _ = looked(bright(np.random.default_rng(seed)), seed=seed, repeats=12, exposures=(1e-4, 2e-4, 4e-4))
+        fits = [
+            account(look, [present("power_fluctuation", 0.0), present("photon_budget", q)]).refit for q in (-0.1, 0.1)
+        ]
+        q, other = (fit.model.present[0].values[0] for fit in fits)
+        error = float(np.sqrt(fits[0].covariance[0, 0]))
+        assert q == pytest.approx(other, abs=0.02 * error)
+        found.append((q - 0.05, error))
+    scattered(found)
+
+
 def test_the_error_of_white_noise():
     """Read noise of 9 e- where 6 are stated, beside brightness that scatters by 2 %, which is no white noise."""
 

@@ -16,6 +16,7 @@ from spotcheck.discrepancy.extend import (
     closer_account,
     consistent,
     much_left,
+    resolved,
     size_of,
 )
 from spotcheck.discrepancy.lasting import lasting
@@ -78,6 +79,16 @@ def test_a_tolerance_forgives_a_small_part_of_what_was_found(excess, left, much)
         return own._replace(refit=own.refit._replace(chi2=blocks.sum() + chi2))
 
     assert much_left(leaving(left), look, leaving(excess), look) == much
+
+
+@pytest.mark.parametrize("depth, period, expected", [(0.3, 6.0, True), (0.3, 2.0, False), (1.1, 6.0, False)])
+def test_stripes_that_pixels_do_not_resolve_are_none(depth, period, expected):
+    """A period of two pixels is any other's alias, and light is never below 0."""
+    stripes = present("interference_fringes", depth, period, 30.0, 0.0, form="spot")
+    own = SimpleNamespace(refit=SimpleNamespace(model=SimpleNamespace(present=(present("smear", 0.1), stripes))))
+    assert resolved(own) is expected
+    own.refit.model.present = (present("smear", 0.1),)
+    assert resolved(own)
 
 
 def test_the_form_that_the_data_want_is_kept():

@@ -112,9 +112,9 @@ def test_what_a_set_does_not_need_is_dropped():
     """A pair that was reached by way of one that mimicked gives way to the single one that holds."""
     look, _ = looked(ghost)
     pair = account(look, [present("ghost_reflection", 0.05, 12.0, -5.0), present("dark_offset", 0.1)])
-    fewer = name._fewer(look, pair, enough)
+    fewer = name._fewer(look, pair, enough, np.inf)
     assert fewer is not None and fewer.names == ("ghost_reflection",)
-    assert name._fewer(look, fewer, enough) is None
+    assert name._fewer(look, fewer, enough, np.inf) is None
 
 
 def test_free_gains_leave_when_a_law_of_the_brightness_has_come():
@@ -129,7 +129,23 @@ def test_free_gains_leave_when_a_law_of_the_brightness_has_come():
     closer = lambda leader, own: (own, own.score < gains.score + 1)  # noqa: E731
     found = name._beside_scatter(look, [(gains, True)], effects("laser_drift"), empty, closer)
     assert set(found[0][0].names) == {"power_fluctuation", "laser_drift"}
-    assert name._thinned(look, found, closer)[0][0].names == ("laser_drift",)
+    assert name._thinned(look, found, closer, name.EARNS)[0][0].names == ("laser_drift",)
+
+
+def test_free_gains_do_not_take_a_law_of_the_brightness_away():
+    """Brightness that scatters by 2 % and grows by another power of the exposure: gains alone hold, but not as well."""
+    rng = np.random.default_rng(3)
+
+    def both_of_them(dx, dy, angle, exposure, sigma, spot):
+        return spot * (exposure / 4e-4) ** 0.08 * (1 + 0.02 * rng.standard_normal())
+
+    look, empty = looked(both_of_them, repeats=12, exposures=(1e-4, 2e-4, 4e-4))
+    gains = account(look, [present("power_fluctuation", 0.0)])
+    holds = lambda leader, own: (own, "power_fluctuation" in own.names)  # noqa: E731
+    found = name._beside_scatter(look, [(gains, True)], effects("photon_budget"), empty, holds)
+    kept = name._thinned(look, found, holds, name.EARNS)[0][0]
+    assert set(kept.names) == {"power_fluctuation", "photon_budget"}
+    assert name._thinned(look, found, holds)[0][0].names == ("power_fluctuation",)
 
 
 def test_effects_that_only_scatter_are_told_from_those_of_the_mean():

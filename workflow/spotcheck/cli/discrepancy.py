@@ -38,5 +38,5 @@ def run(args: argparse.Namespace) -> None:
             result = saved_of(investigate(ready.chosen, design, ready.base, ready.setting, null, tolerance))
     result["tolerance"] = tolerance._asdict()
     store.write_text(args.output, json.dumps(result, indent=1) + "\n")
-    named = (result.get("explanations") or [(result.get("freed") or {}).get("effects", [])])[0]
-    print(f"{result['status']}: " + (", ".join(own["name"] for own in named) or "no effect"))
+    best = (result.get("explanations") or [result.get("freed") or {}])[0]
+    print(f"{result['status']}: " + (", ".join(own["name"] for own in best.get("effects", [])) or "no effect"))

@@ -459,7 +459,10 @@ def _latent(look: Look, component: dict[str, float], grain: float, active: Seque
     relative = relative + component.get("grain", 0.0) * block_correlation(grain, side) / frames
     # Where black cuts readings an offset of a row moves them by less than itself.
     absolute = component.get("row", 0.0) * look.response**2 / side / frames
-    return Latent("gain" in active, "centre" in active, relative, absolute)
+    # With one frame a condition nothing but the gains themselves says how much they scatter.
+    scatter = component.get("gain", 0.0) / frames[:, 0, 0] if (frames > 1).any() else 0.0
+    scatter = np.where(scatter > 0, scatter, np.inf)
+    return Latent("gain" in active, "centre" in active, scatter, relative, absolute)
 
 
 def _occam(look: Look, fit: Refit, component: dict[str, float]) -> float:

@@ -27,6 +27,8 @@ NEARLY, AGAIN = 3.0, 2
 # Of the mean's excess χ² a tolerance forgives at most this part, where what is left is so many standard errors from
 # nothing: else a tolerance would name whatever takes most of a faint disagreement.
 FORGIVEN, CERTAINLY = 0.05, 5.0
+# Period [px] of the finest stripes that pixels resolve, and a little.
+FINEST = 2.05
 
 
 class Tolerance(NamedTuple):
@@ -123,7 +125,7 @@ def investigate(
 
     def fits(near: Look, exact: Account) -> bool:
         # A model gone astray may leave no block that could speak against it.
-        if not near.problem.used.any() or not granular(near, exact):
+        if not near.problem.used.any() or not granular(near, exact) or not resolved(exact):
             return False
         more = likeliest(near, exact)
         rest = detect(null, exact.left | more)
@@ -156,6 +158,16 @@ def investigate(
         status, not_assessed = "unknown", not_assessed | {"all": LEFT}
     return Findings(look, first, detection, size, explanations, (near, best), rest, rest_size, naming.singles,
                     not_assessed, status, evidence, around=around)  # fmt: skip
+
+
+def resolved(own: Account) -> bool:
+    """Whether stripes are coarser than two pixels and leave some light: else they are another thing's aliases. True
+    where there are none."""
+    for present in own.refit.model.present:
+        if present.effect.name == FRINGES:
+            depth, period = present.values[:2]
+            return bool(depth <= 1 and period > FINEST)
+    return True
 
 
 def much_left(own: Account, near: Look, first: Account, look: Look) -> bool:

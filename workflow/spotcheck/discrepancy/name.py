@@ -1,6 +1,6 @@
 """Which effects explain what was seen: every one alone, then together, and all that the data cannot tell from them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -163,7 +163,8 @@ def search(look: Look, effects: Sequence[Effect], closer: Closer) -> Naming:
         return Naming(None, [], alone)
     best = _thinned(look, best, closer)
     beside = _beside_scatter(look, best, effects, empty, closer)
-    best = _thinned(look, beside, closer) if beside is not best else best
+    # Free gains alone hold wherever a law does: it was added for what it earns.
+    best = _thinned(look, beside, closer, EARNS) if beside is not best else best
     holding = [own for own, good in best if good]
     if holding and len(holding[0].effects) > 1:
         rivals = _rivals(look, holding[0], effects)
@@ -188,18 +189,24 @@ def _beside_scatter(
     return found if found[0][1] else best
 
 
-def _thinned(look: Look, best: list[tuple[Account, bool]], closer: Closer) -> list[tuple[Account, bool]]:
-    """The contest, or alone an account that holds with fewer effects than its best one."""
-    while best[0][1] and (fewer := _fewer(look, best[0][0], closer)) is not None:
+def _thinned(
+    look: Look, best: list[tuple[Account, bool]], closer: Closer, worse: float = np.inf
+) -> list[tuple[Account, bool]]:
+    """The contest, or alone an account that holds with fewer effects than its best one and at a first look is no more
+    than `worse` in −2 ln L."""
+    while best[0][1] and (fewer := _fewer(look, best[0][0], closer, worse)) is not None:
         best = [(fewer, True)]
     return best
 
 
-def _fewer(look: Look, best: Account, closer: Closer) -> Account | None:
+def _fewer(look: Look, best: Account, closer: Closer, worse: float) -> Account | None:
     """An account of one effect less that holds by itself: a set may have been reached by way of one that mimicked."""
+    whole = account(look, present_of(best)) if np.isfinite(worse) else best
     for leave in best.names if len(best.names) > 1 else ():
         kept = [p for p in present_of(best) if p.effect.name != leave]
         reduced = account(look, kept)
+        if reduced.score > whole.score + worse:
+            continue
         own, good = closer(reduced, reduced)
         if good:
             return own
@@ -267,17 +274,23 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
                 own = promised(look.problem, parent.refit, span, effect)
             promise.append((own, effect))
         promise.sort(key=lambda item: -item[0])
-        target = min((own.refit.score for own in seen.values()), default=np.inf)
+        target = _to_beat(seen.values())
         untold, means, scatter = _parted(promise)
         for own, effect in (*untold, *means[:BESIDE], *scatter[:BESIDE_SCATTER]):
             key = frozenset((*parent.names, effect.name))
-            if key in seen or own < EARNS:
+            # A fit of the means may have been led astray by what another parent had wrong.
+            if own < EARNS or (key in seen and (scatters(effect) or effect.name == FRINGES)):
                 continue
             found = _added(look, parent, effect, span, target)
-            if found is not None:
+            if found is not None and (key not in seen or found.score < seen[key].score):
                 seen[key] = found
-                target = min(target, found.refit.score)
+                target = _to_beat(seen.values())
     return sorted(seen.values(), key=lambda own: own.score)
+
+
+def _to_beat(accounts: Iterable[Account]) -> float:
+    """The least −2 ln L of the means; free gains and centres, which pay for themselves elsewhere, beat every law."""
+    return min((own.refit.score for own in accounts if not (own.latent.gain or own.latent.centre)), default=np.inf)
 
 
 def _parted(promise: list[tuple[float, Effect]]) -> tuple[list, list, list]:

@@ -30,11 +30,13 @@ NO_WAVE = np.zeros((0, 2))
 
 class Latent(NamedTuple):
     """Free numbers that random effects bring: a gain of every condition, a centre of every condition; and the relative
-    variance a cell mean has on top (speckle, pixel gains), as (µ² × this). `known` is the whole variance of each cell
-    mean [DN²], where it is not to follow the model of a fit."""
+    variance a cell mean has on top (speckle, pixel gains), as (µ² × this). `scatter` is the variance of each gain about
+    1 (infinite: not known), which keeps a law of the brightness from hiding in them. `known` is the whole variance of
+    each cell mean [DN²], where it is not to follow the model of a fit."""
 
     gain: bool = False
     centre: bool = False
+    scatter: np.ndarray | float = np.inf
     relative: np.ndarray | float = 0.0
     absolute: np.ndarray | float = 0.0
     known: np.ndarray | None = None
@@ -321,6 +323,9 @@ class _Chart:
         for own in told:
             at = slice(first[own.effect], first[own.effect + 1])
             values[at], information[at, at] = own.values, own.information
+        if self.latent.gain and not self.free:
+            gains = np.arange(self.conditions) + count - self.conditions - 2 * self.waves
+            values[gains], information[gains, gains] = 1.0, 1 / np.broadcast_to(self.latent.scatter, self.conditions)
         return values, information
 
     def model(self, point: np.ndarray) -> Model:

@@ -11,10 +11,11 @@ from spotcheck.discrepancy.detect import Detection
 from spotcheck.discrepancy.explain import Account, account
 from spotcheck.discrepancy.extend import Findings, Size, about, closer_account, with_freed
 from spotcheck.discrepancy.freed_named import recalled_freed, saved_of_freed
-from spotcheck.discrepancy.look import look_at
+from spotcheck.discrepancy.look import Look, look_at
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.surround import surround_of
+from spotcheck.model.chain import Free, Law
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
 
@@ -27,10 +28,7 @@ def saved_of(found: Findings) -> dict[str, Any]:
         "size": _plain(found.size._asdict()),
         "rest": _plain(found.rest._asdict()),
         "rest_size": _plain(found.rest_size._asdict()),
-        "explanations": [
-            [{"name": p.effect.name, "form": p.form, "values": [float(v) for v in p.values]} for p in present_of(own)]
-            for own in found.explanations
-        ],
+        "explanations": [_saved_account(own) for own in found.explanations],
         "singles": {name: {"score": float(own.score - found.base.score), "chi2": float(own.refit.chi2)}
                     for name, own in found.singles.items()},
         "not_assessed": found.not_assessed,
@@ -42,11 +40,7 @@ def recalled(saved: dict[str, Any], shots: Sequence[Shot], design: Design, base:
     """Findings again, from the frames that chose the model: fits are taken up where they ended."""
     look = look_at(shots, design, base, setting)
     first = account(look, ())
-    effects = vocabulary()
-    explanations: list[Account] = []
-    for own in saved["explanations"]:
-        present = [Present(effects[p["name"]], p["form"], tuple(p["values"])) for p in own]
-        explanations.append(account(look, present))
+    explanations = [_recalled_account(look, own) for own in saved["explanations"]]
     best = None
     if explanations:
         near = about(shots, look, explanations[0])
@@ -68,6 +62,25 @@ def recalled(saved: dict[str, Any], shots: Sequence[Shot], design: Design, base:
     )
     freed = saved.get("freed")
     return found if freed is None else with_freed(found, recalled_freed(freed), shots)
+
+
+def _saved_account(own: Account) -> dict[str, Any]:
+    """Effects with their values, and the base that these belong to: from another a fit may go astray."""
+    model = own.refit.model
+    effects = [{"name": p.effect.name, "form": p.form, "values": [float(v) for v in p.values]} for p in present_of(own)]
+    base = {name: np.asarray(value).tolist() for name, value in model.base._asdict().items()}
+    return {"effects": effects, "base": base, "gain": model.gain.tolist()}
+
+
+def _recalled_account(look: Look, saved: dict[str, Any]) -> Account:
+    effects, start = vocabulary(), look.problem.start
+    present = [Present(effects[p["name"]], p["form"], tuple(p["values"])) for p in saved["effects"]]
+    base: Law | Free
+    if isinstance(start.base, Law):
+        base = Law(**saved["base"])
+    else:
+        base = Free(**{name: np.array(own) for name, own in saved["base"].items()})
+    return account(look, present, start._replace(base=base, gain=np.array(saved["gain"])))
 
 
 def _plain(value: Any) -> Any:
