@@ -10,6 +10,8 @@ Record = dict[str, Any]
 # −2 ln L by which the nearest rival must fall behind for an effect to be isolable: five standard deviations.
 ISOLABLE = 25.0
 STRONG = 100.0
+# Where rivals fall so far behind, the truth was found, however little it moves the means.
+CLEAR = 400.0
 # A model that is told the truth and closes less of the gap has missed it.
 LEAST_CLOSED = 0.5
 # Where what an effect has beyond a simpler one is fainter than this, the simpler one is a right answer.
@@ -135,7 +137,7 @@ def isolation_of(record: Record) -> float | None:
     was told the truth did not find it: then a rival is ahead, or no gap closes."""
     told = record.get("told") or {}
     nearest = min((told.get("isolation") or {}).values(), default=-np.inf)
-    return None if nearest < -ISOLABLE or _lost(told) else nearest
+    return None if nearest < -ISOLABLE or (_lost(told) and nearest < CLEAR) else nearest
 
 
 def _lost(told: Record) -> bool:
@@ -159,16 +161,18 @@ def failed(record: Record) -> bool:
 
 
 def tied(record: Record) -> bool:
-    """Whether the contract lists the effect as tied in this design."""
+    """Whether the contract lists the effect as tied in this design. Hot pixels add, whatever the light: a pattern that
+    follows it is not theirs."""
     manifest, name = record["job"]["design"], next(iter(truth(record)), "")
     budget = record["truth"]["base"]["photon_budget"] if record["truth"] else ""
     one_angle = one_site = manifest in ("one_site", "single_frame")
     one_exposure = manifest in ("one_exposure", "single_frame")
+    hot = bool(record["truth"]) and record["truth"]["effects"][0]["form"].get("pattern") == "hot"
     return (
         (name in ("spread_law", "shutter_offset") and budget == "spot_area")
         or (name in ("fibre_anisotropy", "beam_ellipticity") and one_angle)
         or (name in ("motion_blur", "beam_ellipticity") and one_exposure)
-        or (name in ("fixed_pattern", "speckle") and one_site)
+        or (name in ("fixed_pattern", "speckle") and one_site and not hot)
     )
 
 

@@ -32,14 +32,15 @@ def told_truth(judgement: Judgement, truth: dict[str, Any], shots: Sequence[Shot
         return None
     own = account_of(found.look, entries)
     out: dict[str, Any] = {"score": own.score - found.base.score}
-    if len(entries) == 1 and entries[0]["snr"] >= STRONG:
-        out["isolation"] = isolation_of(found, own)
+    near, exact = found.look, own
     if found.explanations:
         near = about(shots_of_discovery(shots), found.look, own)
         exact = closer_account(near, own)
         out["closed"] = closed_by(found, own, exact, shots)
         best = found._replace(best=(near, exact))
         out["parameters"] = {name: parameters_of(best, name) for name in own.names}
+    if len(entries) == 1 and entries[0]["snr"] >= STRONG:
+        out["isolation"] = isolation_of(found, own, near, exact)
     return out
 
 
@@ -90,11 +91,11 @@ def shots_of_discovery(shots: Sequence[Shot]) -> list[Shot]:
     return [shot for shot, out in zip(shots, held, strict=True) if not out]
 
 
-def isolation_of(found: Findings, own: Account) -> dict[str, float]:
-    """−2 ln L by which every rival falls behind an account if that is the truth. Those that contain it do not count:
-    the simplest wins. Where all fall far behind on the data themselves, that is told instead: it is much faster."""
+def isolation_of(found: Findings, own: Account, near: Look, exact: Account) -> dict[str, float]:
+    """−2 ln L by which every rival falls behind an account at a look, if that is the truth. Those that contain it do
+    not count: the simplest wins. Where all fall far behind on the data themselves, that is told: it is much faster."""
     contains = {name for single in own.names for name in CONTAINS.get(single, ())} | {"", *own.names}
     rivals = {name: score - (own.score - found.base.score) for name, (score, _) in found.evidence.items()}
     if not rivals or min((v for k, v in rivals.items() if k not in contains), default=0.0) < CLEAR:
-        rivals = isolation(found.look, own, assessable(found.look)[0])
+        rivals = isolation(near, exact, assessable(found.look)[0])
     return {name: float(delta) for name, delta in rivals.items() if name not in contains}

@@ -143,12 +143,11 @@ def separations(
         )
     truth = _over(first.refit.model, cells)
     blank = cells._replace(residual=np.zeros(cells.pixels.shape), variance=np.ones(cells.pixels.shape))
-    asimov = Problem(blank, look.setting, truth)
-    at = asimov.at_start
+    at = Problem(blank, look.setting, truth).at_start
     if float(np.max(at.mean)) > 0.97 * look.setting.sensor.full_scale_dn:
         return 0.0, True
     variance = np.where(cells.pixels > 0, pooled(at.variance) / np.maximum(cells.pixels, 1), np.inf)
-    asimov.cells = asimov.cells._replace(variance=variance)
+    asimov = Problem(blank._replace(variance=variance), look.setting, truth, scatter=variance)
     return refit(asimov, rival.refit_effects, _over(rival.refit.model, cells)).chi2, False
 
 

@@ -112,7 +112,7 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
         start = start._replace(present=direct)
     at = look.problem.evaluate(start)
     component, error, grain = _components(look, active, expected_of(look, at, direct))
-    latent = _latent(look, component, grain, active)
+    latent = latent_of(look, component, grain, active)
     told, before = _told(look, direct), direct
     fit = refit(look.problem, effects, start._replace(present=_with_rows(direct, component)), latent, target, told=told)
     expected = expected_of(look, fit.moments, fit.model.present)
@@ -124,7 +124,7 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
             expected = expected_of(look, look.problem.evaluate(fit.model._replace(present=present_now)), present_now)
         component, error, grain = _components(look, active, expected)
         error |= white
-        latent = _latent(look, component, grain, active)
+        latent = latent_of(look, component, grain, active)
         model = fit.model._replace(present=_with_rows(present_now, component))
         fit = refit(look.problem, effects, model, latent, target, told=told)
         expected = expected_of(look, fit.moments, fit.model.present)
@@ -451,7 +451,7 @@ def by_site(fits: FrameFits, design: Design) -> bool:
     return bool(apart / rest - 1 < APART * (total / sites - 1))
 
 
-def _latent(look: Look, component: dict[str, float], grain: float, active: Sequence[str]) -> Latent:
+def latent_of(look: Look, component: dict[str, float], grain: float, active: Sequence[str]) -> Latent:
     """What components of variance bring to a condition's mean."""
     frames = np.maximum(look.cells.frames, 1)[:, None, None]
     side = look.measured.side

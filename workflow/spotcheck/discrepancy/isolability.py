@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import pooled
-from spotcheck.discrepancy.explain import COMPONENT, Account, account, expected_of
+from spotcheck.discrepancy.explain import COMPONENT, Account, account, expected_of, latent_of
 from spotcheck.discrepancy.look import Look, course_of
 from spotcheck.discrepancy.name import CONTAINS, present_of, singles
 from spotcheck.discrepancy.noise import COMPONENTS, grained
@@ -35,8 +35,8 @@ class Isolation(NamedTuple):
 
 
 def asimov(look: Look, model: Model, component: dict[str, float], grain: float) -> Look:
-    """A look at what a model would bring, in place of what was seen; noise keeps its size and has no value."""
-    problem = Problem(look.cells, look.setting, plain(look.cells), mask=look.problem.used)
+    """A look at what a model would bring, in place of what was seen; noise has its size and no value."""
+    problem = Problem(look.cells, look.setting, look.problem.start, look.problem.used)
     at = problem.evaluate(model)
     cells = look.cells._replace(residual=pooled(at.mean) - problem.mean_start)
     value = grained(look.observables, grain, look.measured.side) @ [component.get(name, 0.0) for name in COMPONENTS]
@@ -44,7 +44,8 @@ def asimov(look: Look, model: Model, component: dict[str, float], grain: float) 
     quiet = look._replace(brightness=look.brightness._replace(value=0 * look.brightness.value + course))
     value = value + expected_of(quiet, at, model.present)
     seen = [o._replace(value=float(v)) for o, v in zip(look.observables, value, strict=True)]
-    again = Problem(cells, look.setting, plain(look.cells), mask=look.problem.used)
+    scatter = problem.variance(at, latent_of(look, component, grain, ()))
+    again = Problem(cells, look.setting, look.problem.start, look.problem.used, scatter)
     return quiet._replace(cells=cells, problem=again, observables=seen)
 
 

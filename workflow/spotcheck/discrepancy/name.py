@@ -11,9 +11,9 @@ from spotcheck.discrepancy.refit import basis, promised, screened
 from spotcheck.discrepancy.stripes import peak
 from spotcheck.model.effect import Effect, Place, Present
 
-# Rivals whose −2 ln L (with 2 a free number) is within this of the best cannot be told from it: 2.8 standard
-# deviations.
-TIED = 8.0
+# Rivals whose −2 ln L (with 2 a free number) is within this of the best cannot be told from it: four standard
+# deviations, for what is five apart may seem four.
+TIED = 16.0
 # An effect stays in a model only if without it −2 ln L rises by more than this.
 EARNS = 10.0
 # An effect that promises less than this part of the best, to first order, is not fitted; but for those whose first

@@ -85,10 +85,21 @@ def plain(cells: Cells) -> Model:
 
 
 class Problem:
-    """The data of one fit with what has been evaluated at the base point."""
+    """The data of one fit with what has been evaluated at the base point.
 
-    def __init__(self, cells: Cells, setting: Setting, start: Model | None = None, mask: np.ndarray | None = None):
+    Where the data are an expectation, `scatter` [DN²] is the variance that they lack.
+    """
+
+    def __init__(
+        self,
+        cells: Cells,
+        setting: Setting,
+        start: Model | None = None,
+        mask: np.ndarray | None = None,
+        scatter: np.ndarray | float = 0.0,
+    ):
         self.cells, self.setting = cells, setting
+        self.scatter = np.broadcast_to(scatter, cells.pixels.shape)
         self.used = cells.pixels > 0 if mask is None else mask & (cells.pixels > 0)
         self.start = start or plain(cells)
         self.at_start = self.evaluate(self.start)
@@ -194,10 +205,19 @@ def refit(
         normal, force = matrix / np.outer(scale, scale), pull / scale
         better = False
         for _ in range(8):
-            step = np.linalg.lstsq(normal + damping * np.eye(len(force)), force, rcond=1e-12)[0] / scale
+            damped = normal + damping * np.eye(len(force))
             # What nothing seen depends on stays where it is.
-            step[np.diag(matrix) <= 0] = 0.0
+            step = np.zeros_like(point)
+            free = np.diag(matrix) > 0
+            step[free] = _solved(damped, force, free) / scale[free]
             trial = chart.bounded(point + step)
+            held = trial != point + step
+            if held.any():
+                # What comes to a bound stays there, and the others go where they would with that.
+                step[held] = (trial - point)[held]
+                free &= ~held
+                step[free] = _solved(damped, force - normal[:, held] @ (step * scale)[held], free) / scale[free]
+                trial = chart.bounded(point + step)
             at_trial = problem.evaluate(chart.model(trial))
             variance_trial = problem.variance(at_trial, latent)
             fresh = _score(problem, problem.residual(at_trial), variance_trial) + strain(trial)
@@ -217,6 +237,11 @@ def refit(
     chi2 = float(np.sum((residual**2 / variance)[problem.used]))
     score = value - strain(point)
     return Refit(model, score, chi2, _inverse(matrix), residual, variance, at, len(point))
+
+
+def _solved(matrix: np.ndarray, force: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """The free ones of the numbers that a matrix takes to a force."""
+    return np.linalg.lstsq(matrix[np.ix_(free, free)], force[free], rcond=1e-12)[0]
 
 
 def basis(problem: Problem, fit: Refit, effects: Sequence[tuple[Effect, str]], latent: Latent = NOTHING) -> np.ndarray:
@@ -260,7 +285,8 @@ def moving(effect: Effect, form: str) -> list[int]:
 
 def _score(problem: Problem, residual: np.ndarray, variance: np.ndarray) -> float:
     used = problem.used
-    return float(np.sum(residual[used] ** 2 / variance[used] + np.log(variance[used] / problem.cells.variance[used])))
+    square = residual[used] ** 2 + problem.scatter[used]
+    return float(np.sum(square / variance[used] + np.log(variance[used] / problem.cells.variance[used])))
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
