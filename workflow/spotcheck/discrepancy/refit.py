@@ -196,7 +196,8 @@ def refit(
     raw = None
     for iteration in range(ITERATIONS):
         # The base's own slopes hardly change from step to step; an effect's may.
-        raw = chart.slopes(point, at, None if iteration % RENEWED == 0 else raw)
+        current = raw is None or iteration % RENEWED == 0
+        raw = chart.slopes(point, at, None if current else raw)
         weight = np.sqrt(1 / variance[used])
         slopes = raw[:, used] * weight
         rest = problem.residual(at)[used] * weight
@@ -211,12 +212,12 @@ def refit(
             free = np.diag(matrix) > 0
             step[free] = _solved(damped, force, free) / scale[free]
             trial = chart.bounded(point + step)
-            held = trial != point + step
+            held = (trial == point) & (step != 0)
             if held.any():
-                # What comes to a bound stays there, and the others go where they would with that.
-                step[held] = (trial - point)[held]
+                # What lies at a bound stays there, and the others go where they would without it.
+                step[held] = 0.0
                 free &= ~held
-                step[free] = _solved(damped, force - normal[:, held] @ (step * scale)[held], free) / scale[free]
+                step[free] = _solved(damped, force, free) / scale[free]
                 trial = chart.bounded(point + step)
             at_trial = problem.evaluate(chart.model(trial))
             variance_trial = problem.variance(at_trial, latent)
@@ -226,7 +227,11 @@ def refit(
                 break
             damping = max(damping * 6, 1e-3)
         if not better:
-            break
+            if current:
+                break
+            # Far from where they were taken, slopes lead nowhere.
+            raw, damping = None, 1e-3
+            continue
         gain, value = value - fresh, fresh
         point, at, variance = trial, at_trial, variance_trial
         damping = max(damping / 8, 1e-9)
