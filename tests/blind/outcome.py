@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from tests.blind.told import CLEAR
+
 Record = dict[str, Any]
 
 # −2 ln L by which the nearest rival must fall behind for an effect to be isolable: five standard deviations.
 ISOLABLE = 25.0
 STRONG = 100.0
-# Where rivals fall so far behind, the truth was found, however little it moves the means.
-CLEAR = 400.0
 # A model that is told the truth and closes less of the gap has missed it.
 LEAST_CLOSED = 0.5
 # Where what an effect has beyond a simpler one is fainter than this, the simpler one is a right answer.
@@ -134,7 +134,7 @@ def unknown_and_empty(record: Record) -> bool:
 
 def isolation_of(record: Record) -> float | None:
     """−2 ln L by which the nearest rival of a single effect falls behind; None where it was not computed, or where what
-    was told the truth did not find it: then a rival is ahead, or no gap closes."""
+    was told the truth did not find it: then a rival is ahead, or no gap closes though some rival is near."""
     told = record.get("told") or {}
     nearest = min((told.get("isolation") or {}).values(), default=-np.inf)
     return None if nearest < -ISOLABLE or (_lost(told) and nearest < CLEAR) else nearest

@@ -313,12 +313,21 @@ def _grain(freed: Freed, side: int) -> Grain:
     return Grain(freed.grain[0], block_correlation(freed.grain[1], side))
 
 
+def saved_effect(present: Present) -> dict[str, Any]:
+    """Name, form and values of an effect."""
+    return {"name": present.effect.name, "form": present.form, "values": [float(v) for v in present.values]}
+
+
+def recalled_effect(saved: dict[str, Any]) -> Present:
+    """An effect from its name, form and values."""
+    return Present(vocabulary()[saved["name"]], saved["form"], tuple(saved["values"]))
+
+
 def saved_of_freed(freed: Freed) -> dict[str, Any]:
     """As numbers and texts."""
     return {
         "effects": [
-            {"name": p.effect.name, "form": p.form, "values": [float(v) for v in p.values], "errors": list(errors)}
-            for p, errors in zip(freed.present, freed.errors, strict=True)
+            saved_effect(p) | {"errors": list(errors)} for p, errors in zip(freed.present, freed.errors, strict=True)
         ],
         "evidence": [own._asdict() for own in freed.evidence],
         "base": {name: np.asarray(values).tolist() for name, values in zip(Base._fields[:4], freed.base, strict=False)},
@@ -330,8 +339,7 @@ def saved_of_freed(freed: Freed) -> dict[str, Any]:
 
 def recalled_freed(saved: dict[str, Any]) -> Freed:
     """From its numbers and texts."""
-    effects = vocabulary()
-    present = tuple(Present(effects[p["name"]], p["form"], tuple(p["values"])) for p in saved["effects"])
+    present = tuple(map(recalled_effect, saved["effects"]))
     errors = tuple(tuple(p["errors"]) for p in saved["effects"])
     base = Base(**{name: np.array(own) for name, own in saved["base"].items()}, law=None)
     evidence = tuple(Evidence(**own) for own in saved["evidence"])

@@ -36,7 +36,7 @@ class Isolation(NamedTuple):
 
 def asimov(look: Look, model: Model, component: dict[str, float], grain: float) -> Look:
     """A look at what a model would bring, in place of what was seen; noise has its size and no value."""
-    problem = Problem(look.cells, look.setting, look.problem.start, look.problem.used)
+    problem = look.problem
     at = problem.evaluate(model)
     cells = look.cells._replace(residual=pooled(at.mean) - problem.mean_start)
     value = grained(look.observables, grain, look.measured.side) @ [component.get(name, 0.0) for name in COMPONENTS]
@@ -45,7 +45,7 @@ def asimov(look: Look, model: Model, component: dict[str, float], grain: float) 
     value = value + expected_of(quiet, at, model.present)
     seen = [o._replace(value=float(v)) for o, v in zip(look.observables, value, strict=True)]
     scatter = problem.variance(at, latent_of(look, component, grain, ()))
-    again = Problem(cells, look.setting, look.problem.start, look.problem.used, scatter)
+    again = Problem(cells, look.setting, problem.start, problem.used, scatter)
     return quiet._replace(cells=cells, problem=again, observables=seen)
 
 

@@ -10,14 +10,12 @@ from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Detection
 from spotcheck.discrepancy.explain import Account, account
 from spotcheck.discrepancy.extend import Findings, Size, about, closer_account, with_freed
-from spotcheck.discrepancy.freed_named import recalled_freed, saved_of_freed
+from spotcheck.discrepancy.freed_named import recalled_effect, recalled_freed, saved_effect, saved_of_freed
 from spotcheck.discrepancy.look import Look, look_at
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.surround import surround_of
 from spotcheck.model.chain import Free, Law
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
 
 
 def saved_of(found: Findings) -> dict[str, Any]:
@@ -67,14 +65,13 @@ def recalled(saved: dict[str, Any], shots: Sequence[Shot], design: Design, base:
 def _saved_account(own: Account) -> dict[str, Any]:
     """Effects with their values, and the base that these belong to: from another a fit may go astray."""
     model = own.refit.model
-    effects = [{"name": p.effect.name, "form": p.form, "values": [float(v) for v in p.values]} for p in present_of(own)]
     base = {name: np.asarray(value).tolist() for name, value in model.base._asdict().items()}
-    return {"effects": effects, "base": base, "gain": model.gain.tolist()}
+    return {"effects": [saved_effect(p) for p in present_of(own)], "base": base, "gain": model.gain.tolist()}
 
 
 def _recalled_account(look: Look, saved: dict[str, Any]) -> Account:
-    effects, start = vocabulary(), look.problem.start
-    present = [Present(effects[p["name"]], p["form"], tuple(p["values"])) for p in saved["effects"]]
+    start = look.problem.start
+    present = [recalled_effect(own) for own in saved["effects"]]
     base: Law | Free
     if isinstance(start.base, Law):
         base = Law(**saved["base"])
