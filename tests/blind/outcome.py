@@ -214,12 +214,12 @@ def strength_error(record: Record) -> float | None:
 
 def told_apart(record: Record) -> bool:
     """Whether the advised frames, made and judged with the others, left one explanation, the truth; and a condition at
-    random needs twice as many at least, in more than half of all cases."""
+    random needs twice as many at least, in more than half of all cases. Needs are counted in parts of a frame."""
     own = record["advised"]
     if own["frames"] is None:
         return False
     by_chance = np.median([np.inf if frames is None else frames for frames in own["any"]])
-    return own["left"] == [sorted(truth(record))] and by_chance >= 2 * own["frames"]
+    return own["left"] == [sorted(truth(record))] and by_chance >= 2 * own["needed"]
 
 
 def of_contract(effect: Record) -> bool:

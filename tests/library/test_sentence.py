@@ -85,6 +85,8 @@ def test_conditions_in_words():
     given = {"exposure_s": 1.8e-3, "angle_deg": 22.5}
     assert condition_text(given) == "an exposure of 1.8 ms and 22.5°"
     assert condition_text({"z_m": 0.168}) == "z_m 0.168"
+    dark = "an exposure of 2 ms with the beam blocked and the room as it was"
+    assert condition_text({"exposure_s": 2e-3, "blocked": True}) == dark
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ but its image files.
     case, files              a case of a seed; its folder and its truth
 """
 
-from rig.hidden.case import Case, draw_case, frames, with_more
+from rig.hidden.case import Case, blocked, draw_case, frames, with_more
 from rig.hidden.designs import DESIGNS
 from rig.hidden.files import write
 from rig.hidden.kinds import possible
@@ -22,4 +22,4 @@ from rig.hidden.registry import OUTSIDERS
 
 OUTSIDE = tuple(OUTSIDERS)
 
-__all__ = ["DESIGNS", "EFFECTS", "OUTSIDE", "Case", "draw_case", "frames", "possible", "with_more", "write"]
+__all__ = ["DESIGNS", "EFFECTS", "OUTSIDE", "Case", "blocked", "draw_case", "frames", "possible", "with_more", "write"]

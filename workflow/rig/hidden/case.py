@@ -101,6 +101,14 @@ def with_more(case: Case, angle_deg: float, exposure_s: float, number: int) -> C
     return replace(case, shots=tuple(shots), manifest=[shot.row() for shot in shots])
 
 
+def blocked(case: Case, exposure_s: float, number: int) -> list[np.ndarray]:
+    """Frames [DN] of the same camera in the same room with the beam blocked, taken after the others."""
+    dark = replace(case.world, base=replace(case.world.base, peak_dn=0.0))
+    shot = replace(case.shots[-1], exposure_s=exposure_s)
+    seeds = np.random.SeedSequence([case.seed, 3]).spawn(number)
+    return [expose(dark, shot, np.random.Generator(np.random.SFC64(seed))) for seed in seeds]
+
+
 def _strengthened(
     rng: np.random.Generator, judge: Judge, base: Base, effects: list[Effect], wanted: Kind
 ) -> list[Effect]:

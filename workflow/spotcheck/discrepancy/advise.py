@@ -6,20 +6,26 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.cells import Cells, pooled
-from spotcheck.discrepancy.explain import Account, is_component
+from spotcheck.discrepancy.explain import Account, account, is_component
 from spotcheck.discrepancy.look import Look
+from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.refit import Model, Problem, refit
+from spotcheck.model.sensor import reading
 
 # −2 ln L by which an explanation must fall behind to be told apart: five standard deviations.
 APART = 25.0
 MOST_FRAMES = 200
+# Frames by which the worth of one is reckoned: nearest to what is asked for, as a rival bends at first.
+FEW = 8
 
 
 class Condition(NamedTuple):
-    """A feasible measurement, at a site of its own: exposure [s], fibre angle [deg]."""
+    """A feasible measurement, at a site of its own: exposure [s], fibre angle [deg], and whether the beam is blocked
+    while the room stays as it is."""
 
     exposure_s: float
     angle_deg: float
+    blocked: bool = False
 
 
 class Advice(NamedTuple):
@@ -38,14 +44,14 @@ def advise(look: Look, tied: Sequence[Account]) -> list[Advice]:
     for k, rival in enumerate(tied[1:], start=1):
         found = [own for own in conditions_for(look, tied[0], rival) if own[1] <= MOST_FRAMES]
         if found:
-            condition, frames, gain = min(found, key=lambda own: (own[1], -own[2]))
-            out.append(Advice(condition, (0, k), int(frames), gain))
+            condition, frames, gain = min(found, key=lambda own: own[1])
+            out.append(Advice(condition, (0, k), int(np.ceil(frames)), gain))
     return out
 
 
 def conditions_for(look: Look, first: Account, rival: Account) -> list[tuple[Condition, float, float]]:
-    """Every feasible condition with the frames of it that tell two explanations apart whichever is true (inf: none do),
-    and −2 ln L by which the false one falls behind with each.
+    """Every feasible condition with the frames of it that tell two explanations apart whichever is true (a part of one
+    where one is more than enough; inf: none do), and −2 ln L by which the false one falls behind with each.
 
     One may mimic whatever the other does, as a broad enough halo does a pedestal: then they are told apart if it is the
     true one, or not at all, and the frames are those for that.
@@ -57,15 +63,18 @@ def conditions_for(look: Look, first: Account, rival: Account) -> list[tuple[Con
     for condition in feasible(look):
         tried = []
         for way, already in zip(ways, before, strict=True):
-            gain = _of_fields(look, *way) if scatter else separation(look, *way, condition, already)
-            tried.append((float(np.ceil(max(APART - already, 1.0) / gain)) if gain > 0 else np.inf, gain))
+            if condition.blocked:
+                gain = _of_pedestal(look, *way, condition)
+            else:
+                gain = _of_fields(look, *way) if scatter else separation(look, *way, condition, already)
+            tried.append((float(max(APART - already, 1.0) / gain) if gain > 0 else np.inf, gain))
         out.append((condition, *max([own for own in tried if own[0] <= MOST_FRAMES] or tried)))
     return out
 
 
 def feasible(look: Look) -> list[Condition]:
     """Exposures from a quarter of the shortest to four times the longest, and those between, at the first angle; the
-    angles, those between, and one beyond, at the longest exposure."""
+    angles, those between, and two beyond, at the longest exposure; that exposure with the beam blocked."""
     view = look.cells.view
     exposures = np.unique(view.exposure_s[view.exposure_s > 0])
     angles = np.rad2deg(np.unique(view.angle))
@@ -75,15 +84,15 @@ def feasible(look: Look) -> list[Condition]:
               2 * exposures[-1], 4 * exposures[-1]]  # fmt: skip
     between = [*angles, *((angles[:-1] + angles[1:]) / 2), angles[-1] + 22.5, angles[-1] + 45]
     out = [Condition(float(t), float(angles[0])) for t in longer]
-    return out + [Condition(float(exposures[-1]), float(a)) for a in between[1:]]
+    out += [Condition(float(exposures[-1]), float(a)) for a in between[1:]]
+    return [*out, Condition(float(exposures[-1]), float(angles[0]), blocked=True)]
 
 
 def separation(look: Look, first: Account, rival: Account, condition: Condition, without: float) -> float:
     """−2 ln L by which a rival falls behind with every frame of a condition, if the first explanation is true; it is so
     much behind `without` any."""
-    few = 8
-    with_it, dark = separations(look, first, rival, condition, few)
-    return 0.0 if dark else max(with_it - without, 0.0) / few
+    with_it, dark = separations(look, first, rival, condition, FEW)
+    return 0.0 if dark else max(with_it - without, 0.0) / FEW
 
 
 def _scatter(first: Account, rival: Account) -> bool:
@@ -96,6 +105,32 @@ def _scatter(first: Account, rival: Account) -> bool:
         if (e.name in first.names) != (e.name in rival.names)
     }
     return any(map(is_component, apart.values()))
+
+
+def pedestal_of(own: Account) -> float:
+    """The uniform level [DN] that an explanation has beside black, 0 without one."""
+    return sum(p.values[0] for p in own.refit.model.present if p.effect.name == "dark_offset")
+
+
+def _of_pedestal(look: Look, first: Account, rival: Account, condition: Condition) -> float:
+    """−2 ln L by which one frame with the beam blocked tells a pedestal from what comes with the light; 0 where both
+    have one, or neither, and where a slope of the background lets the level be anything.
+
+    A false pedestal may shrink, which costs what had asked for it.
+    """
+    if ("dark_offset" in first.names) == ("dark_offset" in rival.names):
+        return 0.0
+    if "background_gradient" in (*first.names, *rival.names):
+        return 0.0
+    own = first if "dark_offset" in first.names else rival
+    dark, lit = (reading(dn, condition.exposure_s, look.setting.sensor) for dn in (0.0, pedestal_of(own)))
+    pixels = float(look.cells.pixels.sum() / look.cells.frames.sum())
+    frames = FEW * pixels * float((lit.mean - dark.mean) ** 2 / lit.variance)
+    if own is rival:
+        kept = [p for p in present_of(rival) if p.effect.name != "dark_offset"]
+        held = max(account(look, kept, rival.refit.model).score - rival.score, 0.0)
+        frames *= held / (held + frames)
+    return frames / FEW
 
 
 def _of_fields(look: Look, first: Account, rival: Account) -> float:

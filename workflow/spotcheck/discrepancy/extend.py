@@ -118,8 +118,8 @@ def investigate(
                 looks[leader.key] = near
                 good = fits(near, exact)
         elif not good and own.names != leader.names:
-            # The form that a rival has from there may be the wrong one.
-            exact, _ = best_form(near, exact, lambda _: near)
+            # The form that a rival has from there may be the wrong one, and its edge needs a look of its own.
+            exact, near = best_form(near, exact, near_to)
             good = fits(near, exact)
         return exact, good
 

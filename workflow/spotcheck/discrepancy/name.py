@@ -204,7 +204,7 @@ def _fewer(look: Look, best: Account, closer: Closer, worse: float) -> Account |
     whole = account(look, present_of(best)) if np.isfinite(worse) else best
     for leave in best.names if len(best.names) > 1 else ():
         kept = [p for p in present_of(best) if p.effect.name != leave]
-        reduced = account(look, kept)
+        reduced = account(look, kept, best.refit.model)
         if reduced.score > whole.score + worse:
             continue
         own, good = closer(reduced, reduced)

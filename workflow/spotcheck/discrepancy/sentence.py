@@ -80,9 +80,9 @@ def condition_text(condition: dict[str, float]) -> str:
             words.append(f"an exposure of {value_text(value, None, 's')}")
         elif name == "angle_deg":
             words.append(f"{value:.4g}°")
-        else:
+        elif name != "blocked":
             words.append(f"{name} {value:.4g}")
-    return _list(words)
+    return _list(words) + (" with the beam blocked and the room as it was" if condition.get("blocked") else "")
 
 
 def place_text(row: dict[str, Any]) -> str:

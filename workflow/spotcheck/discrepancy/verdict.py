@@ -285,7 +285,8 @@ def _advice(judgement: Judgement, names: list[tuple[str, ...]]) -> list[dict[str
     out = []
     for own in judgement.advice:
         first, second = (set(names[k]) for k in own.pair)
-        condition = {"exposure_s": own.condition.exposure_s, "angle_deg": own.condition.angle_deg}
+        exposure_s, angle_deg, blocked = own.condition
+        condition = {"exposure_s": exposure_s} | ({"blocked": True} if blocked else {"angle_deg": angle_deg})
         pair = [" + ".join(sorted(first - second)) or "less", " + ".join(sorted(second - first)) or "less"]
         out.append({"condition": condition, "separates": pair, "frames": own.frames})
     return out
