@@ -97,6 +97,17 @@ def test_nothing_is_too_bright(one_angle):
     assert bright and all(separations(look, fibre, beam, c)[1] for c in bright)
 
 
+def test_an_exposure_may_be_shorter_than_a_shutter_is_late(one_angle):
+    """A quarter of the shortest exposure is none if the shutter opens that late, whichever explanation says so."""
+    look, fibre, _ = one_angle
+    late = present(look, "shutter_offset", -4e-5)
+    short = min(feasible(look), key=lambda condition: condition.exposure_s)
+    assert short.exposure_s < 4e-5
+    for way in ((fibre, late), (late, fibre)):
+        assert separations(look, *way, short) == (0.0, True)
+        assert separations(look, *way, None)[0] > 0
+
+
 def test_frames_are_added_at_sites_that_lack_them():
     """At sites of the angle first, then at new ones; earlier frames keep their readings."""
     case = hidden.draw_case(7, "one:smear:strong", "three_repeats")

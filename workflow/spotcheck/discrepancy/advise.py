@@ -158,7 +158,7 @@ def separations(
     look: Look, first: Account, rival: Account, condition: Condition | None, frames: int = 1
 ) -> tuple[float, bool]:
     """−2 ln L of the rival's best fit to what the first explanation expects, over its own; and whether the condition is
-    of no use (too bright)."""
+    of no use (too bright, or too short for one of them)."""
     problem = look.problem
     view, cells = problem.cells.view, problem.cells
     if condition is not None:
@@ -176,14 +176,16 @@ def separations(
             frames=np.append(cells.frames, frames),
             pixels=np.concatenate([cells.pixels, more]),
         )
-    truth = _over(first.refit.model, cells)
+    truth, other = (_over(own.refit.model, cells) for own in (first, rival))
     blank = cells._replace(residual=np.zeros(cells.pixels.shape), variance=np.ones(cells.pixels.shape))
-    at = Problem(blank, look.setting, truth).at_start
-    if float(np.max(at.mean)) > 0.97 * look.setting.sensor.full_scale_dn:
+    with np.errstate(invalid="ignore"):
+        at, rivals = (Problem(blank, look.setting, own).at_start for own in (truth, other))
+    # A shutter that is late by more than the exposure leaves no frame (NaN).
+    if not np.isfinite((at.mean, rivals.mean)).all() or np.max(at.mean) > 0.97 * look.setting.sensor.full_scale_dn:
         return 0.0, True
     variance = np.where(cells.pixels > 0, pooled(at.variance) / np.maximum(cells.pixels, 1), np.inf)
     asimov = Problem(blank._replace(variance=variance), look.setting, truth, scatter=variance)
-    return refit(asimov, rival.refit_effects, _over(rival.refit.model, cells)).chi2, False
+    return refit(asimov, rival.refit_effects, other).chi2, False
 
 
 def _over(model: Model, cells: Cells) -> Model:
