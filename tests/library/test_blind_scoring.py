@@ -7,10 +7,11 @@ from collections import Counter
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import stats
 
 from rig import hidden
 from spotcheck import provenance, store
-from tests.blind import figure, intervals, outcome, picture, power, records, score, table, times
+from tests.blind import figure, intervals, limit, outcome, picture, power, records, score, table, times
 from tests.blind.judge_case import BY_COMMAND, Nulls, compared, record_of
 from tests.blind.plan import PUBLISHED, Job, plan
 from tests.check_readme import pattern
@@ -245,6 +246,19 @@ def test_the_weakest_effect_at_ninety_percent():
     assert power.weakest(list(zip(strength, lucky.astype(float), strict=True)))[0] == pytest.approx(expected, rel=0.22)
     assert np.isnan(power.weakest([(1.0, 1.0)] * 5)[0])
     assert power.weakest([(s, float(s > 1)) for s in np.geomspace(0.3, 3, 60)])[0] == pytest.approx(1.0, rel=0.15)
+
+
+def test_no_test_finds_hot_pixels_without_their_places():
+    """A single pixel has one place: there the most powerful test asks whether its reading passes a level, and the part
+    of the heights that do is known. Among many, more is needed, and nothing is found of what is not there."""
+    heights = np.linspace(0.3, 2.0, 2001)
+    for scale in (1.5, 2.5):
+        expected = stats.norm.cdf(scale * heights - stats.norm.isf(0.01)).mean()
+        # The level is that of 40 draws in 4000, known to 0.06: up to 0.02 of the power; three times that.
+        assert limit.power_of_hot(scale, 1, 1) == pytest.approx(expected, abs=0.06)
+    powers = [limit.power_of_hot(scale, 50, 57_600) for scale in (1e-3, 1.0, 1.6, 2.3)]
+    # At most 1 % by chance, four standard errors of 4000 draws.
+    assert powers[0] < 0.01 + 4 * np.sqrt(0.01 / 4000) and np.all(np.diff(powers) > 0) and powers[-1] > 0.98
 
 
 def test_intervals_of_shares_are_exact():

@@ -1,6 +1,7 @@
 """What a set of effects makes of a look: one joint fit of condition means and of noise, and what it leaves over."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,8 @@ ROUNDS, STILL = 8, 0.2
 # From so many standard deviations on a quantity of the frames scatters clearly; and no granular field brings more than
 # this part of that to the differences between exposures of a site (a tenth where widths differ by a third).
 CLEARLY, APART = 10.0, 0.5
+# So often is a grain found with the errors held that follow from it.
+WEIGHED = 3
 # Relative step to bend a cost by.
 BEND = 3e-3
 # Of some 30,000 places in a spectrum none is higher by chance, but once in a million sets.
@@ -310,45 +313,41 @@ def _components(look: Look, active: Sequence[str], expected: np.ndarray):
         value, error, _ = _solve(look, active, expected, 1.0)
         return dict(zip(active, value, strict=True)), dict(zip(active, error, strict=True)), 1.0
 
-    def cost(grain: float) -> float:
-        return _solve(look, active, expected, grain)[2]
+    def cost(log_grain: float, held: np.ndarray | None = None) -> float:
+        return _solve(look, active, expected, float(np.exp(log_grain)), held=held)[2]
 
-    first = min(grains_of(look.problem.context.sigma_px), key=cost)
+    first = min(np.log(grains_of(look.problem.context.sigma_px)), key=cost)
+    bounds, held = first + np.log(REFINED), None
+    for _ in range(WEIGHED):
+        # Errors are wider than chance alone makes them, for what the loads are trusted, and grow with the field: were
+        # they free here, a field that scatters less would seem likelier. Held, they draw to neither side.
+        at = partial(cost, held=held)
+        best = float(minimize_scalar(at, bounds=bounds, method="bounded", options={"xatol": 2e-3}).x)
+        grain = float(np.exp(best))
+        found, spread, _ = _solve(look, active, expected, grain, held=held)
+        held = _errors(look, active, expected, grain, found)
+    errors = dict(zip(active, spread, strict=True)) | {"size": grain * _spread(at, best)}
+    return dict(zip(active, found, strict=True)), errors, grain
 
-    def by_log(log_grain: float) -> float:
-        return cost(float(np.exp(log_grain)))
 
-    best = minimize_scalar(
-        by_log, bounds=np.log(first * np.array(REFINED)), method="bounded", options={"xatol": 2e-3}
-    ).x
-    grain = float(np.exp(best))
-    value, error, _ = _solve(look, active, expected, grain)
-    size = grain * _spread(by_log, best)
-    errors = dict(zip(active, error, strict=True)) | {"size": size}
-    return dict(zip(active, value, strict=True)), errors, grain
-
-
-def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float, among: np.ndarray | None = None):
+def _solve(
+    look: Look,
+    active: Sequence[str],
+    expected: np.ndarray,
+    grain: float,
+    among: np.ndarray | None = None,
+    held: np.ndarray | None = None,
+):
     """Active components, their standard errors, and −2 ln L, from the observables `among` (all that components may
-    move)."""
-    index = [COMPONENTS.index(name) for name in active]
+    move); with `held` [observable] in place of the errors that follow from the components."""
     seen = look.observables
     own = _plain(look) if among is None else among
-    loads = grained(seen, grain, look.measured.side)[:, index]
+    loads = grained(seen, grain, look.measured.side)[:, [COMPONENTS.index(name) for name in active]]
     value = np.array([o.value for o in seen]) - expected
-    floor = np.array([o.floor for o in seen])
     basic = np.array([o.error for o in seen])
-    form = np.array([0.0 if o.label == "site" else TRUST_GRAIN for o in seen])
-    again = _one_draw(look) if "pixel" in active else 0.0
     found = np.zeros(len(active))
-    for _ in range(4 if active else 1):
-        excess = loads @ found
-        error = basic * (1 + np.maximum(excess + expected, 0) / floor) + TRUST * np.abs(excess)
-        if "grain" in active:
-            error = error + form * loads[:, list(active).index("grain")] * found[list(active).index("grain")]
-            error = error + _by_grain(seen, found[list(active).index("grain")], grain)
-        if "pixel" in active:
-            error = error + again * loads[:, list(active).index("pixel")] * found[list(active).index("pixel")]
+    for _ in range(4 if active and held is None else 1):
+        error = _errors(look, active, expected, grain, found, loads) if held is None else held
         scale = 1 / error[own]
         size = np.maximum(np.linalg.norm(loads[own] * scale[:, None], axis=0), 1e-300)
         if active:
@@ -357,6 +356,32 @@ def _solve(look: Look, active: Sequence[str], expected: np.ndarray, grain: float
     rest = (value - loads @ found)[own] * scale
     score = float((rest**2).sum() + 2 * np.log(error[own] / basic[own]).sum())
     return found, 1 / size, score
+
+
+def _errors(
+    look: Look,
+    active: Sequence[str],
+    expected: np.ndarray,
+    grain: float,
+    found: np.ndarray,
+    loads: np.ndarray | None = None,
+) -> np.ndarray:
+    """Standard error of each observable beside active components of the sizes `found`, which move it by `loads`
+    [observable, component] each."""
+    seen = look.observables
+    if loads is None:
+        loads = grained(seen, grain, look.measured.side)[:, [COMPONENTS.index(name) for name in active]]
+    brought = dict(zip(active, (loads * found).T, strict=True))
+    excess = (loads * found).sum(axis=1)
+    floor = np.array([o.floor for o in seen])
+    error = np.array([o.error for o in seen]) * (1 + np.maximum(excess + expected, 0) / floor) + TRUST * np.abs(excess)
+    if "grain" in brought:
+        form = np.array([0.0 if o.label == "site" else TRUST_GRAIN for o in seen])
+        variance = float(found[list(active).index("grain")])
+        error = error + form * brought["grain"] + _by_grain(seen, variance, grain)
+    if "pixel" in brought:
+        error = error + _one_draw(look) * brought["pixel"]
+    return error
 
 
 def _shared_variance(look: Look, component: dict[str, float], grain: float, fit: Refit) -> np.ndarray | float:

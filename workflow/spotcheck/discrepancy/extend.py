@@ -13,7 +13,7 @@ from spotcheck.discrepancy.explain import Account, account, granular
 from spotcheck.discrepancy.freed_named import Freed, Left, freed_of, left_of
 from spotcheck.discrepancy.lasting import lasting
 from spotcheck.discrepancy.look import Look, look_again, look_at
-from spotcheck.discrepancy.name import FRINGES, present_of, search
+from spotcheck.discrepancy.name import CONSTANT, FRINGES, plainly, present_of, search
 from spotcheck.discrepancy.refit import NO_WAVE
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import peak
@@ -235,12 +235,12 @@ def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> t
             tried = []
             for values in starts:
                 present[k] = present[k]._replace(form=form, values=values)
-                tried.append(account(near, present, own.refit.model, own.refit.score))
-            other, look = min(tried, key=lambda one: one.score), near
+                tried.append(account(near, present, own.refit.model, own.refit.score + CONSTANT))
+            other, look = min(tried, key=plainly), near
             if edged and effect.name == "saturation" and other.refit.chi2 < NEARLY * near.problem.used.sum():
                 look = near_to(other)
                 other = closer_account(look, other)
-            if other.score < own.score - 1:
+            if plainly(other) < plainly(own) - 1:
                 own, near = other, look
     return own, near
 

@@ -16,6 +16,8 @@ from spotcheck.model.effect import Effect, Place, Present
 TIED = 16.0
 # An effect stays in a model only if without it −2 ln L rises by more than this.
 EARNS = 10.0
+# A constant of a form must earn this beside the 2 of any free number: three standard errors in all.
+CONSTANT = 7.0
 # An effect that promises less than this part of the best, to first order, is not fitted; but for those whose first
 # order says nothing.
 HOPELESS = 0.004
@@ -103,11 +105,17 @@ def _added(
         for values in starts:
             found = account(look, (*kept, Present(effect, form, values)), before.refit.model, target)
             target = min(target, found.refit.score)
-            if best is None or found.score < best.score:
+            if best is None or plainly(found) < plainly(best):
                 best = found
         assert best is not None
         first = next(p.values for p in best.refit.model.present if p.effect.name == effect.name)
     return best
+
+
+def plainly(own: Account) -> float:
+    """The score by which forms of the same effects are compared: what only shapes a form must earn its place clearly,
+    or the strength takes the shape's freedom for its own."""
+    return own.score + CONSTANT * sum(len(e.parameters) - len(e.idle.get(form, ())) for e, form in own.effects)
 
 
 def scatters(effect: Effect) -> bool:

@@ -44,7 +44,8 @@ RINGS = 120
 class Observable(NamedTuple):
     """A number with its block and label, the condition it belongs to (None: all), its bin, its standard error under
     the model (which grows with an excess as (floor + excess)/floor), and its loads [component]; that of a granular
-    field is for unit grain factor (`grained`)."""
+    field is for unit grain factor (`grained`). Under the light that shows a field, none correlates farther than
+    `window` [px]."""
 
     block: str
     label: str
@@ -56,6 +57,7 @@ class Observable(NamedTuple):
     error: float
     floor: float
     load: np.ndarray
+    window: float = np.inf
 
 
 def observables(
@@ -94,22 +96,38 @@ def grained(seen: list[Observable], grain: float, side: int) -> np.ndarray:
     """Loads [observable, component] for a field that correlates as exp(−d²/2 grain²), grain in px."""
     loads = np.array([o.load for o in seen])
     k = COMPONENTS.index("grain")
-    together = 2 * np.pi * grain**2
+    together = cell_of(grain)
     neighbours = np.exp(-np.array([1.0, 4.0]) / (2 * grain**2))
     rough = 1 - _smooth_part(grain, side)
     for row, o in zip(loads, seen, strict=True):
         if o.block == "variance":
             row[k] *= rough
         elif o.label == "band":
-            a, low, high = 2 * (np.pi * grain) ** 2, 1 / o.high, 1 / o.low
-            row[k] *= together * (np.exp(-a * low**2) - np.exp(-a * high**2)) / (a * (high**2 - low**2))
+            row[k] *= band_part(o, grain)
         elif o.label == "site":
-            row[k] *= _fine_part(grain)
+            row[k] *= _fine_part(_narrowed(grain, o.window))
         elif o.block == "frame":
             row[k] *= together
         elif o.block == "line":
             row[k] *= max(np.sqrt(together), 1.0) * (1.5 - 2 * neighbours[0] + 0.5 * neighbours[1]) / 1.5
     return loads
+
+
+def cell_of(grain: float) -> float:
+    """Pixels that such a field moves as one."""
+    return 2 * np.pi * grain**2
+
+
+def band_part(band: Observable, grain: float) -> float:
+    """Mean power of such a field in a band, over that of a white one of the same variance."""
+    grain = _narrowed(grain, band.window)
+    a, low, high = 2 * (np.pi * grain) ** 2, 1 / band.high, 1 / band.low
+    return cell_of(grain) * float(np.exp(-a * low**2) - np.exp(-a * high**2)) / (a * (high**2 - low**2))
+
+
+def _narrowed(grain: float, window: float) -> float:
+    """Grain [px] of a field times a window whose own correlation is exp(−d²/2 window²)."""
+    return float(grain / np.sqrt(1 + (grain / window) ** 2))
 
 
 def _fine_part(grain: float) -> float:
@@ -180,6 +198,8 @@ def _fields(measured: Measured, light: np.ndarray, response: np.ndarray) -> list
     frame_noise = float(sums.totals[:, 5].sum())
     # The light is a window: it makes neighbouring frequencies one.
     window = noise**2 / (count * rows * columns * squared)
+    # ASSUME: the light falls off as a Gaussian does, which correlates as exp(−d²/2 reach²) if it covers 2π reach².
+    reach = np.sqrt(window * rows * columns / (2 * np.pi))
     ky, kx = fft.fftfreq(rows)[:, None], fft.rfftfreq(columns)[None, :]
     radius = np.hypot(kx, ky)
     twice = np.where((kx > 0) & (kx < 0.5), 2.0, 1.0) + 0 * ky
@@ -196,7 +216,7 @@ def _fields(measured: Measured, light: np.ndarray, response: np.ndarray) -> list
         error = np.sqrt(noise_squared / max(modes, 1.0)) / squared
         load = _load(read=frame_noise / squared, pixel=1.0, grain=1.0)
         out.append(Observable("spectrum", "band", None, 1 / high, 1 / low, "px period", value, error,
-                              noise / squared, load))  # fmt: skip
+                              noise / squared, load, reach))  # fmt: skip
     peaked = np.where((radius > 1.5 * BANDS[0]) & (radius < 0.5), power, 0.0)
     # Beside a broad spectrum a stripe is a peak over its surroundings in radius.
     ring = np.digitize(radius, np.linspace(0, 0.75, RINGS))
@@ -208,7 +228,7 @@ def _fields(measured: Measured, light: np.ndarray, response: np.ndarray) -> list
     condition = measured.design.condition
     moved = (light * response)[condition] / np.where(sums.pixels > 0, sums.variance, np.inf)
     by_row = 0.8 * measured.side**2 * float((moved**2).sum())
-    out += _shared(measured, squared, by_row)
+    out += _shared(measured, squared, by_row, reach)
     return out
 
 
@@ -221,9 +241,9 @@ def _fine_noise(squares: np.ndarray) -> np.ndarray:
     return (1 - 2 / BOX**2) * squares + ndimage.uniform_filter(squares, BOX, mode="constant") / BOX**2
 
 
-def _shared(measured: Measured, squared: float, by_row: float) -> list[Observable]:
+def _shared(measured: Measured, squared: float, by_row: float, reach: float) -> list[Observable]:
     """Fine structure that exposures of a site share, that sites share on the sensor or about the spot, and that dark
-    pixels keep. `by_row` is what offsets of rows of 1 DN bring to it."""
+    pixels keep. `by_row` is what offsets of rows of 1 DN bring to it, `reach` [px] how far light correlates."""
     sums, design = measured.sums, measured.design
     chip = np.zeros(sums.dark_pull.shape)
     chip_weight = np.zeros(sums.dark_pull.shape)
@@ -246,7 +266,7 @@ def _shared(measured: Measured, squared: float, by_row: float) -> list[Observabl
     value, error = (site_total - noise) / (left * squared), np.sqrt(2 / squared)
     floor = noise / (left * squared)
     load = _load(read=white, row=by_row / (left * squared), pixel=1.0, grain=1.0)
-    out.append(Observable("spectrum", "site", None, np.nan, np.nan, "", value, error, floor, load))
+    out.append(Observable("spectrum", "site", None, np.nan, np.nan, "", value, error, floor, load, reach))
     norm = left * float((chip_weight**2 - own_weight).sum())
     if measured.common and norm > 1e-6 * squared:
         value = float((chip**2 - own_chip).sum()) / norm
@@ -528,7 +548,16 @@ def _frame_loads(measured: Measured, light: np.ndarray, response: np.ndarray, to
             variance = np.diag(inner)[:size]
             for k, matrix in enumerate((by_row, by_noise, by_light)):
                 totals[name][k] += np.mean(np.diag(inner @ matrix[index] @ inner)[:size] / variance) / len(present)
+    totals["centre"][2] *= apart(base.sigma, design.site)
     return totals
+
+
+def apart(sigma: np.ndarray, site: np.ndarray) -> float:
+    """Mean part of the shift that a granular field brings to spots of widths `sigma` [frame] which those of one site do
+    not share: the field is the same, and two Gaussians see its slope with a correlation of (2ab/(a² + b²))²."""
+    alike = (2 * np.outer(sigma, sigma) / (sigma[:, None] ** 2 + sigma[None, :] ** 2)) ** 2
+    together = (site[:, None] == site[None, :]) & ~np.eye(len(site), dtype=bool)
+    return float(np.mean(1 - alike[together])) if together.any() else 0.0
 
 
 def _readings(measured: Measured) -> list[Observable]:
