@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from spotcheck import crops, frames, store
 from spotcheck.frames import Spot
@@ -30,6 +31,13 @@ def test_hot_pixels_brighter_than_the_spot(seed, sigma):
     first = frames.brightest_pixel(pixels)
     columns = np.nonzero(pixels.max(axis=0) == 1023)[0]
     assert first.column == columns[0] and pixels[first.row, first.column] == 1023
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 5), (31, 40)])
+def test_median_of_nine(shape):
+    """As scipy has it, ties and borders included."""
+    image = np.random.default_rng(3).integers(0, 9, shape).astype(np.float32)
+    np.testing.assert_array_equal(frames._median_of_nine(image), ndimage.median_filter(image, 3, mode="nearest"))
 
 
 BORDERS = [

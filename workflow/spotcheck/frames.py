@@ -194,9 +194,7 @@ def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
     # Twice: a first window may cut a spot that is wider than the block that found it.
     for _ in range(2):
         top, left = max(row - window_px // 2, 0), max(column - window_px // 2, 0)
-        window = ndimage.median_filter(
-            pixels[top : top + window_px, left : left + window_px].astype(np.float32), 3, mode="nearest"
-        )
+        window = _median_of_nine(pixels[top : top + window_px, left : left + window_px].astype(np.float32))
         signal = window - background
         peak = float(signal.max())
         found = peak > max(SPOT_OVER_NOISE * noise, FAINTEST_DN)
@@ -211,6 +209,23 @@ def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
     if not found:
         return Spot(pixels.shape[0] // 2, pixels.shape[1] // 2, False)
     return Spot(row, column, True)
+
+
+def _median_of_nine(image: np.ndarray) -> np.ndarray:
+    """3 × 3 median, the border repeated: the middle one of the largest low, the middle middle and the smallest high of
+    three sorted rows. Equal to that of `scipy.ndimage`, whose sorting took most of the time of cropping."""
+    wide = np.pad(image, 1, mode="edge")
+    height, width = image.shape
+    rows = [_sorted(*(wide[i : i + height, j : j + width] for j in range(3))) for i in range(3)]
+    low, middle, high = zip(*rows, strict=True)
+    return _sorted(np.maximum.reduce(low), _sorted(*middle)[1], np.minimum.reduce(high))[1]
+
+
+def _sorted(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Three images in ascending order, pixel by pixel."""
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    middle, high = np.minimum(high, c), np.maximum(high, c)
+    return np.minimum(low, middle), np.maximum(low, middle), high
 
 
 def cut(pixels: np.ndarray, spot: Spot, side: int) -> np.ndarray:
