@@ -138,7 +138,8 @@ def of_sites(draw):
 
 
 def test_the_error_of_a_grain():
-    """Normal fields of contrast 0.1 that correlate as exp(−d²/2 grain²), grain 2.4 px."""
+    """Normal fields of contrast 0.1 that correlate as exp(−d²/2 grain²), grain 2.4 px. Over 16 sets the mean is known
+    to 0.015 px, and right within four of these."""
     found = []
     for seed in range(16):
         rng = np.random.default_rng(200 + seed)
@@ -152,6 +153,7 @@ def test_the_error_of_a_grain():
         own = account(look, [present("speckle", 0.0, 0.0)])
         found.append((own.grain - 2.4, own.component_error["size"]))
     scattered(found)
+    assert np.mean([off for off, _ in found]) == pytest.approx(0, abs=0.06)
 
 
 def test_the_error_of_a_depth():

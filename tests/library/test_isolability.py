@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from spotcheck.discrepancy.asimov import APART, asimov
 from spotcheck.discrepancy.calibration import Kind, null_look
-from spotcheck.discrepancy.isolability import isolability
+from spotcheck.discrepancy.explain import account
+from spotcheck.discrepancy.isolability import _as_deep, _at_strength, isolability
 from spotcheck.discrepancy.shots import Shot, design_of
+from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
 
 GRID = [(a, t, r) for a in (0.0, 45.0, 90.0) for t in (1e-4, 3e-4, 9e-4) for r in range(4)]
@@ -69,3 +72,15 @@ def test_widths_of_three_exposures_hardly_tell_power_from_delay():
     )
     assert tie.rival == "shutter_offset"
     assert tie.apart < 0.5 * tie.snr
+
+
+def test_stripes_as_long_as_blocks_are_wide_stand_in_for_no_brightness(look):
+    """Sampled once a block they change each site's brightness and nothing else of its means: only their own
+    power in the spectrum tells."""
+    own = _at_strength(look, vocabulary()["angle_reflectance"], 100.0)
+    ideal = asimov(look, own.refit.model, own.component, own.grain)
+    truth = account(ideal, own.refit.model.present, own.refit.model)
+    as_wide = (1e-4, float(look.measured.side), 0.0, 0.0)
+    stripes = account(ideal, [Present(vocabulary()["interference_fringes"], "site", as_wide)])
+    assert stripes.score - truth.score < APART**2
+    assert _as_deep(ideal, stripes).score - truth.score > 4 * APART**2

@@ -55,7 +55,7 @@ def test_what_a_design_cannot_show_is_not_assessed(options, why):
 def test_one_effect_is_enough_where_one_explains():
     """The search stops at the first size that holds; every effect that promises something has its own account."""
     look, _ = looked(ghost)
-    found = name.search(look, effects(*FEW), enough)
+    found = name.search(look, effects(*FEW), enough, lambda own: look)
     assert [own.names for own in found.holding] == [("ghost_reflection",)]
     assert found.best is found.holding[0] and "ghost_reflection" in found.singles
 
@@ -63,7 +63,7 @@ def test_one_effect_is_enough_where_one_explains():
 def test_two_where_no_single_one_explains():
     """The pair, with what each of them is; no third beside it."""
     look, _ = looked(both)
-    found = name.search(look, effects(*FEW), enough)
+    found = name.search(look, effects(*FEW), enough, lambda own: look)
     assert set(found.holding[0].names) == {"ghost_reflection", "dark_offset"}
     assert all(len(own.names) == 2 for own in found.holding)
 
@@ -71,7 +71,7 @@ def test_two_where_no_single_one_explains():
 def test_nothing_holds_where_nothing_is_good_enough():
     """The best that was tried is there, but no explanation; never more effects than the most."""
     look, _ = looked(both)
-    found = name.search(look, effects(*FEW), lambda leader, own: (own, False))
+    found = name.search(look, effects(*FEW), lambda leader, own: (own, False), lambda own: look)
     assert found.holding == [] and found.best is not None and len(found.best.names) <= name.MOST
 
 
@@ -115,6 +115,30 @@ def test_what_a_set_does_not_need_is_dropped():
     fewer = name._fewer(look, pair, enough, np.inf)
     assert fewer is not None and fewer.names == ("ghost_reflection",)
     assert name._fewer(look, fewer, enough, np.inf) is None
+
+
+def test_what_noise_alone_sets_apart_is_no_name():
+    """At one angle an oval beam is an oval spread. Were the other by chance 20 behind in −2 ln L, which noise of one
+    standard deviation does to what is expected to be 10 behind, both are answers; not so where 1,000 are expected, nor
+    where more is seen than chance ever does."""
+
+    def oval(dx, dy, angle, exposure, sigma, spot):
+        return np.max(spot) * np.exp(-((dx / 1.05) ** 2 + dy**2) / (2 * sigma**2))
+
+    look, empty = looked(oval, angles=(0.0,))
+    found = name.singles(look, effects("fibre_anisotropy", "beam_ellipticity", "ghost_reflection"))
+    ranked = sorted(found.values(), key=lambda own: own.score)
+    best, rival, other = ranked
+    assert other.names == ("ghost_reflection",) and abs(rival.score - best.score) < 0.1
+
+    def answers(behind, which):
+        closer = lambda leader, own: (own._replace(score=best.score + behind), True)  # noqa: E731
+        near = {own.names[0]: own for own in (best, which._replace(score=best.score + behind))}
+        return name._inseparable(best, near, empty, closer, lambda own: look)
+
+    assert [own.names for own in answers(20.0, rival)] == [rival.names]
+    assert answers(1.05 * name.FAR, rival) == []
+    assert answers(20.0, other) == []
 
 
 def test_free_gains_leave_when_a_law_of_the_brightness_has_come():

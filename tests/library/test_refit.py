@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from spotcheck.discrepancy.asimov import asimov
 from spotcheck.discrepancy.explain import account, expected_of
-from spotcheck.discrepancy.isolability import asimov
 from spotcheck.discrepancy.name import singles
 from spotcheck.model.effect import Parameter
 from spotcheck.model.effects import vocabulary

@@ -5,9 +5,10 @@ import argparse
 import numpy as np
 
 from spotcheck import dataset, store
+from spotcheck.discrepancy.asimov import APART
 from spotcheck.discrepancy.assess import assessable
 from spotcheck.discrepancy.calibration import Kind, null_look
-from spotcheck.discrepancy.isolability import APART, isolability
+from spotcheck.discrepancy.isolability import isolability
 from spotcheck.discrepancy.shots import Shot
 from spotcheck.discrepancy.verdict import discovery_design
 from spotcheck.manifest import number_in

@@ -138,7 +138,7 @@ def investigate(
         # Last, for it opens every frame again.
         return good and ("fixed_pattern" not in exact.names or lasting(shots, look, _prnu(exact)))
 
-    naming = search(look, effects, closer)
+    naming = search(look, effects, closer, near_to)
     evidence = {n: (own.score - first.score, own.refit.chi2) for n, own in naming.singles.items()}
     explanations = naming.holding
     status = ("named" if len(explanations) == 1 else "ambiguous") if explanations else "unknown"

@@ -1,8 +1,7 @@
 """Which effects a design can tell apart, before any data are read: every rival refitted to what an effect would bring.
 
-The data are the expectation of the model with the effect, without noise (Asimov's data set: Cowan et al. 2011,
-doi:10.1140/epjc/s10052-011-1554-0); by how much −2 ln L of a rival then lies above the truth's is SNR²(1 − ρ²), with ρ
-the correlation of the two signatures after everything else was refitted.
+The data are the expectation of the model with the effect, without noise; by how much −2 ln L of a rival then lies above
+the truth's is SNR²(1 − ρ²), with ρ the correlation of the two signatures after everything else was refitted.
 """
 
 from collections.abc import Sequence
@@ -10,16 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.discrepancy.cells import pooled
-from spotcheck.discrepancy.explain import COMPONENT, Account, account, expected_of, latent_of
-from spotcheck.discrepancy.look import Look, course_of
-from spotcheck.discrepancy.name import CONTAINS, present_of, singles
-from spotcheck.discrepancy.noise import COMPONENTS, grained
-from spotcheck.discrepancy.refit import Model, Problem, plain
+from spotcheck.discrepancy.asimov import asimov
+from spotcheck.discrepancy.explain import COMPONENT, Account, account
+from spotcheck.discrepancy.look import Look
+from spotcheck.discrepancy.name import CONTAINS, FRINGES, present_of, singles
+from spotcheck.discrepancy.refit import plain
 from spotcheck.model.effect import Effect, Present
 
-# Signal-to-noise from which on two effects can be told apart.
-APART = 5.0
 # Steps towards a strength.
 STEPS = 14
 
@@ -34,28 +30,23 @@ class Isolation(NamedTuple):
     apart: float
 
 
-def asimov(look: Look, model: Model, component: dict[str, float], grain: float) -> Look:
-    """A look at what a model would bring, in place of what was seen; noise has its size and no value."""
-    problem = look.problem
-    at = problem.evaluate(model)
-    cells = look.cells._replace(residual=pooled(at.mean) - problem.mean_start)
-    value = grained(look.observables, grain, look.measured.side) @ [component.get(name, 0.0) for name in COMPONENTS]
-    course = course_of(look, model.present)[:, None]
-    quiet = look._replace(brightness=look.brightness._replace(value=0 * look.brightness.value + course))
-    value = value + expected_of(quiet, at, model.present)
-    seen = [o._replace(value=float(v)) for o, v in zip(look.observables, value, strict=True)]
-    scatter = problem.variance(at, latent_of(look, component, grain, ()))
-    again = Problem(cells, look.setting, problem.start, problem.used, scatter)
-    return quiet._replace(cells=cells, problem=again, observables=seen)
-
-
 def isolation(look: Look, own: Account, effects: Sequence[Effect]) -> dict[str, float]:
     """−2 ln L of every rival's best fit over that of an account, if the account is the truth."""
     ideal = asimov(look, own.refit.model, own.component, own.grain)
     truth = account(ideal, present_of(own), own.refit.model)
     found = singles(ideal, [effect for effect in effects if effect.name not in own.names])
+    if FRINGES in found:
+        found[FRINGES] = _as_deep(ideal, found[FRINGES])
     empty = account(ideal, ())
     return {"": empty.score - truth.score} | {name: rival.score - truth.score for name, rival in found.items()}
+
+
+def _as_deep(ideal: Look, stripes: Account) -> Account:
+    """Stripes with the depth of the waves that the means gave each site: blocks take stripes as long as they are wide
+    for a brightness, and only the spectrum speaks against that."""
+    wave, own = stripes.refit.model.wave, present_of(stripes)[0]
+    depth = float(np.sqrt((wave**2).sum(axis=1).mean())) if wave.size else own.values[0]
+    return account(ideal, [own._replace(values=(depth, *own.values[1:]))], stripes.refit.model)
 
 
 def isolability(look: Look, effect: Effect, effects: Sequence[Effect], snr: float = 100.0) -> Isolation:
@@ -86,7 +77,7 @@ def _at_strength(look: Look, effect: Effect, snr: float) -> Account:
             component = {name: strength}
         else:
             own = float(np.clip(neutral + strength, low, high))
-            form = "spot" if effect.name == "interference_fringes" else effect.forms[0]
+            form = "spot" if effect.name == FRINGES else effect.forms[0]
             present, component = (Present(effect, form, (own, *values[1:])),), {}
         ideal = asimov(look, base._replace(present=present), component, values[-1] if name == "grain" else 1.0)
         truth = present or (Present(effect, "", tuple(0.0 for _ in effect.parameters)),)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy.asimov import APART, asimov
 from spotcheck.discrepancy.explain import Account, account, is_component, relief
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.refit import basis, promised, screened
@@ -14,6 +15,9 @@ from spotcheck.model.effect import Effect, Place, Present
 # Rivals whose −2 ln L (with 2 a free number) is within this of the best cannot be told from it: four standard
 # deviations, for what is five apart may seem four.
 TIED = 16.0
+# Where rivals are expected to be less than `APART` behind, noise shows them so far behind once in 30,000. Nearer ones,
+# that take all but this part of what the best explains, cannot be told from it.
+FAR, MOSTLY = APART**2 + 8 * APART, 0.1
 # An effect stays in a model only if without it −2 ln L rises by more than this.
 EARNS = 10.0
 # A constant of a form must earn this beside the 2 of any free number: three standard errors in all.
@@ -40,6 +44,8 @@ MOST = 3
 
 # Fits an account about the expectation of another, and says whether it leaves nothing that matters.
 Closer = Callable[[Account, Account], tuple[Account, bool]]
+# The closer look about the expectation of an account.
+NearTo = Callable[[Account], Look]
 
 
 class Naming(NamedTuple):
@@ -137,7 +143,7 @@ def _fringes(look: Look, before: Account, effect: Effect) -> Account | None:
     return account(look, (*present_of(before), Present(effect, "site", values)), before.refit.model)
 
 
-def search(look: Look, effects: Sequence[Effect], closer: Closer) -> Naming:
+def search(look: Look, effects: Sequence[Effect], closer: Closer, near_to: NearTo) -> Naming:
     """From single effects upwards until a set holds; then all sets that cannot be told from the best.
 
     Sets are ranked at the first look. Those in contest are then fitted again about the best one's own expectation of
@@ -173,10 +179,18 @@ def search(look: Look, effects: Sequence[Effect], closer: Closer) -> Naming:
     beside = _beside_scatter(look, best, effects, empty, closer)
     # Free gains alone hold wherever a law does: it was added for what it earns.
     best = _thinned(look, beside, closer, EARNS) if beside is not best else best
-    holding = [own for own, good in best if good]
+    holding = _simplest([own for own, good in best if good])
+    if len(holding) == 1 and len(holding[0].names) == 1 and holding[0].names[0] in alone:
+        holding += _inseparable(holding[0], alone, empty, closer, near_to)
     if holding and len(holding[0].effects) > 1:
-        rivals = _rivals(look, holding[0], effects)
-        holding = [own for own, good in _contest([*holding, *rivals], empty, closer) if good]
+        # Once the means are off, scatter does not mislead; but what a look takes off frame by frame is not seen there.
+        whole, near = holding, look
+        if _taken_off(holding[0]):
+            whole = [account(look, present_of(own)) for own in holding]
+        else:
+            near = near_to(holding[0])
+        ranked = sorted([*whole, *_rivals(near, holding[0], effects)], key=lambda own: own.score)
+        holding = [own for own, good in _contest(ranked, empty, closer) if good] or holding
     return Naming(best[0][0], _simplest(holding), alone)
 
 
@@ -252,6 +266,30 @@ def _contest(ranked: Sequence[Account], empty: Account, closer: Closer) -> list[
         exact = [item for item in exact if item[1]] or [first]
         return [item for item in exact if item[0].score < exact[0][0].score + TIED]
     return [(leaders[0], False)]
+
+
+def _inseparable(
+    best: Account, alone: dict[str, Account], empty: Account, closer: Closer, near_to: NearTo
+) -> list[Account]:
+    """Single effects that hold as well and, by chance, were seen further behind than can be expected."""
+    ahead = empty.score - alone[best.names[0]].score
+    near = [own for own in alone.values() if own.names != best.names and not _special(own, best)]
+    near = sorted((own for own in near if empty.score - own.score > (1 - MOSTLY) * ahead), key=lambda own: own.score)
+    exact = (closer(best, own) for own in near[:LARGEST_CONTEST])
+    seen = [own for own, good in exact if good and own.score < best.score + min(FAR, MOSTLY * ahead)]
+    return [own for own in seen if _separation(near_to(best), best, own) < APART**2]
+
+
+def _separation(near: Look, best: Account, rival: Account) -> float:
+    """−2 ln L by which the best fit of a rival would fall behind, were the best account the truth."""
+    ideal = asimov(near, best.refit.model, best.component, best.grain)
+    truth = account(ideal, present_of(best), best.refit.model)
+    return account(ideal, present_of(rival), rival.refit.model).score - truth.score
+
+
+def _taken_off(own: Account) -> bool:
+    """Whether a closer look about an account takes off brightness, place or stripes of frames by themselves."""
+    return own.latent.gain or own.latent.centre or FRINGES in own.names
 
 
 def _simplest(holding: list[Account]) -> list[Account]:
