@@ -101,7 +101,7 @@ def measure() -> Part:
     ]
     note = (
         f"{DRAWS} random sensors, {FRAMES} frames of {SIDE} × {SIDE} px each; speckle of contrast {CONTRAST:g} and "
-        f"{GRAIN:g} px. Rms over the sensors, known to {100 / np.sqrt(2 * DRAWS):.0f} % of itself."
+        f"grain {GRAIN:g} px. Rms over the sensors, known to {100 / np.sqrt(2 * DRAWS):.0f} % of itself."
     )
     worst = max(rms["spots"], rms["spots with speckle"])
     return Part(

@@ -140,7 +140,7 @@ def strength(records: Sequence[Record]) -> Figure:
     if not values:
         return Figure(name, np.nan, (0.0, 0.0), 0, "", *at_most(1.3, 1.1))
     worst = max(errors, key=lambda own: _rms(errors[own]))
-    note = f"median of |error| {np.median(np.abs(values)) / 0.6745:.2f}; worst {worst} {_rms(errors[worst]):.1f}"
+    note = f"by the median {np.median(np.abs(values)) / 0.6745:.2f}; worst {worst} {_rms(errors[worst]):.1f}"
     return Figure(name, _rms(values), bootstrap(values, _rms), len(values), "", *at_most(1.3, 1.1), note=note)
 
 

@@ -118,7 +118,7 @@ def closing(own: dict[str, Any]) -> str:
 def page(found: dict[str, dict[str, dict[str, Any]]]) -> str:
     """The page."""
     plain, hidden = [], []
-    right = wrong = total = 0
+    right = wrong = unjudged = total = 0
     for file, own in found.items():
         as_is = own[""]
         size = as_is["verdict"]["detection"]["rms_residual_percent_of_peak"]
@@ -133,6 +133,7 @@ def page(found: dict[str, dict[str, dict[str, Any]]]) -> str:
             total += 1
             right += name in names
             wrong += bool(names) and name not in names | known
+            unjudged += with_it["verdict"]["status"] == "not_assessed"
             hidden.append((f"`{stem}`", name, closing(with_it), said(with_it)))
     # The spot takes less than half of any frame.
     dark = [np.median(own[""]["seen"].frame) for own in found.values()]
@@ -147,12 +148,13 @@ def page(found: dict[str, dict[str, dict[str, Any]]]) -> str:
         f"What closes most is what the eye sees first: dark pixels read {min(dark):g} to {max(dark):g} DN by frame, "
         "where the data sheet has black at 0, and a pedestal takes most of that away; so would a halo as broad as the "
         "crop. The lobes, bars and rings that are left leave no set of effects standing, so nothing is named. Frames "
-        "of which not even the gain can be told, for they are fine structure throughout, are not assessed.", "",
+        "that tell neither gain nor read noise are not assessed.", "",
         "## With an effect put in", "",
         f"Readings are cut at {CLIP:g} of the spot's highest, raised by {OFFSET:g} DN, bent by {BEND:g} y²/full scale, "
         f"or given stripes of {DEPTH:g} in depth and {PERIOD:g} px in period, then rounded anew. Of {total} sets what "
-        f"was put in was named in {right}; something else, and not it, in {wrong}. In the others nothing is named, as "
-        "in the frames as they are: what was put in is not all that the model lacks, and one frame tells no more.", "",
+        f"was put in was named in {right}; something else, and not it, in {wrong}; {unjudged} are not assessed. In the "
+        "others nothing is named, as in the frames as they are: what was put in is not all that the model lacks, and "
+        "one frame tells no more.", "",
         *markdown(("frame", "put in", "closes most of what is off alone", "verdict"), hidden), "",
     ]  # fmt: skip
     return "\n".join(lines)

@@ -45,7 +45,7 @@ BESIDE = {
     "dsnu": (
         "DSNU1288",
         1.0,
-        "ours is that of all darks, theirs of one pair: the noise of this sensor hangs together, so pairs scatter",
+        "ours is that of all darks, theirs of one pair: this sensor's noise is correlated, so pairs scatter",
     ),
     "prnu": ("PRNU1288", 1.0, "less the pattern of all darks"),
 }
@@ -96,8 +96,9 @@ def page() -> str:
             "out of it):", "",
             *levels.lines(SOURCE, said), "",
             "What was put in is in every best set, but for the shutter's, which at these levels only shot noise tells "
-            "from a pedestal; of the bend and the offset the size is right. Where the status is `unknown`, what "
-            "happens to the levels at an edge is not met, and the edge lies higher than it was put: light varies over "
+            "from a pedestal. The bend's size is right; the offset's holds the intercept that faint levels have anyway "
+            "(see below). Where the status is `unknown`, what happens to the levels at an edge is not met, and the edge "
+            "lies higher than it was put: light varies over "
             "the frame, so pixels get there one after the other.", "",
             "## Up to which level?", "",
             "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
@@ -105,7 +106,7 @@ def page() -> str:
             *markdown(("up to, of saturation", "levels", "K [DN/e-]", "intercept of the response [DN]"), by_range), "",
             "## Spots instead of flats", "",
             "Without flats the gain comes from spots: from what neighbouring pixels do not share, or, where the "
-            "material has speckle, two exposures of one site. What that costs, on drawn frames of known gain:", "",
+            "material has speckle, two exposures of one site. What that costs, on simulated frames of known gain:", "",
             *markdown(by_spots.columns, by_spots.rows), "",
             by_spots.note, "",
         ]

@@ -41,8 +41,8 @@ NEEDS = {
 INTRODUCTION = """# The vocabulary of effects
 
 Written by `spotcheck effects --output workflow/docs/effects.md` from the files in
-[model/effects](../spotcheck/model/effects): do not edit. What each effect means exactly is the dataset contract's
-matter; how the places follow each other is in [model/chain.py](../spotcheck/model/chain.py).
+[model/effects](../spotcheck/model/effects): do not edit. What each effect means exactly is told in its
+file; how the places follow each other is in [model/chain.py](../spotcheck/model/chain.py).
 
 A bound in words is set by the data: σ_g at the longest exposure [px], the brightest light (peak) and full scale [DN],
 the crop's side [px], the shortest exposure [s], read noise [e-]. Directions are in degrees from +x towards +y. A
@@ -51,7 +51,8 @@ parameter marked *inner* is a constant of the form: it is fitted, and reported a
 
 ADDING = """## Adding an effect
 
-One file in `workflow/spotcheck/model/effects/` is enough; no list names it. It holds a function and an `EFFECT`:
+One file in `workflow/spotcheck/model/effects/` is enough; no list in the library names it. It holds
+a function and an `EFFECT`:
 
 1. Choose the place in the chain; the comments of `Place` in [model/effect.py](../spotcheck/model/effect.py) say what
    the function gets and returns there. Parameters come by name, and `form` too where there are several forms.
