@@ -98,7 +98,8 @@ def page() -> str:
             "What was put in is in every best set, but for the shutter's, which at these levels only shot noise tells "
             "from a pedestal. The bend's size is right; the offset's holds the intercept that faint levels have anyway "
             "(see below). Where the status is `unknown`, what happens to the levels at an edge is not met, and the "
-            "edge lies higher than it was put: light varies over the frame, so pixels get there one after the other.", "",
+            "edge lies higher than it was put: light varies over the frame, so pixels get there one after the "
+            "other.", "",
             "## Up to which level?", "",
             "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
             "because the response bends:", "",
