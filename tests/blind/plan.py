@@ -15,7 +15,7 @@ FIRST_FRESH = 1_000_000
 PUBLISHED = 37_000_000
 # Mends that come of sets with effects leave null sets as they are; those with effects then are drawn anew, from this
 # much higher on.
-AFRESH = 6_510_000
+AFRESH = 7_510_000
 # Where several designs have a part in a stream, how often each.
 NULL_DESIGNS = {
     "default": 6, "two_exposures": 4, "three_repeats": 4, "one_exposure": 3, "one_site": 2, "single_frame": 2,

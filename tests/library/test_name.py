@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from spotcheck.discrepancy import name
 from spotcheck.discrepancy.assess import assessable
@@ -139,6 +140,23 @@ def test_what_noise_alone_sets_apart_is_no_name():
     assert [own.names for own in answers(20.0, rival)] == [rival.names]
     assert answers(1.05 * name.FAR, rival) == []
     assert answers(20.0, other) == []
+
+
+def test_what_grows_by_its_square_is_followed_from_a_weak_start():
+    """A smear as long as the spot is wide, at one exposure, passes for an ellipse, of which the fit comes first. The
+    truth is behind that by noise at most: four standard deviations. Its length, known to half a percent, is right
+    within four of them."""
+    length, cos, sin = 7.0, np.cos(np.pi / 6), np.sin(np.pi / 6)
+
+    def smeared(dx, dy, angle, exposure, sigma, spot):
+        along, across = dx * cos + dy * sin, dy * cos - dx * sin
+        ends = ndtr((along + length / 2) / sigma) - ndtr((along - length / 2) / sigma)
+        return np.max(spot) * ends * np.sqrt(2 * np.pi) * sigma / length * np.exp(-(across**2) / (2 * sigma**2))
+
+    look, _ = looked(smeared, angles=(0.0,), exposures=(4e-4,), repeats=12)
+    found = name.singles(look, effects("beam_ellipticity", "motion_blur"))
+    assert found["motion_blur"].score < found["beam_ellipticity"].score + name.TIED
+    assert found["motion_blur"].refit.model.present[0].values[0] * 4e-4 == pytest.approx(length, rel=0.02)
 
 
 def test_free_gains_leave_when_a_law_of_the_brightness_has_come():

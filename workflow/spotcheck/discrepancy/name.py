@@ -18,6 +18,9 @@ TIED = 16.0
 # Where rivals are expected to be less than `APART` behind, noise shows them so far behind once in 30,000. Nearer ones,
 # that take all but this part of what the best explains, cannot be told from it.
 FAR, MOSTLY = APART**2 + 8 * APART, 0.1
+# A start that promises, to first order, this part of what the best fit gains is followed to its end: from a weak start
+# a fit creeps where an effect grows by its square.
+HOPEFUL = 0.5
 # An effect stays in a model only if without it −2 ln L rises by more than this.
 EARNS = 10.0
 # A constant of a form must earn this beside the 2 of any free number: three standard errors in all.
@@ -106,10 +109,12 @@ def _added(
     best = None
     first: tuple[float, ...] | None = None
     for form in forms or effect.forms:
-        promising = [values for _, values in screened(problem, before.refit, span, effect, form)]
-        starts = promising[:STARTS] if first is None else [first, promising[0]]
-        for values in starts:
-            found = account(look, (*kept, Present(effect, form, values)), before.refit.model, target)
+        promising = screened(problem, before.refit, span, effect, form)
+        starts = promising[:STARTS] if first is None else [(0.0, first), promising[0]]
+        for fall, values in starts:
+            followed = fall > HOPEFUL * (before.refit.score - target)
+            start = (*kept, Present(effect, form, values))
+            found = account(look, start, before.refit.model, np.inf if followed else target)
             target = min(target, found.refit.score)
             if best is None or plainly(found) < plainly(best):
                 best = found
