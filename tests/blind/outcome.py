@@ -133,11 +133,11 @@ def unknown_and_empty(record: Record) -> bool:
 
 
 def isolation_of(record: Record) -> float | None:
-    """−2 ln L by which the nearest rival of a single effect falls behind; None where it was not computed, or where what
-    was told the truth did not find it: then a rival is ahead, or no gap closes though some rival is near."""
+    """−2 ln L by which the nearest rival of a single effect falls behind, negative where it is ahead; None where it was
+    not computed, or where what was told the truth did not find it: then no gap closes though some rival is near."""
     told = record.get("told") or {}
-    nearest = min((told.get("isolation") or {}).values(), default=-np.inf)
-    return None if nearest < -ISOLABLE or (_lost(told) and nearest < CLEAR) else nearest
+    nearest = min((told.get("isolation") or {}).values(), default=None)
+    return None if nearest is None or (_lost(told) and nearest < CLEAR) else nearest
 
 
 def _lost(told: Record) -> bool:

@@ -162,8 +162,10 @@ def test_ties_of_the_contract_count_where_they_occur():
     tied["truth"]["base"]["photon_budget"] = "spot_area"
     assert outcome.isolable(tied)
     assert outcome.isolable(one("smear", [["smear"]], isolation=24.0)) is False
+    # A rival that is ahead, as a law is that has a number for every frame, leaves nothing to isolate.
+    ahead = one("power_fluctuation", [["laser_drift"]], isolation=-30.0)
+    assert outcome.isolable(ahead) is False and not outcome.ambiguous_with_truth(ahead)
     # A model that was told the truth and missed it says nothing of rivals, nor of the gap.
-    assert outcome.isolable(one("smear", [["smear"]], isolation=-30.0)) is None
     lost = one("smear", [["smear"]], isolation=0.0)
     lost["told"]["closed"] = 1e-14
     assert outcome.isolable(lost) is None and outcome.closed_share(lost) is None
