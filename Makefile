@@ -7,8 +7,9 @@ BIN    := .venv/bin
 READY  := .venv/.ready
 BENCH  := .venv-bench
 CHECK  := results/check
+WHEEL  := build/wheel
 
-.PHONY: all test lint check-numbers bench blind blind-times second real snakemake-report lock lock-bench clean
+.PHONY: all test wheel lint check-numbers bench blind blind-times second real snakemake-report lock lock-bench clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
@@ -18,18 +19,26 @@ test: $(READY)
 	$(BIN)/python -m pytest --numprocesses $(CORES) --dist loadgroup
 
 # The environment is complete when .ready is there: a stopped installation starts again.
-$(READY): requirements.lock pyproject.toml
+$(READY): requirements.lock pyproject.toml workflow/rig/pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --require-hashes -r requirements.lock
-	$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable .
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable . --editable workflow/rig
 	@touch $@
+
+# The wheel in an environment of its own, as a user installs it: without Snakemake, papermill and the rig it fits a spot and
+# characterises a sensor.
+wheel: $(READY)
+	rm -rf $(WHEEL)
+	$(BIN)/python -m build --outdir $(WHEEL)/dist .
+	$(PYTHON) -m venv $(WHEEL)/venv
+	$(WHEEL)/venv/bin/pip install --quiet $(WHEEL)/dist/*.whl
+	cd $(WHEEL) && venv/bin/python -I ../../tests/check_wheel.py
 
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/snakefmt --check Snakefile workflow/rules
 	$(BIN)/mypy
-	$(BIN)/snakemake --lint
 
 # Of the default dataset's last run: no number of the paper left its tolerance, and the README quotes what was computed.
 check-numbers: $(READY)
@@ -44,10 +53,10 @@ bench: $(BENCH)/.ready
 	$(BENCH)/bin/python -m tests.benchmarks.run $(PARTS)
 
 # The lock is complete; pip itself would ask for hashes of `pandas[excel]`, which it takes for another package than pandas.
-$(BENCH)/.ready: requirements-bench.lock pyproject.toml
+$(BENCH)/.ready: requirements-bench.lock pyproject.toml workflow/rig/pyproject.toml
 	$(PYTHON) -m venv $(BENCH)
 	$(BENCH)/bin/pip install --quiet --no-deps --require-hashes -r requirements-bench.lock
-	$(BENCH)/bin/pip install --quiet --no-deps --no-build-isolation --editable .
+	$(BENCH)/bin/pip install --quiet --no-deps --no-build-isolation --editable . --editable workflow/rig
 	@touch $@
 
 # Datasets with hidden effects, judged for at most two hours; each call adds to the scores of the earlier ones at a commit.
@@ -72,7 +81,7 @@ real: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.real.beams $(REAL)
 
 lock-bench:
-	uv pip compile pyproject.toml --extra dev --extra bench --universal --generate-hashes --no-header --no-annotate \
+	uv pip compile pyproject.toml --extra workflow --extra dev --extra bench --universal --generate-hashes --no-header --no-annotate \
 	    --python-version 3.11 --output-file requirements-bench.lock
 
 # Snakemake's own report of the last run, with captions and categories.
@@ -81,8 +90,8 @@ snakemake-report: $(READY)
 
 # Needs `uv` on PATH; writes hashes, no host and no path.
 lock:
-	uv pip compile pyproject.toml --extra dev --universal --generate-hashes --no-header --no-annotate \
+	uv pip compile pyproject.toml --extra workflow --extra dev --universal --generate-hashes --no-header --no-annotate \
 	    --python-version 3.11 --output-file requirements.lock
 
 clean:
-	rm -rf results .snakemake data/virtual-rig/frames data/virtual-rig/truth.json
+	rm -rf build results .snakemake data/virtual-rig/frames data/virtual-rig/truth.json

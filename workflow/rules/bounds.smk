@@ -10,8 +10,6 @@ rule bounds:
         f"{OUT}/logs/bounds.log",
     benchmark:
         f"{OUT}/benchmarks/bounds.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

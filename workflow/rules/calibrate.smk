@@ -11,8 +11,6 @@ rule calibrate:
         f"{OUT}/logs/calibrate.log",
     benchmark:
         f"{OUT}/benchmarks/calibrate.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

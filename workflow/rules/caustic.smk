@@ -9,8 +9,6 @@ rule caustic:
         f"{OUT}/logs/caustic.log",
     benchmark:
         f"{OUT}/benchmarks/caustic.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -10,8 +10,6 @@ rule crop:
         f"{OUT}/logs/crop.log",
     benchmark:
         f"{OUT}/benchmarks/crop.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -12,8 +12,6 @@ if HAS_RIG:
             f"{OUT}/logs/expose.log",
         benchmark:
             f"{OUT}/benchmarks/expose.tsv"
-        conda:
-            "../envs/spotcheck.yaml"
         threads: 2
         resources:
             mem_mb=900,

@@ -15,8 +15,6 @@ if SPOTS:
             f"{OUT}/logs/extended.log",
         benchmark:
             f"{OUT}/benchmarks/extended.tsv"
-        conda:
-            "../envs/spotcheck.yaml"
         threads: 1
         resources:
             mem_mb=500,

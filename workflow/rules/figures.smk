@@ -16,8 +16,6 @@ rule figures:
         f"{OUT}/logs/figures.log",
     benchmark:
         f"{OUT}/benchmarks/figures.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=800,
@@ -46,8 +44,6 @@ rule chain:
         f"{OUT}/logs/chain.log",
     benchmark:
         f"{OUT}/benchmarks/chain.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

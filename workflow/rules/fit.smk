@@ -10,8 +10,6 @@ rule fit:
         f"{OUT}/logs/fit.log",
     benchmark:
         f"{OUT}/benchmarks/fit.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

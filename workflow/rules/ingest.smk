@@ -9,8 +9,6 @@ rule ingest:
         f"{OUT}/logs/ingest.log",
     benchmark:
         f"{OUT}/benchmarks/ingest.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -16,8 +16,6 @@ rule notebook:
     wildcard_constraints:
         notebook="|".join(NOTEBOOKS),
     retries: 1
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=800,

@@ -17,8 +17,6 @@ rule paper:
         f"{OUT}/logs/paper.log",
     benchmark:
         f"{OUT}/benchmarks/paper.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

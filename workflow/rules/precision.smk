@@ -11,8 +11,6 @@ rule precision:
         f"{OUT}/logs/precision.log",
     benchmark:
         f"{OUT}/benchmarks/precision.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -20,8 +20,6 @@ rule tables:
         f"{OUT}/logs/tables.log",
     benchmark:
         f"{OUT}/benchmarks/tables.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,
@@ -50,8 +48,6 @@ rule report:
         f"{OUT}/logs/report.log",
     benchmark:
         f"{OUT}/benchmarks/report.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

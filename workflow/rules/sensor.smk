@@ -11,8 +11,6 @@ rule sensor:
         f"{OUT}/logs/sensor.log",
     benchmark:
         f"{OUT}/benchmarks/sensor.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -13,8 +13,6 @@ rule simulate:
         f"{OUT}/logs/simulate.log",
     benchmark:
         f"{OUT}/benchmarks/simulate.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=500,

@@ -9,8 +9,6 @@ rule transfer:
         f"{OUT}/logs/transfer.log",
     benchmark:
         f"{OUT}/benchmarks/transfer.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=1000,

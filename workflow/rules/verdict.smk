@@ -10,8 +10,6 @@ rule discrepancy:
         f"{OUT}/logs/discrepancy.log",
     benchmark:
         f"{OUT}/benchmarks/discrepancy.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 2
     resources:
         mem_mb=2000,
@@ -45,8 +43,6 @@ rule verify:
         f"{OUT}/logs/verify.log",
     benchmark:
         f"{OUT}/benchmarks/verify.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=2000,
@@ -74,8 +70,6 @@ rule advise:
         f"{OUT}/logs/advise.log",
     benchmark:
         f"{OUT}/benchmarks/advise.tsv"
-    conda:
-        "../envs/spotcheck.yaml"
     threads: 1
     resources:
         mem_mb=2000,
@@ -109,8 +103,6 @@ if SPOTS:
             f"{OUT}/logs/judge.log",
         benchmark:
             f"{OUT}/benchmarks/judge.tsv"
-        conda:
-            "../envs/spotcheck.yaml"
         threads: 1
         resources:
             mem_mb=2000,
@@ -139,8 +131,6 @@ else:
             f"{OUT}/logs/judge.log",
         benchmark:
             f"{OUT}/benchmarks/judge.tsv"
-        conda:
-            "../envs/spotcheck.yaml"
         threads: 1
         resources:
             mem_mb=500,

@@ -95,7 +95,7 @@ def file_digest(path: str | Path) -> str:
 
 def write_sidecar(path: Path) -> None:
     """Beside `path`: when, where and with which versions it was made; kept out of the file so that it stays equal."""
-    packages = ("numpy", "scipy", "xarray", "netCDF4", "scikit-image", "matplotlib", "snakemake")
+    packages = ("numpy", "scipy", "xarray", "netCDF4", "scikit-image", "matplotlib")
     record = {
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "host": platform.node(),

@@ -1,4 +1,4 @@
-"""YAML files and the schemas in workflow/schemas: one sentence for what breaks one."""
+"""YAML files and their schemas: one sentence for what breaks one."""
 
 import math
 import re
@@ -11,7 +11,7 @@ from jsonschema.exceptions import ValidationError, best_match
 
 from spotcheck.errors import InputError
 
-SCHEMAS = Path(__file__).parents[1] / "schemas"
+SCHEMAS = Path(__file__).parent / "schemas"
 
 
 def read_schema(name: str) -> dict[str, Any]:
