@@ -32,15 +32,15 @@ include: "workflow/rules/report.smk"
 rule all:
     default_target: True
     input:
-        rules.report.output,
-        notebooks() if SPOTS else [],
+        expand(rules.report.output, dataset=DATASETS),
+        expand(rules.notebook.output, dataset=SPOTS, notebook=NOTEBOOKS),
 
 
 rule paper_numbers:
     input:
-        rules.paper.output,
+        expand(rules.paper.output, dataset=SPOTS),
 
 
 rule verdict:
     input:
-        rules.judge.output.verdict,
+        expand(rules.judge.output.verdict, dataset=DATASETS),

@@ -181,3 +181,10 @@ def test_a_results_folder_belongs_to_one_dataset(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot be written"):
         store.claim(tmp_path / "file" / "a", tmp_path)
+
+
+def test_asking_whose_a_results_folder_is_writes_nothing(tmp_path):
+    """Planning asks; only a run writes."""
+    (tmp_path / "a").mkdir()
+    store.check_claim(tmp_path / "results" / "a", tmp_path / "a")
+    assert not (tmp_path / "results").exists()

@@ -1,20 +1,21 @@
 """Every rule says what it takes, makes, logs, measures and needs, in one order; and calls the command line."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.conftest import ROOT, SNAKEMAKE, environment
 
 ORDER = [
+    "name",
     "input",
     "output",
     "log",
     "benchmark",
     "wildcard_constraints",
     "retries",
-    "conda",
     "threads",
     "resources",
     "params",
@@ -31,7 +32,7 @@ def rules(path: Path) -> dict[str, list[str]]:
     own: list[str] = []
     indent = ""
     for line in path.read_text().splitlines():
-        if head := re.match(r"( *)rule (\w+):$", line):
+        if head := re.match(r"( *)rule ?(\w*):$", line):
             indent, own = head[1], []
             found[head[2]] = own
         elif (block := re.match(r"( *)(\w+):", line)) and block[1] == indent + "    " and found:
@@ -45,6 +46,18 @@ def test_blocks(path):
     for name, blocks in rules(path).items():
         assert set(blocks) >= REQUIRED, name
         assert blocks == sorted(blocks, key=ORDER.index), name
+
+
+def test_snakemake_has_no_other_advice():
+    """`snakemake --lint` asks for nothing but an environment for each rule.
+
+    Rules call the commands of the environment that runs the Snakefile, which requirements.lock pins for all of them.
+    """
+    found = subprocess.run(
+        [*SNAKEMAKE, "--lint"], cwd=ROOT, capture_output=True, text=True, env=environment(), check=False
+    )
+    advice = {line.strip() for line in found.stderr.splitlines() if line.startswith("    * ")}
+    assert advice == {"* Specify a conda environment or container for each rule.:"}, found.stderr
 
 
 def test_rules_call_the_command_line():

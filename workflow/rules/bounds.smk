@@ -1,7 +1,7 @@
 rule bounds:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         calibration=rules.calibrate.output,
         sensor=rules.sensor.output,
     output:
@@ -18,7 +18,7 @@ rule bounds:
         folder=dataset_folder,
         code=code("bounds"),
     message:
-        "Cramér-Rao bounds of {DATASET.name}"
+        "Cramér-Rao bounds of {wildcards.dataset}"
     shell:
         "spotcheck bounds {params.folder:q} --calibration {input.calibration:q} --sensor {input.sensor:q}"
         " --output {output:q} 2>&1 | tee {log:q}"

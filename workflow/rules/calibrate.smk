@@ -1,7 +1,7 @@
 rule calibrate:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         crops=rules.crop.output,
         fits=rules.fit.output,
         sensor=rules.sensor.output,
@@ -19,7 +19,7 @@ rule calibrate:
         folder=dataset_folder,
         code=code("calibrate"),
     message:
-        "Calibrating p1 and p2 of {DATASET.name}"
+        "Calibrating p1 and p2 of {wildcards.dataset}"
     shell:
         "spotcheck calibrate {params.folder:q} --crops {input.crops:q} --fits {input.fits:q} --sensor {input.sensor:q}"
         " --output {output:q} 2>&1 | tee {log:q}"

@@ -1,7 +1,7 @@
 rule caustic:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         fits=rules.fit.output,
     output:
         f"{OUT}/caustic.nc",
@@ -17,6 +17,6 @@ rule caustic:
         folder=dataset_folder,
         code=code("caustic"),
     message:
-        "Beam caustic of {DATASET.name}"
+        "Beam caustic of {wildcards.dataset}"
     shell:
         "spotcheck caustic {params.folder:q} --fits {input.fits:q} --output {output:q} 2>&1 | tee {log:q}"

@@ -1,6 +1,7 @@
-# The dataset of this run, checked before any rule is planned, and the two functions that rules share.
+# The datasets of this run, checked before any rule is planned, and the functions that rules share.
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -16,65 +17,143 @@ from spotcheck.provenance import code_digest, file_digest, notebook_modules
 # Rules call `spotcheck`, `rig` and `papermill` of the environment that runs this file, whether it is active or not.
 os.environ.update(PATH=os.pathsep.join([str(Path(sys.executable).parent), *os.get_exec_path()]))
 
-# A dataset or folder may be called 2024.
-config |= {key: str(config[key]).rstrip(os.sep) for key in ("dataset", "results") if key in config}
+SHELF = Path(workflow.basedir) / "data"
+
+
+def opened(name):
+    """A dataset by its path or its name in data/, checked as far as that goes without a pixel."""
+    found = contract.load(contract.find(name, SHELF))
+    # A folder with rig.yaml holds a plan for the virtual rig, which makes the frames.
+    if not has_rig(found):
+        check_dataset(found)
+    return found
+
+
+def by_name(datasets):
+    """Datasets by the names under which their results are filed. Raises `InputError` where two share one."""
+    named = {}
+    for found in datasets:
+        if found.name in named and named[found.name].folder != found.folder:
+            raise InputError(
+                f"config: datasets {named[found.name].folder} and {found.folder} have one name,"
+                " and results are filed by name; rename one or run them apart"
+            )
+        named[found.name] = found
+    return named
+
+
+def has_rig(found):
+    """Whether the virtual rig makes the frames of a dataset."""
+    return (found.folder / "rig.yaml").exists()
+
+
+def has_flats(found):
+    """Whether a dataset has flats or darks, by which the sensor is characterised."""
+    return any(frame.kind in ("flat", "dark") for frame in found.frames)
+
 
 try:
+    # A dataset or folder may be called 2024.
+    config |= {key: str(config[key]).rstrip(os.sep) for key in ("dataset", "results") if key in config}
+    if isinstance(config.get("datasets"), list):
+        config["datasets"] = [str(name).rstrip(os.sep) for name in config["datasets"]]
     if breach := breach_of(config, "config"):
         raise InputError(f"config: {breach}")
-    DATASET = contract.load(contract.find(config["dataset"], Path(workflow.basedir) / "data"))
-    # A folder with rig.yaml holds a plan for the virtual rig, which makes the frames.
-    HAS_RIG = (DATASET.folder / "rig.yaml").exists()
-    if not HAS_RIG:
-        check_dataset(DATASET)
-    OUT = f"{config['results']}/{DATASET.name}"
-    store.claim(Path(OUT), DATASET.folder)
+    if set("{}") & set(config["results"]):
+        raise InputError(f"config: results is {config['results']}, which has braces in it; name another folder")
+    DATASETS = by_name(map(opened, config["datasets"] or [config["dataset"]]))
+    for name, found in DATASETS.items():
+        store.check_claim(Path(config["results"], name), found.folder)
 except InputError as error:
     sys.exit(f"spotcheck: {error}")
 
-SPOTS = bool(DATASET.spots)
-FLATS = any(frame.kind in ("flat", "dark") for frame in DATASET.frames)
-FRAMES = sorted({str(DATASET.folder / frame.file) for frame in DATASET.frames})
-MANIFEST = str(DATASET.folder / "manifest.csv")
-INSTRUMENT = [str(path) for path in [DATASET.folder / "instrument.yaml"] if path.exists()]
-# The paper's numbers are compared on the data set that was made for it.
-IS_PAPER = DATASET.folder == Path(workflow.basedir) / "data" / "virtual-rig"
+# Results of a dataset; rules say {dataset} and look the rest up by that name.
+OUT = f"{config['results']}/{{dataset}}"
+SPOTS = [name for name, found in DATASETS.items() if found.spots]
+NO_SPOTS = [name for name in DATASETS if name not in SPOTS]
 NOTEBOOKS = sorted(path.stem for path in (Path(workflow.basedir) / "notebooks").glob("*.ipynb"))
 RULES = sorted(file_digest(path)[:12] for path in Path(workflow.basedir, "workflow", "rules").glob("*.smk"))
 
-# The files that pictures, tables, notebooks and the report are made from.
-RESULTS = [f"{OUT}/frames.nc"] + ([f"{OUT}/transfer.nc"] if FLATS else [])
-if SPOTS:
-    stages = (
-        "crops",
-        "sensor",
-        "fits",
-        "calibration",
-        "simulated",
-        "metrics",
-        "bounds",
-        "precision",
-        "discrepancy",
-    )
-    RESULTS += [f"{OUT}/{name}.nc" for name in stages]
-    RESULTS += [f"{OUT}/caustic.nc"] if "z_m" in DATASET.instrument.conditions else []
-else:
-    RESULTS += [f"{OUT}/verdict.json"]
+
+def one_of(names):
+    """A wildcard's constraint: one of these names, or nothing where there are none."""
+    return "|".join(map(re.escape, names)) or "(?!)"
+
+
+wildcard_constraints:
+    dataset=one_of(DATASETS),
+
+
+# Planning writes nothing; a run notes in each results folder whose it is.
+onstart:
+    for name, found in DATASETS.items():
+        store.claim(Path(config["results"], name), found.folder)
 
 
 def dataset_folder(wildcards):
     """Folder of the dataset."""
-    return str(DATASET.folder)
+    return str(DATASETS[wildcards.dataset].folder)
+
+
+def manifest(wildcards):
+    """Its list of frames."""
+    return f"{dataset_folder(wildcards)}/manifest.csv"
+
+
+def instrument(wildcards):
+    """Its data sheet, if there is one."""
+    path = Path(dataset_folder(wildcards), "instrument.yaml")
+    return [str(path)] if path.exists() else []
+
+
+def frames(wildcards):
+    """Its raw frames."""
+    return frames_of(DATASETS[wildcards.dataset])
+
+
+def frames_of(found):
+    """Files of the raw frames of a dataset."""
+    return sorted({str(found.folder / frame.file) for frame in found.frames})
 
 
 def results_folder(wildcards):
     """Folder of its results."""
-    return OUT
+    return OUT.format(dataset=wildcards.dataset)
+
+
+def transfer_file(wildcards):
+    """The sensor's characterisation, where the dataset has flats or darks."""
+    return f"{results_folder(wildcards)}/transfer.nc" if has_flats(DATASETS[wildcards.dataset]) else []
+
+
+def results(wildcards):
+    """The files that pictures, tables, notebooks and the report are made from."""
+    found = DATASETS[wildcards.dataset]
+    names = ["frames.nc"] + (["transfer.nc"] if has_flats(found) else [])
+    if found.spots:
+        names += ["crops.nc", "sensor.nc", "fits.nc", "calibration.nc", "simulated.nc", "metrics.nc", "bounds.nc"]
+        names += ["precision.nc", "discrepancy.nc"]
+        names += ["caustic.nc"] if "z_m" in found.instrument.conditions else []
+    else:
+        names += ["verdict.json"]
+    return [f"{results_folder(wildcards)}/{name}" for name in names]
 
 
 def simulated_folder(wildcards):
     """Folder of the simulated dataset."""
-    return f"{OUT}/simulated"
+    return f"{results_folder(wildcards)}/simulated"
+
+
+def simulated_results(wildcards):
+    """What the simulated frames became, where there are spots to simulate."""
+    names = ["crops.nc", "fits.nc"] if DATASETS[wildcards.dataset].spots else []
+    return [f"{simulated_folder(wildcards)}/{name}" for name in names]
+
+
+def paper_tables(wildcards):
+    """The paper's numbers, which are compared on the dataset that was made for it."""
+    is_paper = DATASETS[wildcards.dataset].folder == SHELF / "virtual-rig"
+    return [f"{results_folder(wildcards)}/paper_numbers.{kind}" for kind in ("csv", "html")] if is_paper else []
 
 
 def code(*commands):
@@ -85,8 +164,3 @@ def code(*commands):
 def notebook_code(notebook):
     """Digest of the library modules that a notebook imports."""
     return code_digest(*notebook_modules(Path(workflow.basedir, "notebooks", f"{notebook}.ipynb")))
-
-
-def notebooks():
-    """The executed notebooks."""
-    return [f"{OUT}/notebooks/{name}.ipynb" for name in NOTEBOOKS]

@@ -16,7 +16,7 @@ rule compare:
     params:
         code=code("compare"),
     message:
-        "Comparing measured and simulated frames of {DATASET.name}"
+        "Comparing measured and simulated frames of {wildcards.dataset}"
     shell:
         "spotcheck compare --crops {input.crops:q} --fits {input.fits:q} --sensor {input.sensor:q} --output {output:q}"
         " 2>&1 | tee {log:q}"

@@ -1,8 +1,8 @@
 rule crop:
     input:
-        MANIFEST,
-        INSTRUMENT,
-        FRAMES,
+        manifest,
+        instrument,
+        frames,
         table=rules.ingest.output,
     output:
         f"{OUT}/crops.nc",
@@ -18,6 +18,6 @@ rule crop:
         folder=dataset_folder,
         code=code("crop"),
     message:
-        "Cropping every spot of {DATASET.name}"
+        "Cropping every spot of {wildcards.dataset}"
     shell:
         "spotcheck crop {params.folder:q} --frames {input.table:q} --output {output:q} 2>&1 | tee {log:q}"

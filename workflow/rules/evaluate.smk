@@ -13,7 +13,7 @@ use rule ingest as ingest_simulated with:
         folder=simulated_folder,
         code=code("ingest"),
     message:
-        "Recording every simulated frame of {DATASET.name}"
+        "Recording every simulated frame of {wildcards.dataset}"
 
 
 use rule crop as crop_simulated with:
@@ -31,13 +31,13 @@ use rule crop as crop_simulated with:
         folder=simulated_folder,
         code=code("crop"),
     message:
-        "Cropping every simulated spot of {DATASET.name}"
+        "Cropping every simulated spot of {wildcards.dataset}"
 
 
 use rule fit as fit_simulated with:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         crops=rules.crop_simulated.output,
         sensor=rules.sensor.output,
     output:
@@ -47,4 +47,4 @@ use rule fit as fit_simulated with:
     benchmark:
         f"{OUT}/benchmarks/fit_simulated.tsv"
     message:
-        "Fitting every simulated crop of {DATASET.name}"
+        "Fitting every simulated crop of {wildcards.dataset}"

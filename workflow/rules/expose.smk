@@ -1,26 +1,29 @@
-# The virtual rig: raw frames from first principles. It shares no code with the library.
-if HAS_RIG:
+# The virtual rig: raw frames from first principles. It shares no code with the library. Each plan names frames of its own,
+# so each has a rule of its own.
+for name, planned in {name: found for name, found in DATASETS.items() if has_rig(found)}.items():
 
-    rule expose:
+    rule:
+        name:
+            "expose" if len(DATASETS) == 1 else f"expose_{name}"
         input:
-            manifest=MANIFEST,
-            settings=str(DATASET.folder / "rig.yaml"),
+            manifest=f"{planned.folder}/manifest.csv",
+            settings=f"{planned.folder}/rig.yaml",
         output:
-            frames=FRAMES,
-            truth=str(DATASET.folder / "truth.json"),
+            frames=frames_of(planned),
+            truth=f"{planned.folder}/truth.json",
         log:
-            f"{OUT}/logs/expose.log",
+            f"{config['results']}/{name}/logs/expose.log",
         benchmark:
-            f"{OUT}/benchmarks/expose.tsv"
+            f"{config['results']}/{name}/benchmarks/expose.tsv"
         threads: 2
         resources:
             mem_mb=900,
             runtime=10,
         params:
-            folder=dataset_folder,
+            folder=lambda wildcards, input: str(Path(input.manifest).parent),
             code=code_digest("rig.expose"),
         message:
-            "Exposing {DATASET.name} on the virtual rig"
+            f"Exposing {name} on the virtual rig"
         shell:
             "rig expose {params.folder:q} --settings {input.settings:q} --truth {output.truth:q}"
             " --workers {threads} 2>&1 | tee {log:q}"

@@ -1,31 +1,31 @@
 # The design once more under the model that the verdict extended; nothing else waits for it.
-if SPOTS:
-
-    rule extended:
-        input:
-            MANIFEST,
-            INSTRUMENT,
-            sensor=rules.sensor.output,
-            model=rules.judge.output.model,
-        output:
-            images=f"{OUT}/extended.nc",
-            contract=[f"{OUT}/extended/manifest.csv", f"{OUT}/extended/instrument.yaml"],
-            frames=f"{OUT}/extended/{STACK}",
-        log:
-            f"{OUT}/logs/extended.log",
-        benchmark:
-            f"{OUT}/benchmarks/extended.tsv"
-        threads: 1
-        resources:
-            mem_mb=500,
-            runtime=30,
-        params:
-            folder=dataset_folder,
-            extended=lambda wildcards: f"{OUT}/extended",
-            seed=config["seed"],
-            code=code("simulate"),
-        message:
-            "Simulating every frame of {DATASET.name} under its extended model"
-        shell:
-            "spotcheck simulate {params.folder:q} --model {input.model:q} --sensor {input.sensor:q} --seed {params.seed}"
-            " --folder {params.extended:q} --output {output.images:q} 2>&1 | tee {log:q}"
+rule extended:
+    input:
+        manifest,
+        instrument,
+        sensor=rules.sensor.output,
+        model=rules.judge.output.model,
+    output:
+        images=f"{OUT}/extended.nc",
+        contract=[f"{OUT}/extended/manifest.csv", f"{OUT}/extended/instrument.yaml"],
+        frames=f"{OUT}/extended/{STACK}",
+    log:
+        f"{OUT}/logs/extended.log",
+    benchmark:
+        f"{OUT}/benchmarks/extended.tsv"
+    wildcard_constraints:
+        dataset=one_of(SPOTS),
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=30,
+    params:
+        folder=dataset_folder,
+        extended=lambda wildcards: f"{OUT}/extended",
+        seed=config["seed"],
+        code=code("simulate"),
+    message:
+        "Simulating every frame of {wildcards.dataset} under its extended model"
+    shell:
+        "spotcheck simulate {params.folder:q} --model {input.model:q} --sensor {input.sensor:q} --seed {params.seed}"
+        " --folder {params.extended:q} --output {output.images:q} 2>&1 | tee {log:q}"

@@ -1,16 +1,16 @@
 rule figures:
     input:
-        MANIFEST,
-        INSTRUMENT,
-        RESULTS,
-        [rules.crop_simulated.output, rules.fit_simulated.output] if SPOTS else [],
+        manifest,
+        instrument,
+        results,
+        simulated_results,
     output:
         report(
             directory(f"{OUT}/figures"),
             patterns=["{name}.svg"],
             caption="../report/figure.rst",
             category="Figures",
-            labels={"figure": "{name}"},
+            labels={"dataset": "{dataset}", "figure": "{name}"},
         ),
     log:
         f"{OUT}/logs/figures.log",
@@ -25,7 +25,7 @@ rule figures:
         results=results_folder,
         code=code("figures"),
     message:
-        "Drawing every figure of {DATASET.name}"
+        "Drawing every figure of {wildcards.dataset}"
     shell:
         "spotcheck figures --results {params.results:q} --dataset {params.folder:q} --output {output:q} 2>&1 | tee {log:q}"
 
@@ -37,7 +37,7 @@ rule chain:
             f"{OUT}/chain/fig06.svg",
             caption="../report/chain.rst",
             category="Figures",
-            labels={"figure": "fig06"},
+            labels={"dataset": "{dataset}", "figure": "fig06"},
         ),
         preview=f"{OUT}/chain/fig06.png",
     log:
@@ -49,15 +49,15 @@ rule chain:
         mem_mb=500,
         runtime=10,
     params:
-        dataset=str(DATASET.folder),
+        dataset=dataset_folder,
         results=lambda wildcards: config["results"],
         base=lambda wildcards, output: output.picture.removesuffix(".svg"),
         snakefile=str(workflow.main_snakefile),
         rules=RULES,
         code=code("chain"),
     message:
-        "Drawing the rule graph"
+        "Drawing the rule graph of {wildcards.dataset}"
     shell:
         "snakemake --forceall --rulegraph dot --nolock --quiet all --snakefile {params.snakefile:q}"
-        " --config dataset={params.dataset:q} results={params.results:q} 2> {log:q} > {params.base:q}.dot"
+        " --config dataset={params.dataset:q} datasets=[] results={params.results:q} 2> {log:q} > {params.base:q}.dot"
         " && spotcheck chain {params.base:q}.dot --output {params.base:q} 2>&1 | tee --append {log:q}"

@@ -1,7 +1,7 @@
 rule fit:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         crops=rules.crop.output,
         sensor=rules.sensor.output,
     output:
@@ -18,7 +18,7 @@ rule fit:
         folder=dataset_folder,
         code=code("fit"),
     message:
-        "Fitting every crop of {DATASET.name}"
+        "Fitting every crop of {wildcards.dataset}"
     shell:
         "spotcheck fit {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q} --output {output:q}"
         " 2>&1 | tee {log:q}"

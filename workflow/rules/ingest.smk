@@ -1,8 +1,8 @@
 rule ingest:
     input:
-        MANIFEST,
-        INSTRUMENT,
-        frames=FRAMES,
+        manifest,
+        instrument,
+        frames=frames,
     output:
         update(f"{OUT}/frames.nc"),
     log:
@@ -17,6 +17,6 @@ rule ingest:
         folder=dataset_folder,
         code=code("ingest"),
     message:
-        "Recording every frame of {DATASET.name}"
+        "Recording every frame of {wildcards.dataset}"
     shell:
         "spotcheck ingest {params.folder:q} --output {output:q} 2>&1 | tee {log:q}"

@@ -3,9 +3,9 @@
 # longer than the minute that papermill waits.
 rule notebook:
     input:
-        MANIFEST,
-        INSTRUMENT,
-        RESULTS,
+        manifest,
+        instrument,
+        results,
         source="notebooks/{notebook}.ipynb",
     output:
         f"{OUT}/notebooks/{{notebook}}.ipynb",
@@ -22,11 +22,11 @@ rule notebook:
         runtime=10,
     params:
         folder=dataset_folder,
-        results=lambda wildcards: str(Path(OUT).resolve()),
+        results=lambda wildcards: str(Path(results_folder(wildcards)).resolve()),
         scratch=lambda wildcards, output: str(Path(output[0]).with_suffix(".part.ipynb")),
         code=lambda wildcards: notebook_code(wildcards.notebook),
     message:
-        "Executing notebook {wildcards.notebook} on {DATASET.name}"
+        "Executing notebook {wildcards.notebook} on {wildcards.dataset}"
     shell:
         "papermill {input.source:q} {params.scratch:q} -k python3 --no-progress-bar --start-timeout 300"
         " -p dataset {params.folder:q} -p results {params.results:q} &> {log:q} || {{ cat {log:q} >&2; exit 1; }}"

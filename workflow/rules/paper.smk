@@ -2,8 +2,8 @@
 rule paper:
     input:
         numbers="data/paper_numbers.yaml",
-        instrument=INSTRUMENT,
-        results=RESULTS,
+        instrument=instrument,
+        results=results,
     output:
         table=f"{OUT}/paper_numbers.csv",
         summary=f"{OUT}/docs/paper_numbers.md",
@@ -11,7 +11,7 @@ rule paper:
             f"{OUT}/paper_numbers.html",
             caption="../report/paper_numbers.rst",
             category="Paper numbers",
-            labels={"table": "all numbers"},
+            labels={"dataset": "{dataset}", "table": "all numbers"},
         ),
     log:
         f"{OUT}/logs/paper.log",
@@ -26,7 +26,7 @@ rule paper:
         results=results_folder,
         code=code("paper"),
     message:
-        "Comparing the numbers of the paper"
+        "Comparing the numbers of the paper with {wildcards.dataset}"
     shell:
         "spotcheck paper {input.numbers:q} --dataset {params.folder:q} --results {params.results:q}"
         " --table {output.table:q} --page {output.page:q} --summary {output.summary:q} 2>&1 | tee {log:q}"

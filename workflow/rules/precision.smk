@@ -1,7 +1,7 @@
 rule precision:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         fits=[rules.fit.output[0], rules.fit_simulated.output[0]],
         calibration=rules.calibrate.output,
         sensor=rules.sensor.output,
@@ -19,7 +19,7 @@ rule precision:
         folder=dataset_folder,
         code=code("precision"),
     message:
-        "Scatter and bounds of {DATASET.name}"
+        "Scatter and bounds of {wildcards.dataset}"
     shell:
         "spotcheck precision {params.folder:q} --fits {input.fits:q} --calibration {input.calibration:q}"
         " --sensor {input.sensor:q} --output {output:q} 2>&1 | tee {log:q}"

@@ -8,13 +8,13 @@ rule tables:
             f"{OUT}/docs/equations.html",
             caption="../report/equations.rst",
             category="Tables",
-            labels={"table": "equations"},
+            labels={"dataset": "{dataset}", "table": "equations"},
         ),
         symbols=report(
             f"{OUT}/docs/symbols.html",
             caption="../report/symbols.rst",
             category="Tables",
-            labels={"table": "symbols"},
+            labels={"dataset": "{dataset}", "table": "symbols"},
         ),
     log:
         f"{OUT}/logs/tables.log",
@@ -35,11 +35,11 @@ rule tables:
 
 rule report:
     input:
-        MANIFEST,
-        INSTRUMENT,
-        RESULTS,
+        manifest,
+        instrument,
+        results,
         rules.tables.output,
-        rules.paper.output if IS_PAPER else [],
+        paper_tables,
         figures=rules.figures.output,
         chain=rules.chain.output,
     output:
@@ -57,7 +57,7 @@ rule report:
         results=results_folder,
         code=code("report"),
     message:
-        "Writing the report of {DATASET.name}"
+        "Writing the report of {wildcards.dataset}"
     shell:
         "spotcheck report --dataset {params.folder:q} --results {params.results:q} --output {output:q}"
         " 2>&1 | tee {log:q}"

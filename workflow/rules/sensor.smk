@@ -1,10 +1,10 @@
 rule sensor:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         table=rules.ingest.output,
         crops=rules.crop.output,
-        transfer=rules.transfer.output if FLATS else [],
+        transfer=transfer_file,
     output:
         f"{OUT}/sensor.nc",
     log:
@@ -19,7 +19,7 @@ rule sensor:
         folder=dataset_folder,
         code=code("sensor"),
     message:
-        "Settling the sensor of {DATASET.name}"
+        "Settling the sensor of {wildcards.dataset}"
     shell:
         "spotcheck sensor {params.folder:q} --crops {input.crops:q} --frames {input.table:q}"
         " --transfer {input.transfer:q} --output {output:q} 2>&1 | tee {log:q}"

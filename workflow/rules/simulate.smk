@@ -1,7 +1,7 @@
 rule simulate:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         calibration=rules.calibrate.output,
         fits=rules.fit.output,
         sensor=rules.sensor.output,
@@ -23,7 +23,7 @@ rule simulate:
         seed=config["seed"],
         code=code("simulate"),
     message:
-        "Simulating every frame of {DATASET.name}"
+        "Simulating every frame of {wildcards.dataset}"
     shell:
         "spotcheck simulate {params.folder:q} --calibration {input.calibration:q} --fits {input.fits:q}"
         " --sensor {input.sensor:q} --seed {params.seed} --folder {params.simulated:q} --output {output.images:q}"

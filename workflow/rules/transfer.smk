@@ -1,7 +1,7 @@
 rule transfer:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         table=rules.ingest.output,
     output:
         f"{OUT}/transfer.nc",
@@ -17,6 +17,6 @@ rule transfer:
         folder=dataset_folder,
         code=code("transfer"),
     message:
-        "Photon transfer of {DATASET.name}"
+        "Photon transfer of {wildcards.dataset}"
     shell:
         "spotcheck transfer {params.folder:q} --frames {input.table:q} --output {output:q} 2>&1 | tee {log:q}"

@@ -1,7 +1,7 @@
 rule discrepancy:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         crops=rules.crop.output,
         sensor=rules.sensor.output,
     output:
@@ -22,7 +22,7 @@ rule discrepancy:
         tolerance=json.dumps(config["tolerance"]),
         code=code("discrepancy"),
     message:
-        "Looking for what the model of {DATASET.name} is missing; a new design is calibrated first"
+        "Looking for what the model of {wildcards.dataset} is missing; a new design is calibrated first"
     shell:
         # One thread of BLAS, whatever the number of workers: sums in another order are other sums in the last digit.
         "OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 spotcheck discrepancy {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
@@ -32,8 +32,8 @@ rule discrepancy:
 
 rule verify:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         crops=rules.crop.output,
         sensor=rules.sensor.output,
         findings=rules.discrepancy.output,
@@ -51,7 +51,7 @@ rule verify:
         folder=dataset_folder,
         code=code("verify"),
     message:
-        "Predicting unseen frames of {DATASET.name}"
+        "Predicting unseen frames of {wildcards.dataset}"
     shell:
         "spotcheck verify {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
         " --findings {input.findings:q} --output {output:q} 2>&1 | tee {log:q}"
@@ -59,8 +59,8 @@ rule verify:
 
 rule advise:
     input:
-        MANIFEST,
-        INSTRUMENT,
+        manifest,
+        instrument,
         crops=rules.crop.output,
         sensor=rules.sensor.output,
         findings=rules.discrepancy.output,
@@ -78,72 +78,73 @@ rule advise:
         folder=dataset_folder,
         code=code("advise"),
     message:
-        "Looking for the next measurement for {DATASET.name}"
+        "Looking for the next measurement for {wildcards.dataset}"
     shell:
         "spotcheck advise {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
         " --findings {input.findings:q} --output {output:q} 2>&1 | tee {log:q}"
 
 
-if SPOTS:
+rule judge:
+    input:
+        manifest,
+        instrument,
+        crops=rules.crop.output,
+        sensor=rules.sensor.output,
+        findings=rules.discrepancy.output,
+        gap=rules.verify.output,
+        advice=rules.advise.output,
+    output:
+        verdict=f"{OUT}/verdict.json",
+        pictures=f"{OUT}/discrepancy.nc",
+        model=f"{OUT}/model.yaml",
+    log:
+        f"{OUT}/logs/judge.log",
+    benchmark:
+        f"{OUT}/benchmarks/judge.tsv"
+    wildcard_constraints:
+        dataset=one_of(SPOTS),
+    threads: 1
+    resources:
+        mem_mb=2000,
+        runtime=30,
+    params:
+        folder=dataset_folder,
+        code=code("verdict"),
+    message:
+        "Writing the verdict on {wildcards.dataset}"
+    shell:
+        "spotcheck verdict {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
+        " --findings {input.findings:q} --gap {input.gap:q} --advice {input.advice:q}"
+        " --pictures {output.pictures:q} --model {output.model:q} --output {output.verdict:q} 2>&1 | tee {log:q}"
 
-    rule judge:
-        input:
-            MANIFEST,
-            INSTRUMENT,
-            crops=rules.crop.output,
-            sensor=rules.sensor.output,
-            findings=rules.discrepancy.output,
-            gap=rules.verify.output,
-            advice=rules.advise.output,
-        output:
-            verdict=f"{OUT}/verdict.json",
-            pictures=f"{OUT}/discrepancy.nc",
-            model=f"{OUT}/model.yaml",
-        log:
-            f"{OUT}/logs/judge.log",
-        benchmark:
-            f"{OUT}/benchmarks/judge.tsv"
-        threads: 1
-        resources:
-            mem_mb=2000,
-            runtime=30,
-        params:
-            folder=dataset_folder,
-            code=code("verdict"),
-        message:
-            "Writing the verdict on {DATASET.name}"
-        shell:
-            "spotcheck verdict {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
-            " --findings {input.findings:q} --gap {input.gap:q} --advice {input.advice:q}"
-            " --pictures {output.pictures:q} --model {output.model:q} --output {output.verdict:q} 2>&1 | tee {log:q}"
 
-else:
-
-    # Without a spot flats and darks speak for themselves.
-    rule judge:
-        input:
-            MANIFEST,
-            INSTRUMENT,
-            table=rules.ingest.output,
-        output:
-            verdict=f"{OUT}/verdict.json",
-        log:
-            f"{OUT}/logs/judge.log",
-        benchmark:
-            f"{OUT}/benchmarks/judge.tsv"
-        threads: 1
-        resources:
-            mem_mb=500,
-            runtime=30,
-        params:
-            folder=dataset_folder,
-            simulations=config["null_simulations"],
-            seed=config["seed"],
-            tolerance=json.dumps(config["tolerance"]),
-            code=code("flats"),
-        message:
-            "Writing the verdict on {DATASET.name}"
-        shell:
-            "OPENBLAS_NUM_THREADS=1 spotcheck flats {params.folder:q} --frames {input.table:q}"
-            " --simulations {params.simulations} --seed {params.seed} --tolerance {params.tolerance:q}"
-            " --output {output.verdict:q} 2>&1 | tee {log:q}"
+# Without a spot flats and darks speak for themselves.
+rule judge_flats:
+    input:
+        manifest,
+        instrument,
+        table=rules.ingest.output,
+    output:
+        verdict=f"{OUT}/verdict.json",
+    log:
+        f"{OUT}/logs/judge_flats.log",
+    benchmark:
+        f"{OUT}/benchmarks/judge_flats.tsv"
+    wildcard_constraints:
+        dataset=one_of(NO_SPOTS),
+    threads: 1
+    resources:
+        mem_mb=500,
+        runtime=30,
+    params:
+        folder=dataset_folder,
+        simulations=config["null_simulations"],
+        seed=config["seed"],
+        tolerance=json.dumps(config["tolerance"]),
+        code=code("flats"),
+    message:
+        "Writing the verdict on {wildcards.dataset}"
+    shell:
+        "OPENBLAS_NUM_THREADS=1 spotcheck flats {params.folder:q} --frames {input.table:q}"
+        " --simulations {params.simulations} --seed {params.seed} --tolerance {params.tolerance:q}"
+        " --output {output.verdict:q} 2>&1 | tee {log:q}"

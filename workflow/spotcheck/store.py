@@ -195,24 +195,29 @@ def write_text(path: str | Path, text: str) -> None:
         scratch.write_text(text, encoding="utf-8")
 
 
-def claim(results: Path, folder: Path) -> None:
-    """Make a results folder and note whose it is. Raises `InputError` when it is another's or cannot be written."""
+def check_claim(results: Path, folder: Path) -> None:
+    """Raise `InputError` where a results folder holds those of another dataset, or where nothing can be written there.
+    Writes nothing."""
     note = results / ".dataset"
     try:
-        results.mkdir(parents=True, exist_ok=True)
-        owner = (note.read_text(encoding="utf-8").strip() if note.exists() else "") or str(folder)
-        # Where the owner is gone, the dataset was moved, and its results with it.
-        if owner != str(folder) and Path(owner).exists():
-            raise InputError(
-                f"{results}: holds the results of {owner}, another folder of the same name;"
-                f" name another folder in `results`"
-            )
-        if not note.exists() or note.read_text(encoding="utf-8") != f"{folder}\n":
-            scratch = note.with_suffix(f".{os.getpid()}.part")
-            scratch.write_text(f"{folder}\n", encoding="utf-8")
-            scratch.replace(note)
+        owner = note.read_text(encoding="utf-8").strip() if note.exists() else ""
     except OSError as error:
-        raise InputError(f"{results}: cannot be written ({error.strerror}); name another folder in `results`") from None
+        raise InputError(f"{results}: cannot be read ({error.strerror}); name another folder in `results`") from None
+    # Where the owner is gone, the dataset was moved, and its results with it.
+    if owner and owner != str(folder) and Path(owner).exists():
+        raise InputError(
+            f"{results}: holds the results of {owner}, another folder of the same name;"
+            f" name another folder in `results`"
+        )
+    there = next(path for path in (results, *results.absolute().parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise InputError(f"{results}: cannot be written ({there} is in the way); name another folder in `results`")
+
+
+def claim(results: Path, folder: Path) -> None:
+    """Note in a results folder whose results it holds. Raises `InputError` as `check_claim` does."""
+    check_claim(results, folder)
+    write_text(results / ".dataset", f"{folder}\n")
 
 
 def _provenance_attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:
