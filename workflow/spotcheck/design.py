@@ -62,7 +62,9 @@ def simulate_dataset(
     >>> import spotcheck
     >>> drawn = spotcheck.simulate_dataset("my-frames", "simulated", p1_px=1.2, p2_px=18, peak_dn=600, seed=1)
     >>> drawn
+    <Dataset simulated: 18 spots over angle (2), exposure (3), repeat (3)>
     >>> spotcheck.read_image(drawn, drawn.spots[0]).shape
+    (96, 96)
     """
     given, out = load(design), Path(folder)
     if (out / "manifest.csv").exists():

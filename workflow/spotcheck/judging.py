@@ -53,7 +53,9 @@ def judge_dataset(
     >>> import spotcheck
     >>> verdict = spotcheck.judge_dataset("my-flats", simulations=200)
     >>> verdict["status"]
+    'consistent'
     >>> print(verdict["sentence"])
+    Flats and darks agree with a linear sensor: mean and noise of every level lie on straight lines ...
     """
     dataset = load(folder)
     with TemporaryDirectory(prefix="spotcheck-") as scratch:

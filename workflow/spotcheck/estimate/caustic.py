@@ -121,6 +121,15 @@ class Caustic(NamedTuple):
 
     `chi2_reduced` is χ² per degree of freedom of the radii's own errors, `scatter` the relative scatter that was added
     to them where it is above 1, `hyperbola` the fitted w²(z).
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> z, radius = [0, 0.1, 0.2, 0.3, 0.4], [3e-4, 2e-4, 1.5e-4, 2e-4, 3e-4]
+    >>> found = spotcheck.fit_caustic(z, radius, 5e-6, wavelength_m=1e-6)
+    >>> radius, stderr = found.radius(0.25)
+    >>> print(f"{1e6 * radius:.0f} ± {1e6 * stderr:.0f} µm")
+    164 ± 4 µm
     """
 
     waist_radius: float
@@ -140,7 +149,9 @@ class Caustic(NamedTuple):
 
     def radius(self, z_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """1/e² radius of the fitted beam at distances `z_m`, and its standard error [m]."""
-        return self.hyperbola.radius(np.asarray(z_m, dtype=float))
+        z = np.asarray(z_m, dtype=float)
+        radius, stderr = self.hyperbola.radius(z.ravel())
+        return radius.reshape(z.shape)[()], stderr.reshape(z.shape)[()]
 
     def __repr__(self) -> str:
         lines = [f"caustic: χ² per degree of freedom {self.chi2_reduced:.3g}, scatter {100 * self.scatter:.2g} %"]
@@ -183,6 +194,12 @@ def fit_caustic(z_m: ArrayLike, radius_m: ArrayLike, stderr_m: ArrayLike, *, wav
     >>> radius = 150e-6 * np.sqrt(1 + ((z - 0.02) / 0.093) ** 2) + np.random.default_rng(1).normal(0, 2e-6, 13)
     >>> found = spotcheck.fit_caustic(z, radius, 2e-6, wavelength_m=632.8e-9)
     >>> found
+    caustic: χ² per degree of freedom 0.491, scatter 0 %
+    waist_radius    1.504e-04 ± 1.1e-06 m
+    waist_position  0.02008 ± 0.00044 m
+    divergence      1.6134e-03 ± 3.9e-06 rad
+    rayleigh_length 0.09325 ± 0.00083 m
+    m2              1.2050 ± 0.0076
     """
     z, radius = (np.atleast_1d(np.asarray(v, dtype=float)) for v in (z_m, radius_m))
     stderr = np.asarray(stderr_m, dtype=float)

@@ -25,7 +25,17 @@ class Characterisation(Mapping[str, Quantity]):
     Attributes
     ----------
     remarks : sentences on what could not be used.
-    levels : the levels of light and the dark levels that all of it rests on, their signal and noise, as `Transfer`.
+    levels : the levels of light and the dark levels that all of it rests on, with their signal and noise over dark.
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> found = spotcheck.characterise_dataset("my-flats")
+    >>> full_well = found["full_well"]
+    >>> print(f"{full_well.value:.0f} ± {full_well.stderr:.0f} {full_well.unit}")
+    12520 ± 255 e-
+    >>> [name for name in found if found[name].why]
+    []
     """
 
     def __init__(self, levels: Transfer, title: str, name: str) -> None:
@@ -98,7 +108,7 @@ def characterise_sensor(
 
     Examples
     --------
-    Ten levels of a sensor with 0.25 DN/e-, two frames each:
+    Twelve levels of a sensor with 0.25 DN/e-, two frames each:
 
     >>> import numpy as np, spotcheck
     >>> sensor = spotcheck.SensorModel(0.25, 12, black_level_dn=40, full_scale_dn=4095, quantum_efficiency=0.6)
@@ -107,8 +117,11 @@ def characterise_sensor(
     >>> dark = [sensor.draw(np.zeros((2, 60, 80)), rng) for mean in photons]
     >>> found = spotcheck.characterise_sensor(bright, dark, exposure_s=1e-3, photons=photons, bit_depth=12)
     >>> print(found["gain"])
+    K = 0.2531 ± 0.0039 DN/e-
     >>> print(found["quantum_efficiency"])
+    η = 0.5926 ± 0.0091
     >>> print(found["dark_current"])
+    μ_I is unknown: fewer than three exposures of darks
     """
     full_scale = _full_scale(bit_depth)
     light, unlit = _stacks(bright, "bright", full_scale), _stacks(dark, "dark", full_scale)
@@ -147,6 +160,7 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
     >>> import spotcheck
     >>> found = spotcheck.characterise_dataset("my-flats")
     >>> print(found["gain"])
+    K = 0.3055 ± 0.0035 DN/e-
     """
     dataset = load(folder)
     check_files(dataset)

@@ -175,5 +175,5 @@ class SpotFits:
             rows.append([str(k), *own, str(self.status[k])])
         widths = [max(len(row[j]) for row in rows) for j in range(len(rows[0]))]
         if len(self):
-            lines += ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+            lines += ["  ".join(map(str.rjust, row, widths)).rstrip() for row in rows]
         return lines + (["…"] if len(self) > ROWS else [])

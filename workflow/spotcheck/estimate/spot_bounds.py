@@ -10,8 +10,17 @@ from spotcheck.model.sensor import SensorModel, checked, dark_signal
 
 
 class SpotBounds(NamedTuple):
-    """Smallest standard errors that any unbiased fit of one image can reach, named and in the units of `SpotFits`: DN,
-    px, degrees. Infinite where the image does not tell a parameter."""
+    """Smallest standard errors that an unbiased fit of one image can have, by the names and in the units of `SpotFits`:
+    DN, px, degrees. Infinite where the image does not tell a parameter.
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> sensor = spotcheck.SensorModel(0.11, 13.0, black_level_dn=40, full_scale_dn=1023)
+    >>> bounds = spotcheck.spot_bounds(sensor, (50, 50), amplitude=600, sigma_major=6.5)
+    >>> round(bounds.x_centre, 4), bounds.orientation
+    (0.0062, inf)
+    """
 
     amplitude: float
     x_centre: float
@@ -72,6 +81,7 @@ def spot_bounds(
     >>> sensor = spotcheck.SensorModel(0.11, 13.0, black_level_dn=40, full_scale_dn=1023)
     >>> bounds = spotcheck.spot_bounds(sensor, (50, 50), amplitude=600, sigma_major=6.5, sigma_minor=4.8)
     >>> print(f"one image tells the width to {bounds.sigma_mean:.4f} px")
+    one image tells the width to 0.0040 px
     """
     minor = sigma_major if sigma_minor is None else sigma_minor
     rows, columns = shape

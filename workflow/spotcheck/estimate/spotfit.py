@@ -97,7 +97,17 @@ def fit_spots(
     >>> photons = 900 * np.exp(-(((x - 31.3) / 7) ** 2 + ((y - 22.6) / 5) ** 2) / 2)
     >>> fit = spotcheck.fit_spots(sensor.draw(photons, rng=1), sensor)
     >>> fit
+    fitted spot: ok, χ² per degree of freedom 1.01
+    amplitude           450.9 ± 1.6 DN
+    x_centre         31.315 ± 0.018 pixel
+    y_centre         22.605 ± 0.013 pixel
+    sigma_major       6.982 ± 0.015 pixel
+    sigma_minor       4.997 ± 0.011 pixel
+    orientation         0.31 ± 0.24 degree
+    offset           20.052 ± 0.057 DN
+    sigma_mean      5.9896 ± 0.0096 pixel
     >>> print(f"{fit.sigma_major:.2f} ± {fit.sigma_major_stderr:.2f} px")
+    6.98 ± 0.01 px
     """
     if weighting not in WEIGHTINGS:
         raise ValueError(f"weighting: {weighting!r} is none of {', '.join(WEIGHTINGS)}")

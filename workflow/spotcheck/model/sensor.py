@@ -38,8 +38,12 @@ class SensorModel(NamedTuple):
     >>> import spotcheck
     >>> sensor = spotcheck.SensorModel(0.11, 13.0, black_level_dn=40, full_scale_dn=1023, quantum_efficiency=0.38)
     >>> sensor.mean(10_000)
+    np.float64(458.0)
     >>> sensor.variance(10_000)
+    np.float64(48.10823333333333)
     >>> sensor.draw([[0, 10_000], [100_000, 0]], rng=1)
+    array([[  40,  449],
+           [1023,   42]], dtype=uint16)
     """
 
     gain_dn_per_e: float
@@ -69,11 +73,11 @@ class SensorModel(NamedTuple):
         """
         from spotcheck.model.draws import draw_readings
 
-        light = np.ascontiguousarray(self._light(photons))
+        light = np.asarray(self._light(photons), order="C")
         out = np.empty(light.shape, np.uint16)
         dark_e = self.dark_current_e_per_s * exposure_s
         draw_readings(light.reshape(-1), dark_e, self, np.random.default_rng(rng), out.reshape(-1))
-        return out
+        return out[()]
 
     def _light(self, photons: ArrayLike) -> np.ndarray:
         """K η µ_p [DN], the light of a mean number of photons."""
