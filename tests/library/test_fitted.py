@@ -80,7 +80,6 @@ def test_masked_pixels_are_left_out(images):
 BAD_FITS = {
     "row": (lambda: fit_spots([np.zeros(5)], CAMERA), "images: number 0 has the shape (5,); each must be"),
     "cube": (lambda: fit_spots(np.zeros((2, 2, 3, 3)), CAMERA), "images: number 0 has the shape (2, 3, 3)"),
-    "empty": (lambda: fit_spots(np.zeros((0, 4)), CAMERA), "images: number 0 has the shape (0, 4)"),
     "no sensor": (
         lambda: fit_spots(np.zeros((9, 9))),
         "sensor: the likelihood needs a gain and a read noise",

@@ -135,7 +135,7 @@ def _pixels(image: np.ndarray, number: int) -> np.ndarray:
     if np.ma.isMaskedArray(image):
         image = np.ma.filled(image.astype(float), np.nan)
     pixels = np.asarray(image, dtype=float)
-    if pixels.ndim != 2 or not pixels.size:
+    if pixels.ndim != 2:
         raise ValueError(f"images: number {number} has the shape {pixels.shape}; each must be [rows, columns]")
     return np.ascontiguousarray(pixels)
 
