@@ -1,7 +1,6 @@
 """A sensor by flats and darks, from arrays and from a folder, beside the package of the standard."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from spotcheck.cli import main
 from spotcheck.errors import InputError
 from spotcheck.estimate.characterise import characterise_dataset, characterise_sensor
 from tests.library.shelf import levels
-from tests.real.emva import reference
 
 
 def test_arrays_and_folder_give_the_same_sensor(there):
@@ -24,25 +22,6 @@ def test_arrays_and_folder_give_the_same_sensor(there):
     for name, own in found.items():
         assert own[:2] + own[4:] == other[name][:2] + other[name][4:]
         assert own[2:4] == pytest.approx(other[name][2:4], rel=1e-12, nan_ok=True), name
-
-
-def test_the_package_of_the_standard_finds_the_same(there):
-    """emva1288 1.0.2 on the same frames: where both have the same estimator, to a part in 10⁶; the noise without light,
-    whose line over exposure is weighted here, within its standard error."""
-    bright, dark, exposures, photons = levels()
-    found = characterise_sensor(bright, dark, exposures, photons, bit_depth=12)
-    other = reference(Path("my-flats"), 15000.0)
-    equal = {
-        "gain": "K",
-        "responsivity": "R",
-        "saturation_photons": "u_p_sat",
-        "full_well": "u_e_sat",
-        "snr_max": "SNR_max",
-    }
-    for name, key in equal.items():
-        assert found[name].value == pytest.approx(other[key], rel=1e-6), name
-    assert found["quantum_efficiency"].value == pytest.approx(other["QE"] / 100, rel=1e-6)
-    assert abs(found["dark_noise"].value - other["sigma_d"]) < found["dark_noise"].stderr
 
 
 def test_a_sensor_without_photons_and_one_exposure():

@@ -63,8 +63,8 @@ class Characterisation(Mapping[str, Quantity]):
         return "\n".join([*lines, *self.remarks])
 
     def to_dataset(self) -> xr.Dataset:
-        """All quantities over `quantity`, and every level over `flat` and `dark`, with units and long names: the
-        content of transfer.nc."""
+        """All quantities over `quantity` and every level over `flat` and `dark`, with units and long names, as in
+        transfer.nc."""
         return dataset_of(self.levels, self._title, self._name)
 
 

@@ -63,7 +63,7 @@ def spot_bounds(
         `exposure_s`.
     x_centre, y_centre : column and row of the centre [px]; by default the middle of the image.
     exposure_s : exposure time [s], for dark current alone.
-    top_hat : the Gaussian is cut to a plateau at exp(−1/4) of its peak (Eqs. 39–40).
+    top_hat : the Gaussian is cut to a plateau at exp(−1/4) of its peak.
 
     Returns
     -------
