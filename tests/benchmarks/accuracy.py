@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.estimate.spotfit import Fits, fit_spots
+from spotcheck.estimate.fitted import SpotFits
+from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.sensor import SensorModel
 from tests.benchmarks import spots
 from tests.benchmarks.spots import NAMES, ORIENTATION
@@ -41,7 +42,7 @@ def in_parallel(work: Callable[[Any], Any], items: Sequence, label: str) -> Iter
             yield result
 
 
-def errors(fits: Fits, truth: np.ndarray, sensor: SensorModel) -> np.ndarray:
+def errors(fits: SpotFits, truth: np.ndarray, sensor: SensorModel) -> np.ndarray:
     """Fitted minus true parameters [n, 7] in e-, px and rad; `truth` [7] or [n, 7] as in `spots`."""
     found = fits.value[:, :7].copy()
     found[:, 0] /= sensor.gain_dn_per_e
@@ -70,7 +71,7 @@ def scores_of(seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray, int
         fits_clipped = fit_spots([np.minimum(f, np.uint16(full_scale)) for f in frames], short)
         whole.append(errors(fits, truth, sensor) / bounds)
         clipped.append(errors(fits_clipped, truth, short) / bounds_clipped)
-        flagged += int(np.count_nonzero(fits.status) + np.count_nonzero(fits_clipped.status))
+        flagged += int(np.count_nonzero(fits.flags) + np.count_nonzero(fits_clipped.flags))
     return np.concatenate(whole), np.concatenate(clipped), flagged, float(np.mean(share))
 
 

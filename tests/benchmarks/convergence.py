@@ -71,7 +71,7 @@ def outcomes(seed: np.random.SeedSequence) -> list[Outcome]:
         worst = int(np.argmax(np.nan_to_num(z, nan=np.inf)))
         spot = [truth[0] * sensor.gain_dn_per_e, *truth[1:5], np.degrees(truth[5]), truth[6]]
         chain = [sensor.gain_dn_per_e, sensor.read_noise_e, sensor.black_level_dn, bits]
-        found.append(Outcome._make([*spot, *chain, int(fits.status[0]), float(z[worst]), NAMES[worst]]))
+        found.append(Outcome._make([*spot, *chain, int(fits.flags[0]), float(z[worst]), NAMES[worst]]))
     return found
 
 

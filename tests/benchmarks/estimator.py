@@ -72,7 +72,7 @@ def sample(count: int, rng: np.random.Generator, integrated: bool) -> Sample:
 
 def _ours(given: Sample, weighting: str, integrated: bool = False):
     fits = fit_spots(given.images, COUNTER, weighting=weighting, integrated=integrated)
-    return fits.value[:, [MAJOR, MINOR]], fits.status == 0
+    return fits.value[:, [MAJOR, MINOR]], fits.flags == 0
 
 
 def _one_by_one(given: Sample, fit: Callable[..., peers.Answer]):

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from spotcheck.estimate.spotfit import Fits, fit_spots
+from spotcheck.estimate.fitted import SpotFits
+from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.simulate import frame_generators, frames
 from tests.benchmarks import peak
 from tests.benchmarks.simulator import FAINT_NOISE, SCENES
@@ -29,7 +30,7 @@ def simulate(count: int) -> Iterator[list[np.ndarray]]:
         yield list(frames([light] * size, 0.0, scene.sensor, frame_generators(number, size)))
 
 
-def fit(count: int) -> Iterator[Fits]:
+def fit(count: int) -> Iterator[SpotFits]:
     """Fits of frames, chunk after chunk: copies of a few, which cost nothing to make."""
     stack = next(simulate(CHUNK))
     for size in chunks(count, CHUNK):

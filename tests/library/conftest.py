@@ -1,5 +1,6 @@
 """Small datasets and frames that several files of library tests make."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 import tifffile
 
 from spotcheck import dataset
+from spotcheck.design import simulate_dataset
 from spotcheck.instrument import Instrument, read_instrument
 from spotcheck.model.sensor import SensorModel
+from tests.library.shelf import LAW, design, flats
 from tests.reference.numpy_chain import draw
 
 HEADER = "file,kind,angle_deg,exposure_s,repeat"
@@ -54,3 +57,20 @@ def noisy(light: np.ndarray, seed: int, sensor: SensorModel = SENSOR, exposure_s
 def instrument() -> Instrument:
     """The instrument of the default dataset."""
     return read_instrument(ROOT / "data" / "virtual-rig" / "instrument.yaml")
+
+
+@pytest.fixture(scope="session")
+def shelf(tmp_path_factory) -> Path:
+    """A folder with the two datasets that page and examples speak of."""
+    base = tmp_path_factory.mktemp("shelf")
+    simulate_dataset(design(base / "design"), base / "my-frames", **LAW, seed=1)
+    flats(base / "my-flats")
+    return base
+
+
+@pytest.fixture
+def there(shelf, monkeypatch):
+    """The same as the working directory; what an example simulates is gone afterwards."""
+    monkeypatch.chdir(shelf)
+    yield shelf
+    shutil.rmtree(shelf / "simulated", ignore_errors=True)

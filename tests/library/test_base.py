@@ -17,7 +17,7 @@ def test_a_spot_is_found_under_noise_far_above_the_stated():
     y, x = np.mgrid[:120, :120].astype(float)
     light = 900 * np.minimum(np.exp(-((x - 60.2) ** 2 + (y - 58.7) ** 2) / (2 * 9.0**2)), np.exp(-0.25))
     image = draw(light, 1e-3, STATED._replace(read_noise_e=24.0), np.random.default_rng(0)).astype(float)
-    assert fit_spots(image[None], STATED, top_hat=True, circular=True).status[0] != 0
+    assert fit_spots(image, STATED, top_hat=True, circular=True).status != "ok"
     ((peak, x0, y0, sigma, trusted),) = spots_of([Shot(None, None, 0, 0, (), 0, 0, lambda: image)], STATED, True)
     # Five standard errors of a spot of 500 bright pixels at a signal-to-noise ratio of 50 each.
     assert trusted and (x0, y0) == pytest.approx((60.2, 58.7), abs=0.05)

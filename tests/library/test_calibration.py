@@ -8,8 +8,8 @@ from spotcheck import crops, store
 from spotcheck.estimate import propagation
 from spotcheck.estimate.calibration import calibrate
 from spotcheck.estimate.fits import FITS, fit_crops, fit_in_crop, preferred
+from spotcheck.estimate.fitted import NAMES
 from spotcheck.estimate.propagation import peak_from_maxima, regress, simulate_and_fit
-from spotcheck.estimate.spotfit import NAMES
 from spotcheck.instrument import Instrument, ModelChoice
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.sensor import SensorModel

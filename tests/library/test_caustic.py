@@ -1,5 +1,7 @@
 """The caustic against beams whose answer is known in closed form."""
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -161,3 +163,41 @@ def test_skipped_with_its_reason(change, reason):
 def test_three_positions_are_too_few():
     fits, instrument = scan([0.0, 0.1, 0.2], [10.0, 9.0, 10.0])
     assert "3 have one" in caustic.caustic_of(fits, instrument).attrs["skipped"]
+
+
+def test_a_beam_of_known_m2():
+    """ISO 11146-1: w² = w0² (1 + (z − z0)²/z_R²), z_R = π w0²/(M² λ), θ = w0/z_R; exact radii give it back."""
+    z, waist, length = np.linspace(-0.2, 0.5, 9), 120e-6, 0.055
+    found = caustic.fit_caustic(z, waist * np.hypot(1, (z - 0.07) / length), 1e-8, wavelength_m=632.8e-9)
+    want = (waist, 0.07, waist / length, length, np.pi * waist**2 / (length * 632.8e-9))
+    assert (found[0], found[2], found[4], found[6], found[8]) == pytest.approx(want, rel=1e-7)
+    radius, stderr = found.radius([0.07, 0.2])
+    assert radius == pytest.approx(waist * np.hypot(1, [0, 0.13 / length]), rel=1e-7) and (stderr < 1e-8).all()
+    assert found.degrees_of_freedom == 6 and repr(found).splitlines()[-1].startswith("m2 ")
+
+
+def test_radii_without_errors():
+    """Their scatter about the hyperbola is all that is known, and becomes the error; where they scatter more than
+    stated errors allow, nearly the same."""
+    z = np.linspace(-0.3, 0.3, 15)
+    radius = 150e-6 * np.hypot(1, z / 0.1) * (1 + 0.02 * np.random.default_rng(2).standard_normal(15))
+    none, small = (caustic.fit_caustic(z, radius, own, wavelength_m=1e-6) for own in (0.0, 1e-7))
+    # 12 degrees of freedom: an estimate of 2 % scatters by 20 %, and three times that is allowed.
+    assert none.scatter == pytest.approx(0.02, rel=0.6) and np.isnan(none.chi2_reduced) and small.chi2_reduced > 100
+    assert (none.m2, none.m2_stderr) == pytest.approx((small.m2, small.m2_stderr), rel=1e-2)
+
+
+BAD_BEAMS = {
+    "few": ([0, 1, 2, 2], [1] * 4, 0.1, 1e-6, "z_m: has 3 different distances; a caustic needs 4 or more"),
+    "lengths": ([0, 1, 2, 3], [1] * 3, 0.1, 1e-6, "z_m, radius_m, stderr_m: have the shapes (4,), (3,) and ();"),
+    "radius": ([0, 1, 2, 3], [1, 1, 0, 1], 0.1, 1e-6, "radius_m: every number must be above 0, in metres"),
+    "error": ([0, 1, 2, 3], [1] * 4, -0.1, 1e-6, "stderr_m: every number must be 0 or above, in metres"),
+    "place": ([0, 1, np.nan, 3], [1] * 4, 0.1, 1e-6, "z_m: every number must be finite, in metres"),
+    "wavelength": ([0, 1, 2, 3], [1] * 4, 0.1, 0.0, "wavelength_m: every number must be above 0, in metres"),
+}
+
+
+@pytest.mark.parametrize(("z", "radius", "stderr", "wavelength", "words"), BAD_BEAMS.values(), ids=BAD_BEAMS)
+def test_radii_that_make_no_caustic(z, radius, stderr, wavelength, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
+        caustic.fit_caustic(z, radius, stderr, wavelength_m=wavelength)

@@ -6,9 +6,11 @@ import pytest
 from PIL import Image
 
 from spotcheck.dataset import load
+from spotcheck.estimate.characterise import characterise_sensor
 from spotcheck.estimate.levels import levels_of
 from spotcheck.estimate.photon_transfer import transfer_of
 from tests.conftest import SHARED
+from tests.library.shelf import flats, levels
 from tests.real.emva import reference
 
 CCD = SHARED / "data" / "emva-ccd"
@@ -117,3 +119,22 @@ def test_a_drawn_sensor_in_both(tmp_path):
     ):  # fmt: skip
         assert abs(own[name].value - other[key] * factor) < own[name].stderr
         assert abs(own[name].value - true) < 4 * own[name].stderr
+
+
+def test_arrays_of_frames_in_both(tmp_path):
+    """emva1288 1.0.2 on the same frames: where both have the same estimator, to a part in 10⁶; the noise without light,
+    whose line over exposure is weighted here, within its standard error."""
+    bright, dark, exposures, photons = levels()
+    found = characterise_sensor(bright, dark, exposures, photons, bit_depth=12)
+    other = reference(flats(tmp_path), 15000.0)
+    equal = {
+        "gain": "K",
+        "responsivity": "R",
+        "saturation_photons": "u_p_sat",
+        "full_well": "u_e_sat",
+        "snr_max": "SNR_max",
+    }
+    for name, key in equal.items():
+        assert found[name].value == pytest.approx(other[key], rel=1e-6), name
+    assert found["quantum_efficiency"].value == pytest.approx(other["QE"] / 100, rel=1e-6)
+    assert abs(found["dark_noise"].value - other["sigma_d"]) < found["dark_noise"].stderr

@@ -12,6 +12,7 @@ import xarray as xr
 
 from spotcheck.cli import main
 from spotcheck.errors import InputError
+from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.figures import chain, series, style
 from spotcheck.figures.registry import FIGURES
 from spotcheck.figures.results import Results, Unavailable
@@ -222,9 +223,9 @@ def test_numbers_in_sentences():
         "2.5 · 10⁻¹⁶",
         "2.6 · 10¹⁴",
     ]
-    assert style.plus_minus(0.8159, 0.0045, "px") == "0.8159 ± 0.0045 px"
-    assert style.plus_minus(34.76, np.nan) == "34.76"
-    assert style.plus_minus(np.nan, 1.0) == "none"
+    assert plus_minus(0.8159, 0.0045, "px") == "0.8159 ± 0.0045 px"
+    assert plus_minus(34.76, np.nan) == "34.76"
+    assert plus_minus(np.nan, 1.0) == "none"
 
 
 def test_shades_of_the_series_differ_in_grey():

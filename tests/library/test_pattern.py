@@ -65,7 +65,7 @@ def test_pictures_of_dark_and_half(folder):
 def test_they_are_in_the_file(folder):
     dataset = load(folder)
     found = transfer_of(levels_of(dataset, 16), 4095.0)
-    ds = add_patterns(dataset_of(found, dataset), dataset, found)
+    ds = add_patterns(dataset_of(found, "T", "d"), dataset, found)
     assert ds["flat_picture"].shape == ds["dark_picture"].shape == (13, 200)
     assert float(ds["dark_shown_at"]) == pytest.approx(50.2, abs=0.2)
     assert ds["flat_along_rows"].sizes["flat_rows_frequency"] == 301

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from spotcheck.cli import main as command
-from spotcheck.figures.style import plus_minus
+from spotcheck.estimate.plus_minus import plus_minus
 from tests.blind.table import markdown
 from tests.real.listed import rows_of
 

@@ -14,8 +14,8 @@ import numpy as np
 from spotcheck import store
 from spotcheck.cli import main as command
 from spotcheck.estimate.photon_transfer import QUANTITIES
+from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.figures.style import plus_minus
 from spotcheck.pages.report import ranges
 from tests.benchmarks import gain
 from tests.blind.records import RESULTS, ROOT

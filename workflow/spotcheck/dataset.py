@@ -10,7 +10,7 @@ from pathlib import Path
 
 from spotcheck.errors import InputError
 from spotcheck.instrument import Instrument, read_instrument
-from spotcheck.manifest import IMAGE_SUFFIXES, Frame, number_in, read_manifest
+from spotcheck.manifest import IMAGE_SUFFIXES, KINDS, Frame, number_in, read_manifest
 
 UNIT_OF_SUFFIX = {"_m": "m", "_s": "s", "_k": "K", "_deg": "degree"}
 
@@ -34,13 +34,38 @@ class Axis:
         return 0 if self.values is None or value is None else self.values.index(value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Dataset:
-    """A dataset folder that keeps the contract."""
+    """A dataset folder that keeps the contract: what manifest.csv and instrument.yaml say of it.
+
+    Attributes
+    ----------
+    folder : the folder.
+    instrument : the content of instrument.yaml, in sections such as `instrument.sensor`, with defaults.
+    frames : every row of the manifest, in its order: `file`, `kind`, `angle_deg`, `exposure_s`, `repeat` and others.
+    spots : the frames of kind `spot`. `read_image` gives the pixels of a frame.
+    axes : the grid that the spots span: angle, exposure, repeat, and the declared conditions.
+    exposures : exposure times of the spots [s], ascending.
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> dataset = spotcheck.read_dataset("my-frames")
+    >>> dataset.instrument.sensor.gain_dn_per_e
+    0.11
+    >>> dataset.spots[0].exposure_s
+    0.0001
+    """
 
     folder: Path
     instrument: Instrument
     frames: tuple[Frame, ...]
+
+    def __repr__(self) -> str:
+        counts = {kind: sum(frame.kind == kind for frame in self.frames) for kind in KINDS}
+        held = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items() if count)
+        along = ", ".join(f"{axis.name} ({axis.size})" for axis in self.axes if axis.values is not None)
+        return f"<Dataset {self.name}: {held}{' over ' if along else ''}{along}>"
 
     @property
     def name(self) -> str:
@@ -95,9 +120,20 @@ def unit_of(column: str) -> str:
 
 
 def load(folder: str | Path) -> Dataset:
-    """Read and check manifest.csv and instrument.yaml of a dataset folder.
+    """Read and check manifest.csv and instrument.yaml of a dataset folder; no image is opened.
 
-    Raises `InputError` for anything the contract forbids and that shows without decoding pixels.
+    Raises `InputError`, one sentence with file, row or key, for whatever the dataset contract forbids.
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> dataset = spotcheck.read_dataset("my-frames")
+    >>> dataset
+    <Dataset my-frames: 18 spots over angle (2), exposure (3), repeat (3)>
+    >>> dataset.exposures
+    (0.0001, 0.0003, 0.0009)
+    >>> len([frame for frame in dataset.spots if frame.angle_deg == 90])
+    9
     """
     folder = Path(folder).resolve()
     if not folder.is_dir():

@@ -117,9 +117,17 @@ def probe_all(dataset: Dataset) -> Probe:
 
 
 def read(dataset: Dataset, frame: Frame) -> np.ndarray:
-    """Pixels [rows, columns] of a frame in DN (unsigned), shifted out of a left-aligned container.
+    """Image of a frame of a dataset: pixels [rows, columns] in DN, unsigned, shifted out of a left-aligned container.
 
     Raises `InputError` for a file that cannot be decoded or holds values above the bit depth.
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> dataset = spotcheck.read_dataset("my-frames")
+    >>> image = spotcheck.read_image(dataset, dataset.spots[-1])
+    >>> image.shape, image.dtype, int(image.max())
+    ((96, 96), dtype('uint16'), 624)
     """
     path = dataset.folder / frame.file
     try:

@@ -11,6 +11,7 @@ import json
 import os
 import platform
 import sys
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -29,7 +30,7 @@ def module_file(module: str, root: Path = ROOT) -> Path | None:
 
 @cache
 def imported_modules(path: Path, root: Path = ROOT) -> set[str]:
-    """Dotted names of our own modules that the file at `path` imports anywhere, also inside functions."""
+    """Dotted names of our own modules that the file at `path` imports anywhere, also inside functions, when it runs."""
     return _imports(path.read_text(encoding="utf-8"), root)
 
 
@@ -47,9 +48,20 @@ def _discovered(path: Path | None) -> list[Path]:
     return sorted(own for own in path.parent.glob("*.py") if own != path)
 
 
+def running(tree: ast.AST) -> Iterator[ast.AST]:
+    """All nodes of a syntax tree but those below `if TYPE_CHECKING:`, which never runs."""
+    yield tree
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            for own in node.orelse:
+                yield from running(own)
+        else:
+            yield from running(node)
+
+
 def _imports(source: str, root: Path) -> set[str]:
     found: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in running(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:

@@ -63,6 +63,13 @@ def flag(name: str) -> int:
     return next(bit for bit, (own, _) in STATUS.items() if own == name)
 
 
+def status_names(flags: Any) -> np.ndarray:
+    """Names of the flags that are set, of any array of flags: "ok" where none is, several apart by a blank."""
+    flags = np.asarray(flags)
+    known = {own: " ".join(name for bit, (name, _) in STATUS.items() if own & bit) or "ok" for own in np.unique(flags)}
+    return np.array([known[own] for own in flags.ravel()], dtype=str).reshape(flags.shape)[()]
+
+
 def check(ds: xr.Dataset, what: str) -> xr.Dataset:
     """Raise `ContractError` unless every variable has units and long_name, and the file says what it is of."""
     for name, variable in ds.variables.items():

@@ -7,6 +7,7 @@ that is asked for is imported, because imports are most of a short job's time.
 import argparse
 import importlib
 import sys
+from collections.abc import Sequence
 
 COMMANDS = {
     "check": "check a dataset folder against the contract, without decoding a pixel",
@@ -40,21 +41,10 @@ COMMANDS = {
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point. What the user can mend ends in one sentence and status 2."""
-    parser = argparse.ArgumentParser(prog="spotcheck", description="How a camera sees a laser spot on a composite.")
-    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    words = sys.argv[1:] if argv is None else argv
-    asked = next((word for word in words if word in COMMANDS), None)
-    for name, text in COMMANDS.items():
-        own = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        if name == asked:
-            module = importlib.import_module(f"spotcheck.cli.{name.replace('-', '_')}")
-            module.arguments(own)
-            own.set_defaults(run=module.run)
-    args = parser.parse_args(words)
     from spotcheck.errors import InputError
 
     try:
-        args.run(args)
+        run(sys.argv[1:] if argv is None else argv)
     except InputError as error:
         sys.exit(_say(str(error)))
     except OSError as error:
@@ -63,6 +53,21 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(
             _say(f"{error.filename}: cannot be read or written ({error.strerror}); mend that, or name another place")
         )
+
+
+def run(words: Sequence[str]) -> None:
+    """Run the subcommand that the words of a command line name. Raises `InputError` for what the user can mend."""
+    parser = argparse.ArgumentParser(prog="spotcheck", description="How a camera sees a laser spot on a composite.")
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    asked = next((word for word in words if word in COMMANDS), None)
+    for name, text in COMMANDS.items():
+        own = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        if name == asked:
+            module = importlib.import_module(f"spotcheck.cli.{name.replace('-', '_')}")
+            module.arguments(own)
+            own.set_defaults(run=module.run)
+    args = parser.parse_args(words)
+    args.run(args)
 
 
 def _say(sentence: str) -> int:

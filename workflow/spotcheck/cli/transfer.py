@@ -2,8 +2,6 @@
 
 import argparse
 
-import numpy as np
-
 from spotcheck import dataset, frames, provenance, store
 from spotcheck.estimate.levels import levels_of
 from spotcheck.estimate.pattern import add_patterns
@@ -24,12 +22,9 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.frames) as table:
         bits = int(table["container_bits"])
     transfer = transfer_of(levels_of(found, bits), float(frames.full_scale(found.instrument, bits)))
-    measured = add_patterns(dataset_of(transfer, found), found, transfer)
+    measured = add_patterns(dataset_of(transfer, found.title, found.name), found, transfer)
     store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     for own in quantities_of(measured).values():
-        if np.isfinite(own.value):
-            print(f"{own.symbol} = {own.value:.5g} ± {own.stderr:.2g} {own.unit}")
-        else:
-            print(f"{own.symbol} is unknown: {own.why}")
+        print(own)
     for remark in filter(None, measured.attrs["remarks"].split("; ")):
         print(remark)

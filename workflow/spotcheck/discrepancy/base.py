@@ -52,7 +52,7 @@ def spots_of(shots: Sequence[Shot], sensor: SensorModel, top_hat: bool) -> np.nd
         image = shot.pixels()[None]
         ways = ("likelihood", "equal") if np.mean(image >= sensor.full_scale_dn) < CLIPPED else ("likelihood",)
         fits = (fit_spots(image, sensor, weighting=way, top_hat=top_hat, circular=True) for way in ways)
-        fit = next((fit for fit in fits if fit.status[0] == 0), None)
+        fit = next((fit for fit in fits if fit.flags[0] == 0), None)
         out.append([np.nan] * 4 + [0.0] if fit is None else [*fit.value[0, :4], 1.0])
     return np.array(out)
 

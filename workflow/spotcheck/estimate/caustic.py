@@ -11,10 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 from scipy import optimize, stats
 
 from spotcheck import store
 from spotcheck.estimate.fits import preferred
+from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.instrument import Instrument
 
 CONDITION = "z_m"
@@ -111,6 +113,119 @@ def beam(fit: Hyperbola, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
         ]
     )
     return values, slopes @ fit.covariance @ slopes.T
+
+
+class Caustic(NamedTuple):
+    """A beam along its axis, with standard errors: 1/e² radius w0 [m] and place z0 [m] of the waist, half-angle of
+    divergence θ [rad], Rayleigh length z_R [m], beam propagation ratio M² [1]; all NaN where the radii have no waist.
+
+    `chi2_reduced` is χ² per degree of freedom of the radii's own errors, `scatter` the relative scatter that was added
+    to them where it is above 1, `hyperbola` the fitted w²(z).
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> z, radius = [0, 0.1, 0.2, 0.3, 0.4], [3e-4, 2e-4, 1.5e-4, 2e-4, 3e-4]
+    >>> found = spotcheck.fit_caustic(z, radius, 5e-6, wavelength_m=1e-6)
+    >>> radius, stderr = found.radius(0.25)
+    >>> print(f"{1e6 * radius:.0f} ± {1e6 * stderr:.0f} µm")
+    164 ± 4 µm
+    """
+
+    waist_radius: float
+    waist_radius_stderr: float
+    waist_position: float
+    waist_position_stderr: float
+    divergence: float
+    divergence_stderr: float
+    rayleigh_length: float
+    rayleigh_length_stderr: float
+    m2: float
+    m2_stderr: float
+    chi2_reduced: float
+    scatter: float
+    degrees_of_freedom: int
+    hyperbola: Hyperbola
+
+    def radius(self, z_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """1/e² radius of the fitted beam at distances `z_m`, and its standard error [m]."""
+        z = np.asarray(z_m, dtype=float)
+        radius, stderr = self.hyperbola.radius(z.ravel())
+        return radius.reshape(z.shape)[()], stderr.reshape(z.shape)[()]
+
+    def __repr__(self) -> str:
+        lines = [f"caustic: χ² per degree of freedom {self.chi2_reduced:.3g}, scatter {100 * self.scatter:.2g} %"]
+        for name, (unit, _) in QUANTITIES.items():
+            text = plus_minus(getattr(self, name), getattr(self, f"{name}_stderr"), "" if unit == "1" else unit)
+            lines.append(f"{name:<15} {text}")
+        return "\n".join(lines)
+
+
+def fit_caustic(z_m: ArrayLike, radius_m: ArrayLike, stderr_m: ArrayLike, *, wavelength_m: float) -> Caustic:
+    """Waist, divergence, Rayleigh length and M² of a beam from its radii along z (ISO 11146-1:2021, clause 9).
+
+    The radius is the 1/e² radius of the intensity: twice the standard deviation of a Gaussian, half the diameter d of
+    the standard. A fitted `sigma_mean` in pixels is thus a radius of 2 σ times the pixel pitch. The standard takes
+    second moments; for a beam that is not Gaussian, M² from fits of a Gaussian is too small.
+
+    Parameters
+    ----------
+    z_m : distances along the beam [m], at least four different ones. The standard asks for ten, half of them within a
+        Rayleigh length of the waist and half beyond two.
+    radius_m : 1/e² radius at each distance [m].
+    stderr_m : its standard error [m], or one for all. Where the radii scatter by more, or with 0, the relative scatter
+        about the hyperbola is found from the radii themselves.
+    wavelength_m : wavelength in the medium [m].
+
+    Returns
+    -------
+    Caustic
+        Numbers by name with their standard errors.
+
+    Raises
+    ------
+    ValueError
+        Fewer than four distances, arrays of different lengths, or numbers that are no radius, error or wavelength.
+
+    Examples
+    --------
+    >>> import numpy as np, spotcheck
+    >>> z = np.linspace(-0.3, 0.3, 13)
+    >>> radius = 150e-6 * np.sqrt(1 + ((z - 0.02) / 0.093) ** 2) + np.random.default_rng(1).normal(0, 2e-6, 13)
+    >>> found = spotcheck.fit_caustic(z, radius, 2e-6, wavelength_m=632.8e-9)
+    >>> found
+    caustic: χ² per degree of freedom 0.491, scatter 0 %
+    waist_radius    1.504e-04 ± 1.1e-06 m
+    waist_position  0.02008 ± 0.00044 m
+    divergence      1.6134e-03 ± 3.9e-06 rad
+    rayleigh_length 0.09325 ± 0.00083 m
+    m2              1.2050 ± 0.0076
+    """
+    z, radius = (np.atleast_1d(np.asarray(v, dtype=float)) for v in (z_m, radius_m))
+    stderr = np.asarray(stderr_m, dtype=float)
+    if z.ndim != 1 or radius.shape != z.shape or stderr.shape not in ((), z.shape):
+        raise ValueError(
+            f"z_m, radius_m, stderr_m: have the shapes {z.shape}, {radius.shape} and {stderr.shape};"
+            " give a radius and an error for every distance"
+        )
+    stderr = np.broadcast_to(stderr, z.shape)
+    for name, good, wanted in (
+        ("z_m", np.isfinite(z), "finite"),
+        ("radius_m", np.isfinite(radius) & (radius > 0), "above 0"),
+        ("stderr_m", np.isfinite(stderr) & (stderr >= 0), "0 or above"),
+        ("wavelength_m", np.isfinite(wavelength_m) & (wavelength_m > 0), "above 0"),
+    ):
+        if not np.all(good):
+            raise ValueError(f"{name}: every number must be {wanted}, in metres")
+    if len(np.unique(z)) < FEWEST_POSITIONS:
+        raise ValueError(
+            f"z_m: has {len(np.unique(z))} different distances; a caustic needs {FEWEST_POSITIONS} or more"
+        )
+    fit = fit_hyperbola(z, radius, stderr)
+    values, covariance = beam(fit, wavelength_m)
+    numbers = np.column_stack([values, np.sqrt(np.diag(covariance))]).ravel()
+    chi2 = fit.chi2_reduced if stderr.all() else np.nan
+    return Caustic._make([*numbers.tolist(), chi2, fit.scatter, fit.degrees, fit])
 
 
 def half_width(stderr: np.ndarray, degrees: int) -> np.ndarray:

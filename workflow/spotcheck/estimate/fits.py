@@ -7,7 +7,8 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.crops import cells, usable
-from spotcheck.estimate.spotfit import NAMES, PARAMETERS, fit_spots
+from spotcheck.estimate.fitted import NAMES, PARAMETERS
+from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.sensor import SensorModel
 
 FITS = {
@@ -44,19 +45,20 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
         if not usable(crops["status"].values[at]):
             continue
         image = crops["image"].isel(index).values
-        own = {1: fit_spots([image], sensor, weighting="equal")}
+        own = {1: fit_spots(image, sensor, weighting="equal")}
         if sensor is not None:
-            own[0] = fit_spots([image], sensor, top_hat=top_hat)
+            own[0] = fit_spots(image, sensor, top_hat=top_hat)
         for k, fit in own.items():
-            value[(*at, k)], stderr[(*at, k)] = fit.value[0], fit.stderr[0]
-            chi2[(*at, k)] = fit.chi2_reduced[0]
-            status[(*at, k)] |= fit.status[0]
+            value[(*at, k)], stderr[(*at, k)] = fit.value, fit.stderr
+            chi2[(*at, k)] = fit.chi2_reduced
+            status[(*at, k)] |= fit.flags
             for axis, start in origin.items():
                 value[(*at, k, axis)] += start[at]
     keep = [name for name in crops.coords if set(crops[name].dims) <= set(dims)]
     ds = xr.Dataset(coords={name: crops[name] for name in keep}, attrs=_titles(crops))
     ds["fit"] = ("fit", np.array(list(FITS), dtype=object), {"units": "1", "long_name": "how the spot was fitted"})
     for k, (name, (units, long_name)) in enumerate(PARAMETERS.items()):
+        long_name += " on the sensor" if k in origin else ""
         ds[name] = (dims, value[..., k], {"units": units, "long_name": long_name})
         ds[f"{name}_stderr"] = (
             dims,

@@ -4,7 +4,7 @@ Noise in time comes from differences of two frames, so that no pattern of the se
 (EMVA 1288 Release 4.0 Linear, section 8.2). Frames are read one pair at a time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -59,10 +59,11 @@ def levels_of(dataset: Dataset, container_bits: int) -> list[Level]:
     highest = frames.full_scale(dataset.instrument, container_bits)
     ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
     ordered.sort(key=lambda key: key[0] != "dark")
-    return _with_common_drift([level_of(key, dataset, groups[key], highest) for key in ordered])
+    read = {key: (frames.read(dataset, own) for own in groups[key]) for key in ordered}
+    return with_common_drift([level_of(images, *key, highest) for key, images in read.items()])
 
 
-def _with_common_drift(levels: list[Level]) -> list[Level]:
+def with_common_drift(levels: list[Level]) -> list[Level]:
     """Standard errors of the means with what lamp and offset drift from frame to frame: two frames hardly tell it, so
     all levels of a kind do together, flats as a part of their light."""
     out = []
@@ -95,21 +96,20 @@ def photons_of(frame: Frame) -> float:
     return photons
 
 
-def level_of(key: tuple[str, float, float], dataset: Dataset, members: Sequence[Frame], highest: int) -> Level:
-    """Statistics of the frames of one level, two at a time; of an odd number the last one counts for the mean alone."""
-    kind, exposure, photons = key
+def level_of(images: Iterable[np.ndarray], kind: str, exposure_s: float, photons: float, full_scale_dn: float) -> Level:
+    """Statistics of the images of one level, two at a time; of an odd number the last one counts for the mean alone."""
     before: np.ndarray | None = None
     rows_of_squares: list[np.ndarray] = []
     patterns: list[Spatial] = []
     means: list[float] = []
     zeros = full = pixels = 0
     shape = (0, 0)
-    for number, frame in enumerate(members):
-        image = frames.read(dataset, frame).astype(float)
+    for number, frame in enumerate(images):
+        image = frame.astype(float)
         shape = (image.shape[0], image.shape[1])
         means.append(float(image.mean()))
         zeros += int(np.count_nonzero(image <= 0))
-        full += int(np.count_nonzero(image >= highest))
+        full += int(np.count_nonzero(image >= full_scale_dn))
         pixels += image.size
         if number % 2 and before is not None:
             rows_of_squares.append(variance_by_row(before, image))
@@ -121,7 +121,7 @@ def level_of(key: tuple[str, float, float], dataset: Dataset, members: Sequence[
         variance, error = float(rows.mean()), float(rows.std(ddof=1) / np.sqrt(max(rows.size, 2)))
     mean_error = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else np.nan
     pattern = Spatial(*np.mean(patterns, axis=0).tolist()) if patterns else Spatial(*[np.nan] * 4)
-    return Level(kind, exposure, photons, len(members), float(np.mean(means)), mean_error, variance, error,
+    return Level(kind, exposure_s, photons, len(means), float(np.mean(means)), mean_error, variance, error,
                  zeros / pixels, full / pixels, pattern, shape)  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.estimate.levels import Level
+from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 # Parts of saturation between which gain and responsivity (section 8.2), and linearity (section 8.4), are fitted.
@@ -70,6 +71,12 @@ class Quantity(NamedTuple):
     stderr: float
     unit: str
     why: str = ""
+
+    def __str__(self) -> str:
+        if not np.isfinite(self.value):
+            return f"{self.symbol} is unknown: {self.why}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.symbol} = {plus_minus(self.value, self.stderr)}{unit}"
 
 
 class Line(NamedTuple):

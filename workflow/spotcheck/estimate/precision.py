@@ -12,7 +12,7 @@ from spotcheck.estimate import fisher
 from spotcheck.estimate.bounds import BEYOND, POINTS
 from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.fits import preferred
-from spotcheck.estimate.spotfit import PARAMETERS
+from spotcheck.estimate.fitted import PARAMETERS
 from spotcheck.instrument import Instrument
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.sensor import SensorModel

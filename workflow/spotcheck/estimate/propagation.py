@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import brentq
 
-from spotcheck.estimate.spotfit import NAMES, fit_spots
+from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.sensor import SensorModel
 from spotcheck.model.simulate import expected_maximum
@@ -64,4 +64,4 @@ def simulate_and_fit(baseline: Baseline, p1: float, p2: float, peak: float, expo
     """
     pixel = np.arange(side, dtype=float)
     light = (baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2) for t in exposure_s)
-    return fit_spots(light, None, weighting="equal").value[:, NAMES.index("sigma_mean")]
+    return fit_spots(light, weighting="equal").sigma_mean

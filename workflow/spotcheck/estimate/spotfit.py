@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.estimate.fitted import NAMES, SpotFits
 from spotcheck.estimate.scoring import EQUAL, LIKELIHOOD, VARIANCE, Law, law_of, one_pass
 from spotcheck.estimate.search import (
     NARROWEST,
@@ -21,20 +22,9 @@ from spotcheck.estimate.search import (
     to_the_root,
 )
 from spotcheck.model import spot
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.sensor import SensorModel, checked
 from spotcheck.store import flag
 
-PARAMETERS = {
-    "amplitude": ("DN", "peak of the fitted Gaussian above its offset"),
-    "x_centre": ("pixel", "column of the fitted centre on the sensor"),
-    "y_centre": ("pixel", "row of the fitted centre on the sensor"),
-    "sigma_major": ("pixel", "fitted standard deviation along the long axis"),
-    "sigma_minor": ("pixel", "fitted standard deviation along the short axis"),
-    "orientation": ("degree", "direction of the long axis from +x (right) towards +y (down)"),
-    "offset": ("DN", "fitted offset under the Gaussian"),
-    "sigma_mean": ("pixel", "direction-averaged width, mean of the long and the short axis"),
-}
-NAMES = tuple(PARAMETERS)
 WEIGHTINGS = {"likelihood": LIKELIHOOD, "equal": EQUAL}
 # A spot has an orientation when its axes differ by more than noise makes of a round one: this χ² of 2 degrees of
 # freedom is exceeded by one round spot in 1000.
@@ -43,17 +33,6 @@ ROUND = 13.8
 KNOWN = 0.5
 # Variance that a pixel's own width adds to a spot's [px²].
 PIXEL_VARIANCE = 1 / 12
-
-
-class Fits(NamedTuple):
-    """Values and standard errors [n, 8] in the order of `PARAMETERS` (orientation in degrees), covariance [n, 7, 7] of
-    the first seven (orientation in rad), χ² per degree of freedom [n], `store` status flags [n] (0: usable)."""
-
-    value: np.ndarray
-    stderr: np.ndarray
-    covariance: np.ndarray
-    chi2_reduced: np.ndarray
-    status: np.ndarray
 
 
 class Design(NamedTuple):
@@ -71,36 +50,75 @@ class Design(NamedTuple):
 
 
 def fit_spots(
-    images: Iterable[np.ndarray],
-    sensor: SensorModel | None,
+    images: np.ndarray | Iterable[np.ndarray],
+    sensor: SensorModel | None = None,
     *,
     weighting: str = "likelihood",
     top_hat: bool = False,
     integrated: bool = False,
     fixed: Mapping[str, float] | None = None,
     circular: bool = False,
-) -> Fits:
-    """Fit one spot in each of `images`, [rows, columns] in DN; NaN pixels are left out.
+) -> SpotFits:
+    """Fit one elliptical Gaussian spot on a constant offset in each image.
 
-    Dark current needs no exposure: it is part of the offset. `fixed` holds parameters at given values (centres relative
-    to the image, orientation in degrees); their standard error is 0. `circular` ties both widths together. `top_hat`
-    fits the Gaussian under a plateau (Eqs. 39–40). `integrated`: light is integrated over each pixel, not sampled at
-    its centre; amplitude and widths are those of the light before, to 1e-5 of the peak for σ ≥ 3 px.
+    No start values are needed. The fit maximises the likelihood of the readings under the sensor's law, so that noise,
+    clipping and rounding are weighed as they occur, and reaches the Cramér–Rao bound (see `spot_bounds`).
 
-    With equal weights the errors are those that the sensor's noise causes, or without a sensor those of white noise as
-    large as the residuals (χ² is then NaN). Where the status says `not_converged` all is NaN. A spot that is round
-    within its noise has an orientation with infinite standard error.
+    Parameters
+    ----------
+    images : one image [rows, columns] in DN, or several, of one size or of many. Pixels that are NaN or masked are left
+        out. A single image gives a single spot: plain numbers in place of arrays.
+    sensor : gain, noise, black level and full scale. Dark current is left out: it is part of the fitted offset.
+    weighting : "likelihood", or "equal" for unweighted least squares, which does without a sensor. Its standard errors
+        are then those of white noise as large as the residuals, and χ² is NaN.
+    top_hat : fit the Gaussian under a plateau at exp(−1/4) of its peak (Eqs. 39–40).
+    integrated : light is integrated over each pixel and not sampled at its centre: amplitude and widths are those of
+        the light before, to 1e-5 of the peak for widths of 3 px or more.
+    fixed : parameters by name that are held at a value, such as `{"offset": 40.0}`; their standard error is 0.
+    circular : fit one width for both axes.
 
-    Raises ValueError for a likelihood without a sensor, and for combinations that mean nothing.
+    Returns
+    -------
+    SpotFits
+        Values and standard errors by name, covariance, χ² and status of each spot; centres count from the centre of
+        the image's first pixel. Where `status` is "not_converged" every value is NaN. A spot that is round within its
+        noise has an orientation with infinite standard error.
+
+    Raises
+    ------
+    ValueError
+        An image that is not two-dimensional, a likelihood without a sensor, or options that exclude each other.
+
+    Examples
+    --------
+    >>> import numpy as np, spotcheck
+    >>> sensor = spotcheck.SensorModel(gain_dn_per_e=0.5, read_noise_e=5, black_level_dn=20, full_scale_dn=1023)
+    >>> y, x = np.mgrid[:48, :64]
+    >>> photons = 900 * np.exp(-(((x - 31.3) / 7) ** 2 + ((y - 22.6) / 5) ** 2) / 2)
+    >>> fit = spotcheck.fit_spots(sensor.draw(photons, rng=1), sensor)
+    >>> fit
+    fitted spot: ok, χ² per degree of freedom 1.01
+    amplitude           450.9 ± 1.6 DN
+    x_centre         31.315 ± 0.018 pixel
+    y_centre         22.605 ± 0.013 pixel
+    sigma_major       6.982 ± 0.015 pixel
+    sigma_minor       4.997 ± 0.011 pixel
+    orientation         0.31 ± 0.24 degree
+    offset           20.052 ± 0.057 DN
+    sigma_mean      5.9896 ± 0.0096 pixel
+    >>> print(f"{fit.sigma_major:.2f} ± {fit.sigma_major_stderr:.2f} px")
+    6.98 ± 0.01 px
     """
     if weighting not in WEIGHTINGS:
         raise ValueError(f"weighting: {weighting!r} is none of {', '.join(WEIGHTINGS)}")
     if weighting == "likelihood" and sensor is None:
         raise ValueError("sensor: the likelihood needs a gain and a read noise; without them use equal weights")
     design = _design(dict(fixed or {}), circular, top_hat, integrated)
-    law, shapes, outcomes = law_of(sensor), [], []
-    for image in images:
-        pixels = np.ascontiguousarray(image, dtype=float)
+    law, shapes, outcomes = law_of(None if sensor is None else checked(sensor)), [], []
+    single = getattr(images, "ndim", None) == 2
+    each: Iterable[np.ndarray] = [np.asanyarray(images)] if single else images
+    for number, image in enumerate(each):
+        pixels = _pixels(image, number)
         shapes.append(pixels.shape)
         outcomes.append(_search(pixels, law, WEIGHTINGS[weighting], sensor is not None, design))
     size = int(design.free.sum())
@@ -108,7 +126,18 @@ def fit_spots(
         np.array([outcome[k] for outcome in outcomes]).reshape(len(outcomes), *shape)
         for k, shape in enumerate(((7,), (size, size), ()))
     )
-    return _natural(points, covariance, chi2, np.array(shapes).reshape(-1, 2), design, integrated)
+    fits = _natural(points, covariance, chi2, np.array(shapes).reshape(-1, 2), design, integrated)
+    return fits[0] if single else fits
+
+
+def _pixels(image: np.ndarray, number: int) -> np.ndarray:
+    """An image as the compiled code takes it, NaN where it is masked."""
+    if np.ma.isMaskedArray(image):
+        image = np.ma.filled(image.astype(float), np.nan)
+    pixels = np.asarray(image, dtype=float)
+    if pixels.ndim != 2:
+        raise ValueError(f"images: number {number} has the shape {pixels.shape}; each must be [rows, columns]")
+    return np.ascontiguousarray(pixels)
 
 
 def _design(held: dict[str, float], circular: bool, top_hat: bool, integrated: bool) -> Design:
@@ -161,8 +190,8 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     return np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
 
 
-def _natural(points, covariance, chi2, shapes, design: Design, integrated: bool) -> Fits:
-    """From points of the search to the order of `PARAMETERS`."""
+def _natural(points, covariance, chi2, shapes, design: Design, integrated: bool) -> SpotFits:
+    """From points of the search to parameters by name."""
     count, free = len(points), design.free
     if design.shaped:
         value, slopes = points.copy(), np.broadcast_to(np.eye(7), (count, 7, 7)).copy()
@@ -186,7 +215,9 @@ def _natural(points, covariance, chi2, shapes, design: Design, integrated: bool)
     value = np.append(value, value[:, 3:5].mean(axis=1, keepdims=True), axis=1)
     value[:, 5] = np.degrees(value[:, 5]) % 180.0
     stderr[:, 5] = np.degrees(stderr[:, 5])
-    return Fits(value, stderr, own, chi2, _status(value, stderr, shapes))
+    own[:, 5, :] = np.degrees(own[:, 5, :])
+    own[:, :, 5] = np.degrees(own[:, :, 5])
+    return SpotFits(value, stderr, own, chi2, _flags(value, stderr, shapes))
 
 
 def _widths(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +272,7 @@ def _without_pixel(value: np.ndarray, slopes: np.ndarray) -> None:
     value[:, 3:5] = own
 
 
-def _status(value: np.ndarray, stderr: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+def _flags(value: np.ndarray, stderr: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     """Flags [n]: no root; or an amplitude, width or centre outside what the image can tell."""
     amplitude, x, y, major, minor = value[:, :5].T
     rows, columns = shapes.T

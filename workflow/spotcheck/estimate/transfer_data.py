@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from spotcheck.dataset import Dataset
 from spotcheck.estimate.levels import Level, Spatial
 from spotcheck.estimate.photon_transfer import QUANTITIES, Quantity, Transfer, by_range, unknown
 
@@ -22,9 +21,9 @@ COLUMNS = {
 }
 
 
-def dataset_of(found: Transfer, dataset: Dataset) -> xr.Dataset:
-    """Variables over `dark` and `flat` (levels), and over `quantity`."""
-    ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name, "remarks": "; ".join(found.remarks)})
+def dataset_of(found: Transfer, title: str, name: str) -> xr.Dataset:
+    """Variables over `dark` and `flat` (levels), and over `quantity`; title and name of what was measured."""
+    ds = xr.Dataset(attrs={"title": title, "dataset": name, "remarks": "; ".join(found.remarks)})
     for kind, levels in (("dark", found.darks), ("flat", found.flats)):
         for name, (units, long_name, field) in COLUMNS.items():
             values = np.array([getattr(own, field) for own in levels], float)
@@ -51,10 +50,8 @@ def dataset_of(found: Transfer, dataset: Dataset) -> xr.Dataset:
     ):
         values = np.array([getattr(own, name) for own in ranges], float)
         ds[f"range_{name}"] = ("range", values, {"units": units, "long_name": long_name})
-    names = list(QUANTITIES)
-    # What nothing was said of had nothing to be told from.
-    own = [found.quantities.get(n) or unknown(n, "there are no frames for it") for n in names]
-    ds["quantity"] = ("quantity", np.array(names, object), {"units": "1", "long_name": "name of a quantity"})
+    own = list(quantities_in(found).values())
+    ds["quantity"] = ("quantity", np.array(list(QUANTITIES), object), {"units": "1", "long_name": "name of a quantity"})
     for name, values, long_name in (
         ("value", np.array([q.value for q in own], float), "value in its own unit"),
         ("stderr", np.array([q.stderr for q in own], float), "standard error in its own unit"),
@@ -64,6 +61,12 @@ def dataset_of(found: Transfer, dataset: Dataset) -> xr.Dataset:
     ):
         ds[name] = ("quantity", values, {"units": "1", "long_name": long_name})
     return ds
+
+
+def quantities_in(found: Transfer) -> dict[str, Quantity]:
+    """All quantities in the order of the standard."""
+    # What nothing was said of had nothing to be told from.
+    return {name: found.quantities.get(name) or unknown(name, "there are no frames for it") for name in QUANTITIES}
 
 
 def _add_patterns(ds: xr.Dataset, kind: str, levels: Sequence[Level]) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.estimate.caustic import CONDITION, Hyperbola, half_width
+from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.figures import series, style
 from spotcheck.figures.results import Results
 
@@ -87,4 +88,4 @@ def _caption(ds: xr.Dataset, factor: float, unit: str) -> str:
 
 def _pm(own: xr.Dataset, name: str, factor: float, unit: str) -> str:
     """A derived quantity ± its standard error, in the unit that the factor leads to."""
-    return style.plus_minus(float(own[name]) * factor, float(own[f"{name}_stderr"]) * factor, unit)
+    return plus_minus(float(own[name]) * factor, float(own[f"{name}_stderr"]) * factor, unit)

@@ -6,6 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import ScalarFormatter
 
 from spotcheck.estimate.photon_transfer import LINEAR, Quantity
+from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.figures import style
 from spotcheck.figures.results import Results, Unavailable
@@ -171,7 +172,7 @@ def _plain(ax: Axes) -> None:
 
 
 def _said(own: Quantity) -> str:
-    return style.plus_minus(own.value, own.stderr, "" if own.unit == "1" else own.unit).replace("-", "−", 1)
+    return plus_minus(own.value, own.stderr, "" if own.unit == "1" else own.unit).replace("-", "−", 1)
 
 
 def pattern(results: Results) -> style.Drawing:

@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.figures import series, style
 from spotcheck.figures.results import Results
 
@@ -31,7 +32,7 @@ def draw(results: Results) -> style.Drawing:
         handles.append(series.bars(ax, x + shift, found.mean[0], found.sd[0], look, filled=k == 0))
         mean, sd = float(own[f"{name}_mean"]), float(own[f"{name}_sd_all"])
         symbol = f"$p_{name[1]}$"
-        labels.append(f"{symbol} = {style.plus_minus(mean, sd)} px")
+        labels.append(f"{symbol} = {plus_minus(mean, sd)} px")
         ax.set_ylabel(f"{symbol} / px", color=look.colour)
         ax.tick_params(axis="y", colors=look.colour)
     assert counted is not None

@@ -140,17 +140,6 @@ def power(value: float) -> str:
     return f"{digits} · 10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
 
 
-def plus_minus(value: float, error: float, unit: str = "") -> str:
-    """Value ± error with two digits of the error; the value alone where there is no error."""
-    if not np.isfinite(value):
-        return "none"
-    tail = f" {unit}" if unit else ""
-    if not np.isfinite(error) or error <= 0:
-        return f"{value:.4g}{tail}"
-    digits = max(0, 1 - int(np.floor(np.log10(error))))
-    return f"{value:.{digits}f} ± {error:.{digits}f}{tail}"
-
-
 def tens(largest: float) -> tuple[float, str]:
     """Divisor and text for large plain numbers: (1e6, "10⁶ ") for millions, (1, "") below 10 000."""
     if not np.isfinite(largest) or abs(largest) < 1e4:

@@ -9,14 +9,16 @@ number and one look-up a draw, exact to rounding.
 
 import math
 from functools import cache, lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
 from scipy.stats import poisson
 
 from spotcheck.model.law import FAINT_E, faint_law
-from spotcheck.model.sensor import SensorModel
+
+if TYPE_CHECKING:
+    from spotcheck.model.sensor import SensorModel
 
 DIGIT_BITS = 5
 BASE = 2**DIGIT_BITS
@@ -91,7 +93,7 @@ def count_tables(digits: int) -> Aliases:
 
 
 @lru_cache(maxsize=8)
-def reading_tables(sensor: SensorModel) -> Aliases:
+def reading_tables(sensor: "SensorModel") -> Aliases:
     """Laws of whole readings for means of 0, 1/16 … 32 e-."""
     table = faint_law(sensor, 1 / LEVELS)
     lit = table.probability[table.levels > -0.5 / LEVELS]
@@ -182,7 +184,7 @@ def _fill(light, dark, ceiling, sensor, readings, counts, rng, out):
 
 
 def draw_readings(
-    light_dn: np.ndarray, dark_e: float, sensor: SensorModel, rng: np.random.Generator, out: np.ndarray
+    light_dn: np.ndarray, dark_e: float, sensor: "SensorModel", rng: np.random.Generator, out: np.ndarray
 ) -> None:
     """Fill `out` [pixels, uint16] with random readings [DN] under `light_dn` [pixels, DN] and `dark_e` mean dark
     electrons; light below 0 counts as none."""

@@ -6,12 +6,13 @@ more coarsely than its noise. Above the table a reading is normal, to well withi
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import gammaln, ndtr, xlogy
 
-from spotcheck.model.sensor import SensorModel
+if TYPE_CHECKING:
+    from spotcheck.model.sensor import SensorModel
 
 # Above this mean [e-] a Poisson law passes for normal.
 FAINT_E = 32.0
@@ -51,7 +52,7 @@ class FaintLaw(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def faint_law(sensor: SensorModel, step_e: float | None = None) -> FaintLaw:
+def faint_law(sensor: "SensorModel", step_e: float | None = None) -> FaintLaw:
     """The table of a sensor, up to `FAINT_E` in steps of `step_e` [e-]; without a step, up to where readings become
     plain, in steps that the noise allows for interpolation."""
     gain, noise, black = sensor.gain_dn_per_e, sensor.read_noise_e, sensor.black_level_dn
@@ -88,7 +89,7 @@ def _poisson(counts: np.ndarray, mean: np.ndarray) -> np.ndarray:
     return np.exp(xlogy(counts[None, :], mean[:, None]) - mean[:, None] - gammaln(counts + 1.0)[None, :])
 
 
-def _interval(electrons: np.ndarray, sensor: SensorModel, readings: np.ndarray) -> np.ndarray:
+def _interval(electrons: np.ndarray, sensor: "SensorModel", readings: np.ndarray) -> np.ndarray:
     """P(y | signal) [signal, y]: read noise, gain, black level, one rounding, both clips; the last y takes the rest."""
     signal = sensor.gain_dn_per_e * electrons + sensor.black_level_dn
     if sensor.read_noise_e == 0:

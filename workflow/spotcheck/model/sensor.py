@@ -9,6 +9,7 @@ without noise would add to its black level.
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 # Variance of rounding to whole DN (Section 4.1.1): σ_q² = 1/12 DN².
@@ -16,8 +17,34 @@ ROUNDING_VARIANCE = 1 / 12
 
 
 class SensorModel(NamedTuple):
-    """All that the chain needs, every value known: gain K [DN/e-], read noise [e-], dark current µ_I [e-/s], full
-    well [e-], black level [DN], full scale [DN], quantum efficiency [1]."""
+    """A camera as EMVA 1288 has it: mean and variance of a reading, and random readings.
+
+    Light is given as the mean number of photons that fall on each pixel during the exposure. They become electrons with
+    the quantum efficiency, dark current adds its own, both are Poisson; then full well, read noise, gain, black level,
+    one rounding to whole DN, and a converter that ends at 0 and at full scale.
+
+    Parameters
+    ----------
+    gain_dn_per_e : overall gain K [DN/e-].
+    read_noise_e : noise in the dark, rms [e-].
+    dark_current_e_per_s : dark current µ_I [e-/s].
+    full_well_e : electrons at which a pixel is full.
+    black_level_dn : reading without light and without electrons [DN].
+    full_scale_dn : largest reading [DN], 1023 for 10 bit.
+    quantum_efficiency : electrons per photon; with the default 1, photons are electrons.
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> sensor = spotcheck.SensorModel(0.11, 13.0, black_level_dn=40, full_scale_dn=1023, quantum_efficiency=0.38)
+    >>> sensor.mean(10_000)
+    np.float64(458.0)
+    >>> sensor.variance(10_000)
+    np.float64(48.10823333333333)
+    >>> sensor.draw([[0, 10_000], [100_000, 0]], rng=1)
+    array([[  40,  449],
+           [1023,   42]], dtype=uint16)
+    """
 
     gain_dn_per_e: float
     read_noise_e: float
@@ -26,6 +53,59 @@ class SensorModel(NamedTuple):
     black_level_dn: float = 0.0
     full_scale_dn: float = np.inf
     quantum_efficiency: float = 1.0
+
+    def mean(self, photons: ArrayLike, exposure_s: float = 0.0) -> np.ndarray:
+        """Mean reading [DN] of each pixel, both clips included, in the shape of `photons`.
+
+        `photons` is the mean number of photons on each pixel during the exposure; `exposure_s` is what dark current
+        counts for. Raises ValueError for photons below 0, and for a gain or noise that no sensor has.
+        """
+        return self._moments(photons, exposure_s)[0]
+
+    def variance(self, photons: ArrayLike, exposure_s: float = 0.0) -> np.ndarray:
+        """Variance [DN²] of the reading of each pixel, rounding and both clips included; otherwise as `mean`."""
+        return self._moments(photons, exposure_s)[1]
+
+    def draw(self, photons: ArrayLike, rng: np.random.Generator | int, exposure_s: float = 0.0) -> np.ndarray:
+        """Random readings [DN, uint16] of each pixel, from the exact law; light as for `mean`.
+
+        `rng` is a generator, or a seed: equal seeds give equal readings.
+        """
+        from spotcheck.model.draws import draw_readings
+
+        light = np.asarray(self._light(photons), order="C")
+        out = np.empty(light.shape, np.uint16)
+        dark_e = self.dark_current_e_per_s * exposure_s
+        draw_readings(light.reshape(-1), dark_e, self, np.random.default_rng(rng), out.reshape(-1))
+        return out[()]
+
+    def _light(self, photons: ArrayLike) -> np.ndarray:
+        """K η µ_p [DN], the light of a mean number of photons."""
+        checked(self)
+        photons = np.asarray(photons, dtype=float)
+        if not np.all(photons >= 0):
+            raise ValueError("photons: holds a number that is not 0 or above; give the mean number on each pixel")
+        return self.gain_dn_per_e * photo_electrons(photons, self.quantum_efficiency)
+
+    def _moments(self, photons: ArrayLike, exposure_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and variance: from the table of the law where light is faint, else those of normal readings."""
+        from spotcheck.model.law import faint_law
+
+        light, table = self._light(photons), faint_law(self)
+        bright = reading(light, exposure_s, self)
+        electrons = light / self.gain_dn_per_e + self.dark_current_e_per_s * exposure_s
+        faint = electrons < table.highest_e
+        mean, variance = (np.interp(electrons, table.levels, own) for own in (table.mean, table.variance))
+        return np.where(faint, mean, bright.mean)[()], np.where(faint, variance, bright.variance)[()]
+
+
+def checked(sensor: SensorModel) -> SensorModel:
+    """The sensor itself. Raises ValueError for numbers that no sensor has."""
+    for name, low in (("gain_dn_per_e", "above 0"), ("read_noise_e", "0 or above")):
+        value = getattr(sensor, name)
+        if not (np.isfinite(value) and value >= 0) or (value == 0 and low == "above 0"):
+            raise ValueError(f"sensor: {name} is {value!r}; it must be a number {low}")
+    return sensor
 
 
 class Reading(NamedTuple):

@@ -14,12 +14,12 @@ from spotcheck.dataset import Dataset
 from spotcheck.discrepancy.sentence import condition_text, place_text, value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import preferred
+from spotcheck.estimate.fitted import PARAMETERS
 from spotcheck.estimate.photon_transfer import QUANTITIES as MEASURED
+from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES, SOURCES
-from spotcheck.estimate.spotfit import PARAMETERS
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.figures import style
 from spotcheck.figures.registry import VERDICT
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.spot import TOP_HAT_RADIUS
@@ -121,7 +121,7 @@ def _sensor(ds: xr.Dataset | None) -> list[dict[str, Any]]:
                 "units": units,
                 "source": ds[name].attrs["source"],
                 "by": [
-                    "" if np.isnan(v) else style.plus_minus(float(v), float(e))
+                    "" if np.isnan(v) else plus_minus(float(v), float(e))
                     for v, e in zip(ds[f"{name}_by"].values, ds[f"{name}_by_stderr"].values, strict=True)
                 ],
             }
@@ -140,7 +140,7 @@ def _transfer(ds: xr.Dataset | None) -> dict[str, Any] | None:
             {
                 "name": MEASURED[own.name][2],
                 "symbol": own.symbol,
-                "value": style.plus_minus(own.value, own.stderr) if known else "unknown",
+                "value": plus_minus(own.value, own.stderr) if known else "unknown",
                 "unit": "" if own.unit == "1" else own.unit,
                 "why": own.why,
             }
@@ -154,8 +154,8 @@ def ranges(ds: xr.Dataset) -> list[tuple[str, str, str, str]]:
         (
             f"{100 * float(own['range_limit']):.3g} %",
             f"{int(own['range_levels'])}",
-            style.plus_minus(float(own["range_gain"]), float(own["range_gain_error"])),
-            style.plus_minus(float(own["range_intercept"]), float(own["range_intercept_error"])).replace("-", "−"),
+            plus_minus(float(own["range_gain"]), float(own["range_gain_error"])),
+            plus_minus(float(own["range_intercept"]), float(own["range_intercept_error"])).replace("-", "−"),
         )
         for own in (ds.isel(range=k) for k in range(ds.sizes["range"]))
     ]
@@ -253,7 +253,7 @@ def _precision(ds: xr.Dataset | None) -> dict[str, Any] | None:
             cells.append(str(int(own[f"frames_{source}"])))
             for name in ("sigma_mean", "amplitude"):
                 ratio, error = (float(own[f"{q}_{source}"].sel(parameter=name)) for q in ("ratio", "ratio_stderr"))
-                cells.append(style.plus_minus(ratio, error) if np.isfinite(ratio) else "–")
+                cells.append(plus_minus(ratio, error) if np.isfinite(ratio) else "–")
             cells.insert(-2, _number(own[f"scatter_{source}"].sel(parameter="sigma_mean"), ".3g"))
             cells.insert(-2, _number(own[f"bound_{source}"].sel(parameter="sigma_mean"), ".3g"))
         rows.append((", ".join(places) or "all frames", cells))

@@ -1,0 +1,59 @@
+"""The verdict of one call beside that of the commands."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from spotcheck.cli import main
+from spotcheck.design import simulate_dataset
+from spotcheck.errors import InputError
+from spotcheck.judging import judge_dataset
+from tests.library.shelf import design
+
+
+def test_the_verdict_on_flats_is_that_of_the_command(there, tmp_path, capsys):
+    """The content of verdict.json, without a word on the terminal; results lie where they are asked for."""
+    verdict = judge_dataset("my-flats", tmp_path / "out", simulations=200, seed=3)
+    assert capsys.readouterr().out == ""
+    written = (tmp_path / "out" / "my-flats" / "verdict.json").read_text(encoding="utf-8")
+    assert verdict == json.loads(written) and verdict["status"] == "consistent"
+    frames, again = str(tmp_path / "frames.nc"), tmp_path / "again.json"
+    main(["ingest", "my-flats", "--output", frames])
+    main(["flats", "my-flats", "--frames", frames, "--simulations", "200", "--seed", "3", "--output", str(again)])
+    assert again.read_text(encoding="utf-8") == written
+
+
+SEEN = "--crops again/crops.nc --sensor again/sensor.nc"
+FOUND = f"{SEEN} --findings again/findings.json"
+COMMANDS = {
+    "ingest": "--output again/frames.nc",
+    "crop": "--frames again/frames.nc --output again/crops.nc",
+    "sensor": "--crops again/crops.nc --frames again/frames.nc --output again/sensor.nc",
+    "discrepancy": f"{SEEN} --calibrations laws --simulations 30 --seed 5 --output again/findings.json",
+    "verify": f"{FOUND} --output again/gap.nc",
+    "advise": f"{FOUND} --output again/advice.json",
+    "verdict": f"{FOUND} --gap again/gap.nc --advice again/advice.json --pictures again/discrepancy.nc"
+    " --output again/verdict.json",
+}
+
+
+@pytest.mark.slow
+def test_the_verdict_on_spots_is_that_of_the_commands(tmp_path, monkeypatch):
+    """All stages, in their order: every number of the verdict of a small design."""
+    monkeypatch.chdir(tmp_path)
+    made = design(tmp_path / "design", exposures=(9e-4,), crop_px=24)
+    simulate_dataset(made, tmp_path / "drawn", p1_px=0.0, p2_px=3.0, peak_dn=600, seed=2)
+    verdict = judge_dataset(tmp_path / "drawn", tmp_path / "out", simulations=30, seed=5)
+    assert verdict["status"] == "consistent" and (tmp_path / "out" / "drawn" / "model.yaml").exists()
+    for command, options in COMMANDS.items():
+        main([command, "drawn", *options.split()])
+    assert verdict == json.loads(Path("again", "verdict.json").read_text(encoding="utf-8"))
+
+
+def test_a_folder_that_cannot_be_judged(there, tmp_path):
+    """The user's error as it is, no exit."""
+    with pytest.raises(InputError, match="no such folder; a dataset is a folder with manifest"):
+        judge_dataset(tmp_path / "nowhere")
+    with pytest.raises(InputError, match=r"frames/0_0_0\.0001\.tif is not there; add the file"):
+        judge_dataset("design")

@@ -1,0 +1,96 @@
+"""The verdict on a folder in one call: the stages of the workflow one after another, without its engine."""
+
+import io
+import json
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from spotcheck import cli, store
+from spotcheck.dataset import Dataset, load
+
+
+def judge_dataset(
+    folder: str | Path,
+    results: str | Path | None = None,
+    *,
+    simulations: int = 1500,
+    seed: int = 20210,
+    workers: int = 1,
+) -> dict[str, Any]:
+    """Say what the simulation of a dataset is missing.
+
+    Compares frames and model pixel by pixel, looks for the physical effects that explain what is left, and tests them
+    on frames that no step has seen. A dataset of flats and darks alone is judged by its levels of light. What is judged
+    and how is told in the README; these are the stages that `snakemake verdict` runs, and the verdict is the same.
+
+    Parameters
+    ----------
+    folder : dataset folder, with manifest.csv, instrument.yaml and frames.
+    results : folder of results. All files go to a folder in it that is named like the dataset, among them verdict.json,
+        model.yaml (which `simulate_dataset` takes) and discrepancy.nc. By default everything is temporary.
+    simulations : sets without any effect, from which p-values come. They are made once for a design, which takes some
+        minutes, and kept in `results`/_calibration; without `results` they are made at every call.
+    seed : seed of these sets.
+    workers : processes that make them.
+
+    Returns
+    -------
+    dict
+        The content of verdict.json. `status` is "consistent", "named", "ambiguous", "unknown" or "not_assessed",
+        `effects` has names and values of what was added to the model, `gap` how far that closed the gap on unseen
+        frames, `advice` what to measure next, and `sentence` the whole in words.
+
+    Raises
+    ------
+    InputError
+        A folder that breaks the dataset contract, frames that cannot be read, a folder of results that is another's.
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> verdict = spotcheck.judge_dataset("my-flats", simulations=200)
+    >>> verdict["status"]
+    'consistent'
+    >>> print(verdict["sentence"])
+    Flats and darks agree with a linear sensor: mean and noise of every level lie on straight lines ...
+    """
+    dataset = load(folder)
+    with TemporaryDirectory(prefix="spotcheck-") as scratch:
+        base = Path(scratch if results is None else results)
+        out = base / dataset.name
+        store.claim(out, dataset.folder)
+        null = {"simulations": simulations, "seed": seed}
+        for command, options in _stages(dataset, out, base / "_calibration", null, workers):
+            words = [word for key, value in options.items() for word in (f"--{key}", str(value))]
+            # What a subcommand says is for a terminal.
+            with redirect_stdout(io.StringIO()):
+                cli.run([command, str(dataset.folder), *words])
+        return json.loads((out / "verdict.json").read_text(encoding="utf-8"))
+
+
+def _stages(
+    dataset: Dataset, out: Path, laws: Path, null: dict[str, int], workers: int
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Subcommands with their options, in the order of the workflow's rules."""
+    frames, crops, transfer, sensor = (out / f"{name}.nc" for name in ("frames", "crops", "transfer", "sensor"))
+    findings, gap, advice, verdict = (out / n for n in ("findings.json", "gap.nc", "advice.json", "verdict.json"))
+    yield "ingest", {"output": frames}
+    if not dataset.spots:
+        yield "flats", {"frames": frames, **null, "output": verdict}
+        return
+    measured = {}
+    if len(dataset.spots) < len(dataset.frames):
+        yield "transfer", {"frames": frames, "output": transfer}
+        measured = {"transfer": transfer}
+    yield "crop", {"frames": frames, "output": crops}
+    yield "sensor", {"crops": crops, "frames": frames, **measured, "output": sensor}
+    seen = {"crops": crops, "sensor": sensor}
+    yield "discrepancy", {**seen, "calibrations": laws, **null, "workers": workers, "output": findings}
+    found = {**seen, "findings": findings}
+    yield "verify", {**found, "output": gap}
+    yield "advise", {**found, "output": advice}
+    told = {"gap": gap, "advice": advice, "pictures": out / "discrepancy.nc", "model": out / "model.yaml"}
+    yield "verdict", {**found, **told, "output": verdict}
