@@ -27,7 +27,8 @@ def one_file_more(folder: Path, name: str, text: str) -> Iterator[None]:
     (folder / f"{name}.py").write_text(text, encoding="utf-8")
     before = effects.__path__
     effects.__path__ = [*before, str(folder)]
-    vocabulary.cache_clear()
+    effects.built_in.cache_clear()
+    effects.choose()
     importlib.invalidate_caches()
     try:
         yield
@@ -35,7 +36,8 @@ def one_file_more(folder: Path, name: str, text: str) -> Iterator[None]:
         effects.__path__ = before
         sys.modules.pop(f"{effects.__name__}.{name}", None)
         vars(effects).pop(name, None)
-        vocabulary.cache_clear()
+        effects.built_in.cache_clear()
+    effects.choose()
 
 
 CONTEXTS = {

@@ -431,13 +431,13 @@ def draw_of(name: str, *arguments, seed: int = 11, **values):
 
 
 def test_where_scatter_belongs():
-    """Of what, and shared by what, as the contract's table says."""
+    """Of what, and shared by what, as the contract's table says; and what it is to a fit."""
     assert {name: tuple(effect.scatter) for name, effect in vocabulary().items() if effect.scatter} == {
-        "speckle": ("field", "site"),
-        "power_fluctuation": ("gain", "frame"),
-        "pointing_jitter": ("centre", "frame"),
-        "fixed_pattern": ("field", "sensor"),
-        "row_noise": ("row", "frame"),
+        "speckle": ("field", "site", "grain"),
+        "power_fluctuation": ("gain", "frame", "gain"),
+        "pointing_jitter": ("centre", "frame", "centre"),
+        "fixed_pattern": ("field", "sensor", "pixel"),
+        "row_noise": ("row", "frame", "row"),
     }
 
 
