@@ -422,6 +422,14 @@ def test_forms_of_black_clipping():
     assert border.any() and dead.mean[border].max() < 1e-6
 
 
+def test_two_thresholds():
+    """Of a user's vocabulary there may be two: levels taken off add up, of dead zones the larger counts."""
+    for form, first, second, together in (("subtracted", 10.0, 15.0, 25.0), ("dead zone", 55.0, 30.0, 55.0)):
+        both = all_moments([of("black_clipping", form, threshold=own) for own in (first, second)])
+        for got, want in zip(both, all_moments([of("black_clipping", form, threshold=together)]), strict=True):
+            np.testing.assert_array_equal(got, want)
+
+
 # What is drawn: fields and numbers of a frame, a site or the sensor.
 
 

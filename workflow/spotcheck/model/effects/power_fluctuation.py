@@ -18,7 +18,7 @@ EFFECT = Effect(
     function=factor,
     needs=("frames", "law"),
     scatter=Scatter("gain", "frame", "gain"),
-    # Free gains hold whatever law the brightness follows.
+    # A brightness of each frame's own fits any law of the brightness.
     contains=(Place.EXPOSURE, Place.BRIGHTNESS),
     flats="the drift between frames of a level is part of the errors",
 )
