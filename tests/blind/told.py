@@ -10,7 +10,6 @@ from spotcheck.discrepancy.explain import Account, account, is_component
 from spotcheck.discrepancy.extend import Findings, about, closer_account
 from spotcheck.discrepancy.isolability import isolation
 from spotcheck.discrepancy.look import Look
-from spotcheck.discrepancy.name import CONTAINS
 from spotcheck.discrepancy.shots import Shot, design_of, held_out
 from spotcheck.discrepancy.verdict import Judgement, parameters_of
 from spotcheck.discrepancy.verify import verify
@@ -94,7 +93,10 @@ def shots_of_discovery(shots: Sequence[Shot]) -> list[Shot]:
 def isolation_of(found: Findings, own: Account, near: Look, exact: Account) -> dict[str, float]:
     """−2 ln L by which every rival falls behind an account at a look, if that is the truth. Those that contain it do
     not count: the simplest wins. Where all fall far behind on the data themselves, that is told: it is much faster."""
-    contains = {name for single in own.names for name in CONTAINS.get(single, ())} | {"", *own.names}
+    contains = {
+        more.name for more in vocabulary().values() for single, _ in own.effects if more.has_as_special_case(single)
+    }
+    contains |= {"", *own.names}
     rivals = {name: score - (own.score - found.base.score) for name, (score, _) in found.evidence.items()}
     if not rivals or min((v for k, v in rivals.items() if k not in contains), default=0.0) < CLEAR:
         rivals = isolation(near, exact, assessable(found.look)[0])

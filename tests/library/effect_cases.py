@@ -4,9 +4,7 @@
 in the contract's order, and would not in another.
 """
 
-import importlib
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -17,25 +15,25 @@ from spotcheck.model import chain, effects
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law, View
 from spotcheck.model.effect import Context, Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.model.effects import Choice, vocabulary
 from spotcheck.model.sensor import SensorModel
 
 
 @contextmanager
-def one_file_more(folder: Path, name: str, text: str) -> Iterator[None]:
-    """The vocabulary with one effect more: a file in a folder that is searched as well."""
-    (folder / f"{name}.py").write_text(text, encoding="utf-8")
-    before = effects.__path__
-    effects.__path__ = [*before, str(folder)]
-    vocabulary.cache_clear()
-    importlib.invalidate_caches()
+def knowing(*files: Path, only: Sequence[str] = (), without: Sequence[str] = ()) -> Iterator[None]:
+    """The vocabulary of a run that adds files and leaves effects out, until the end of a block."""
+    effects.choose(Choice(tuple(map(str, files)), tuple(only), tuple(without)))
     try:
         yield
     finally:
-        effects.__path__ = before
-        sys.modules.pop(f"{effects.__name__}.{name}", None)
-        vars(effects).pop(name, None)
-        vocabulary.cache_clear()
+        effects.choose()
+
+
+def written(folder: Path, name: str, text: str) -> Path:
+    """A Python file with that text."""
+    path = folder / f"{name}.py"
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 CONTEXTS = {

@@ -1,5 +1,7 @@
 """The vocabulary of effects: the dataset contract's words, strengths at which nothing happens, one file an effect."""
 
+import ast
+import importlib
 import sys
 
 import numpy as np
@@ -24,9 +26,10 @@ from tests.library.effect_cases import (
     VIEW,
     all_moments,
     fast_light,
+    knowing,
     of,
-    one_file_more,
     title,
+    written,
 )
 
 # The contract's table and "keys under parameters", with its units; constants of a form are not among them.
@@ -172,10 +175,9 @@ EFFECTS_PAGE = ROOT / "workflow" / "docs" / "effects.md"
 
 @pytest.fixture
 def vignetting(tmp_path):
-    """The page's own example, for as long as a test lasts."""
-    blocks = EFFECTS_PAGE.read_text(encoding="utf-8").split("```python\n")
-    assert len(blocks) == 2
-    with one_file_more(tmp_path, "vignetting", blocks[1].split("```")[0]):
+    """The page's own example, as a file of the user's."""
+    _, first, _ = EFFECTS_PAGE.read_text(encoding="utf-8").split("```python\n")
+    with knowing(written(tmp_path, "vignetting", first.split("```")[0])):
         yield vocabulary()["vignetting"]
 
 
@@ -211,13 +213,48 @@ def test_a_new_effect_can_be_fitted(vignetting):
 def test_the_new_effect_is_gone_again():
     """Tests do not change the vocabulary for each other."""
     assert list(vocabulary()) == list(CONTRACT)
-    assert f"{effects.__name__}.vignetting" not in sys.modules
+
+
+def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch):
+    """Without any list that names it; in its place by number."""
+    written(tmp_path, "vignetting", page.MEAN.replace('name="vig', 'number=25,\n    name="vig'))
+    monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
+    effects.built_in.cache_clear()
+    importlib.invalidate_caches()
+    try:
+        assert list(effects.built_in()) == [*CONTRACT, "vignetting"]
+    finally:
+        monkeypatch.undo()
+        vars(effects).pop("vignetting")
+        sys.modules.pop(f"{effects.__name__}.vignetting")
+        effects.built_in.cache_clear()
+
+
+# Quantities of EMVA 1288, which bear the names of effects.
+EMVA = {
+    "dark_offset": {"estimate/photon_transfer.py", "estimate/sensor.py", "figures/photon_transfer.py",
+                    "discrepancy/flats.py"},
+    "saturation": {"estimate/transfer_data.py", "figures/photon_transfer.py"},
+}  # fmt: skip
+
+
+def test_no_effect_is_named_outside_its_file():
+    """What the library knows of an effect stands in its file alone; an effect may say which ones it contains."""
+    library = ROOT / "workflow" / "spotcheck"
+    named: dict[str, set[str]] = {}
+    for path in library.rglob("*.py"):
+        own = vocabulary().get(path.stem) if path.parent.name == "effects" else None
+        allowed = {own.name, *own.contains} if own else set()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and node.value in CONTRACT and node.value not in allowed:
+                named.setdefault(node.value, set()).add(path.relative_to(library).as_posix())
+    assert named == EMVA
 
 
 def test_a_new_effect_is_on_the_page(vignetting):
     """With its parameter, its bounds and its place."""
     text = page.page(vocabulary().values())
-    own = text[text.index("## 25.") : text.index("## Adding an effect")]
+    own = text[text.index("## 25. vignetting\n") : text.index("## Adding an effect")]
     assert "The light falls off from the frame's centre." in own
     assert "| `a` | 1 | 0 | 1 | vanishes at 0 |" in own
     assert "| modulation | multiplies all light so far | interference_fringes, vignetting |" in text

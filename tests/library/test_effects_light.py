@@ -149,6 +149,23 @@ def test_motion_blur_against_2000_spots(length):
     assert (got * view.x[0]).sum() / got.sum() == pytest.approx(120.4, abs=1e-7)
 
 
+def test_two_smears_in_a_row():
+    """Of a user's vocabulary there may be two: along x and along y they are the product of two closed forms, each of
+    which the nodes meet to 1e-6 of the peak; in either order."""
+    view, base = free(1.0, 11.0)
+    along_x, along_y = (
+        of("motion_blur", speed=length * 11.0 / 1e-3, direction=angle) for length, angle in ((2, 0), (1, 90))
+    )
+
+    def smeared(offset, length):
+        rise = erf((offset / 11 + length / 2) / np.sqrt(2)) - erf((offset / 11 - length / 2) / np.sqrt(2))
+        return rise * np.sqrt(np.pi / 2) / length
+
+    closed = smeared(view.x[0] - 120.4, 2) * smeared(view.y[0] - 119.7, 1)
+    for cases in ([along_x, along_y], [along_y, along_x]):
+        np.testing.assert_allclose(light_of(cases, view, base), closed, atol=2e-6)
+
+
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 4.0])
 @pytest.mark.parametrize("direction", [0.0, 35.0, 90.0, 130.0])
 def test_ellipses_keep_their_area(ratio, direction):

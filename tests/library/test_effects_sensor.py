@@ -422,6 +422,14 @@ def test_forms_of_black_clipping():
     assert border.any() and dead.mean[border].max() < 1e-6
 
 
+def test_two_thresholds():
+    """Of a user's vocabulary there may be two: levels taken off add up, of dead zones the larger counts."""
+    for form, first, second, together in (("subtracted", 10.0, 15.0, 25.0), ("dead zone", 55.0, 30.0, 55.0)):
+        both = all_moments([of("black_clipping", form, threshold=own) for own in (first, second)])
+        for got, want in zip(both, all_moments([of("black_clipping", form, threshold=together)]), strict=True):
+            np.testing.assert_array_equal(got, want)
+
+
 # What is drawn: fields and numbers of a frame, a site or the sensor.
 
 
@@ -431,13 +439,13 @@ def draw_of(name: str, *arguments, seed: int = 11, **values):
 
 
 def test_where_scatter_belongs():
-    """Of what, and shared by what, as the contract's table says."""
+    """Of what, and shared by what, as the contract's table says; and what it is to a fit."""
     assert {name: tuple(effect.scatter) for name, effect in vocabulary().items() if effect.scatter} == {
-        "speckle": ("field", "site"),
-        "power_fluctuation": ("gain", "frame"),
-        "pointing_jitter": ("centre", "frame"),
-        "fixed_pattern": ("field", "sensor"),
-        "row_noise": ("row", "frame"),
+        "speckle": ("field", "site", "grain"),
+        "power_fluctuation": ("gain", "frame", "gain"),
+        "pointing_jitter": ("centre", "frame", "centre"),
+        "fixed_pattern": ("field", "sensor", "pixel"),
+        "row_noise": ("row", "frame", "row"),
     }
 
 

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 from spotcheck import dataset, store
+from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import findings_of, open_set
 from spotcheck.discrepancy.advise import advise
 
@@ -16,11 +17,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensor", required=True, help="sensor.nc")
     parser.add_argument("--findings", required=True, help="findings.json")
     parser.add_argument("--output", required=True, help="advice.json to write")
+    vocabulary.arguments(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Look for the measurement that would tell tied explanations apart."""
+    vocabulary.choose(args)
     saved = json.loads(Path(args.findings).read_text(encoding="utf-8"))
+    vocabulary.same(saved, args.findings)
     advice = []
     if len(saved.get("explanations", [])) > 1:
         with store.read(args.crops) as crops, store.read(args.sensor) as sensor:

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 from spotcheck import dataset, store
+from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import open_set, tolerance_of
 from spotcheck.discrepancy.calibration import stored
 from spotcheck.discrepancy.extend import investigate
@@ -22,10 +23,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes for the null sets (default 1)")
     parser.add_argument("--tolerance", default="{}", help="JSON: of_peak, of_noise, alpha")
     parser.add_argument("--output", required=True, help="findings.json to write")
+    vocabulary.arguments(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Find where model and measurement disagree, and what explains it."""
+    vocabulary.choose(args)
     found = dataset.load(args.dataset)
     tolerance = tolerance_of(args.tolerance)
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
@@ -37,6 +40,7 @@ def run(args: argparse.Namespace) -> None:
             null = stored(Path(args.calibrations), design, kind, args.simulations, args.seed, args.workers)
             result = saved_of(investigate(ready.chosen, design, ready.base, ready.setting, null, tolerance))
     result["tolerance"] = tolerance._asdict()
+    result |= vocabulary.described()
     store.write_text(args.output, json.dumps(result, indent=1) + "\n")
     best = (result.get("explanations") or [result.get("freed") or {}])[0]
     print(f"{result['status']}: " + (", ".join(own["name"] for own in best.get("effects", [])) or "no effect"))

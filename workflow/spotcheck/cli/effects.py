@@ -3,14 +3,17 @@
 import argparse
 from pathlib import Path
 
+from spotcheck.cli import vocabulary
 from spotcheck.pages import effects
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
     parser.add_argument("--output", required=True, type=Path, help="effects.md to write")
+    vocabulary.arguments(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Write the page from the effects' own files."""
+    vocabulary.choose(args)
     print(f"{args.output}: {effects.write(args.output)} effects")

@@ -3,6 +3,7 @@
 import argparse
 
 from spotcheck import dataset, frames, store
+from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import tolerance_of
 from spotcheck.discrepancy.flats import series_of
 from spotcheck.discrepancy.flats_verdict import verdict_of
@@ -22,10 +23,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, help="seed of the null sets (default 1)")
     parser.add_argument("--tolerance", default="{}", help="JSON: of_peak, of_noise, alpha")
     parser.add_argument("--output", required=True, help="verdict.json to write")
+    vocabulary.arguments(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Say where flats depart from a linear sensor, and what explains it."""
+    vocabulary.choose(args)
     found, tolerance = dataset.load(args.dataset), tolerance_of(args.tolerance)
     with store.read(args.frames) as table:
         bits = int(table["container_bits"])
@@ -38,5 +41,6 @@ def run(args: argparse.Namespace) -> None:
         verdict["sentence"] = f"Nothing could be tested: {why}."
     else:
         verdict = verdict_of(series, found.name, tolerance, transfer.quantities["gain"], args.simulations, args.seed)
+    verdict |= vocabulary.described()
     write_verdict(verdict, args.output)
     print(verdict["sentence"])

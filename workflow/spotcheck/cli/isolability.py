@@ -5,6 +5,7 @@ import argparse
 import numpy as np
 
 from spotcheck import dataset, store
+from spotcheck.cli import vocabulary
 from spotcheck.discrepancy.asimov import APART
 from spotcheck.discrepancy.assess import assessable
 from spotcheck.discrepancy.calibration import Kind, null_look
@@ -20,10 +21,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", help="dataset folder; only manifest.csv and instrument.yaml are read")
     parser.add_argument("--snr", type=float, default=100.0, help="signal-to-noise of each effect (default 100)")
     parser.add_argument("--output", help="file for the table (default: standard output alone)")
+    vocabulary.arguments(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Every effect at a given signal-to-noise against its nearest rival."""
+    vocabulary.choose(args)
     found = dataset.load(args.dataset)
     shots = [
         Shot(f.angle_deg, f.exposure_s, f.repeat or 0, k if found.instrument.order_known else None,
@@ -42,7 +45,8 @@ def run(args: argparse.Namespace) -> None:
     for effect in effects:
         own = isolability(look, effect, effects, args.snr)
         answer = "yes" if own.apart >= APART else "no"
-        rows.append(f"| `{own.effect}` | {own.snr:.0f} | `{own.rival}` | {own.apart:.1f} | {answer} |")
+        rival = f"`{own.rival}`" if own.rival else "none"
+        rows.append(f"| `{own.effect}` | {own.snr:.0f} | {rival} | {own.apart:.1f} | {answer} |")
         print(rows[-1], flush=True)
     for name, reason in why.items():
         rows.append(f"| `{name}` | | | | not assessed: {reason} |")

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from spotcheck import dataset, provenance, simulation, store
+from spotcheck.cli import vocabulary
 from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.sensor import model_of
@@ -20,10 +21,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, required=True, help="seed of the random draws")
     parser.add_argument("--folder", required=True, help="folder of the simulated dataset")
     parser.add_argument("--output", required=True, help="simulated.nc or extended.nc to write")
+    vocabulary.arguments(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Simulate every frame of the grid."""
+    vocabulary.choose(args)
     found = dataset.load(args.dataset)
     if args.seed < 0:
         raise InputError(f"--seed: is {args.seed}; it must be 0 or above")
@@ -70,5 +73,5 @@ def _extended(args: argparse.Namespace, found: dataset.Dataset) -> None:
         name=path.name,
         seed=args.seed,
         code=provenance.code_digest(__name__),
-        inputs=[args.model, args.sensor],
+        inputs=[args.model, args.sensor, *args.effects],
     )

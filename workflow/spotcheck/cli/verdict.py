@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 from spotcheck import dataset, provenance, store
+from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import findings_of, open_set
 from spotcheck.discrepancy.advise import Advice, Condition
 from spotcheck.discrepancy.extend import Tolerance
@@ -29,12 +30,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pictures", required=True, help="discrepancy.nc to write")
     parser.add_argument("--model", help="model.yaml to write, which `spotcheck simulate` runs (default: none)")
     parser.add_argument("--output", required=True, help="verdict.json to write")
+    vocabulary.arguments(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Write down what was found."""
+    vocabulary.choose(args)
     found = dataset.load(args.dataset)
     saved = json.loads(Path(args.findings).read_text(encoding="utf-8"))
+    vocabulary.same(saved, args.findings)
     tolerance = Tolerance(**saved["tolerance"])
     advice = [
         Advice(Condition(**own.pop("condition")), tuple(own.pop("pair")), **own)
@@ -67,7 +71,8 @@ def run(args: argparse.Namespace) -> None:
             judgement.findings.around,
         )
     verdict["sentence"] = sentence(verdict, tolerance)
-    inputs = [args.crops, args.sensor, args.findings, args.gap, args.advice]
+    verdict |= vocabulary.described()
+    inputs = [args.crops, args.sensor, args.findings, args.gap, args.advice, *args.effects]
     pictures = dataset_of(judgement, verdict, found)
     store.write(pictures, args.pictures, code=provenance.code_digest(__name__), inputs=inputs)
     if args.model:

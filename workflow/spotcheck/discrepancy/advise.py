@@ -10,6 +10,7 @@ from spotcheck.discrepancy.explain import Account, account, is_component
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.refit import Model, Problem, refit
+from spotcheck.model.effect import Effect, Place
 from spotcheck.model.sensor import reading
 
 # −2 ln L by which an explanation must fall behind to be told apart: five standard deviations.
@@ -98,18 +99,17 @@ def separation(look: Look, first: Account, rival: Account, condition: Condition,
 def _scatter(first: Account, rival: Account) -> bool:
     """Whether effects of which only one of two explanations knows are components of variance, so that no mean tells
     them apart."""
-    apart = {
-        e.name: e
-        for own in (first, rival)
-        for e, _ in own.effects
-        if (e.name in first.names) != (e.name in rival.names)
-    }
-    return any(map(is_component, apart.values()))
+    return any(map(is_component, _apart(first, rival)))
+
+
+def _apart(first: Account, rival: Account) -> list[Effect]:
+    """Effects of which only one of two explanations knows."""
+    return [e for own in (first, rival) for e, _ in own.effects if (e.name in first.names) != (e.name in rival.names)]
 
 
 def pedestal_of(own: Account) -> float:
     """The uniform level [DN] that an explanation has beside black, 0 without one."""
-    return sum(p.values[0] for p in own.refit.model.present if p.effect.name == "dark_offset")
+    return sum(p.values[0] for p in own.refit.model.present if p.effect.uniform)
 
 
 def _of_pedestal(look: Look, first: Account, rival: Account, condition: Condition) -> float:
@@ -118,16 +118,16 @@ def _of_pedestal(look: Look, first: Account, rival: Account, condition: Conditio
 
     A false pedestal may shrink, which costs what had asked for it.
     """
-    if ("dark_offset" in first.names) == ("dark_offset" in rival.names):
+    pedestals = [[e for e, _ in own.effects if e.place is Place.PEDESTAL] for own in (first, rival)]
+    level, other = (any(e.uniform for e in own) for own in pedestals)
+    if level == other or any(not e.uniform for own in pedestals for e in own):
         return 0.0
-    if "background_gradient" in (*first.names, *rival.names):
-        return 0.0
-    own = first if "dark_offset" in first.names else rival
+    own = first if level else rival
     dark, lit = (reading(dn, condition.exposure_s, look.setting.sensor) for dn in (0.0, pedestal_of(own)))
     pixels = float(look.cells.pixels.sum() / look.cells.frames.sum())
     frames = FEW * pixels * float((lit.mean - dark.mean) ** 2 / lit.variance)
     if own is rival:
-        kept = [p for p in present_of(rival) if p.effect.name != "dark_offset"]
+        kept = [p for p in present_of(rival) if not p.effect.uniform]
         held = max(account(look, kept, rival.refit.model).score - rival.score, 0.0)
         frames *= held / (held + frames)
     return frames / FEW
@@ -140,8 +140,7 @@ def _of_fields(look: Look, first: Account, rival: Account) -> float:
     The first stays where it is, the second does not: two frames share r of their variance or nothing, which is worth
     −ln(1 − r²) for each grain in view.
     """
-    names = set(first.names) ^ set(rival.names)
-    if names != {"fixed_pattern", "speckle"}:
+    if sorted(effect.component for effect in _apart(first, rival)) != ["grain", "pixel"]:
         return 0.0
     own = first if "pixel" in first.component or "grain" in first.component else rival
     relative = own.component.get("pixel", 0.0) + own.component.get("grain", 0.0)

@@ -41,6 +41,12 @@ def assessable(look: Look) -> tuple[list[Effect], dict[str, str]]:
     return out, why
 
 
+def of_means(effect: Effect) -> bool:
+    """Whether means of conditions ask for an effect: stripes show in the spectrum, what goes with the order from frame
+    to frame."""
+    return not (is_component(effect) or effect.spectral or "order" in effect.needs)
+
+
 def likeliest(look: Look, own: Account) -> dict[str, float]:
     """The largest z, to first order, with which the means that an account leaves ask for one effect more: a faint one
     drowns in statistics that see everything."""
@@ -51,8 +57,6 @@ def likeliest(look: Look, own: Account) -> dict[str, float]:
     taken = {name for present in fit.model.present for name in (present.effect.name, *present.effect.replaces)}
     promises = [0.0]
     for effect in assessable(look)[0]:
-        # Stripes show in the spectrum, what goes with the order from frame to frame.
-        told = is_component(effect) or effect.name == "interference_fringes" or "order" in effect.needs
-        if not told and not taken & {effect.name, *effect.replaces}:
+        if of_means(effect) and not taken & {effect.name, *effect.replaces}:
             promises.append(promised(problem, fit, span, effect))
     return {LIKELIEST: float(np.sqrt(max(promises) / own.together))}

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import provenance, store
-from spotcheck.discrepancy.assess import likeliest
+from spotcheck.discrepancy.assess import likeliest, of_means
 from spotcheck.discrepancy.base import Base
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null, null_of
@@ -21,6 +21,7 @@ from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.surround import STATISTIC
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Law
+from spotcheck.model.effects import choose, chosen, record
 from spotcheck.model.sensor import SensorModel
 from spotcheck.model.simulate import frames
 
@@ -102,7 +103,7 @@ def calibrate(design: Design, kind: Kind, count: int, seed: int, workers: int = 
     """The null law of a design from `count` null sets."""
     if workers == 1:
         return null_of([null_statistics(design, kind, seed, number) for number in range(count)])
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(workers, initializer=choose, initargs=(chosen(),)) as pool:
         chunk = max(count // (8 * workers), 1)
         work = partial(null_statistics, design, kind, seed)
         return null_of(list(pool.map(work, range(count), chunksize=chunk)))
@@ -134,9 +135,11 @@ def canonical(design: Design) -> Design:
 
 
 def digest_of(design: Design, kind: Kind, count: int, seed: int) -> str:
-    """Digest of all that a null law depends on, the code included."""
+    """Digest of all that a null law depends on, the code and the vocabulary included."""
     exposures = np.unique(design.exposure_s, return_inverse=True)[1]
     span = design.exposure_s / np.nanmin(design.exposure_s) if np.isfinite(design.exposure_s).any() else np.zeros(1)
     parts = [design.condition, design.site, design.repeat, design.place, exposures, np.round(span, 6)]
     own = [part.tolist() for part in parts] + [list(kind), count, seed, provenance.code_digest(__name__)]
+    # The likeliest effect of the mean is one of the statistics; other effects do not enter any.
+    own += [difference] if (difference := record(of_means)) else []
     return hashlib.sha256(json.dumps(own, default=str).encode()).hexdigest()[:16]

@@ -32,14 +32,6 @@ from spotcheck.model.chain import Moments
 from spotcheck.model.effect import Effect, Place, Present
 from spotcheck.model.sensor import ROUNDING_VARIANCE
 
-# Which component of variance an effect is.
-COMPONENT = {
-    "row_noise": "row",
-    "fixed_pattern": "pixel",
-    "speckle": "grain",
-    "power_fluctuation": "gain",
-    "pointing_jitter": "centre",
-}
 # Relative components of variance never exceed this: light does not scatter by more than itself.
 MOST_RELATIVE = {"pixel": 1.0, "grain": 1.0, "gain": 1.0}
 # A predicted excess of noise is trusted to this part of itself: loads rest on block means and on the form of a field.
@@ -98,15 +90,15 @@ class Account(NamedTuple):
 
 def is_component(effect: Effect) -> bool:
     """Whether an effect is a component of variance rather than a change of the mean."""
-    return effect.name in COMPONENT
+    return effect.scatter is not None
 
 
 def account(look: Look, present: Sequence[Present], start: Model | None = None, target: float = np.inf) -> Account:
     """Fit `present` (values are starts; those of variance components do not matter) beside the base, from `start`;
     `target` as for `refit`."""
     start = start or look.problem.start
-    direct = tuple(own for own in present if not is_component(own.effect) or own.effect.name == "row_noise")
-    active = [COMPONENT[own.effect.name] for own in present if is_component(own.effect)]
+    direct = tuple(own for own in present if own.effect.component in ("", "row"))
+    active = [own.effect.component for own in present if is_component(own.effect)]
     effects = tuple((own.effect, own.form) for own in direct)
     start = start._replace(present=direct)
     noisy = any(own.effect.place is Place.NOISE for own in direct)
@@ -136,10 +128,7 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
         before = present_now
     if "centre" in active and (look.cells.frames <= 1).all():
         component["centre"], error["centre"] = _of_shifts(fit, look.cells.place)
-    names = {own.effect.name for own in present}
-    fresh = "interference_fringes" in names and not any(
-        p.effect.name == "interference_fringes" for p in look.problem.start.present
-    )
+    fresh = any(p.effect.spectral for p in present) and not any(p.effect.spectral for p in look.problem.start.present)
     striped = _striped(look, fit.model.present) if fresh else np.zeros(len(look.observables))
     seen, noise_score = _left_over(look, component, grain, expected, striped)
     numbers = sum(max(len(e.parameters) - len(e.idle.get(form, ())), 1) for e, form in effects)
@@ -147,13 +136,13 @@ def account(look: Look, present: Sequence[Present], start: Model | None = None, 
     # A law that takes the place of another has no use for its numbers.
     numbers -= sum(len(e.replaces) for e, _ in effects)
     score = fit.score + noise_score + 2 * numbers + _occam(look, fit, component)
-    score += 0.0 if "fixed_pattern" in names else look.hot
+    score += 0.0 if "pixel" in active else look.hot
     sites = look.measured.design.sites
     if component.get("grain"):
         hottest_left = hottest(look.measured, component["grain"])
         seen = [o._replace(value=hottest_left) if o.label == "hot" else o for o in seen]
     pattern = _by_pattern(look.observables, component.get("pixel", 0.0), sites)
-    seen = [o for o in seen if not _settled(o, names, fresh, sites, pattern)]
+    seen = [o for o in seen if not _settled(o, present, fresh, sites, pattern)]
     shared = _shared_variance(look, component, grain, fit)
     modes = modes_of(look.cells, look.setting, fit.residual, fit.variance, look.problem.used, shared)
     freedom = max(int(look.problem.used.sum()) - fit.freedom, 1)
@@ -174,7 +163,7 @@ def _total(direct: Sequence[Present]) -> float:
 def _with_rows(direct: tuple[Present, ...], component: dict[str, float]) -> tuple[Present, ...]:
     """The effects with the row noise that the scatter of lines tells."""
     rms = float(np.sqrt(component.get("row", 0.0)))
-    return tuple(own._replace(values=(rms,)) if own.effect.name == "row_noise" else own for own in direct)
+    return tuple(own._replace(values=(rms,)) if own.effect.component == "row" else own for own in direct)
 
 
 def _with_noise(
@@ -401,7 +390,7 @@ def _shared_variance(look: Look, component: dict[str, float], grain: float, fit:
 
 def _striped(look: Look, present: Sequence[Present]) -> np.ndarray:
     """What stripes bring to each observable until a closer look takes each site's own phase off; good to a factor 2."""
-    depth, period = next(p.values[:2] for p in present if p.effect.name == "interference_fringes")
+    depth, period = next(p.values[:2] for p in present if p.effect.spectral)
     rows = look.measured.sums.pull.shape[1]
     power = depth**2 / 2
     out = np.zeros(len(look.observables))
@@ -443,14 +432,14 @@ def _by_grain(seen: Sequence[Observable], variance: float, grain: float) -> np.n
 def relief(look: Look, own: Account, effect: Effect) -> float:
     """By how much −2 ln L of the noise may fall if a component of variance, or white noise, is added to an account,
     means unchanged; gains and centres of the conditions are not counted."""
-    name = COMPONENT.get(effect.name, "read")
+    name = effect.component or "read"
     active = [*own.component, name]
     expected = expected_of(look, own.refit.moments, own.refit.model.present)
     before = _solve(look, list(own.component), expected, own.grain)[2]
     if name in ("gain", "centre", "grain") and own.refit.chi2 > 1.05 * look.problem.used.sum():
         # They also move the condition means, in ways that only the fit can tell.
         return np.inf
-    hot = look.hot if effect.name == "fixed_pattern" else 0.0
+    hot = look.hot if name == "pixel" else 0.0
     return before - _solve(look, active, expected, own.grain)[2] + hot
 
 
@@ -563,24 +552,14 @@ def _by_pattern(seen: Sequence[Observable], variance: float, sites: int) -> floa
     return float((1 - alike) * gamma.isf(RARE, sites) / sites + alike * gamma.isf(RARE, 1))
 
 
-def _settled(o: Observable, names: set[str], fresh: bool, sites: int, by_pattern: float) -> bool:
-    """Marks that an effect in the model leaves by its nature at so many sites; `fresh` fringes are not taken off."""
-    if o.label == "stripes" and "row_noise" not in names and o.value > by_pattern:
+def _settled(o: Observable, present: Sequence[Present], fresh: bool, sites: int, by_pattern: float) -> bool:
+    """Marks that an effect in the model leaves by its nature at so many sites; `fresh` stripes are not taken off."""
+    components = {own.effect.component for own in present}
+    if o.label == "stripes" and "row" not in components and o.value > by_pattern:
         return fresh
-    if o.label.startswith("code"):  # where a level clips, readings gather at one code
-        return "saturation" in names
-    marked = {
-        # At one site a granular field is the same in all frames, as a pixel's offset is.
-        "hot": {"fixed_pattern", "row_noise"} | ({"speckle"} if sites == 1 else set()),
-        # Clipped noise is skewed and has tails of its own; so has a granular field, so have hot pixels; pixels of a
-        # row share what it got.
-        "skewness": {"saturation", "black_clipping", "nonlinearity", "speckle", "fixed_pattern", "row_noise"},
-        "outliers": {"saturation", "black_clipping", "speckle", "fixed_pattern", "row_noise"},
-        # What sites or rows share adds up as stripes would.
-        "stripes": {"fixed_pattern", "row_noise"},
-        # What smears along a column may carry its noise.
-        "columns of a frame": {"smear"},
-    }
-    return bool(names & marked.get(o.label, set())) or (
-        fresh and o.label in ("stripes", "spot", "outliers", "skewness")
-    )
+    marks = {mark for own in present for mark in own.effect.marks}
+    if sites == 1 and "grain" in components:
+        # A granular field is then the same in all frames, as a pixel's offset is.
+        marks.add("hot")
+    mark = "code" if o.label.startswith("code") else o.label
+    return mark in marks or (fresh and mark in ("stripes", "spot", "outliers", "skewness"))

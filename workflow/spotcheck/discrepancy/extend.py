@@ -13,11 +13,12 @@ from spotcheck.discrepancy.explain import Account, account, granular
 from spotcheck.discrepancy.freed_named import Freed, Left, freed_of, left_of
 from spotcheck.discrepancy.lasting import lasting
 from spotcheck.discrepancy.look import Look, look_again, look_at
-from spotcheck.discrepancy.name import CONSTANT, FRINGES, plainly, present_of, search
+from spotcheck.discrepancy.name import CONSTANT, plainly, present_of, search
 from spotcheck.discrepancy.refit import NO_WAVE
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.discrepancy.stripes import peak
 from spotcheck.discrepancy.surround import LEFT, STATISTIC, Surround, surround_of
+from spotcheck.model.effect import Place
 
 # −log10 p from which on scatter, stripes or lines stand out clearly.
 CLEAR = 4.0
@@ -110,7 +111,7 @@ def investigate(
                 looks[leader.key] = near
                 good = fits(near, exact)
             for _ in range(AGAIN):
-                if good or exact.refit.chi2 >= NEARLY * near.problem.used.sum() or "fixed_pattern" in own.names:
+                if good or exact.refit.chi2 >= NEARLY * near.problem.used.sum() or "pixel" in own.component:
                     break
                 # The first look may lead astray: once more, from what the closer one found.
                 near = about(shots, near, exact)
@@ -130,13 +131,13 @@ def investigate(
         more = likeliest(near, exact)
         rest = detect(null, exact.left | more)
         # Hot pixels alone settle outliers, whatever these are: then nothing odd may be left, however small.
-        hot_alone = "fixed_pattern" in exact.names and not exact.component.get("pixel")
+        hot_alone = "pixel" in exact.component and not exact.component["pixel"]
         if hot_alone and rest.p_value < tolerance.alpha:
             return False
         good = consistent(rest, size_of(near, exact, more[LIKELIEST]), tolerance)
         good &= rest.p_value >= tolerance.alpha or not much_left(exact, near, first, look)
         # Last, for it opens every frame again.
-        return good and ("fixed_pattern" not in exact.names or lasting(shots, look, _prnu(exact)))
+        return good and ("pixel" not in exact.component or lasting(shots, look, _prnu(exact)))
 
     naming = search(look, effects, closer, near_to)
     evidence = {n: (own.score - first.score, own.refit.chi2) for n, own in naming.singles.items()}
@@ -164,7 +165,7 @@ def resolved(own: Account) -> bool:
     """Whether stripes are coarser than two pixels and leave some light: else they are another thing's aliases. True
     where there are none."""
     for present in own.refit.model.present:
-        if present.effect.name == FRINGES:
+        if present.effect.spectral:
             depth, period = present.values[:2]
             return bool(depth <= 1 and period > FINEST)
     return True
@@ -199,7 +200,7 @@ def about(shots: Sequence[Shot], look: Look, leader: Account) -> Look:
     are taken off, the spots are placed anew."""
     prnu = _prnu(leader) if "pixel" in leader.component and look.measured.common else None
     model = leader.refit.model
-    others = tuple(own for own in model.present if own.effect.name != FRINGES)
+    others = tuple(own for own in model.present if not own.effect.spectral)
     if len(others) < len(model.present):
         # Blocks do not resolve short stripes, and other effects turn their peak: it is sought where these are off.
         look = look_again(shots, look, model._replace(present=others, wave=NO_WAVE), leader.latent, prnu)
@@ -223,10 +224,10 @@ def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> t
 
     Where a form has an edge, nothing but its own expectation of every pixel says how good it is.
     """
-    edged = "saturation" in own.names and own.refit.chi2 < NEARLY * near.problem.used.sum()
+    edged = any(e.place is Place.WELL for e, _ in own.effects) and own.refit.chi2 < NEARLY * near.problem.used.sum()
     for k, (effect, _) in enumerate(own.effects):
         for form in effect.forms:
-            if form == own.effects[k][1] or effect.name == FRINGES:
+            if form == own.effects[k][1] or effect.spectral:
                 continue
             present = list(present_of(own))
             # Where a form has parameters of its own, the values at hand may mean another thing in it.
@@ -237,7 +238,7 @@ def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> t
                 present[k] = present[k]._replace(form=form, values=values)
                 tried.append(account(near, present, own.refit.model, own.refit.score + CONSTANT))
             other, look = min(tried, key=plainly), near
-            if edged and effect.name == "saturation" and other.refit.chi2 < NEARLY * near.problem.used.sum():
+            if edged and effect.place is Place.WELL and other.refit.chi2 < NEARLY * near.problem.used.sum():
                 look = near_to(other)
                 other = closer_account(look, other)
             if plainly(other) < plainly(own) - 1:
@@ -248,7 +249,7 @@ def best_form(near: Look, own: Account, near_to: Callable[[Account], Look]) -> t
 def closer_account(near: Look, own: Account) -> Account:
     """An account fitted again at a closer look. That takes each frame's own brightness and centre off where they
     scatter; how much they do is what was seen before."""
-    found = {p.effect.name: p.values for p in near.problem.start.present if p.effect.name == FRINGES}
+    found = {p.effect.name: p.values for p in near.problem.start.present if p.effect.spectral}
     present = [p._replace(values=found.get(p.effect.name, p.values)) for p in present_of(own)]
     exact = account(near, present, own.refit.model._replace(shift=near.problem.start.shift))
     kept = {name: own.component[name] for name in ("gain", "centre") if name in own.component}

@@ -13,23 +13,10 @@ from scipy.optimize import least_squares
 from spotcheck.estimate.photon_transfer import Transfer, light_of
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Law, View, bounds_context, moments
-from spotcheck.model.effect import Context, Effect, Present
+from spotcheck.model.effect import Context, Effect, Place, Present
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
-# Effects that levels of light can show, beside those of pattern and time.
-SHOWN = ("saturation", "nonlinearity", "black_clipping", "dark_offset", "photon_budget", "shutter_offset")
-# Of all others why not.
-NEEDS = {
-    "fixed_pattern": "levels hold no pattern: DSNU and PRNU are in transfer.nc",
-    "excess_read_noise": "the noise of the darks is the measured one",
-    "row_noise": "levels hold no rows",
-    "laser_drift": "levels are compared, not the order of frames",
-    "power_fluctuation": "the drift between frames of a level is part of the errors",
-    "background_gradient": "levels are means over the frame",
-    "smear": "the light is the same all over",
-}
-SPOT = "there is no spot"
 # Wider than any sensor [px].
 ENDLESS = 1e9
 # Levels with more clipped pixels than this are left out: how light varies over the frame would count.
@@ -188,6 +175,16 @@ def fitted(series: Series, present: Sequence[Present]) -> FlatFit:
                    float((rest[:, chosen] ** 2).sum()), float((rest[:, series.unseen] ** 2).sum()))  # fmt: skip
 
 
+def shown(series: Series) -> dict[str, Effect]:
+    """Effects of the vocabulary by name that the levels can show: an error of the exposure only where light goes with
+    it."""
+    return {
+        name: effect
+        for name, effect in vocabulary().items()
+        if not effect.flats and (series.timed or effect.place is not Place.EXPOSURE)
+    }
+
+
 def best_of(series: Series, names: Sequence[str]) -> FlatFit:
     """The best fit of a set of effects over their forms and starts."""
     context, effects = context_of(series), [vocabulary()[name] for name in names]
@@ -204,14 +201,14 @@ def _starts(effect: Effect, context: Context) -> list[Present]:
 def explanations(series: Series) -> list[FlatFit]:
     """The best set and those that cannot be told from it, best first (the baseline alone where no effect earns its
     place on unseen levels). Sets grow from the best ones of a size less."""
-    names = [name for name in SHOWN if series.timed or name != "shutter_offset"]
+    names = list(shown(series))
     ahead = [fitted(series, ())]
     kept: list[FlatFit] = ahead[:1]
     for _ in range(MOST):
         sets = {frozenset((*own.names, name)) for own in ahead[:BEAM] for name in names if name not in own.names}
         tried = [best_of(series, sorted(own, key=names.index)) for own in sorted(sets, key=sorted)]
         ahead = sorted(tried, key=lambda fit: fit.unseen)
-        if ahead[0].unseen > kept[0].unseen - EARNS:
+        if not ahead or ahead[0].unseen > kept[0].unseen - EARNS:
             break
         kept = [fit for fit in ahead if fit.unseen < ahead[0].unseen + TIED]
     return kept

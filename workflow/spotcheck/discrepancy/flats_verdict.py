@@ -7,10 +7,11 @@ import numpy as np
 from scipy import stats
 
 from spotcheck.discrepancy.extend import Tolerance
-from spotcheck.discrepancy.flats import NEEDS, SHOWN, SPOT, FlatFit, Series, explanations, fitted, foretold
+from spotcheck.discrepancy.flats import FlatFit, Series, explanations, fitted, foretold, shown
 from spotcheck.discrepancy.locate import holm
 from spotcheck.discrepancy.sentence import value_text
 from spotcheck.estimate.photon_transfer import Quantity
+from spotcheck.model.effect import NO_SPOT
 from spotcheck.model.effects import vocabulary
 
 NOTHING = {"before": None, "after": None, "stderr": None, "unit": "px"}
@@ -54,8 +55,8 @@ def verdict_of(
                 "rms_dn_before": _rms(series, plain), "rms_dn_after": _rms(series, best if kept else plain),
                 "on": "unseen conditions"},
         "advice": [],
-        "not_assessed": [{"effect": own, "why": NEEDS.get(own, SPOT)} for own in vocabulary()
-                         if own not in SHOWN or (own == "shutter_offset" and not series.timed)],
+        "not_assessed": [{"effect": own, "why": effect.flats or NO_SPOT} for own, effect in vocabulary().items()
+                         if own not in shown(series)],
     }  # fmt: skip
     return out | {"sentence": _sentence(series, out, kept, gain)}
 

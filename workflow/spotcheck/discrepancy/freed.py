@@ -25,7 +25,7 @@ from spotcheck.discrepancy.refit import NOTHING, Latent, Refit, basis, refit, sc
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.model.chain import COARSE, Free, Law, View, grain_contrast, granular_variance, light, readings
 from spotcheck.model.effect import Effect, Place, Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.model.effects import built_in, vocabulary
 
 # Sites among which effects are sought, spread over the angles; the others only say how wide and bright they are.
 SITES = 8
@@ -50,9 +50,7 @@ WEIGHED = 2
 TELLING = 0.9
 # Another form must bring this part more of what the first one does.
 FORM = 0.01
-# Effects that are always tried: their first order says little.
-ALWAYS = ("saturation",)
-# How many others are.
+# How many effects are tried beside those that stop the signal, whose first order says little.
 BESIDE = 4
 # Places in the chain where an effect changes the shape of the mean spot or of the reading.
 SHAPES = (Place.METRIC, Place.PROFILE, Place.BLUR, Place.ADDED, Place.PEDESTAL, Place.CHARGE, Place.WELL,
@@ -181,10 +179,21 @@ def _scatter_within(look: Look) -> np.ndarray:
 
 def with_grain(present: Sequence[Present], grain: Grain, side: int) -> tuple[Present, ...]:
     """Effects with the granular field as the last one, where it is coarse."""
-    kept = tuple(own for own in present if own.effect.name != "speckle")
+    kept = tuple(own for own in present if not is_granular(own))
     if grain.contrast < COARSE:
         return kept
-    return (*kept, Present(vocabulary()["speckle"], "", (grain.contrast, grain_px(grain, side))))
+    return (*kept, granular_noise(grain.contrast, grain_px(grain, side)))
+
+
+def is_granular(own: Present) -> bool:
+    """Whether an effect is a granular field of the sites."""
+    return own.effect.component == "grain"
+
+
+def granular_noise(contrast: float, grain: float) -> Present:
+    """A granular field of a contrast [1] and grain [px]: where the vocabulary has none it is noise without a name."""
+    known = (*vocabulary().values(), *built_in().values())
+    return Present(next(own for own in known if own.component == "grain"), "", (contrast, grain))
 
 
 def grain_px(grain: Grain, side: int) -> float:
@@ -413,7 +422,7 @@ def promising(stage: Stage, before: Refit, effects: Sequence[Effect]) -> list[Ef
     others = [own for own in effects if own.name not in names]
     promise = {own.name: screened(problem, before, span, own, own.forms[0])[0][0] for own in others}
     ranked = sorted(others, key=lambda own: -promise[own.name])
-    return [own for k, own in enumerate(ranked) if k < BESIDE or own.name in ALWAYS]
+    return [own for k, own in enumerate(ranked) if k < BESIDE or own.place is Place.WELL]
 
 
 def best_added(stage: Stage, before: Refit, effects: Sequence[Effect], target: float = np.inf) -> Refit | None:
@@ -462,7 +471,7 @@ def evidence_of(stage: Stage, best: Refit, effects: Sequence[Effect]) -> list[Ev
     """Of every effect of shape in a fit: what is lost without it, and what the best other effect wins back."""
     out = []
     for own in best.model.present:
-        if own.effect.name == "speckle":
+        if is_granular(own):
             continue
         present = tuple(p for p in best.model.present if p is not own)
         without = fitted(stage, present, best.model.base, best.model.shift)
@@ -472,9 +481,8 @@ def evidence_of(stage: Stage, best: Refit, effects: Sequence[Effect]) -> list[Ev
             without = min(without, other, key=lambda fit: fit.score)
         others = [e for e in effects if e.name != own.effect.name]
         rival = best_added(stage, without, others, best.score)
-        name = rival.model.present[-1].effect.name if rival else ""
-        if rival is not None and name == "speckle":
-            name = rival.model.present[-2].effect.name
+        added = [p for p in rival.model.present if not is_granular(p)] if rival else []
+        name = added[-1].effect.name if added else ""
         lost = rival.score if rival is not None and rival.score < without.score else without.score
         left, blocks = _left_where_it_acts(best, without, stage)
         out.append(Evidence(own.effect.name, without.score - best.score, name, lost - best.score, left, blocks))

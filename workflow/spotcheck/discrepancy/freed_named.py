@@ -5,6 +5,7 @@ is part of their error.
 """
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,9 @@ from spotcheck.discrepancy.freed import (
     fitted,
     grain_of,
     grain_px,
+    granular_noise,
     grown,
+    is_granular,
     latent_of,
     settled,
     spread_sites,
@@ -78,9 +81,9 @@ class Freed(NamedTuple):
     @property
     def whole(self) -> tuple[Present, ...]:
         """The effects, and what counts as granular noise."""
-        if self.grain is None or "speckle" in self.names:
+        if self.grain is None or any(map(is_granular, self.present)):
             return self.present
-        return (*self.present, Present(vocabulary()["speckle"], "", self.grain))
+        return (*self.present, granular_noise(*self.grain))
 
 
 class Left(NamedTuple):
@@ -109,11 +112,11 @@ def freed_of(shots: Sequence[Shot], design: Design, base: Base, setting: Setting
     errors = errors_of(stage, best)
     frames = spots(shots, design, base, setting, widest, present, stage.grain, stage.look.measured.side)
     p1, p2 = line_of(frames.sigma, design, setting.baseline)
-    grain = next(((own.values[0], own.values[1]) for own in present if own.effect.name == "speckle"), None)
-    # What is anew in every exposure is no speckle.
-    if not grain_of(stage, best).shared > SHARED:
-        errors = tuple(own for own, p in zip(errors, present, strict=True) if p.effect.name != "speckle")
-        present = tuple(own for own in present if own.effect.name != "speckle")
+    grain = next(((own.values[0], own.values[1]) for own in present if is_granular(own)), None)
+    # What is anew in every exposure is no field of the site.
+    named = grain_of(stage, best).shared > SHARED
+    kept = [own.effect.name in vocabulary() and (named or not is_granular(own)) for own in present]
+    errors, present = tuple(compress(errors, kept)), tuple(compress(present, kept))
     return Freed(present, errors, tuple(evidence), frames, grain, p1, p2)
 
 
@@ -156,7 +159,7 @@ def errors_of(stage: Stage, fit: Refit) -> tuple[tuple[float | None, ...], ...]:
                 continue
             table = np.array([row[k][j] for row in values])
             spread = np.sqrt((len(table) - 1) * table.var()) if len(table) > 2 else 0.0
-            if own_effect.effect.name != "speckle":
+            if not is_granular(own_effect):
                 spread = max(spread, np.sqrt(max(fit.covariance[at, at], 0.0)))
                 at += 1
             errors.append(float(spread) if spread > 0 else None)
@@ -276,7 +279,7 @@ def gap_of_freed(freed: Freed, first: Account, look: Look, unseen: Sequence[Shot
     fits = [refit(problem, (), law, latent_of(stage), fixed=True)]
     for count in range(len(freed.present)):
         present = freed.present[:count]
-        bare = stage if any(own.effect.name == "speckle" for own in present) else stage._replace(grain=NO_GRAIN)
+        bare = stage if any(map(is_granular, present)) else stage._replace(grain=NO_GRAIN)
         fits.append(with_best_spots(bare, present)[1])
     fits.append(whole)
     used = problem.used

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.asimov import asimov
-from spotcheck.discrepancy.explain import COMPONENT, Account, account
+from spotcheck.discrepancy.explain import Account, account
 from spotcheck.discrepancy.look import Look
-from spotcheck.discrepancy.name import CONTAINS, FRINGES, present_of, singles
+from spotcheck.discrepancy.name import is_striped, present_of, singles
 from spotcheck.discrepancy.refit import plain
 from spotcheck.model.effect import Effect, Present
 
@@ -21,8 +21,8 @@ STEPS = 14
 
 
 class Isolation(NamedTuple):
-    """Signal-to-noise of an effect after the base was refitted; its nearest rival and the signal-to-noise of what tells
-    them apart."""
+    """Signal-to-noise of an effect after the base was refitted; its nearest rival ("": none) and the signal-to-noise of
+    what tells them apart."""
 
     effect: str
     snr: float
@@ -35,8 +35,7 @@ def isolation(look: Look, own: Account, effects: Sequence[Effect]) -> dict[str, 
     ideal = asimov(look, own.refit.model, own.component, own.grain)
     truth = account(ideal, present_of(own), own.refit.model)
     found = singles(ideal, [effect for effect in effects if effect.name not in own.names])
-    if FRINGES in found:
-        found[FRINGES] = _as_deep(ideal, found[FRINGES])
+    found = {name: _as_deep(ideal, rival) if is_striped(rival) else rival for name, rival in found.items()}
     empty = account(ideal, ())
     return {"": empty.score - truth.score} | {name: rival.score - truth.score for name, rival in found.items()}
 
@@ -55,8 +54,11 @@ def isolability(look: Look, effect: Effect, effects: Sequence[Effect], snr: floa
     distances = isolation(look, own, effects)
     seen = float(np.sqrt(max(distances.pop(""), 0.0)))
     # What contains the effect as a special case explains it as well, and still is not its name.
-    for name in CONTAINS.get(effect.name, ()):
-        distances.pop(name, None)
+    for other in effects:
+        if other.has_as_special_case(effect):
+            distances.pop(other.name, None)
+    if not distances:
+        return Isolation(effect.name, seen, "", seen)
     rival = min(distances, key=lambda name: distances[name])
     return Isolation(effect.name, seen, rival, float(np.sqrt(max(distances[rival], 0.0))))
 
@@ -66,7 +68,7 @@ def _at_strength(look: Look, effect: Effect, snr: float) -> Account:
     context = look.problem.context
     base = plain(look.cells)
     values = list(effect.starts(context)[0]) if effect.starts(context) else [0.02, context.sigma_px, 30.0, 0.0]
-    name = COMPONENT.get(effect.name)
+    name = effect.component
     neutral = effect.neutral if np.isfinite(effect.neutral) else 0.0
     strength = 1e-4 if name else values[0] - neutral
     low, high = effect.bounds(context)[0]
@@ -77,7 +79,7 @@ def _at_strength(look: Look, effect: Effect, snr: float) -> Account:
             component = {name: strength}
         else:
             own = float(np.clip(neutral + strength, low, high))
-            form = "spot" if effect.name == FRINGES else effect.forms[0]
+            form = "spot" if effect.spectral else effect.forms[0]
             present, component = (Present(effect, form, (own, *values[1:])),), {}
         ideal = asimov(look, base._replace(present=present), component, values[-1] if name == "grain" else 1.0)
         truth = present or (Present(effect, "", tuple(0.0 for _ in effect.parameters)),)

@@ -109,7 +109,7 @@ def _felt(setting: Setting, present: Sequence[Present]) -> SensorModel:
 
 def _rows(present: Sequence[Present]) -> float:
     """Rms [DN] of the offsets that rows get."""
-    return max((own.values[0] for own in present if own.effect.name == "row_noise"), default=0.0)
+    return max((own.values[0] for own in present if own.effect.component == "row"), default=0.0)
 
 
 def _zone(present: Sequence[Present]) -> float:
@@ -269,7 +269,7 @@ def _with_own_places(measured: Measured, base: Base) -> Base:
 
 def _of_sites(own: Present) -> bool:
     """Whether an effect is stripes of a site's own phase."""
-    return (own.effect.name, own.form) == ("interference_fringes", "site")
+    return own.effect.spectral and own.form == "site"
 
 
 def _with_depth(own: Present, measured: Measured) -> Present:

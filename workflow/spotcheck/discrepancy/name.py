@@ -28,14 +28,9 @@ CONSTANT = 7.0
 # An effect that promises less than this part of the best, to first order, is not fitted; but for those whose first
 # order says nothing.
 HOPELESS = 0.004
-FRINGES = "interference_fringes"
-ALWAYS = (FRINGES, "spread_law", "excess_read_noise", "ghost_reflection", "black_clipping", "saturation")
 # At the first look rivals are compared to this part of the gap they close: blocks blur what is strong.
 SLACK = 0.004
 LARGEST_CONTEST = 6
-# Effects that contain another as a special case: where both explain, the simpler is the name.
-LAWS = ("angle_reflectance", "photon_budget", "laser_drift", "shutter_offset")
-CONTAINS = {"dark_offset": ("background_gradient",)} | {law: ("power_fluctuation",) for law in LAWS}
 # One effect more must close this part of what is left, or it only mimics.
 WORTH = 0.2
 # How many explanations are followed to the next size, how many effects of the mean and how many of noise are tried
@@ -78,11 +73,11 @@ def _promising(look: Look, before: Account, effects: Sequence[Effect], span: np.
     promise = {}
     for effect in effects:
         own = 0.0
-        if not is_component(effect) and effect.name != FRINGES:
+        if not is_component(effect) and not effect.spectral:
             own = promised(look.problem, before.refit, span, effect)
         promise[effect.name] = own
     least = HOPELESS * max(promise.values(), default=0.0)
-    chosen = [e for e in effects if promise[e.name] >= least or is_component(e) or e.name in ALWAYS]
+    chosen = [e for e in effects if promise[e.name] >= least or is_component(e) or e.always]
     return sorted(chosen, key=lambda effect: -promise[effect.name])
 
 
@@ -96,10 +91,12 @@ def _added(
 ) -> Account | None:
     """The best account of an effect added to another account, over its forms (or those given) and starts."""
     kept = present_of(before)
+    if _told_already(before, effect):
+        return None
     if is_component(effect):
         blank = Present(effect, "", tuple(0.0 for _ in effect.parameters))
         return account(look, (*kept, blank), before.refit.model)
-    if effect.name == FRINGES:
+    if effect.spectral:
         return _fringes(look, before, effect)
     if any(set(effect.replaces) & set(own.effect.replaces) for own in kept):
         return None
@@ -123,6 +120,12 @@ def _added(
     return best
 
 
+def _told_already(own: Account, effect: Effect) -> bool:
+    """Whether an account has the variance component, or the white noise, that an effect is."""
+    noisy = effect.place is Place.NOISE and any(other.place is Place.NOISE for other, _ in own.effects)
+    return noisy or effect.component in own.component
+
+
 def plainly(own: Account) -> float:
     """The score by which forms of the same effects are compared: what only shapes a form must earn its place clearly,
     or the strength takes the shape's freedom for its own."""
@@ -132,6 +135,11 @@ def plainly(own: Account) -> float:
 def scatters(effect: Effect) -> bool:
     """Whether an effect promises nothing to the means: a component of variance, or white noise."""
     return is_component(effect) or effect.place is Place.NOISE
+
+
+def is_striped(own: Account) -> bool:
+    """Whether an effect of an account is found as a peak of the spectrum."""
+    return any(effect.spectral for effect, _ in own.effects)
 
 
 def present_of(own: Account) -> tuple[Present, ...]:
@@ -163,9 +171,10 @@ def search(look: Look, effects: Sequence[Effect], closer: Closer, near_to: NearT
         if not ranked:
             break
         best = _contest(ranked, empty, closer)
-        if not best[0][1] and size == 1 and FRINGES in alone:
+        stripes = next((own for own in alone.values() if is_striped(own)), None)
+        if not best[0][1] and size == 1 and stripes is not None:
             # Blocks see nothing of stripes as short as they are: only a closer look does.
-            found = closer(alone[FRINGES], alone[FRINGES])
+            found = closer(stripes, stripes)
             best = [found] if found[1] else best
         if best[0][1]:
             break
@@ -205,9 +214,10 @@ def _beside_scatter(
     """The contest with a law of the brightness added, where that earns its place: free gains hold without it, for they
     scatter as any law does."""
     leader, good = best[0]
-    if not good or "power_fluctuation" not in leader.names:
+    free = next((effect for effect, _ in leader.effects if effect.component == "gain"), None)
+    if not good or free is None:
         return best
-    laws = [effect for effect in effects if effect.name in LAWS and effect.name not in leader.names]
+    laws = [effect for effect in effects if free.has_as_special_case(effect) and effect.name not in leader.names]
     kept = account(look, present_of(leader))
     grown = [own for own in (_added(look, kept, law) for law in laws) if own and own.score < kept.score - EARNS]
     if not grown:
@@ -294,7 +304,7 @@ def _separation(near: Look, best: Account, rival: Account) -> float:
 
 def _taken_off(own: Account) -> bool:
     """Whether a closer look about an account takes off brightness, place or stripes of frames by themselves."""
-    return own.latent.gain or own.latent.centre or FRINGES in own.names
+    return own.latent.gain or own.latent.centre or is_striped(own)
 
 
 def _simplest(holding: list[Account]) -> list[Account]:
@@ -304,8 +314,9 @@ def _simplest(holding: list[Account]) -> list[Account]:
 
 def _special(own: Account, of: Account) -> bool:
     """Whether a set of effects is a special case of another: they differ in one, and the other's contains it."""
-    gone, came = set(of.names) - set(own.names), set(own.names) - set(of.names)
-    return len(gone) == len(came) == 1 and gone <= set(CONTAINS.get(came.pop(), ()))
+    gone = [effect for effect, _ in of.effects if effect.name not in own.names]
+    came = [effect for effect, _ in own.effects if effect.name not in of.names]
+    return len(gone) == len(came) == 1 and gone[0].has_as_special_case(came[0])
 
 
 def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) -> list[Account]:
@@ -315,12 +326,12 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
         span = basis(look.problem, parent.refit, parent.refit_effects, parent.latent)
         promise = []
         for effect in effects:
-            if effect.name in parent.names:
+            if effect.name in parent.names or _told_already(parent, effect):
                 continue
             if scatters(effect):
                 own = relief(look, parent, effect)
-            elif effect.name == FRINGES:
-                own = np.inf if "speckle" not in parent.names else 0.0
+            elif effect.spectral:
+                own = np.inf if "grain" not in parent.component else 0.0
             else:
                 own = promised(look.problem, parent.refit, span, effect)
             promise.append((own, effect))
@@ -330,7 +341,7 @@ def _grown(look: Look, parents: Sequence[Account], effects: Sequence[Effect]) ->
         for own, effect in (*untold, *means[:BESIDE], *scatter[:BESIDE_SCATTER]):
             key = frozenset((*parent.names, effect.name))
             # A fit of the means may have been led astray by what another parent had wrong.
-            if own < EARNS or (key in seen and (scatters(effect) or effect.name == FRINGES)):
+            if own < EARNS or (key in seen and (scatters(effect) or effect.spectral)):
                 continue
             found = _added(look, parent, effect, span, target)
             if found is not None and (key not in seen or found.score < seen[key].score):
@@ -361,7 +372,7 @@ def _rivals(look: Look, best: Account, effects: Sequence[Effect]) -> list[Accoun
         for effect in effects:
             if effect.name in best.names:
                 continue
-            same = leave.effect.name in CONTAINS.get(effect.name, ()) and leave.form in effect.forms
+            same = leave.effect.has_as_special_case(effect) and leave.form in effect.forms
             own = _added(look, reduced, effect, None, best.refit.score, (leave.form,) if same else ())
             if own is not None:
                 out.append(own)

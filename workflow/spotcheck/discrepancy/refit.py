@@ -282,7 +282,7 @@ def promised(problem: Problem, fit: Refit, span: np.ndarray, effect: Effect) -> 
 
 def moving(effect: Effect, form: str) -> list[int]:
     """Indices of the parameters that a fit of this form moves; those of a granular field are told by the noise."""
-    if effect.name == "speckle":
+    if effect.component == "grain":
         return []
     idle = effect.idle.get(form, ())
     return [k for k, p in enumerate(effect.parameters) if p.name not in idle]
@@ -319,7 +319,7 @@ class _Chart:
             else [name for name in ("p1", "p2", "peak") if name not in replaced and not (name == "p1" and one)]
         )
         self.inner = [moving(effect, form) for effect, form in self.effects]
-        waves = any((effect.name, form) == ("interference_fringes", "site") for effect, form in self.effects)
+        waves = any(effect.spectral and form == "site" for effect, form in self.effects)
         self.waves = int(cells.place.max()) + 1 if waves else 0
         self.count = 0 if fixed else sum(len(own) for own in self.inner)
         bounds = [

@@ -80,7 +80,7 @@ def surround_of(shots: Sequence[Shot], look: Look, own: Account) -> Surround | N
             total = np.zeros((3, design.conditions, *blocks.mean.shape))
             side = _sides(blocks, shot, crop)
         off = blocks.mean - _pooled(scene.mean)
-        if "row_noise" in own.names:
+        if "row" in own.component:
             off, variance = _apart(off, np.where(dark, variance, np.inf), axis=1)
             dark = np.isfinite(variance)
         c = design.condition[k]
@@ -92,7 +92,7 @@ def surround_of(shots: Sequence[Shot], look: Look, own: Account) -> Surround | N
     count = np.maximum(total[2], 1)
     residual = total[0] / count
     variance = np.where(total[2] > 0, total[1] / count**2, np.inf)
-    if "fixed_pattern" in own.names and look.hot:
+    if "pixel" in own.component and look.hot:
         # Hot pixels lie beside the crops as well, and read the same in every condition.
         residual, variance = _apart(residual, variance, axis=0)
     weight = 1 / variance

@@ -10,10 +10,10 @@ from spotcheck.discrepancy.base import WIDEST, Base, base_of, spots_of
 from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
-from spotcheck.discrepancy.explain import COMPONENT, Account, account
+from spotcheck.discrepancy.explain import Account, account
 from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
 from spotcheck.discrepancy.freed_named import gap_of_freed
-from spotcheck.discrepancy.name import FRINGES, present_of
+from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.noise import hot_pixels
 from spotcheck.discrepancy.saved import recalled, saved_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out, together
@@ -173,7 +173,7 @@ def parameters_of(found: Findings, name: str) -> dict[str, dict[str, Any]]:
     present, errors = fitted[name]
     if present.effect.place is Place.NOISE:
         errors[0] = own.component_error["read"]
-    if (present.effect.name, present.form) == (FRINGES, "site"):
+    if present.effect.spectral and present.form == "site":
         depth, period, direction = present.values[:3]
         errors[0] = depth_error(depth, beside_places(found.best[0].measured, period, direction)[1])
     if present.form in present.effect.rounded:
@@ -219,20 +219,21 @@ def _reported(present: Present, errors: Sequence[float | None], sensor: SensorMo
 
 
 def _scatter_parameters(found: Findings, own: Account, name: str) -> dict[str, dict[str, Any]]:
-    component = COMPONENT.get(name)
-    if component is None:
+    """What a variance component tells of an effect's parameters, in their order."""
+    effect = next(effect for effect, _ in own.effects if effect.name == name)
+    if not effect.component:
         return {}
-    value, error = own.component.get(component, 0.0), own.component_error.get(component, 0.0)
+    value, error = (part.get(effect.component, 0.0) for part in (own.component, own.component_error))
     root = float(np.sqrt(max(value, 0.0)))
-    spread = error / (2 * root) if root > 0 else None
-    first = {"row_noise": ("rms", "DN"), "fixed_pattern": ("prnu", "1"), "speckle": ("contrast", "1"),
-             "power_fluctuation": ("rms", "1"), "pointing_jitter": ("rms", "px")}[name]  # fmt: skip
-    out = {first[0]: {"value": root, "stderr": _number(spread), "unit": first[1]}}
-    if name == "speckle":
-        out["grain"] = {"value": own.grain, "stderr": _number(own.component_error["size"]), "unit": "px"}
-    if name == "fixed_pattern":
-        out["hot_pixels"] = {"value": hot_pixels(found.look.measured, root), "stderr": None, "unit": "1"}
-    return out
+    told: list[tuple[float, float | None]] = [(root, error / (2 * root) if root > 0 else None)]
+    if effect.component == "grain":
+        told.append((own.grain, own.component_error["size"]))
+    if effect.component == "pixel":
+        told.append((hot_pixels(found.look.measured, root), None))
+    return {
+        parameter.name: {"value": value, "stderr": _number(error), "unit": parameter.unit}
+        for parameter, (value, error) in zip(effect.parameters, told, strict=True)
+    }
 
 
 def shift_of(found: Findings) -> dict[str, Any]:

@@ -8,6 +8,8 @@ has one behind whatever bends.
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import product
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +18,7 @@ from scipy.special import gammainc, gammaincinv
 from spotcheck.model import spot
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.converter import convert
-from spotcheck.model.effect import Context, Place, Present
+from spotcheck.model.effect import Context, Effect, Place, Present
 from spotcheck.model.sensor import SensorModel, clipped_normal
 
 
@@ -167,10 +169,12 @@ def light(view: View, baseline: Baseline, base: Law | Free, present: Sequence[Pr
         paths = _at(present, Place.BLUR)
         if not paths:
             return sharp(shift_x, shift_y)
+        exposed = view._replace(exposure_s=true_exposure(view, present))
         total = 0.0
-        # One path only: two smears in a row would need every pair of their shifts, and the vocabulary has one.
-        for dx, dy, weight in paths[0].apply(view._replace(exposure_s=true_exposure(view, present))):
-            total = total + weight * sharp(shift_x + dx, shift_y + dy)
+        # Two smears in a row are every pair of their shifts.
+        for steps in product(*(own.apply(exposed) for own in paths)):
+            dx, dy = (sum(step[axis] for step in steps) for axis in (0, 1))
+            total = total + prod(step[2] for step in steps) * sharp(shift_x + dx, shift_y + dy)
         return total
 
     total = blurred(0.0, 0.0)
@@ -220,7 +224,7 @@ def granular_variance(
 
 def grain_contrast(present: Sequence[Present]) -> float:
     """Contrast of the granular field among the effects; 0 without one."""
-    return max((own.values[0] for own in present if own.effect.name == "speckle"), default=0.0)
+    return max((own.values[0] for own in present if own.effect.component == "grain"), default=0.0)
 
 
 def _through_grain(
@@ -233,7 +237,7 @@ def _through_grain(
     """
     if np.size(beside) and np.ptp(beside) == 0:
         beside = float(np.ravel(beside)[0])
-    mixing = [own for own in present if own.effect.place is Place.CHARGE or own.effect.name == "background_gradient"]
+    mixing = [own for own in present if own.effect.place is Place.CHARGE or _is_uneven(own.effect)]
     if mixing:
         # ASSUME: what mixes pixels or is uneven is faint beside the light that bends, so it adds up with the grain.
         plain = [own for own in present if own not in mixing]
@@ -246,10 +250,10 @@ def _through_grain(
     # By powers of two, so that a table serves many models.
     highest = 2.0 ** np.ceil(np.log2(max(float(np.max(own_light)), 1.0)))
     behind = tuple(own for own in present if own.effect.place in BEHIND_LIGHT)
-    names = tuple((own.effect.name, own.form, own.values) for own in behind)
+    which_effects = tuple((own.effect.function, own.form, own.values) for own in behind)
     out = [np.empty(own_light.shape) for _ in BehindGrain._fields]
     for k, exposure in enumerate(exposures):
-        key = (names, sensor, contrast, float(exposure), float(beside), float(highest))
+        key = (which_effects, sensor, contrast, float(exposure), float(beside), float(highest))
         table = _grain_table(_Case(key, behind, view))
         own = which == k if len(which) == len(own_light) else slice(None)
         place = np.sqrt(np.maximum(own_light[own], 0.0) * ((LOOKED_UP - 1) ** 2 / highest))
@@ -343,13 +347,13 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
             mean, stops = mean + pedestal, [stop + pedestal for stop in stops]
     out, spread, third = (np.array(v, float) for v in np.broadcast_arrays(mean, variance, third))
     zones = _at(present, Place.DIGITAL)
-    lowest = float(zones[0].apply()) if zones else 0.0
-    black, dead = (lowest, 0.0) if zones and zones[0].form == "subtracted" else (0.0, lowest)
+    black = float(sum(own.apply() for own in zones if own.form == "subtracted"))
+    dead = float(max((own.apply() for own in zones if own.form != "subtracted"), default=0.0))
     out -= black
     highest = np.full(out.size, min(sensor.full_scale_dn, 1e9))
     for stop in stops:
         highest = np.minimum(highest, np.broadcast_to(stop - black, out.shape).reshape(-1))
-    rows = sum(own.values[0] ** 2 for own in present if own.effect.scatter and own.effect.scatter.of == "row")
+    rows = sum(own.values[0] ** 2 for own in present if own.effect.component == "row")
     if rows:
         # Rows that scatter move the mean where black cuts them; the variance given is that of pixels within a row.
         within, wider = np.zeros_like(spread), spread + rows
@@ -381,6 +385,10 @@ def offset_response(light_dn: np.ndarray, sensor: SensorModel, rms_dn: float = 0
         moved.append(mean)
     about = np.stack(moved) - np.tensordot(weights, moved, 1)
     return np.sqrt(np.tensordot(weights, about**2, 1)) / max(rms_dn, SMALL_DN)
+
+
+def _is_uneven(effect: Effect) -> bool:
+    return effect.place is Place.PEDESTAL and not effect.uniform
 
 
 def _at(present: Sequence[Present], place: Place) -> list[Present]:

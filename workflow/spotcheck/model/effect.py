@@ -1,7 +1,8 @@
 """What an effect is: a name, a sentence, parameters, the place in the chain where it acts, and a function.
 
-One file in `effects/` holds one effect and nothing else has to know of it. The places are those of the dataset
-contract's order; each says what the function gets and returns (arrays broadcast over views and points, DN unless said).
+One file holds one effect, and nothing else has to know of it: what fits, searches, verdicts and pages need to know is
+in the fields of `Effect`. The places are those of the dataset contract's order; each says what the function gets and
+returns (arrays broadcast over views and points, DN unless said).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,21 +24,48 @@ class Place(Enum):
     BLUR = "blur"  # (view) → shifts dx, dy [px] and weights, over which the spot is averaged
     ADDED = "added"  # (view, spot, amplitude, σ_g) → light; spot(dx, dy) is the spot displaced by so many px
     MODULATION = "modulation"  # (view) → factor on all light so far
-    PEDESTAL = "pedestal"  # (view) → light
+    PEDESTAL = "pedestal"  # (view) → light [DN], or in a form `electronic` what comes on top of the black level
     CHARGE = "charge"  # (view, electrons) → electrons, after the Poisson draw
-    WELL = "well"  # (mean, variance [DN], read variance [DN²]) → mean, variance without read noise
+    # (mean, variance [DN], read variance [DN²]) → mean, variance without read noise; forms that end in `with noise` act
+    # on the signal with its read noise
+    WELL = "well"
     NOISE = "noise"  # (read variance [e-²]) → read variance [e-²]
     RESPONSE = "response"  # (mean, variance, full scale [DN]) → mean, variance of the signal without black level
-    DIGITAL = "digital"  # () → the signal [DN] below which a reading is 0, or that is taken off, by its form
+    DIGITAL = "digital"  # () → the signal [DN] below which a reading is 0, or that a form `subtracted` takes off
     SCATTER = "scatter"  # no mean of its own: see `Scatter`
 
 
+# What a design must vary for an effect to show, in words.
+NEEDS = {
+    "exposure": "several exposures",
+    "three exposures": "three exposures",
+    "exposures of a site": "several exposures of a site",
+    "angle": "several angles",
+    "order": "a known order of acquisition",
+    "frames": "several frames of a condition",
+    "law": "a law of the light in exposure",
+}
+# Variance components, and how many parameters a fit tells of each: its root, for pixels also how many are hot, for a
+# granular field also its grain.
+COMPONENTS = {"row": 1, "pixel": 2, "grain": 2, "gain": 1, "centre": 1}
+# What an effect may do to readings that no fitted number describes, so that it does not speak against the effect.
+MARKS = ("skewness", "outliers", "hot", "stripes", "code", "columns of a frame")
+NO_SPOT = "there is no spot"
+
+
 class Scatter(NamedTuple):
-    """A random field or number: of what (`gain`, `centre`, `row`, `field`), the same for each `frame`, `site` or for
-    the `sensor`."""
+    """A random field or number: `of` what and `shared` by what, and the variance component that it is to a fit.
+
+    A `gain` (factor on the light), a `centre` (dx, dy [px]), a `row` (offsets [DN]) or a `field` (factors on the
+    pixels' light), the same for each `frame`, each `site`, or for the `sensor`. The function gets a generator, before
+    it the number of rows for a row and the shape [rows, columns] for a field. Components: `row`, offsets of rows anew
+    in every frame; `pixel`, gains of the sensor's pixels; `grain`, a granular field of each site; `gain` and `centre`,
+    brightness and place of each frame. Effects of one component cannot be told apart.
+    """
 
     of: str
     shared: str
+    component: str
 
 
 class Context(NamedTuple):
@@ -67,27 +95,64 @@ class Parameter(NamedTuple):
 
 
 class Effect(NamedTuple):
-    """One effect. `number` is its place in the vocabulary. `neutral` is the strength (the first parameter) at which it
-    vanishes; `starts` lists where its fit begins, one value a parameter; `forms` the forms among which the data
-    choose; `replaces` the baseline's parameters that lose their meaning; `needs` what a design must vary for it to
-    show ("exposure", "three exposures", "angle", "order", "frames", "law" for a law of the light in exposure); `idle`
-    the parameters that a form does not have; `rounded` the forms whose strength [DN] shows in readings as a whole
-    number."""
+    """One effect.
 
-    number: int
+    What it is:
+
+    - `name`, a word; `sentence`, what a person is told, from a small letter on and without a full stop.
+    - `place` in the chain; `function`, as the place says.
+    - `parameters`, the strength first. A verdict reports those that are not `inner`, with their units; of an effect
+      that scatters, as many as its component tells (`COMPONENTS`).
+    - `starts`: where its fit begins, values of all parameters.
+    - `number`: its place in the vocabulary, from 1; 0: behind all others. Random draws depend on it.
+    - `forms` among which the data choose; `idle`, the parameters that a form does not have or that the means do not
+      tell; `rounded`, the forms whose strength [DN] shows in readings as a whole number.
+    - `neutral`, the strength at which it vanishes.
+    - `replaces`, the baseline's parameters that lose their meaning.
+    - `scatter`, what it draws, for an effect that has no mean of its own.
+
+    How it is found:
+
+    - `needs`, what a design must vary for it to show (keys of `NEEDS`).
+    - `contains`, names of effects that are a special case of it, or places of which every effect is one: where both
+      explain, the special case is the name.
+    - `always`: a search tries it whatever it promises to first order, since from its starts that says little.
+    - `spectral`: it is found as a peak of the spectrum that sites share, not from `starts`. Its parameters are depth,
+      period, direction and phase, and in the form `site` each site has a phase of its own.
+    - `uniform`: as a pedestal it is alike over the whole frame.
+    - `marks` that it leaves in readings by its nature (`MARKS`).
+    - `flats`: why levels of flats and darks cannot show it; "" where they can.
+    """
+
     name: str
     sentence: str
     place: Place
     parameters: tuple[Parameter, ...]
     starts: Callable[[Context], Sequence[tuple[float, ...]]]
     function: Callable[..., Any] | None = None
+    number: int = 0
     forms: tuple[str, ...] = ("",)
-    neutral: float = 0.0
-    replaces: tuple[str, ...] = ()
-    needs: tuple[str, ...] = ()
-    scatter: Scatter | None = None
     idle: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     rounded: tuple[str, ...] = ()
+    neutral: float = 0.0
+    replaces: tuple[str, ...] = ()
+    scatter: Scatter | None = None
+    needs: tuple[str, ...] = ()
+    contains: tuple[str | Place, ...] = ()
+    always: bool = False
+    spectral: bool = False
+    uniform: bool = False
+    marks: tuple[str, ...] = ()
+    flats: str = NO_SPOT
+
+    @property
+    def component(self) -> str:
+        """The variance component that it is; "" where it is none."""
+        return self.scatter.component if self.scatter else ""
+
+    def has_as_special_case(self, other: "Effect") -> bool:
+        """Whether another effect is a special case of this one."""
+        return other.name in self.contains or other.place in self.contains
 
     def bounds(self, context: Context) -> np.ndarray:
         """Lowest and highest value of each parameter [parameter, 2]."""

@@ -5,7 +5,7 @@ only scatter draw here. Every random number belongs to a frame, a site or the se
 the same whatever the order or number of cores, and an effect more leaves the draws of all others as they were.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -14,7 +14,6 @@ import numpy as np
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law, View, light, true_exposure
 from spotcheck.model.effect import Effect, Place, Present
-from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import SensorModel
 
 # More electrons than any converter reads; beyond, Poisson draws overflow.
@@ -110,7 +109,7 @@ def _scattered_view(view: View, present: Sequence[Present], chance: Chance) -> d
     shift = sum((own.apply(rng) for own, rng in _scatters(present, "centre", chance)), np.zeros(2))
     changed = {"x0": view.x0 + shift[0], "y0": view.y0 + shift[1]}
     for own in present:
-        if own.effect.place is Place.MODULATION and own.form == "site":
+        if own.effect.spectral and own.form == "site":
             phase = chance.of(own.effect, "site").uniform(0, 2 * np.pi)
             waves = own.values[0] * np.cos(phase), own.values[0] * np.sin(phase)
             changed |= {"wave_cos": view.wave_cos + waves[0], "wave_sin": view.wave_sin + waves[1]}
@@ -131,15 +130,22 @@ def _fields(present: Sequence[Present], shared: Sequence[str], shape: tuple[int,
     for own in present:
         scatter = own.effect.scatter
         if scatter is not None and scatter.of == "field" and scatter.shared in shared:
-            product = product * _field(own.effect.name, own.values, shape, chance.seed, chance.key(scatter.shared))
+            values, key = tuple(own.named().items()), chance.key(scatter.shared)
+            product = product * _field(own.effect.function, values, shape, chance.seed, own.effect.number, key)
     return product
 
 
 @lru_cache(maxsize=2)
-def _field(name: str, values: tuple[float, ...], shape: tuple[int, int], seed: int, key: int) -> np.ndarray:
+def _field(
+    function: Callable[..., np.ndarray],
+    values: tuple[tuple[str, float], ...],
+    shape: tuple[int, int],
+    seed: int,
+    number: int,
+    key: int,
+) -> np.ndarray:
     """A field, kept for the next frame: those of a site follow each other, and the sensor has one for all."""
-    effect = vocabulary()[name]
-    return Present(effect, effect.forms[0], values).apply(shape, _generator(seed, effect.number, key))
+    return function(shape, _generator(seed, number, key), **dict(values))
 
 
 def _generator(seed: int, *key: int) -> np.random.Generator:

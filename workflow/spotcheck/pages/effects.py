@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from spotcheck.model.effect import Context, Effect, Parameter, Place
-from spotcheck.model.effects import vocabulary
+from spotcheck.model.effect import NEEDS, Context, Effect, Parameter, Place
+from spotcheck.model.effects import built_in, vocabulary
 
 # What happens at each place of the chain, in words.
 PLACES = {
@@ -28,16 +28,6 @@ PLACES = {
 # What a bound may depend on, in the order of `Context`.
 CONTEXT = ("σ_g", "peak", "full scale", "crop", "shortest exposure", "read noise", "K", "power of t nearest to p1, p2")
 
-# What a design must vary, in words; others stand as they are.
-NEEDS = {
-    "exposure": "several exposures",
-    "angle": "several angles",
-    "order": "a known order of acquisition",
-    "frames": "several frames of a condition",
-    "sites": "several sites",
-    "law": "a law of the light in exposure",
-}
-
 INTRODUCTION = """# The vocabulary of effects
 
 Written by `spotcheck effects --output workflow/docs/effects.md` from the files in
@@ -51,8 +41,17 @@ parameter marked *inner* is a constant of the form: it is fitted, and reported a
 
 ADDING = """## Adding an effect
 
-One file in `workflow/spotcheck/model/effects/` is enough; no list in the library names it. It holds
-a function and an `EFFECT`:
+### In a file of your own
+
+An effect is one Python file, wherever it lies, with a function and an `EFFECT`. Name it to a run:
+
+    snakemake --cores 2 --config effects="[lab/vignetting.py]"
+
+or under `effects:` in `config/config.yaml`. The verdict then knows it beside all others: fits it, names it, and reports
+its parameters. `vocabulary: {without: [names]}` leaves effects out, `{only: [names]}` all others. Every subcommand that
+knows effects takes `--effects FILE …`, `--only NAME …` and `--without NAME …` to the same end;
+`spotcheck effects --effects lab/vignetting.py --output page.md` writes this page with your effect on it. What is wrong
+with a file is said in one sentence before anything is computed.
 
 1. Choose the place in the chain; the comments of `Place` in [model/effect.py](../spotcheck/model/effect.py) say what
    the function gets and returns there. Parameters come by name, and `form` too where there are several forms.
@@ -60,12 +59,32 @@ a function and an `EFFECT`:
    [model/chain.py](../spotcheck/model/chain.py) says what it can look at.
 3. List the parameters, strength first, each with unit, lowest and highest value (numbers, or functions of the
    `Context`); `neutral` is the strength at which the effect vanishes, 0 unless said; `starts` is where its fit begins.
-4. Say in `needs` what a design must vary for it to show, and write this page anew with the command above.
+4. Say in `needs` what a design must vary for it to show, in `contains` which effects are a special case of it, and in
+   `always` whether a search tries it even where its starts promise nothing. `Effect` in
+   [model/effect.py](../spotcheck/model/effect.py) explains every field.
 
-The file below is complete: as `vignetting.py` in that folder it is found, fitted and listed here.
+This file is complete:
 """
 
-EXAMPLE = '''"""Vignetting: the light falls off from the frame's centre."""
+SCATTERING = """### An effect that scatters
+
+What has no mean of its own, but draws a number or a field anew for every frame or site, or once for the sensor, is at
+`Place.SCATTER` and says in `Scatter(of, shared, component)` what it draws. `spotcheck simulate` draws it with the
+function. A fit does not use the function: it tells the strength as the root of a variance component, and effects of one
+component look alike to it. If two of them are in the vocabulary, both are answers; leave out what you know not to be
+there. For a laser that is known to hop between modes:
+
+    snakemake --cores 2 --config effects="[lab/mode_hopping.py]" vocabulary="{without: [power_fluctuation]}"
+"""
+
+IN_LIBRARY = """### In the library
+
+The same file in `workflow/spotcheck/model/effects/`, with the next free `number`, is part of the vocabulary; no list
+names it. Write this page anew with the command at its top, and add the effect to the cases of
+`tests/library/effect_cases.py`, which hold every effect against the chain.
+"""
+
+MEAN = '''"""Vignetting: the light falls off from the frame's centre."""
 
 import numpy as np
 
@@ -79,13 +98,35 @@ def falloff(view, *, a):
 
 
 EFFECT = Effect(
-    number=25,
     name="vignetting",
     sentence="the light falls off from the frame's centre",
     place=Place.MODULATION,
     parameters=(Parameter("a", "1", 0.0, 1.0),),
     starts=lambda c: [(0.01,)],
     function=falloff,
+)
+'''
+SCATTER = '''"""Mode hopping: the laser jumps between two modes of different power."""
+
+from spotcheck.model.effect import Effect, Parameter, Place, Scatter
+
+
+def factor(rng, *, rms):
+    """Factor on one frame's light: 1 − rms or 1 + rms, as often."""
+    return 1 + rms * rng.choice((-1.0, 1.0))
+
+
+EFFECT = Effect(
+    name="mode_hopping",
+    sentence="the laser jumps between two modes of different power",
+    place=Place.SCATTER,
+    parameters=(Parameter("rms", "1", 0.0, 1.0),),
+    starts=lambda c: [(0.02,)],
+    function=factor,
+    scatter=Scatter("gain", "frame", "gain"),
+    needs=("frames", "law"),
+    # A brightness of each frame's own fits any law of the brightness.
+    contains=(Place.EXPOSURE, Place.BRIGHTNESS),
 )
 '''
 
@@ -167,18 +208,26 @@ def section(effect: Effect) -> str:
     """One effect: its sentence, place, parameters and forms."""
     place = f"Place: {effect.place.value} ({PLACES[effect.place]})"
     if effect.scatter:
-        place += f": {effect.scatter.of}, one for each {effect.scatter.shared}"
+        place += f": {effect.scatter.of}, one for each {effect.scatter.shared}; variance component {effect.component}"
     notes = [place + "."]
     if effect.needs:
-        notes.append(f"Shows only where there are: {', '.join(NEEDS.get(need, need) for need in effect.needs)}.")
+        notes.append(f"Shows only where there are: {', '.join(NEEDS[need] for need in effect.needs)}.")
     if effect.replaces:
         notes.append(f"Takes the place of {', '.join(effect.replaces)}.")
+    if effect.contains:
+        special = [own if isinstance(own, str) else f"every effect at the place {own.value}" for own in effect.contains]
+        notes.append(f"Has as special cases: {', '.join(special)}.")
+    if not effect.flats:
+        notes.append("Shows in levels of flats and darks too.")
     if len(effect.forms) > 1:
         notes.append(_forms(effect))
     rows = [_row(p, None if k else effect.neutral) for k, p in enumerate(effect.parameters)]
+    title = (
+        f"[{effect.name}](../spotcheck/model/effects/{effect.name}.py)" if effect.name in built_in() else effect.name
+    )
     return "\n".join(
         [
-            f"## {effect.number}. [{effect.name}](../spotcheck/model/effects/{effect.name}.py)",
+            f"## {effect.number}. {title}",
             "",
             f"{effect.sentence[0].upper()}{effect.sentence[1:]}.",
             "",
@@ -206,11 +255,12 @@ def page(effects: Iterable[Effect]) -> str:
     """The whole page in Markdown."""
     known = sorted(effects, key=lambda effect: effect.number)
     sections = [section(effect) for effect in known]
-    return "\n".join([INTRODUCTION, _chain(known), *sections, ADDING, f"```python\n{EXAMPLE}```", ""])
+    mean, scatter = (f"```python\n{file}```\n" for file in (MEAN, SCATTER))
+    return "\n".join([INTRODUCTION, _chain(known), *sections, ADDING, mean, SCATTERING, scatter, IN_LIBRARY])
 
 
 def write(path: Path) -> int:
-    """Write the page of all effects that there are; how many that is."""
+    """Write the page of the vocabulary; how many effects that is."""
     effects = vocabulary()
     # A page of the repository, not a result: without a sidecar of the run that wrote it.
     path.write_text(page(effects.values()), encoding="utf-8")

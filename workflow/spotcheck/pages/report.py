@@ -312,6 +312,7 @@ def _missing(path: Path) -> dict[str, Any] | None:
         "more_places": len(places) - MOST_PLACES,
         "advice": [(own["frames"], condition_text(own["condition"]), own["separates"]) for own in verdict["advice"]],
         "not_assessed": [(own["effect"], own["why"]) for own in verdict["not_assessed"]],
+        "vocabulary": verdict.get("vocabulary"),
     }
 
 

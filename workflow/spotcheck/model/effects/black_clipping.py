@@ -18,4 +18,7 @@ EFFECT = Effect(
     starts=lambda c: [(1.0,), (4.0,), (0.6,), (0.03 * c.peak_dn,)],
     function=lowest,
     forms=("subtracted", "dead zone"),
+    always=True,
+    marks=("skewness", "outliers"),
+    flats="",
 )

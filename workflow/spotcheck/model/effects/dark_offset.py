@@ -19,4 +19,6 @@ EFFECT = Effect(
     starts=lambda c: [(1.0,)],
     function=pedestal,
     forms=("light", "electronic"),
+    uniform=True,
+    flats="",
 )

@@ -21,4 +21,6 @@ EFFECT = Effect(
     neutral=np.nan,
     # The scatter of pixels tells it, not the means: the joint fit of the means leaves it as it is.
     idle={"": ("total",)},
+    always=True,
+    flats="the noise of the darks is the measured one",
 )

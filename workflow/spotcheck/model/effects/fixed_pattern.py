@@ -21,5 +21,7 @@ EFFECT = Effect(
     ),
     starts=lambda c: [(0.01, 0.0)],
     function=gains,
-    scatter=Scatter("field", "sensor"),
+    scatter=Scatter("field", "sensor", "pixel"),
+    marks=("hot", "skewness", "outliers", "stripes"),
+    flats="levels hold no pattern: DSNU and PRNU are in transfer.nc",
 )

@@ -26,4 +26,5 @@ EFFECT = Effect(
         for a in np.arange(8) * np.pi / 4
     ],
     function=ghost,
+    always=True,
 )

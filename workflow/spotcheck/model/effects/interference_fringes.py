@@ -31,4 +31,6 @@ EFFECT = Effect(
     function=stripes,
     forms=("site", "spot", "sensor"),
     idle={"site": ("d", "phase")},
+    always=True,
+    spectral=True,
 )

@@ -28,4 +28,5 @@ EFFECT = Effect(
     forms=FORMS,
     idle={"linear": ("rate",)},
     needs=("order", "law"),
+    flats="levels are compared, not the order of frames",
 )

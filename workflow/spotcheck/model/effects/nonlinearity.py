@@ -17,4 +17,6 @@ EFFECT = Effect(
     parameters=(Parameter("q", "1", -0.6, 0.45),),
     starts=lambda c: [(0.02,)],
     function=bend,
+    marks=("skewness",),
+    flats="",
 )

@@ -19,4 +19,5 @@ EFFECT = Effect(
     starts=lambda c: [(0.02,)],
     function=grown,
     needs=("exposure", "law"),
+    flats="",
 )

@@ -17,5 +17,5 @@ EFFECT = Effect(
     starts=lambda c: [(0.2,)],
     function=shift,
     needs=("exposure",),
-    scatter=Scatter("centre", "frame"),
+    scatter=Scatter("centre", "frame", "centre"),
 )

@@ -17,5 +17,8 @@ EFFECT = Effect(
     starts=lambda c: [(0.02,)],
     function=factor,
     needs=("frames", "law"),
-    scatter=Scatter("gain", "frame"),
+    scatter=Scatter("gain", "frame", "gain"),
+    # A brightness of each frame's own fits any law of the brightness.
+    contains=(Place.EXPOSURE, Place.BRIGHTNESS),
+    flats="the drift between frames of a level is part of the errors",
 )

@@ -16,7 +16,9 @@ EFFECT = Effect(
     parameters=(Parameter("rms", "DN", 0.0, lambda c: 0.2 * c.full_scale_dn),),
     starts=lambda c: [(0.2,)],
     function=offsets,
-    scatter=Scatter("row", "frame"),
+    scatter=Scatter("row", "frame", "row"),
     # The scatter of lines tells it; the means see it only where black cuts it.
     idle={"": ("rms",)},
+    marks=("hot", "skewness", "outliers", "stripes"),
+    flats="levels hold no rows",
 )

@@ -68,4 +68,7 @@ EFFECT = Effect(
     neutral=np.inf,
     idle={"sharp": ("knee",), "sharp with noise": ("knee",)},
     rounded=("sharp with noise", "soft with noise", "power with noise"),
+    always=True,
+    marks=("code", "skewness", "outliers"),
+    flats="",
 )

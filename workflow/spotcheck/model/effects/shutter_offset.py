@@ -17,4 +17,5 @@ EFFECT = Effect(
     starts=lambda c: [(0.02 * c.shortest_s,)],
     function=true_exposure,
     needs=("exposure", "law"),
+    flats="",
 )

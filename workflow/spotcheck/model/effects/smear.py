@@ -22,4 +22,6 @@ EFFECT = Effect(
     parameters=(Parameter("fraction", "1", 0.0, 5.0),),
     starts=lambda c: [(0.005,)],
     function=smeared,
+    marks=("columns of a frame",),
+    flats="the light is the same all over",
 )

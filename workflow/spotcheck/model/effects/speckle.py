@@ -37,5 +37,6 @@ EFFECT = Effect(
     ),
     starts=lambda c: [(0.05, 2.0)],
     function=field,
-    scatter=Scatter("field", "site"),
+    scatter=Scatter("field", "site", "grain"),
+    marks=("skewness", "outliers"),
 )

@@ -24,4 +24,5 @@ EFFECT = Effect(
     neutral=np.nan,
     replaces=("p1",),
     needs=("three exposures", "law"),
+    always=True,
 )

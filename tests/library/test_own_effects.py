@@ -1,0 +1,358 @@
+"""Effects of the user's own files and a narrower vocabulary: what is checked, what is kept apart, what is told."""
+
+import argparse
+import hashlib
+import json
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+
+from spotcheck import dataset
+from spotcheck.cli import main
+from spotcheck.cli import vocabulary as options
+from spotcheck.discrepancy import calibration
+from spotcheck.discrepancy.assess import LIKELIEST
+from spotcheck.discrepancy.calibration import Kind, digest_of, null_statistics
+from spotcheck.discrepancy.shots import design_of
+from spotcheck.discrepancy.written import breach_of_verdict
+from spotcheck.errors import InputError
+from spotcheck.model import effects
+from spotcheck.model.effect import Place
+from spotcheck.model.effects import Choice, built_in, vocabulary
+from spotcheck.pages import TEMPLATES, report
+from spotcheck.pages import effects as page
+from spotcheck.schema import breach_of, read_keys
+from tests.library import small_verdict as small
+from tests.library.conftest import ROOT, folder
+from tests.library.effect_cases import knowing, written
+from tests.library.test_verdict_schema import whole
+
+SOUND = page.MEAN
+
+
+def changed(old: str, new: str) -> str:
+    """The page's example with one change."""
+    assert SOUND.count(old) == 1, old
+    return SOUND.replace(old, new)
+
+
+def more(field: str) -> str:
+    """The page's example with a field more."""
+    return changed("    function=", f"    {field},\n    function=")
+
+
+SCATTERS = page.SCATTER
+FAULTS = {
+    "syntax": (changed("EFFECT = Effect(", "EFFECT = Effect(("), ["own.py line 14:", "was never closed", "can be run"]),
+    "no text": (b"\xff\xfe\x00".decode("latin-1"), ["own.py", "it must be Python"]),
+    "raises": (changed("import numpy as np", "import numpy as np\n\nfirst = 1 / 0"),
+               ["own.py line 5: ZeroDivisionError: division by zero", "runs without an error"]),
+    "leaves": ("import sys\nsys.exit(3)\n", ["own.py line 2: SystemExit: 3"]),
+    "an import that is not there": ("import nothing_of_the_kind\n", ["own.py line 1: ModuleNotFoundError"]),
+    "a field that is none": (more("falls=2"), ["own.py line 14: TypeError", "falls"]),
+    "nothing": ("x = 1\n", ["defines no EFFECT", "EFFECT = Effect(name=…"]),
+    "a dictionary": ("EFFECT = {'name': 'own'}\n", ["EFFECT is of type dict", "spotcheck.model.effect.Effect"]),
+    "name": (changed('name="vignetting"', 'name="Vignetting 2"'), ["name is 'Vignetting 2'", "small letters"]),
+    "sentence": (changed("frame's centre\",", "frame's centre.\","), ["sentence is", "without a full stop"]),
+    "place": (changed("Place.MODULATION", '"modulation"'), ["place is 'modulation'", "one of Place"]),
+    "number": (more("number=-1"), ["number is -1", "leave it out"]),
+    "one parameter without a comma": (changed("1.0),),", "1.0)),"), ["parameters must be a tuple of Parameter"]),
+    "parameter twice": (changed("1.0),),", '1.0), Parameter("a", "1", 0.0, 1.0)),'), ["'a' must be", "stands once"]),
+    "unit": (changed('"a", "1"', '"a", ""'), ["the unit of a is ''", "1 for none"]),
+    "bounds": (changed("0.0, 1.0", "1.0, 0.0"), ["a goes from 1 to 0", "lowest must be below"]),
+    "bounds that raise": (changed("0.0, 1.0", "0.0, lambda c: c.size"), ["bounds raise AttributeError", "Context"]),
+    "inner strength": (changed("0.0, 1.0", "0.0, 1.0, True"), ["a is inner", "must be the strength"]),
+    "form twice": (more('forms=("a", "a")'), ["forms is ('a', 'a')"]),
+    "needs as a word": (more('needs=("sun")'), ["needs is 'sun'", "'exposure', "]),
+    "need": (more('needs=("sun",)'), ["needs is ('sun',)", "'exposure', "]),
+    "mark": (more('marks=("warm",)'), ["marks is ('warm',)", "'outliers'"]),
+    "replaces": (more('replaces=("p3",)'), ["('p3',)", "'p1', 'p2', 'peak'"]),
+    "idle": (more('idle={"": ("b",)}'), ["{'': ('b',)}", "tuple of parameters"]),
+    "contains": (more("contains=(3,)"), ["contains is (3,)", "names of effects"]),
+    "spectral": (more("spectral=True"), ["spectral is for", "leave it out"]),
+    "flats": (more("flats=None"), ["flats is None"]),
+    "no function": (changed("    function=falloff,\n", ""), ["function is missing"]),
+    "parameter of another name": (changed("view, *, a)", "view, *, b)"), ["f(view, *, a)"]),
+    "argument of another place": (changed("Place.MODULATION", "Place.METRIC"), ["f(view, dx, dy, *, a)"]),
+    "form that the function lacks": (more('forms=("a", "b")'), ["f(view, *, a, form)"]),
+    "starts too long": (changed("[(0.01,)]", "[(0.01, 2.0)]"), ["starts gives (0.01, 2.0)", "a number for a"]),
+    "starts that are no list": (changed("[(0.01,)]", "0.01"), ["starts raises TypeError", "list of tuples"]),
+    "no starts": (changed("[(0.01,)]", "[]"), ["starts gives none"]),
+    "scatter without a scatter": (changed("Place.MODULATION", "Place.SCATTER"), ["Place.SCATTER, and no other"]),
+    "component": (SCATTERS.replace('"frame", "gain")', '"frame", "width")'), ["scatter holds 'width'", "row, pixel"]),
+    "gain of a site": (SCATTERS.replace('"gain", "frame", "gain"', '"gain", "site", "gain"'), ["shared must be frame"]),
+    "more than is told": (SCATTERS.replace("1.0),),", '1.0), Parameter("b", "1", 0.0, 1.0)),'),
+                          ["2 are given", "component gain a fit tells 1"]),
+    "noise of two numbers": (
+        changed("Place.MODULATION", "Place.NOISE").replace("1.0),),", '1.0), Parameter("b", "1", 0.0, 1.0)),'),
+        ["white noise is told by one number"],
+    ),
+    "name of another": (changed('name="vignetting"', 'name="smear"'), ["is called smear, as another is"]),
+    "number of another": (more("number=3"), ["number 3 is that of black_clipping"]),
+    "special case of its own": (more('contains=("smaer",)'),
+                                ["contains smaer, which is no effect", "row_noise, smear"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_what_is_wrong_with_a_file_is_said_in_one_sentence(name, tmp_path):
+    """With its path, where Python knows it the line, what is wrong and what would be right; the vocabulary stays."""
+    text, words = FAULTS[name]
+    path = tmp_path / "own.py"
+    path.write_bytes(text.encode("latin-1" if name == "no text" else "utf-8"))
+    with pytest.raises(InputError) as caught:
+        effects.choose(Choice((str(path),)))
+    said = str(caught.value)
+    assert said.startswith(str(tmp_path)) and "\n" not in said, said
+    assert all(word in said for word in words), said
+    assert dict(vocabulary()) == built_in() and [p.name for p in tmp_path.iterdir()] == ["own.py"]
+
+
+@pytest.mark.parametrize(
+    ("choice", "words"),
+    [
+        (Choice(("lab/none.py",)), ["lab/none.py: is no file", "defines EFFECT"]),
+        (Choice(("workflow",)), ["workflow: is no file"]),
+        (Choice(only=("smear",), without=("row_noise",)), ["both only and without"]),
+        (Choice(only=("smaer",)), ["only names smaer", "no effect", "row_noise, smear"]),
+        (Choice(without=("smear", "smaer")), ["without names smaer", "no effect", "row_noise, smear"]),
+        (Choice(without=tuple(built_in())), ["names every effect", "leave at least one"]),
+    ],
+)
+def test_a_choice_that_makes_no_sense(choice, words):
+    """One sentence."""
+    with pytest.raises(InputError) as caught:
+        effects.choose(choice)
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_own_effects_come_last(tmp_path):
+    """Numbered in the order of the files, behind the library's; a number of one's own is kept where it is free."""
+    first, second, third = (
+        written(tmp_path, name, text.replace('name="', f'{number}name="'))
+        for name, text, number in (
+            ("b", SOUND, ""),
+            ("a", SCATTERS, ""),
+            ("c", SOUND.replace("vig", "big"), "number=40, "),
+        )
+    )
+    last = len(built_in())
+    with knowing(first, second, third):
+        assert list(vocabulary()) == [*built_in(), "vignetting", "mode_hopping", "bignetting"]
+        assert [own.number for own in vocabulary().values()] == [*range(1, last + 3), 40]
+    with knowing(second, only=["mode_hopping", "smear"]):
+        assert list(vocabulary()) == ["smear", "mode_hopping"]
+    assert dict(vocabulary()) == built_in()
+
+
+def test_a_file_may_hold_what_it_needs(tmp_path):
+    """Helpers and classes of its own beside the effect."""
+    more = "from dataclasses import dataclass\n\n\n@dataclass\nclass Lens:\n    a: float = 0.1\n\n\n"
+    doc, rest = SOUND.split("\n\n", 1)
+    with knowing(written(tmp_path, "own", f"{doc}\n\n{more}{rest}")):
+        assert vocabulary()["vignetting"].place is Place.MODULATION
+
+
+def test_the_record_of_a_vocabulary(tmp_path):
+    """Nothing for the library's own; else names, files and digests of what was added, and what was left out."""
+    assert effects.record() == {}
+    path = written(tmp_path, "lens", SOUND)
+    digest = hashlib.sha256(SOUND.encode()).hexdigest()
+    with knowing(path, without=["row_noise", "smear"]):
+        assert effects.record() == {
+            "own": [{"name": "vignetting", "file": "lens.py", "sha256": digest}],
+            "left_out": ["row_noise", "smear"],
+        }
+    with knowing(path, only=["smear"]):
+        # An effect of one's own may be left out as well.
+        assert effects.record()["own"] == [] and effects.record()["left_out"][-1] == "vignetting"
+
+
+def test_processes_that_are_started_know_the_same_effects(tmp_path):
+    """Also where a process starts from nothing, as on macOS and Windows."""
+    with knowing(written(tmp_path, "lens", SOUND), without=["smear"]):
+        start = {"initializer": effects.choose, "initargs": (effects.chosen(),)}
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn"), **start) as pool:
+            assert pool.submit(effects.record).result() == effects.record() != {}
+
+
+# Null laws.
+
+DESIGN = design_of(small.frames(angles=(0.0,), repeats=2)[0])
+KIND = Kind(small.SIDE, 10, "linear", False)
+
+
+def test_null_laws_of_vocabularies_are_kept_apart(tmp_path):
+    """One statistic is the likeliest effect of the mean, so an effect of the mean more or less is another law; what
+    only scatters enters none, and shares the law."""
+    mean, scatter = written(tmp_path, "lens", SOUND), written(tmp_path, "hops", SCATTERS)
+    plain = digest_of(DESIGN, KIND, 200, 1)
+    with knowing(mean):
+        with_mean = digest_of(DESIGN, KIND, 200, 1)
+    mean.write_text(SOUND + "\n# edited\n", encoding="utf-8")
+    with knowing(mean):
+        edited = digest_of(DESIGN, KIND, 200, 1)
+    with knowing(without=["smear"]):
+        without = digest_of(DESIGN, KIND, 200, 1)
+    assert len({plain, with_mean, edited, without}) == 4
+    with knowing(scatter, without=["power_fluctuation", "laser_drift", "interference_fringes"]):
+        assert digest_of(DESIGN, KIND, 200, 1) == plain
+
+
+def test_what_a_null_law_depends_on(tmp_path):
+    """As `digest_of` has it: of the statistics of a null set the likeliest effect alone follows the effects of the
+    mean, and none those that scatter."""
+    plain = null_statistics(DESIGN, KIND, 1, 0)
+    with knowing(written(tmp_path, "hops", SCATTERS), without=["power_fluctuation", "speckle", "laser_drift"]):
+        assert null_statistics(DESIGN, KIND, 1, 0) == plain
+    with knowing(only=["dark_offset"]):
+        few = null_statistics(DESIGN, KIND, 1, 0)
+    assert {name for name in plain if plain[name] != few[name]} == {LIKELIEST} and few[LIKELIEST] < plain[LIKELIEST]
+
+
+def test_workers_of_a_null_law_know_the_vocabulary(monkeypatch):
+    """Started from nothing they find the same law as this process."""
+    pool = ProcessPoolExecutor
+    monkeypatch.setattr(
+        calibration, "ProcessPoolExecutor", lambda n, **more: pool(n, mp_context=get_context("spawn"), **more)
+    )
+    with knowing(only=["dark_offset"]):
+        alone, together = (calibration.calibrate(DESIGN, KIND, 4, 1, workers) for workers in (1, 2))
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+# Files of results.
+
+
+def test_a_verdict_says_which_vocabulary_it_had(tmp_path):
+    """Names of own effects keep the contract in a run that knows them, and in no other."""
+    own = whole("named")
+    own["effects"][0] |= {"name": "vignetting", "candidates": ["vignetting"]}
+    own["explanations"] = [["vignetting"]]
+    assert "vignetting" in breach_of_verdict(own)
+    with knowing(written(tmp_path, "lens", SOUND), without=["smear"]):
+        own |= options.described()
+        assert breach_of_verdict(own) is None
+        assert own["vocabulary"]["left_out"] == ["smear"]
+    assert options.described() == {}
+
+
+def test_the_report_says_which_vocabulary_it_had(tmp_path):
+    """In a paragraph beside the verdict; none where it was the library's."""
+
+    def text(own: dict) -> str:
+        path = tmp_path / "verdict.json"
+        path.write_text(json.dumps(own), encoding="utf-8")
+        missing = report._missing(path)
+        blank = {"title": "small", "frames": {}, "parameters": [], "skipped": [], "chain": "", "sources": []}
+        return TEMPLATES.get_template("report.html").render(missing=missing, **blank)
+
+    assert "The vocabulary of this run" not in text(whole("unknown"))
+    with knowing(written(tmp_path, "lens", SOUND), without=["smear", "row_noise"]):
+        told = text(whole("unknown") | options.described())
+    digest = hashlib.sha256(SOUND.encode()).hexdigest()[:16]
+    assert (
+        "The vocabulary of this run is not the library's."
+        f" Added: <code>vignetting</code> of lens.py (SHA-256 {digest}…)."
+        " Left out: <code>row_noise</code>, <code>smear</code>." in told
+    )
+
+
+def test_stages_must_know_the_same_effects(tmp_path):
+    """What was found with one vocabulary is not taken up with another, nor after an edit of the file."""
+    path = written(tmp_path, "lens", SOUND)
+    with knowing(path, without=["smear"]):
+        saved = options.described()
+        options.same(saved, "findings.json")
+    options.same({}, "findings.json")
+    for files, without in (((), ()), ((path,), ()), ((), ("smear",))):
+        with (
+            knowing(*files, without=without),
+            pytest.raises(InputError, match=r"findings\.json: was found with .*vignetting of lens\.py .*without smear"),
+        ):
+            options.same(saved, "findings.json")
+    path.write_text(SOUND + "\n", encoding="utf-8")
+    with knowing(path, without=["smear"]), pytest.raises(InputError, match="the same --effects"):
+        options.same(saved, "findings.json")
+
+
+# Configuration and command line.
+
+
+def test_the_keys_of_the_configuration():
+    """Both may be missing; both are in config.yaml, as the library's vocabulary; wrong ones are refused."""
+    given = read_keys(ROOT / "config" / "config.yaml")
+    assert options.of_config(given) == Choice() == options.of_config({})
+    for own in (
+        {"effects": ["lab/coma.py"]},
+        {"vocabulary": {"only": ["smear"]}},
+        {"vocabulary": {"without": ["smear"]}},
+    ):
+        assert breach_of(given | own, "config") is None
+    del given["effects"], given["vocabulary"]
+    assert breach_of(given, "config") is None
+    for own in ({"effects": "lab/coma.py"}, {"effects": [""]}, {"vocabulary": {"with": ["smear"]}},
+                {"vocabulary": {"only": []}}, {"vocabulary": ["smear"]}):  # fmt: skip
+        assert breach_of(given | own, "config"), own
+
+
+def test_the_command_line_says_what_the_configuration_says():
+    """The words of `options`, parsed, are the choice again; there are none for the library's vocabulary."""
+    parser = argparse.ArgumentParser()
+    options.arguments(parser)
+    for config in ({}, {"effects": ["a b.py", "c.py"], "vocabulary": {"without": ["smear"]}},
+                   {"vocabulary": {"only": ["smear", "speckle"]}}):  # fmt: skip
+        choice = options.of_config(config)
+        args = parser.parse_args(options.options(choice))
+        assert Choice(tuple(args.effects), tuple(args.only), tuple(args.without)) == choice
+    assert options.options(Choice()) == []
+
+
+def test_a_dataset_brings_no_code(tmp_path):
+    """Frames may come from anyone: their folder adds nothing to the vocabulary."""
+    own = folder(tmp_path, ["frames/a.tif,spot,0,1e-4,0"], "{crop_px: 60, effects: [own.py]}")
+    written(own, "own", SOUND)
+    with pytest.raises(InputError, match=r"instrument\.yaml.*effects"):
+        dataset.load(own)
+
+
+STAGES = {
+    "discrepancy": ["set", "--crops", "c", "--sensor", "s", "--calibrations", "n", "--output", "o"],
+    "verify": ["set", "--crops", "c", "--sensor", "s", "--findings", "f", "--output", "o"],
+    "advise": ["set", "--crops", "c", "--sensor", "s", "--findings", "f", "--output", "o"],
+    "verdict": ["set", "--crops", "c", "--sensor", "s", "--findings", "f", "--gap", "g", "--advice", "a", "--pictures",
+                "p", "--output", "o"],
+    "flats": ["set", "--frames", "f", "--output", "o"],
+    "isolability": ["set"],
+    "simulate": ["set", "--sensor", "s", "--seed", "1", "--folder", "f", "--output", "o"],
+    "report": ["--dataset", "set", "--results", "r", "--output", "o"],
+    "effects": ["--output", "o"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_every_stage_that_knows_effects_can_be_told_of_others(stage, capsys):
+    """And checks them before anything else; one sentence, status 2."""
+    for more, words in (
+        (["--effects", "lab/none.py"], "lab/none.py: is no file"),
+        (["--only", "smaer"], "only names smaer"),
+        (["--without", "smaer"], "without names smaer"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            main([stage, *STAGES[stage], *more])
+        assert stopped.value.code == 2 and words in capsys.readouterr().err
+
+
+def test_the_page_with_an_effect_of_ones_own(tmp_path, capsys):
+    """Behind the library's, without a link into it; the library's vocabulary is back with the next command."""
+    out, path = tmp_path / "effects.md", written(tmp_path, "hops", SCATTERS)
+    main(["effects", "--output", str(out), "--effects", str(path), "--without", "smear"])
+    text = out.read_text(encoding="utf-8")
+    assert f"{len(built_in())} effects" in capsys.readouterr().out
+    assert "\n## 25. mode_hopping\n\nThe laser jumps" in text and "variance component gain." in text
+    assert "## 24." not in text
+    main(["effects", "--output", str(out)])
+    assert dict(vocabulary()) == built_in() and "mode_hopping\n\nThe" not in out.read_text(encoding="utf-8")
