@@ -7,9 +7,10 @@ from pathlib import Path
 
 from spotcheck import dataset as contract
 from spotcheck import store
-from spotcheck.cli import COMMANDS
+from spotcheck.cli import COMMANDS, vocabulary
 from spotcheck.crops import check_dataset
 from spotcheck.errors import InputError
+from spotcheck.model import effects
 from spotcheck.schema import breach_of
 from spotcheck.simulation import STACK
 from spotcheck.provenance import code_digest, file_digest, notebook_modules
@@ -62,10 +63,16 @@ try:
     if set("{}") & set(config["results"]):
         raise InputError(f"config: results is {config['results']}, which has braces in it; name another folder")
     DATASETS = by_name(map(opened, config["datasets"] or [config["dataset"]]))
+    # A user's effects run with a user's rights, so only the configuration names them, never a dataset.
+    effects.choose(vocabulary.of_config(config))
     for name, found in DATASETS.items():
         store.check_claim(Path(config["results"], name), found.folder)
 except InputError as error:
     sys.exit(f"spotcheck: {error}")
+
+# What rules of the verdict are told of the vocabulary, and by what they know that a file of it was edited.
+VOCABULARY = vocabulary.options(effects.chosen())
+OWN_EFFECTS = [file_digest(path)[:12] for path in effects.chosen().files]
 
 # Results of a dataset; rules say {dataset} and look the rest up by that name.
 OUT = f"{config['results']}/{{dataset}}"

@@ -23,9 +23,11 @@ rule extended:
         folder=dataset_folder,
         extended=lambda wildcards: f"{OUT}/extended",
         seed=config["seed"],
+        vocabulary=VOCABULARY,
+        own_effects=OWN_EFFECTS,
         code=code("simulate"),
     message:
         "Simulating every frame of {wildcards.dataset} under its extended model"
     shell:
         "spotcheck simulate {params.folder:q} --model {input.model:q} --sensor {input.sensor:q} --seed {params.seed}"
-        " --folder {params.extended:q} --output {output.images:q} 2>&1 | tee {log:q}"
+        " --folder {params.extended:q} --output {output.images:q} {params.vocabulary:q} 2>&1 | tee {log:q}"

@@ -55,9 +55,11 @@ rule report:
     params:
         folder=dataset_folder,
         results=results_folder,
+        vocabulary=VOCABULARY,
+        own_effects=OWN_EFFECTS,
         code=code("report"),
     message:
         "Writing the report of {wildcards.dataset}"
     shell:
         "spotcheck report --dataset {params.folder:q} --results {params.results:q} --output {output:q}"
-        " 2>&1 | tee {log:q}"
+        " {params.vocabulary:q} 2>&1 | tee {log:q}"

@@ -20,6 +20,8 @@ rule discrepancy:
         simulations=config["null_simulations"],
         seed=config["seed"],
         tolerance=json.dumps(config["tolerance"]),
+        vocabulary=VOCABULARY,
+        own_effects=OWN_EFFECTS,
         code=code("discrepancy"),
     message:
         "Looking for what the model of {wildcards.dataset} is missing; a new design is calibrated first"
@@ -27,7 +29,7 @@ rule discrepancy:
         # One thread of BLAS, whatever the number of workers: sums in another order are other sums in the last digit.
         "OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 spotcheck discrepancy {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
         " --calibrations {params.calibrations:q} --simulations {params.simulations} --seed {params.seed}"
-        " --workers {threads} --tolerance {params.tolerance:q} --output {output:q} 2>&1 | tee {log:q}"
+        " --workers {threads} --tolerance {params.tolerance:q} --output {output:q} {params.vocabulary:q} 2>&1 | tee {log:q}"
 
 
 rule verify:
@@ -49,12 +51,14 @@ rule verify:
         runtime=30,
     params:
         folder=dataset_folder,
+        vocabulary=VOCABULARY,
+        own_effects=OWN_EFFECTS,
         code=code("verify"),
     message:
         "Predicting unseen frames of {wildcards.dataset}"
     shell:
         "spotcheck verify {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
-        " --findings {input.findings:q} --output {output:q} 2>&1 | tee {log:q}"
+        " --findings {input.findings:q} --output {output:q} {params.vocabulary:q} 2>&1 | tee {log:q}"
 
 
 rule advise:
@@ -76,12 +80,14 @@ rule advise:
         runtime=30,
     params:
         folder=dataset_folder,
+        vocabulary=VOCABULARY,
+        own_effects=OWN_EFFECTS,
         code=code("advise"),
     message:
         "Looking for the next measurement for {wildcards.dataset}"
     shell:
         "spotcheck advise {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
-        " --findings {input.findings:q} --output {output:q} 2>&1 | tee {log:q}"
+        " --findings {input.findings:q} --output {output:q} {params.vocabulary:q} 2>&1 | tee {log:q}"
 
 
 rule judge:
@@ -109,13 +115,15 @@ rule judge:
         runtime=30,
     params:
         folder=dataset_folder,
+        vocabulary=VOCABULARY,
+        own_effects=OWN_EFFECTS,
         code=code("verdict"),
     message:
         "Writing the verdict on {wildcards.dataset}"
     shell:
         "spotcheck verdict {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
         " --findings {input.findings:q} --gap {input.gap:q} --advice {input.advice:q}"
-        " --pictures {output.pictures:q} --model {output.model:q} --output {output.verdict:q} 2>&1 | tee {log:q}"
+        " --pictures {output.pictures:q} --model {output.model:q} --output {output.verdict:q} {params.vocabulary:q} 2>&1 | tee {log:q}"
 
 
 # Without a spot flats and darks speak for themselves.
@@ -141,10 +149,12 @@ rule judge_flats:
         simulations=config["null_simulations"],
         seed=config["seed"],
         tolerance=json.dumps(config["tolerance"]),
+        vocabulary=VOCABULARY,
+        own_effects=OWN_EFFECTS,
         code=code("flats"),
     message:
         "Writing the verdict on {wildcards.dataset}"
     shell:
         "OPENBLAS_NUM_THREADS=1 spotcheck flats {params.folder:q} --frames {input.table:q}"
         " --simulations {params.simulations} --seed {params.seed} --tolerance {params.tolerance:q}"
-        " --output {output.verdict:q} 2>&1 | tee {log:q}"
+        " --output {output.verdict:q} {params.vocabulary:q} 2>&1 | tee {log:q}"
