@@ -44,3 +44,8 @@ rule paper_numbers:
 rule verdict:
     input:
         expand(rules.judge.output.verdict, dataset=DATASETS),
+
+
+rule extended:
+    input:
+        expand(rules.simulate_extended.output.images, dataset=SPOTS),

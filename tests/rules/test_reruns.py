@@ -23,7 +23,7 @@ def checkout(small_frames, tmp_path_factory):
 
 def call(copy, *arguments: str) -> subprocess.CompletedProcess:
     """Snakemake on the copy, whose library shadows the installed one."""
-    command = [*SNAKEMAKE, "--cores", "2", "compare", "bounds", *arguments, "--config", "dataset=mine"]
+    command = [*SNAKEMAKE, "--cores", "2", "--until", "compare", "bounds", *arguments, "--config", "dataset=mine"]
     env = environment() | {"PYTHONPATH": str(copy / "workflow")}
     return subprocess.run(command, cwd=copy, capture_output=True, text=True, env=env, check=False)
 

@@ -90,7 +90,7 @@ def digests(folder: Path) -> dict[str, str]:
 def good_results(small_frames, tmp_path_factory) -> Path:
     """What a good run of ingest left."""
     root = tmp_path_factory.mktemp("good")
-    run = snakemake("ingest", config={"dataset": small_frames, "results": root})
+    run = snakemake("--until", "ingest", config={"dataset": small_frames, "results": root})
     assert run.returncode == 0, run.stdout + run.stderr
     return root / small_frames.name
 
@@ -104,7 +104,7 @@ def test_bad_input_gets_one_line_and_loses_nothing(case, frames_only, good_resul
     assert "frames.nc" in before
     change, words = CASES[case]
     change(frames_only)
-    bad = snakemake("ingest", config={"dataset": frames_only, "results": tmp_path / "results"})
+    bad = snakemake("--until", "ingest", config={"dataset": frames_only, "results": tmp_path / "results"})
     output = bad.stdout + bad.stderr
     assert bad.returncode != 0
     sentences = {line for line in output.splitlines() if line.startswith("spotcheck: ")}
@@ -117,7 +117,7 @@ def test_bad_input_gets_one_line_and_loses_nothing(case, frames_only, good_resul
 def test_unwritable_results(frames_only, tmp_path):
     """A results folder that cannot be made: here a file stands in its way, which stops root as well."""
     (tmp_path / "file").write_text("")
-    bad = snakemake("ingest", config={"dataset": frames_only, "results": tmp_path / "file"})
+    bad = snakemake("--until", "ingest", config={"dataset": frames_only, "results": tmp_path / "file"})
     assert bad.returncode != 0
     assert "cannot be written" in bad.stderr
     assert "Traceback" not in bad.stdout + bad.stderr
@@ -127,7 +127,7 @@ def test_same_name_in_one_results_root(frames_only, small_run, tmp_path):
     """Two datasets of one name do not share a folder of results."""
     twin = tmp_path / "elsewhere" / small_run.name
     shutil.copytree(frames_only, twin)
-    bad = snakemake("ingest", config={"dataset": twin, "results": small_run.parent})
+    bad = snakemake("--until", "ingest", config={"dataset": twin, "results": small_run.parent})
     assert bad.returncode != 0
     assert "another folder of the same name" in bad.stderr
 
@@ -143,7 +143,7 @@ def test_no_such_dataset():
 def test_black_or_saturated_frame_is_no_error(reading, frames_only, tmp_path):
     """A single frame that is black or saturated all over is flagged, and everything else still comes out."""
     rewrite(frames_only, lambda p: np.full_like(p, reading))
-    run = snakemake("report", config={"dataset": frames_only, "results": tmp_path / "results"})
+    run = snakemake("--until", "report", config={"dataset": frames_only, "results": tmp_path / "results"})
     assert run.returncode == 0, run.stdout + run.stderr
     page = (tmp_path / "results" / "mine" / "report.html").read_text()
     assert "a0_r0_t0.0001.tif" in page

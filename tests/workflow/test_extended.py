@@ -26,10 +26,10 @@ def run(small_run, tmp_path_factory):
 def test_it_comes_after_the_verdict_and_nothing_waits_for_it(run):
     """The whole run leaves model.yaml; the target adds one job, and the whole run does not ask for it."""
     dataset, results, plan = run
-    assert plan == {"extended": 1}
+    assert plan == {"simulate_extended": 1, "extended": 1}
     assert (results / "model.yaml").exists()
     whole = snakemake("--dry-run", "--forceall", config={"dataset": dataset, "results": results.parent})
-    assert "extended" not in planned(whole.stdout + whole.stderr)
+    assert "simulate_extended" not in planned(whole.stdout + whole.stderr)
 
 
 def test_the_simulated_folder_is_a_dataset(run, tmp_path, capsys):

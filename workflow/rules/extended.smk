@@ -1,5 +1,5 @@
 # The design once more under the model that the verdict extended; nothing else waits for it.
-rule extended:
+rule simulate_extended:
     input:
         manifest,
         instrument,
@@ -10,9 +10,9 @@ rule extended:
         contract=[f"{OUT}/extended/manifest.csv", f"{OUT}/extended/instrument.yaml"],
         frames=f"{OUT}/extended/{STACK}",
     log:
-        f"{OUT}/logs/extended.log",
+        f"{OUT}/logs/simulate_extended.log",
     benchmark:
-        f"{OUT}/benchmarks/extended.tsv"
+        f"{OUT}/benchmarks/simulate_extended.tsv"
     wildcard_constraints:
         dataset=one_of(SPOTS),
     threads: 1
