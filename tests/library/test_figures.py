@@ -225,7 +225,11 @@ def test_numbers_in_sentences():
     ]
     assert plus_minus(0.8159, 0.0045, "px") == "0.8159 ± 0.0045 px"
     assert plus_minus(34.76, np.nan) == "34.76"
-    assert plus_minus(np.nan, 1.0) == "none"
+    assert plus_minus(np.nan, 1.0) == "none" and plus_minus(30.0, np.inf, "degree") == "30 ± inf degree"
+    assert (
+        plus_minus(1.50432e-4, 1.13e-6, "m") == "1.504e-04 ± 1.1e-06 m" and plus_minus(0.0, 2e-9) == "0.0e+00 ± 2.0e-09"
+    )
+    assert plus_minus(13933.2, 123.4, "e-") == "13933 ± 123 e-" and plus_minus(2.5e-4, 0.0) == "0.00025"
 
 
 def test_shades_of_the_series_differ_in_grey():

@@ -35,8 +35,8 @@ def test_draws_have_these_moments(sensor):
     moments may be off; dark current counts with its exposure."""
     warm, count = sensor._replace(dark_current_e_per_s=2e4), 200_000
     for photons in (0.0, 5.0, 60.0, 380.0):
-        drawn = warm.draw(np.full((2, count // 2), photons), 7, 1e-3).astype(float)
-        mean, variance = warm.mean(photons, 1e-3), warm.variance(photons, 1e-3)
+        drawn = warm.draw(np.full((2, count // 2), photons), 7, exposure_s=1e-3).astype(float)
+        mean, variance = warm.mean(photons, exposure_s=1e-3), warm.variance(photons, exposure_s=1e-3)
         fourth = np.mean((drawn - drawn.mean()) ** 4) - drawn.var() ** 2
         noise = sensor.gain_dn_per_e**2 * (photons + 20 + sensor.read_noise_e**2) + ROUNDING_VARIANCE
         assert abs(drawn.mean() - mean) < 4.5 * np.sqrt(variance / count) + 0.005 * np.sqrt(noise)

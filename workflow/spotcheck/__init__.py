@@ -1,6 +1,6 @@
 """Spotcheck: how a camera sees a laser spot on a composite, and what a simulation of it is missing.
 
-Public names are listed in `__all__` and shown in docs/api.md; a module is imported when a name of it is first used.
+Public names stand in `__all__` and in workflow/docs/api.md; a module is imported when a name of it is first used.
 
 Inside, imports go down: judging > cli > figures, discrepancy > estimate, metrics > model > frames, optics > dataset,
 store.

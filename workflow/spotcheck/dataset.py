@@ -36,7 +36,7 @@ class Axis:
 
 @dataclass(frozen=True, repr=False)
 class Dataset:
-    """A dataset folder that keeps the contract: what manifest.csv and instrument.yaml say of it.
+    """A folder of frames: what its manifest.csv and instrument.yaml say. config/README.md describes both files.
 
     Attributes
     ----------
@@ -120,9 +120,10 @@ def unit_of(column: str) -> str:
 
 
 def load(folder: str | Path) -> Dataset:
-    """Read and check manifest.csv and instrument.yaml of a dataset folder; no image is opened.
+    """Read and check manifest.csv and instrument.yaml of a folder of frames; no image is opened.
 
-    Raises `InputError`, one sentence with file, row or key, for whatever the dataset contract forbids.
+    Raises `InputError` for whatever is wrong with them: one sentence with the file, the row or key, and what would be
+    right.
 
     Examples
     --------

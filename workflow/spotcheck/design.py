@@ -31,9 +31,9 @@ def simulate_dataset(
 ) -> Dataset:
     """Draw the frames of a design at random and write them as a dataset folder.
 
-    The model is the paper's or that of a model.yaml, effects included. The paper has spots of width p1 ln(t / 1 s) + p2
-    at an exposure t, plus the laser's own width where instrument.yaml gives laser and optics. Equal seeds give equal
-    frames.
+    With p1, p2 and a peak each spot is a round Gaussian of width p1 ln(t / 1 s) + p2 at an exposure t, plus that of the
+    laser where instrument.yaml gives laser and optics; its peak follows from the exposure. With a model.yaml the spots
+    are those of the file, effects included. Equal seeds give equal frames.
 
     Parameters
     ----------

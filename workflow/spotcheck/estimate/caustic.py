@@ -7,6 +7,8 @@ Gaussian (its 1/e² radius), so that every root of a coefficient is half of the 
 # a Gaussian fit passes over: for a beam that is not Gaussian, M² from fits is too small.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -116,11 +118,19 @@ def beam(fit: Hyperbola, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Caustic(NamedTuple):
-    """A beam along its axis, with standard errors: 1/e² radius w0 [m] and place z0 [m] of the waist, half-angle of
-    divergence θ [rad], Rayleigh length z_R [m], beam propagation ratio M² [1]; all NaN where the radii have no waist.
+    """A beam along its axis, each number with a standard error (`m2_stderr`); NaN where the radii have no waist.
 
-    `chi2_reduced` is χ² per degree of freedom of the radii's own errors, `scatter` the relative scatter that was added
-    to them where it is above 1, `hyperbola` the fitted w²(z).
+    Attributes
+    ----------
+    waist_radius : 1/e² radius of the waist, w0 [m].
+    waist_position : where it is, z0 [m].
+    divergence : half-angle of divergence, θ [rad].
+    rayleigh_length : z_R [m].
+    m2 : beam propagation ratio M² [1].
+    chi2_reduced : χ² per degree of freedom of the hyperbola, by the radii's own errors.
+    scatter : relative scatter of the radii, which is added to their errors where these alone are too small.
+    degrees_of_freedom : points less three.
+    hyperbola : the fitted w²(z) with its covariance; `radius` evaluates it.
 
     Examples
     --------

@@ -1,5 +1,7 @@
 """A sensor by its flats and darks after EMVA 1288, from arrays or from a dataset folder."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 

@@ -48,12 +48,12 @@ def spot_bounds(
 ) -> SpotBounds:
     """Cramér–Rao bounds on the parameters of a spot, all seven of them free, in one image.
 
-    The information of each pixel is that of the sensor's law, noise, rounding and clipping included (Eqs. 34, 37 and
-    38); `fit_spots` reaches these bounds. Errors of a mean over n images are smaller by √n.
+    The information of each pixel is that of the sensor's law, with noise, rounding and clipping (Eqs. 34, 37 and 38 of
+    the paper); `fit_spots` reaches these bounds. Errors of a mean over n images are smaller by √n.
 
     Parameters
     ----------
-    sensor : gain, noise, black level and full scale.
+    sensor : gain, read noise, black level and full scale, and dark current where there is an exposure.
     shape : rows and columns of the image.
     amplitude : peak of the Gaussian above its offset [DN]; K η times the photons on the brightest pixel.
     sigma_major, sigma_minor : standard deviations along the long and the short axis [px]; without the second the spot

@@ -59,19 +59,20 @@ def fit_spots(
     fixed: Mapping[str, float] | None = None,
     circular: bool = False,
 ) -> SpotFits:
-    """Fit one elliptical Gaussian spot on a constant offset in each image.
+    """Fit one elliptical Gaussian spot on a constant offset in each image, by maximum likelihood.
 
-    No start values are needed. The fit maximises the likelihood of the readings under the sensor's law, so that noise,
-    clipping and rounding are weighed as they occur, and reaches the Cramér–Rao bound (see `spot_bounds`).
+    No start values are needed. The likelihood is that of the readings under the sensor's own law: shot and read noise,
+    rounding, and clipped pixels by the probability of being clipped. The fit reaches the Cramér–Rao bound, which
+    `spot_bounds` gives.
 
     Parameters
     ----------
     images : one image [rows, columns] in DN, or several, of one size or of many. Pixels that are NaN or masked are left
         out. A single image gives a single spot: plain numbers in place of arrays.
-    sensor : gain, noise, black level and full scale. Dark current is left out: it is part of the fitted offset.
-    weighting : "likelihood", or "equal" for unweighted least squares, which does without a sensor. Its standard errors
-        are then those of white noise as large as the residuals, and χ² is NaN.
-    top_hat : fit the Gaussian under a plateau at exp(−1/4) of its peak (Eqs. 39–40).
+    sensor : gain, read noise, black level and full scale; dark current is part of the fitted offset.
+    weighting : "likelihood", or "equal" for unweighted least squares, with the errors that the sensor's noise causes.
+        It does without a sensor: errors are then those of white noise as large as the residuals, and χ² is NaN.
+    top_hat : fit the Gaussian under a plateau at exp(−1/4) of its peak (Eqs. 39–40 of the paper).
     integrated : light is integrated over each pixel and not sampled at its centre: amplitude and widths are those of
         the light before, to 1e-5 of the peak for widths of 3 px or more.
     fixed : parameters by name that are held at a value, such as `{"offset": 40.0}`; their standard error is 0.

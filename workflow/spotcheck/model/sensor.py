@@ -6,6 +6,8 @@ rounding to nearest → 0 … full scale. `light_dn` is always K times the photo
 without noise would add to its black level.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +19,11 @@ ROUNDING_VARIANCE = 1 / 12
 
 
 class SensorModel(NamedTuple):
-    """A camera as EMVA 1288 has it: mean and variance of a reading, and random readings.
+    """A camera by the linear model of EMVA 1288: mean and variance of a reading, and random readings.
 
     Light is given as the mean number of photons that fall on each pixel during the exposure. They become electrons with
-    the quantum efficiency, dark current adds its own, both are Poisson; then full well, read noise, gain, black level,
-    one rounding to whole DN, and a converter that ends at 0 and at full scale.
+    the quantum efficiency, dark current adds its own, both are Poisson; then come full well, read noise, gain, black
+    level, one rounding to whole DN, and a converter that ends at 0 and at full scale.
 
     Parameters
     ----------
@@ -54,19 +56,20 @@ class SensorModel(NamedTuple):
     full_scale_dn: float = np.inf
     quantum_efficiency: float = 1.0
 
-    def mean(self, photons: ArrayLike, exposure_s: float = 0.0) -> np.ndarray:
+    def mean(self, photons: ArrayLike, *, exposure_s: float = 0.0) -> np.ndarray:
         """Mean reading [DN] of each pixel, both clips included, in the shape of `photons`.
 
-        `photons` is the mean number of photons on each pixel during the exposure; `exposure_s` is what dark current
-        counts for. Raises ValueError for photons below 0, and for a gain or noise that no sensor has.
+        `photons` is the mean number of photons on each pixel during the exposure; the exposure itself, `exposure_s`,
+        counts for dark current alone. Raises ValueError for photons below 0, and for a gain or noise that no sensor
+        has.
         """
         return self._moments(photons, exposure_s)[0]
 
-    def variance(self, photons: ArrayLike, exposure_s: float = 0.0) -> np.ndarray:
+    def variance(self, photons: ArrayLike, *, exposure_s: float = 0.0) -> np.ndarray:
         """Variance [DN²] of the reading of each pixel, rounding and both clips included; otherwise as `mean`."""
         return self._moments(photons, exposure_s)[1]
 
-    def draw(self, photons: ArrayLike, rng: np.random.Generator | int, exposure_s: float = 0.0) -> np.ndarray:
+    def draw(self, photons: ArrayLike, rng: np.random.Generator | int, *, exposure_s: float = 0.0) -> np.ndarray:
         """Random readings [DN, uint16] of each pixel, from the exact law; light as for `mean`.
 
         `rng` is a generator, or a seed: equal seeds give equal readings.
