@@ -13,6 +13,7 @@ from spotcheck.cli import main
 from spotcheck.discrepancy.calibration import Kind, calibrate, canonical
 from spotcheck.discrepancy.extend import Tolerance
 from spotcheck.discrepancy.verdict import discovery_design, judge, verdict_json
+from spotcheck.model import effects
 from spotcheck.pages.effects import SCATTER
 from spotcheck.simulation import STACK
 from tests.blind.crops import set_of
@@ -43,6 +44,13 @@ EFFECT = Effect(
     function=tail,
 )
 '''
+
+
+@pytest.fixture(autouse=True)
+def the_librarys_again():
+    """A command chooses the vocabulary of its process, which here is that of all tests."""
+    yield
+    effects.choose()
 
 
 @pytest.mark.slow

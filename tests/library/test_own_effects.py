@@ -5,6 +5,7 @@ import hashlib
 import json
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from spotcheck.discrepancy.written import breach_of_verdict
 from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.effect import Place
+from spotcheck.model.effect_file import read_effect
 from spotcheck.model.effects import Choice, built_in, vocabulary
 from spotcheck.pages import TEMPLATES, report
 from spotcheck.pages import effects as page
@@ -55,6 +57,7 @@ FAULTS = {
     "nothing": ("x = 1\n", ["defines no EFFECT", "EFFECT = Effect(name=…"]),
     "a dictionary": ("EFFECT = {'name': 'own'}\n", ["EFFECT is of type dict", "spotcheck.model.effect.Effect"]),
     "name": (changed('name="vignetting"', 'name="Vignetting 2"'), ["name is 'Vignetting 2'", "small letters"]),
+    "reserved name": (changed('name="vignetting"', 'name="all"'), ["name is 'all'", "not all"]),
     "sentence": (changed("frame's centre\",", "frame's centre.\","), ["sentence is", "without a full stop"]),
     "place": (changed("Place.MODULATION", '"modulation"'), ["place is 'modulation'", "one of Place"]),
     "number": (more("number=-1"), ["number is -1", "leave it out"]),
@@ -96,6 +99,13 @@ FAULTS = {
 }  # fmt: skip
 
 
+@pytest.fixture(autouse=True)
+def the_librarys_again():
+    """A command chooses the vocabulary of its process, which here is that of all tests."""
+    yield
+    effects.choose()
+
+
 @pytest.mark.parametrize("name", FAULTS)
 def test_what_is_wrong_with_a_file_is_said_in_one_sentence(name, tmp_path):
     """With its path, where Python knows it the line, what is wrong and what would be right; the vocabulary stays."""
@@ -108,6 +118,13 @@ def test_what_is_wrong_with_a_file_is_said_in_one_sentence(name, tmp_path):
     assert said.startswith(str(tmp_path)) and "\n" not in said, said
     assert all(word in said for word in words), said
     assert dict(vocabulary()) == built_in() and [p.name for p in tmp_path.iterdir()] == ["own.py"]
+
+
+@pytest.mark.parametrize("name", built_in())
+def test_the_librarys_own_files_are_sound(name):
+    """They pass the very check that a user's file does."""
+    effect, _ = read_effect(Path(effects.__file__).parent / f"{name}.py")
+    assert effect.name == name and effect.number == built_in()[name].number
 
 
 @pytest.mark.parametrize(

@@ -85,8 +85,9 @@ def _run(path: Path, source: bytes, name: str) -> Any:
 
 def _faults(effect: Effect) -> Iterator[str]:
     """What is wrong with an effect, and what would be right; what follows the first is not to be trusted."""
-    if not isinstance(effect.name, str) or not re.fullmatch(r"[a-z][a-z0-9_]*", effect.name):
-        yield f"name is {effect.name!r}; it must be a word of small letters, digits and _"
+    # A verdict speaks of `all` effects in the place of a name.
+    if not isinstance(effect.name, str) or not re.fullmatch(r"(?!all$)[a-z][a-z0-9_]*", effect.name):
+        yield f"name is {effect.name!r}; it must be a word of small letters, digits and _, and not all"
     if not isinstance(effect.sentence, str) or not effect.sentence.strip() or effect.sentence.endswith("."):
         yield f"sentence is {effect.sentence!r}; it must say what the effect does, without a full stop"
     if not isinstance(effect.place, Place):

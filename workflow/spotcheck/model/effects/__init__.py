@@ -8,7 +8,7 @@ a file cannot be sent to them).
 
 import importlib
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -85,20 +85,7 @@ def record(among: Callable[[Effect], bool] = lambda effect: True) -> dict[str, A
 
 @cache
 def _gathered(choice: Choice) -> Vocabulary:
-    effects, own = dict(built_in()), []
-    for file in choice.files:
-        effect, digest = read_effect(Path(file))
-        numbers = {other.number: other.name for other in effects.values()}
-        if effect.name in effects:
-            raise InputError(f"{file}: its effect is called {effect.name}, as another is; give it a name of its own")
-        if effect.number in numbers:
-            raise InputError(
-                f"{file}: number {effect.number} is that of {numbers[effect.number]}; leave it out, and the next free"
-                " one is taken"
-            )
-        effects[effect.name] = effect._replace(number=effect.number or max(numbers) + 1)
-        own.append((effect.name, Path(file).name, digest))
-    effects = {effect.name: effect for effect in sorted(effects.values(), key=lambda effect: effect.number)}
+    effects, own = _with_files(choice.files)
     known = f"known effects: {', '.join(effects)}"
     for file, (name, *_) in zip(choice.files, own, strict=True):
         for part in effects[name].contains:
@@ -110,11 +97,27 @@ def _gathered(choice: Choice) -> Vocabulary:
         for name in getattr(choice, key):
             if name not in effects:
                 raise InputError(f"vocabulary: {key} names {name}, which is no effect; {known}")
-    kept = {
-        name: effect
-        for name, effect in effects.items()
-        if name not in choice.without and (not choice.only or name in choice.only)
-    }
-    if not kept:
+    left_out = [name for name in effects if name in choice.without or (choice.only and name not in choice.only)]
+    if len(left_out) == len(effects):
         raise InputError("vocabulary: without names every effect; leave at least one")
-    return Vocabulary(kept, tuple(own), tuple(effect for name, effect in effects.items() if name not in kept))
+    kept = {name: effect for name, effect in effects.items() if name not in left_out}
+    return Vocabulary(kept, own, tuple(effects[name] for name in left_out))
+
+
+def _with_files(files: Sequence[str]) -> tuple[dict[str, Effect], tuple[tuple[str, str, str], ...]]:
+    """The effects of this folder and of some files by name, in the order of their numbers; name, file and SHA-256 of
+    each that was added."""
+    effects, own = dict(built_in()), []
+    for file in files:
+        effect, digest = read_effect(Path(file))
+        numbers = {other.number: other.name for other in effects.values()}
+        if effect.name in effects:
+            raise InputError(f"{file}: its effect is called {effect.name}, as another is; give it a name of its own")
+        if effect.number in numbers:
+            raise InputError(
+                f"{file}: number {effect.number} is that of {numbers[effect.number]}; leave it out, and the next free"
+                " one is taken"
+            )
+        effects[effect.name] = effect._replace(number=effect.number or max(numbers) + 1)
+        own.append((effect.name, Path(file).name, digest))
+    return dict(sorted(effects.items(), key=lambda item: item[1].number)), tuple(own)

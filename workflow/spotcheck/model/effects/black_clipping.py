@@ -19,6 +19,7 @@ EFFECT = Effect(
     function=lowest,
     forms=("subtracted", "dead zone"),
     always=True,
+    # Clipped noise is skewed and has tails of its own.
     marks=("skewness", "outliers"),
     flats="",
 )

@@ -22,6 +22,7 @@ EFFECT = Effect(
     starts=lambda c: [(0.01, 0.0)],
     function=gains,
     scatter=Scatter("field", "sensor", "pixel"),
+    # Hot pixels are outliers, and what all sites share adds up as stripes would.
     marks=("hot", "skewness", "outliers", "stripes"),
     flats="levels hold no pattern: DSNU and PRNU are in transfer.nc",
 )

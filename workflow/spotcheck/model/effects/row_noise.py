@@ -19,6 +19,7 @@ EFFECT = Effect(
     scatter=Scatter("row", "frame", "row"),
     # The scatter of lines tells it; the means see it only where black cuts it.
     idle={"": ("rms",)},
+    # Pixels of a row share what it got, which adds up as stripes would.
     marks=("hot", "skewness", "outliers", "stripes"),
     flats="levels hold no rows",
 )

@@ -69,6 +69,7 @@ EFFECT = Effect(
     idle={"sharp": ("knee",), "sharp with noise": ("knee",)},
     rounded=("sharp with noise", "soft with noise", "power with noise"),
     always=True,
+    # Clipped noise is skewed and has tails of its own, and readings gather at the code of the level.
     marks=("code", "skewness", "outliers"),
     flats="",
 )

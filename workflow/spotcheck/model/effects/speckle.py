@@ -38,5 +38,6 @@ EFFECT = Effect(
     starts=lambda c: [(0.05, 2.0)],
     function=field,
     scatter=Scatter("field", "site", "grain"),
+    # Its intensities are skewed and have a long tail.
     marks=("skewness", "outliers"),
 )
