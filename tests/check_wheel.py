@@ -1,36 +1,36 @@
 """What a user has who installed the wheel alone; `make wheel` runs this in an environment of its own."""
 
 import importlib.util
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
 import spotcheck
 
-CHECKOUT = Path(__file__).resolve().parents[1]
+# What the workflow needs and the library does not, and the rig, which is a package of its own.
+UNWANTED = ("snakemake", "papermill", "ipykernel", "rig")
 
 
 def main() -> None:
-    """Raise where something is missing, or there that should not be."""
-    assert CHECKOUT / "workflow" not in Path(spotcheck.__file__).parents, "the checkout's library, not the wheel's"
-    unwanted = [name for name in ("snakemake", "papermill", "ipykernel", "rig") if importlib.util.find_spec(name)]
-    assert not unwanted, f"the wheel brings {', '.join(unwanted)}"
+    """Fit a spot, characterise a sensor; raise where the wheel is not by itself or a value is not what was drawn."""
+    assert "site-packages" in Path(spotcheck.__file__).parts
+    assert [name for name in UNWANTED if importlib.util.find_spec(name)] == []
 
-    rng = np.random.default_rng(1)
-    y, x = np.mgrid[:80, :80]
-    light = 600 * np.exp(-((x - 40.2) ** 2 + (y - 38.7) ** 2) / (2 * 9.0**2)) / 0.11
-    image = np.clip(np.rint(0.11 * (rng.poisson(light) + 13 * rng.standard_normal(light.shape)) + 20), 0, 1023)
-    sensor = spotcheck.SensorModel(gain_dn_per_e=0.11, read_noise_e=13, black_level_dn=20, full_scale_dn=1023)
-    fits = spotcheck.fit_spots([image], sensor)
-    assert abs(fits.sigma_mean[0] - 9.0) < 5 * fits.sigma_mean_stderr[0] < 0.5
+    camera = spotcheck.SensorModel(0.25, 12, black_level_dn=40, full_scale_dn=4095, quantum_efficiency=0.6)
+    y, x = np.mgrid[:64, :64]
+    image = camera.draw(12_000 * np.exp(-((x - 31.3) ** 2 + (y - 30.8) ** 2) / (2 * 7.0**2)), rng=1)
+    fit = spotcheck.fit_spots(image, camera)
+    print(fit)
+    # Five standard errors: a false alarm in two million.
+    assert fit.status == "ok" and abs(fit.sigma_mean - 7.0) < 5 * fit.sigma_mean_stderr < 0.1
 
-    levels = np.linspace(500, 30_000, 15)
-    bright = [[np.rint(0.11 * rng.poisson(level, (64, 64)) + 20) for _ in range(2)] for level in levels]
-    dark = [np.rint(0.11 * 13 * rng.standard_normal((64, 64)) + 20) for _ in range(2)]
-    print(fits, bright, dark)
-
-    print(f"spotcheck {metadata.version('spotcheck')}: fits a spot and characterises a sensor without the workflow")
+    rng, photons = np.random.default_rng(1), np.linspace(1000, 20_000, 12)
+    bright = [camera.draw(np.full((2, 64, 64), light), rng) for light in photons]
+    dark = [camera.draw(np.zeros((2, 64, 64)), rng) for _ in photons]
+    found = spotcheck.characterise_sensor(bright, dark, exposure_s=1e-3, photons=photons, bit_depth=12)
+    print(found)
+    assert abs(found["gain"].value - 0.25) < 5 * found["gain"].stderr < 0.025
+    print(f"spotcheck {spotcheck.__version__} from {Path(spotcheck.__file__).parent}: all as drawn")
 
 
 if __name__ == "__main__":

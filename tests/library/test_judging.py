@@ -9,6 +9,7 @@ from spotcheck.cli import main
 from spotcheck.design import simulate_dataset
 from spotcheck.errors import InputError
 from spotcheck.judging import judge_dataset
+from spotcheck.model.effects import chosen
 from tests.library.shelf import design
 
 
@@ -49,6 +50,16 @@ def test_the_verdict_on_spots_is_that_of_the_commands(tmp_path, monkeypatch):
     for command, options in COMMANDS.items():
         main([command, "drawn", *options.split()])
     assert verdict == json.loads(Path("again", "verdict.json").read_text(encoding="utf-8"))
+
+
+def test_a_vocabulary_is_that_of_the_call(there, tmp_path):
+    """It is written into the verdict, and the process has the one it had before."""
+    before = chosen()
+    verdict = judge_dataset("my-flats", simulations=200, without=["nonlinearity"])
+    assert verdict["vocabulary"] == {"own": [], "left_out": ["nonlinearity"]}
+    assert chosen() == before
+    with pytest.raises(InputError, match="without names unknown, which is no effect"):
+        judge_dataset("my-flats", without=["unknown"])
 
 
 def test_a_folder_that_cannot_be_judged(there, tmp_path):

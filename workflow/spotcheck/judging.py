@@ -2,14 +2,19 @@
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from spotcheck import cli, store
+from spotcheck.cli import vocabulary
 from spotcheck.dataset import Dataset, load
+from spotcheck.model.effects import Choice, choose, chosen
+
+# Subcommands that take a vocabulary.
+OF_THE_VERDICT = ("flats", "discrepancy", "verify", "advise", "verdict")
 
 
 def judge_dataset(
@@ -19,6 +24,9 @@ def judge_dataset(
     simulations: int = 1500,
     seed: int = 20210,
     workers: int = 1,
+    effects: Sequence[str | Path] = (),
+    only: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Say what the simulation of a dataset is missing.
 
@@ -35,6 +43,8 @@ def judge_dataset(
         minutes, and kept in `results`/_calibration; without `results` they are made at every call.
     seed : seed of these sets.
     workers : processes that make them.
+    effects : Python files that each add an effect to the vocabulary, as docs/effects.md tells.
+    only, without : the only effects to know, or effects to leave out, by name.
 
     Returns
     -------
@@ -46,7 +56,8 @@ def judge_dataset(
     Raises
     ------
     InputError
-        A folder that breaks the dataset contract, frames that cannot be read, a folder of results that is another's.
+        A folder that breaks the dataset contract, frames that cannot be read, a folder of results that is another's, an
+        effect or a vocabulary that is not sound.
 
     Examples
     --------
@@ -57,17 +68,22 @@ def judge_dataset(
     >>> print(verdict["sentence"])
     Flats and darks agree with a linear sensor: mean and noise of every level lie on straight lines ...
     """
-    dataset = load(folder)
+    dataset, before = load(folder), chosen()
+    known = vocabulary.options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
     with TemporaryDirectory(prefix="spotcheck-") as scratch:
         base = Path(scratch if results is None else results)
         out = base / dataset.name
         store.claim(out, dataset.folder)
         null = {"simulations": simulations, "seed": seed}
-        for command, options in _stages(dataset, out, base / "_calibration", null, workers):
-            words = [word for key, value in options.items() for word in (f"--{key}", str(value))]
-            # What a subcommand says is for a terminal.
-            with redirect_stdout(io.StringIO()):
-                cli.run([command, str(dataset.folder), *words])
+        try:
+            for command, options in _stages(dataset, out, base / "_calibration", null, workers):
+                words = [word for key, value in options.items() for word in (f"--{key}", str(value))]
+                words += known if command in OF_THE_VERDICT else []
+                # What a subcommand says is for a terminal.
+                with redirect_stdout(io.StringIO()):
+                    cli.run([command, str(dataset.folder), *words])
+        finally:
+            choose(before)
         return json.loads((out / "verdict.json").read_text(encoding="utf-8"))
 
 
