@@ -11,6 +11,7 @@ import xarray as xr
 from spotcheck import store
 from spotcheck.estimate.sensor import model_of
 from spotcheck.instrument import RESERVED
+from spotcheck.metrics import PER_IMAGE
 from spotcheck.model.sensor import reading
 
 
@@ -105,8 +106,10 @@ def test_every_frame_is_recorded(opened, rows):
 
 
 def test_no_condition_can_bear_the_name_of_a_variable(opened):
-    """Names in the files that have the grid's dimensions are refused as conditions; derived names follow from these."""
+    """Names in the files that have the grid's dimensions are refused as conditions, by the instrument file's reader or,
+    of metrics, by `compare`; derived names follow from these."""
     derived = ("_stderr", "_mean", "_sd", "_by_angle", "_sd_all", "_sd_angles", "_sd_repeats", "_miss")
+    taken = RESERVED | {metric.name for metric in PER_IMAGE}
     for name in ("crops", "fits", "calibration", "simulated", "metrics"):
         own = {str(v) for v in (*opened[name].variables, *opened[name].dims)}
-        assert {v for v in own if v == "sigma_mean" or not v.endswith(derived)} <= RESERVED, name
+        assert {v for v in own if v == "sigma_mean" or not v.endswith(derived)} <= taken, name

@@ -1,6 +1,7 @@
 """discrepancy.nc holds what was measured, its pictures cope with every outcome and design, the report shows them."""
 
 import json
+import shutil
 import warnings
 
 import jinja2
@@ -12,18 +13,18 @@ from spotcheck import store
 from spotcheck.discrepancy.cells import pooled
 from spotcheck.discrepancy.locate import where
 from spotcheck.discrepancy.picture_data import _canvas, dataset_of
-from spotcheck.discrepancy.sentence import sentence
+from spotcheck.discrepancy.sentence import sentence, value_text
 from spotcheck.discrepancy.shots import Shot, design_of
-from spotcheck.discrepancy.written import write_verdict
-from spotcheck.figures import style
+from spotcheck.discrepancy.written import rounded, write_verdict
+from spotcheck.figures import answer, every_figure, style
 from spotcheck.figures.discrepancy import chosen, plan_of
-from spotcheck.figures.registry import FIGURES, VERDICT
+from spotcheck.figures.entry import Category
 from spotcheck.figures.results import Results, Unavailable
 from spotcheck.figures.write import write_all
 from spotcheck.pages import TEMPLATES, report
 from tests.library import small_verdict as small
 
-ENTRIES = tuple(entry for entry in FIGURES if entry.category == VERDICT)
+ENTRIES = tuple(entry for entry in every_figure() if entry.category is Category.MISSING)
 GHOST = ("ghost_reflection", 0.05, 11.0, -4.0)
 ONE = {"angles": (45.0,), "exposures": (4e-4,), "repeats": 1}
 
@@ -37,6 +38,7 @@ def made(tmp_path, own, **design):
     verdict["sentence"] = sentence(verdict)
     out = tmp_path / "results" / "discrepancy.nc"
     store.write(dataset_of(own, verdict, found), out, code="test")
+    out.with_name("verdict.json").write_text(json.dumps(rounded(verdict)))
     with store.read(out) as ds:
         return ds.load(), verdict, found
 
@@ -193,6 +195,37 @@ def test_pictures_are_what_the_captions_say(named):
     marks = [t for ax in sheet["missing-where"].axes for t in ax.texts if t.get_text() in ("•", *"1234")]
     limit = float(ds["z_threshold"])
     assert len(marks) == int((np.abs(ds["z_radial"]) > limit).sum() + (ds["z_azimuthal"] > limit).sum()) > 10
+
+
+def test_the_answer_shows_the_condition_that_gains_most(named):
+    """Measured less each model is what the maps say is left; the caption names what was added, with its value."""
+    base, _, ds, verdict, found = named
+    gain = (ds["residual_before"] ** 2 - ds["residual_after"] ** 2).sum(("block_y", "block_x"))
+    best = gain.isel(gain.argmax(...))
+    shown = answer.example(ds)
+    assert shown.name == f"{float(best['angle']):g}°, {1e6 * float(best['exposure']):g} µs"
+    own = ds.sel(angle=best["angle"], exposure=best["exposure"])
+    np.testing.assert_array_equal(shown.measured, own["reading"])
+    for stage in ("before", "after"):
+        np.testing.assert_array_equal(shown.residuals[stage], own[f"residual_{stage}"])
+        np.testing.assert_allclose(shown.models[stage] + shown.residuals[stage], shown.measured, atol=1e-3)
+    # The frames' own medians, whose centres lie up to half a pixel from their mean: half of the steepest slope.
+    at = float(best["angle"]), float(best["exposure"])
+    shots = [shot for shot in small.frames(small.ghost)[0] if (shot.angle_deg, shot.exposure_s) == at]
+    blocks = np.median([shot.pixels().reshape(30, 2, 30, 2).mean(axis=(1, 3)) for shot in shots], axis=0)
+    slope = np.exp(-0.5) * blocks.max() / float(own["sigma"])
+    np.testing.assert_allclose(shown.measured, blocks, atol=slope / 2)
+    with Results(base / "results", found) as results, style.applied():
+        caption = answer.draw(results).caption
+    fraction = verdict["effects"][0]["parameters"]["fraction"]
+    assert "Verdict: named." in caption and f"fraction {value_text(*fraction.values())}" in caption
+
+
+def test_no_answer_without_a_verdict(named, tmp_path):
+    base, _, _, _, found = named
+    shutil.copyfile(base / "results" / "discrepancy.nc", tmp_path / "discrepancy.nc")
+    with Results(tmp_path, found) as results, pytest.raises(Unavailable, match=r"verdict\.json is not among"):
+        answer.draw(results)
 
 
 def test_equal_inputs_give_equal_pictures(named, tmp_path):

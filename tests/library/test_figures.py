@@ -1,6 +1,7 @@
 """Figures: all of them drawn or skipped with a reason, the same bytes for the same input, and every design."""
 
 import json
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,13 +11,17 @@ import pytest
 import tifffile
 import xarray as xr
 
+from spotcheck import figures
 from spotcheck.cli import main
 from spotcheck.errors import InputError
 from spotcheck.estimate.plus_minus import plus_minus
-from spotcheck.figures import chain, series, style
-from spotcheck.figures.registry import FIGURES
+from spotcheck.figures import chain, every_figure, series, style
+from spotcheck.figures.entry import Category
 from spotcheck.figures.results import Results, Unavailable
 from spotcheck.figures.write import write_all
+from spotcheck.metrics import PER_IMAGE
+from spotcheck.provenance import sources
+from tests.library.conftest import ROOT
 
 INSTRUMENT = """\
 name: tiny
@@ -27,8 +32,8 @@ laser: {wavelength_m: 6.5e-7}
 """
 ANGLES, EXPOSURES, REPEATS = (0, 45), (1e-4, 5e-4), (0, 1, 2)
 # Pictures of a verdict, which these results have none of; test_discrepancy_figures.py draws them.
-UNJUDGED = [entry.name for entry in FIGURES if "discrepancy" in entry.needs]
-FLATS = [entry.name for entry in FIGURES if "transfer" in entry.needs]
+UNJUDGED = [entry.name for entry in every_figure() if "discrepancy" in entry.needs]
+FLATS = [entry.name for entry in every_figure() if "transfer" in entry.needs]
 
 
 def write_manifest(folder: Path, angles, exposures, repeats) -> None:
@@ -99,14 +104,47 @@ def subset(tiny: tuple[Path, Path], base: Path, *, change=None, angles=ANGLES, e
 
 
 def test_names_titles_and_inputs_of_the_registry():
-    names = [entry.name for entry in FIGURES]
+    names = [entry.name for entry in every_figure()]
     assert len(set(names)) == len(names)
-    assert len({entry.title for entry in FIGURES}) == len(names)
-    assert all(entry.needs and entry.category for entry in FIGURES)
+    assert len({entry.title for entry in every_figure()}) == len(names)
+    assert all(entry.needs and entry.category for entry in every_figure())
     # Every figure of the paper's results that is a picture of data, and Fig. 5.
-    papers = {entry.paper for entry in FIGURES} - {None}
+    papers = {entry.paper for entry in every_figure()} - {None}
     wanted = "5 7 8a 8b 8c 9a 9b 10a 10b 11 12 13a 13b".split()
     assert papers == {f"Fig. {number}" for number in wanted}
+
+
+def test_order_of_the_report():
+    """By category, in the order in which `Category` lists them."""
+    places = [list(Category).index(entry.category) for entry in every_figure()]
+    assert places == sorted(places) and len(set(places)) == len(Category)
+
+
+def test_a_new_file_is_a_new_figure(tiny, tmp_path, monkeypatch):
+    """The example of the page on the architecture: no list names it, it is drawn, last of its category here, and the
+    digest of what draws the figures covers every file of the folder."""
+    page = (ROOT / "workflow" / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (text,) = [own.split("```")[0] for own in page.split("```python\n")[1:] if "FIGURES" in own]
+    (tmp_path / "brightness.py").write_text(text)
+    with monkeypatch.context() as patch, Results(tiny[1], tiny[0]) as results:
+        patch.setattr(figures, "__path__", [*figures.__path__, str(tmp_path)])
+        every_figure.cache_clear()
+        names = [entry.name for entry in every_figure() if entry.category is Category.METRICS]
+        write_all(results, tmp_path / "drawn", tuple(e for e in every_figure() if e.name == "brightness"))
+    sys.modules.pop("spotcheck.figures.brightness")
+    every_figure.cache_clear()
+    assert names[-1] == "brightness" and (tmp_path / "drawn" / "brightness.png").exists()
+    assert "brightness" not in [entry.name for entry in every_figure()]
+    drawn_by = {path.name for path in sources("spotcheck.cli.figures")}
+    assert {path.name for path in Path(figures.__file__).parent.glob("*.py")} <= drawn_by
+
+
+def test_every_metric_is_drawn():
+    """The paper's under their own names, any other under its own."""
+    titles = {entry.name: entry for entry in every_figure() if entry.category is Category.METRICS}
+    in_print = {"speckle_contrast": "fig09b", "maximum": "fig10a", "sum": "fig12"}
+    for metric in PER_IMAGE:
+        assert in_print.get(metric.name, f"metric-{metric.name.replace('_', '-')}") in titles
 
 
 def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
@@ -114,7 +152,7 @@ def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
     main(["figures", "--results", str(out), "--dataset", str(data), "--output", str(tmp_path)])
     index = json.loads((tmp_path / "index.json").read_text())
     drawn, skipped = [r["name"] for r in index["figures"]], {r["name"]: r["why"] for r in index["skipped"]}
-    assert sorted(drawn + list(skipped)) == sorted(entry.name for entry in FIGURES)
+    assert sorted(drawn + list(skipped)) == sorted(entry.name for entry in every_figure())
     assert set(skipped) == {"caustic", *UNJUDGED, *FLATS} and "z_m" in skipped["caustic"]
     assert {skipped[name] for name in FLATS} == {"the manifest names no frame of kind flat or dark"}
     assert {skipped[name] for name in UNJUDGED} == {"discrepancy.nc is not among the results"}
@@ -130,7 +168,7 @@ def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
 def test_equal_inputs_give_equal_bytes(tiny, tmp_path):
     """Drawn twice, under other settings of the user's: house style and salt settle everything."""
     data, out = tiny
-    chosen = tuple(e for e in FIGURES if e.name in ("fig05", "fig08c", "fig09a", "residuals"))
+    chosen = tuple(e for e in every_figure() if e.name in ("fig05", "fig08c", "fig09a", "residuals"))
     for name, size in (("one", 10), ("two", 17)):
         with matplotlib.rc_context({"font.size": size}), Results(out, data) as results:
             write_all(results, tmp_path / name, chosen)
@@ -162,7 +200,7 @@ def hollow(ds: xr.Dataset) -> xr.Dataset:
 )
 def test_figures_survive_every_shape_of_a_design(tiny, tmp_path, design):
     with subset(tiny, tmp_path, **design) as results, style.applied():
-        for entry in FIGURES:
+        for entry in every_figure():
             try:
                 drawing = entry.draw(results)
             except Unavailable as reason:
@@ -174,14 +212,14 @@ def test_figures_survive_every_shape_of_a_design(tiny, tmp_path, design):
 
 def test_no_error_bars_from_one_frame(tiny, tmp_path):
     with subset(tiny, tmp_path, repeats=(0,)) as results, style.applied():
-        drawing = next(e for e in FIGURES if e.name == "fig11").draw(results)
+        drawing = next(e for e in every_figure() if e.name == "fig11").draw(results)
     assert "One frame a point" in drawing.caption
     bars = [box for ax in drawing.figure.axes for box in ax.containers if box.has_yerr]
     assert not bars
 
 
 def test_a_figure_that_can_no_longer_be_drawn_disappears(tiny, tmp_path):
-    entries = tuple(e for e in FIGURES if e.name == "fig11")
+    entries = tuple(e for e in every_figure() if e.name == "fig11")
     with Results(tiny[1], tiny[0]) as results:
         write_all(results, tmp_path, entries)
     with Results(tmp_path / "nothing", tiny[0]) as results:

@@ -4,9 +4,12 @@ import math
 
 import numpy as np
 import pytest
+import xarray as xr
 from skimage.metrics import peak_signal_noise_ratio
 
 from spotcheck import metrics
+from spotcheck.comparison import compare
+from spotcheck.errors import InputError
 from tests.library.conftest import gaussian
 
 
@@ -120,3 +123,10 @@ def test_shift_keeps_a_uniform_image_uniform_beside_a_gap():
     moved = metrics.shifted(image, 0.3, 0.4)
     # Splines reproduce constants; 1e-9 for rounding.
     np.testing.assert_allclose(moved[np.isfinite(moved)], 100.0, rtol=1e-9)
+
+
+def test_a_condition_does_not_take_the_place_of_a_metric():
+    """Both would be one variable of the file."""
+    crops = xr.Dataset({"status": (("angle", "peak_ratio", "centring"), np.zeros((1, 2, 2), int))})
+    with pytest.raises(InputError, match=r"instrument\.yaml: key conditions names peak_ratio, .*; rename it"):
+        compare({"measured": crops, "simulated": crops}, {}, 1023.0)

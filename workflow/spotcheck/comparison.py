@@ -5,15 +5,11 @@ import xarray as xr
 
 from spotcheck import metrics, store
 from spotcheck.crops import cells, usable
+from spotcheck.errors import InputError
 from spotcheck.estimate.fits import preferred
+from spotcheck.metrics import PER_IMAGE
 
 SOURCES = ("measured", "simulated")
-PER_IMAGE = {
-    "maximum": ("DN", "largest reading of the crop", lambda image: float(np.nanmax(image))),
-    "sum": ("DN", "sum of all readings of the crop", lambda image: float(np.nansum(image, dtype=np.float64))),
-    "speckle_contrast": ("1", "standard deviation over mean of the crop", metrics.speckle_contrast),
-    "peak_ratio": ("1", "pixels within 2 % of the maximum over pixels above half of it", metrics.peak_ratio),
-}
 FROM_FIT = {"amplitude": "DN", "sigma_mean": "pixel"}
 REGISTRATIONS = ("maximum", "fitted")
 RANGES = ("container", "sensor")
@@ -21,21 +17,23 @@ RANGES = ("container", "sensor")
 
 def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scale: float) -> xr.Dataset:
     """Metrics of both sources on the grid, PSNR between them, and means and standard deviations (n − 1) over
-    repeats."""
+    repeats. Raises `InputError` where a declared condition bears the name of a metric."""
     measured = crops["measured"]
     grid = store.grid_dims(measured)
+    if taken := [own.name for own in PER_IMAGE if own.name in grid]:
+        raise InputError(f"instrument.yaml: key conditions names {taken[0]}, which is a metric; rename it")
     dims = ("source", *grid, "centring")
     shape = (2, *(measured.sizes[d] for d in dims[1:]))
     fit_dims = (*dims, "fit")
-    values = {name: np.full(shape, np.nan) for name in PER_IMAGE}
+    values = {own.name: np.full(shape, np.nan) for own in PER_IMAGE}
     for s, source in enumerate(SOURCES):
         status = crops[source]["status"].values
         for index in cells(crops[source], dims[1:]):
             at = tuple(index.values())
             if usable(status[at]):
                 image = crops[source]["image"].isel(index).values
-                for name, (_, _, function) in PER_IMAGE.items():
-                    values[name][(s, *at)] = function(image)
+                for own in PER_IMAGE:
+                    values[own.name][(s, *at)] = own.function(image)
     coords = {d: measured[d] for d in dims[1:] if d in measured.coords}
     ds = xr.Dataset(coords=coords, attrs={n: measured.attrs[n] for n in ("title", "dataset", "not_recorded")})
     for name, labels, long_name in (
@@ -44,8 +42,8 @@ def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scal
         ("data_range", RANGES, "range that PSNR is scaled to: 65535 of the container, or the sensor's own"),
     ):
         ds[name] = (name, np.array(labels, dtype=object), {"units": "1", "long_name": long_name})
-    for name, (units, long_name, _) in PER_IMAGE.items():
-        ds[name] = (dims, values[name], {"units": units, "long_name": long_name})
+    for own in PER_IMAGE:
+        ds[own.name] = (dims, values[own.name], {"units": own.units, "long_name": own.long_name})
     ds["fit"] = fits["measured"]["fit"]
     for name, units in FROM_FIT.items():
         ds[name] = (
@@ -98,7 +96,7 @@ def _registered(crops: dict, fits: dict, index: dict[str, int]) -> tuple[np.ndar
 
 
 def _with_averages(ds: xr.Dataset) -> xr.Dataset:
-    for name in (*PER_IMAGE, *FROM_FIT, "psnr"):
+    for name in (*(own.name for own in PER_IMAGE), *FROM_FIT, "psnr"):
         attrs = ds[name].attrs
         finite = ds[name].where(np.isfinite(ds[name]))
         for suffix, text, result in (

@@ -1,5 +1,11 @@
-"""Quality metrics of a spot's image: PSNR, speckle contrast, maximum, sum, peak ratio (Sections 2.2.2, 4.1.2 and
-6.2)."""
+"""Quality metrics of a spot's image: PSNR, speckle contrast, maximum, sum, peak ratio (Sections 2.2.2, 4.1.2 and 6.2).
+
+`PER_IMAGE` lists the metrics of a single crop. Each of them is computed for measured and simulated frames, stored with
+its mean and scatter over repeats in metrics.nc, and drawn in the report.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -11,6 +17,16 @@ CONTAINER_RANGE = 65535.0
 # A peak pixel lies within this part of the image maximum, a plateau pixel above that one (Section 6.2).
 PEAK_WITHIN = 0.02
 PLATEAU_ABOVE = 0.5
+
+
+def largest_reading(image: np.ndarray) -> float:
+    """Largest finite pixel of an image [DN]."""
+    return float(np.nanmax(image))
+
+
+def total(image: np.ndarray) -> float:
+    """Sum of all finite pixels of an image [DN]."""
+    return float(np.nansum(image, dtype=np.float64))
 
 
 def speckle_contrast(image: np.ndarray) -> float:
@@ -64,3 +80,20 @@ def shifted(image: np.ndarray, rows: float, columns: float) -> np.ndarray:
     near_gap = ndimage.binary_dilation(gap) if gap.any() else gap
     outside = ndimage.shift(near_gap.astype(float), (rows, columns), order=1, mode="constant", cval=1.0)
     return np.where(outside > 1e-9, np.nan, moved)
+
+
+class Metric(NamedTuple):
+    """A metric of one crop [y, x] in DN, NaN beyond the frame: its name in metrics.nc, unit, meaning, and function."""
+
+    name: str
+    units: str
+    long_name: str
+    function: Callable[[np.ndarray], float]
+
+
+PER_IMAGE = (
+    Metric("maximum", "DN", "largest reading of the crop", largest_reading),
+    Metric("sum", "DN", "sum of all readings of the crop", total),
+    Metric("speckle_contrast", "1", "standard deviation over mean of the crop", speckle_contrast),
+    Metric("peak_ratio", "1", "pixels within 2 % of the maximum over pixels above half of it", peak_ratio),
+)

@@ -143,6 +143,10 @@ def _add_residuals(out: xr.Dataset, canvas: _Canvas, found: Findings, gap: Gap |
         along = "rows" if axis == "block_y" else "columns"
         values = side * np.arange(count) + (side - 1) / 2
         out.coords[axis] = (axis, values, {"units": "pixel", "long_name": f"middle of a block of pixels along {along}"})
+    first = found.base.refit
+    reading = pooled(first.moments.mean) + _median(found.look, first)
+    _put(out, "reading", (*canvas.dims, "block_y", "block_x"), canvas.spread(reading), "DN",
+         "median over the frames that chose the model, laid on the mean of their centres")  # fmt: skip
     edges = side * np.arange(max(min(rows, columns) // 2, 1) + 1)
     middle = (edges[:-1] + edges[1:]) / 2
     out.coords["radius"] = ("radius", middle, {"units": "pixel", "long_name": "distance from the spot's centre"})

@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.figures import style
+from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results, Unavailable
 
 LOOKS = {
@@ -78,3 +79,9 @@ def _draw(
     )
     clause = "In print: 3 · 10⁷ to 2.65 · 10¹⁴ for the photons, 2 · 10⁻¹⁸ to 1.25 · 10⁻¹⁶ m² for the width."
     return style.Drawing(figure, caption + results.beside_paper(clause))
+
+
+FIGURES = (
+    Entry("fig13a", "Bounds over exposure time", Category.BOUNDS, ("bounds",), over_exposure, "Fig. 13a"),
+    Entry("fig13b", "Bounds over photons", Category.BOUNDS, ("bounds",), over_photons, "Fig. 13b"),
+)

@@ -6,6 +6,7 @@ import xarray as xr
 from spotcheck.estimate.caustic import CONDITION, Hyperbola, half_width
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.figures import series, style
+from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results
 
 LOOKS = {
@@ -89,3 +90,6 @@ def _caption(ds: xr.Dataset, factor: float, unit: str) -> str:
 def _pm(own: xr.Dataset, name: str, factor: float, unit: str) -> str:
     """A derived quantity ± its standard error, in the unit that the factor leads to."""
     return plus_minus(float(own[name]) * factor, float(own[f"{name}_stderr"]) * factor, unit)
+
+
+FIGURES = (Entry("caustic", "Caustic of the beam", Category.BEAM, ("caustic",), draw),)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from spotcheck.figures import series, style
+from spotcheck.figures.entry import VERDICT, Category, Entry
 from spotcheck.figures.results import Results, Unavailable
 
 STAGES = ("before", "after")
@@ -283,3 +284,9 @@ def _cells(ax: Axes, plan: Plan, values: np.ndarray, clear: np.ndarray, norm: Lo
 
 def _digits(value: float) -> str:
     return f"{value:.2f}" if value < 10 else f"{value:.1f}" if value < 100 else style.power(value)
+
+
+FIGURES = (
+    Entry("missing-residuals", "Residual before and after", Category.MISSING, VERDICT, residuals),
+    Entry("missing-gap", "The gap by condition", Category.MISSING, VERDICT, gap),
+)

@@ -6,6 +6,7 @@ from matplotlib.patches import Rectangle
 from scipy import ndimage
 
 from spotcheck.figures import series, style
+from spotcheck.figures.entry import PAIR, Category, Entry
 from spotcheck.figures.frames_of import Example, Spot, example
 from spotcheck.figures.results import Results
 
@@ -112,3 +113,10 @@ def superposition(results: Results) -> style.Drawing:
     )
     clause = "The paper reads the same overlay by eye: plateaus agree, the measured edge falls more steeply."
     return style.Drawing(figure, caption + results.beside_paper(clause))
+
+
+FIGURES = (
+    Entry("fig08a", "Simulated spot", Category.IMAGES, PAIR, simulated, "Fig. 8a"),
+    Entry("fig08b", "Measured spot", Category.IMAGES, PAIR, measured, "Fig. 8b"),
+    Entry("fig08c", "Measured and simulated spot superposed", Category.IMAGES, PAIR, superposition, "Fig. 8c"),
+)

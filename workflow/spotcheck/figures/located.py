@@ -10,6 +10,7 @@ from matplotlib.patches import Patch
 
 from spotcheck.figures import style
 from spotcheck.figures.discrepancy import Plan, chosen, plan_of
+from spotcheck.figures.entry import VERDICT, Category, Entry
 from spotcheck.figures.results import Results, Unavailable
 
 MOST_PANELS = 4
@@ -191,3 +192,9 @@ def evidence(results: Results) -> style.Drawing:
         if ahead:
             caption += f" Ahead at this first look, but failing pixel by pixel: {', '.join(ahead)}."
     return style.Drawing(figure, caption)
+
+
+FIGURES = (
+    Entry("missing-where", "Where simulation and measurement disagree", Category.MISSING, VERDICT, where),
+    Entry("missing-evidence", "How well each effect explains it", Category.MISSING, VERDICT, evidence),
+)

@@ -1,4 +1,9 @@
-"""Figs. 9–12: quality metrics of measured and simulated frames, over the fibre orientation or what the design has."""
+"""Figs. 9–12: quality metrics of measured and simulated frames, over the fibre orientation or what the design has.
+
+A metric without a figure of its own in the paper is drawn as well, under its name.
+"""
+
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -7,9 +12,10 @@ from matplotlib.lines import Line2D
 from spotcheck import store
 from spotcheck.comparison import FROM_FIT
 from spotcheck.figures import series, style
+from spotcheck.figures.entry import METRICS, Category, Entry
 from spotcheck.figures.frames_of import UNTRUSTED
 from spotcheck.figures.results import Results
-from spotcheck.metrics import CONTAINER_RANGE
+from spotcheck.metrics import CONTAINER_RANGE, PER_IMAGE, Metric
 
 CENTRED_LIGHT = "crops centred on the light"
 
@@ -70,8 +76,15 @@ def total(results: Results) -> style.Drawing:
     return _metric(results, "sum", "sum of readings / {tens}DN", "Sum of all readings of a crop", clause)
 
 
-def _metric(results: Results, name: str, ylabel: str, what: str, paper: str) -> style.Drawing:
-    """One metric: measured with error bars, simulated dashed in the same colour."""
+def other(results: Results, metric: Metric) -> style.Drawing:
+    """A metric that no figure of the paper shows."""
+    unit = "" if metric.units == "1" else metric.units
+    label = style.label(metric.name.replace("_", " "), unit)
+    return _metric(results, metric.name, label, metric.long_name[0].upper() + metric.long_name[1:])
+
+
+def _metric(results: Results, name: str, ylabel: str, what: str, paper: str = "") -> style.Drawing:
+    """One metric: measured with error bars, simulated dashed in the same colour; `paper` is what the paper prints."""
     # Beside the paper's figures its own estimator, elsewhere the better one.
     every = results.get("metrics")
     ds = every.sel(centring="light", fit="least_squares" if results.like_paper() else every.attrs["preferred"])
@@ -101,7 +114,7 @@ def _metric(results: Results, name: str, ylabel: str, what: str, paper: str) -> 
     caption = _caption(what, measured, design, law, constant)
     if left_out:
         caption += f" {left_out} fits that did not converge or left the range of sound widths are not counted."
-    return style.Drawing(figure, caption + results.beside_paper(paper))
+    return style.Drawing(figure, caption + (results.beside_paper(paper) if paper else ""))
 
 
 def _simulated(
@@ -186,3 +199,24 @@ def _same_span(panels: np.ndarray) -> None:
     span = max(high - low for low, high in limits)
     for ax, (low, high) in zip(panels, limits, strict=True):
         ax.set_ylim((low + high - span) / 2, (low + high + span) / 2)
+
+
+IN_PRINT = (
+    Entry("fig09a", "Peak signal-to-noise ratio", Category.METRICS, ("metrics", "sensor"), psnr, "Fig. 9a"),
+    Entry("fig09b", "Speckle contrast", Category.METRICS, METRICS, contrast, "Fig. 9b"),
+    Entry("fig10a", "Plateau: largest reading", Category.METRICS, METRICS, maximum, "Fig. 10a"),
+    Entry("fig10b", "Amplitude of the fitted Gaussian", Category.METRICS, METRICS, amplitude, "Fig. 10b"),
+    Entry("fig11", "Width of the fitted Gaussian", Category.METRICS, METRICS, width, "Fig. 11"),
+    Entry("fig12", "Sum of all readings", Category.METRICS, METRICS, total, "Fig. 12"),
+)
+FIGURES = IN_PRINT + tuple(
+    Entry(
+        f"metric-{own.name.replace('_', '-')}",
+        own.name.replace("_", " ").capitalize(),
+        Category.METRICS,
+        METRICS,
+        partial(other, metric=own),
+    )
+    for own in PER_IMAGE
+    if own.name not in ("speckle_contrast", "maximum", "sum")
+)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from spotcheck.figures import style
+from spotcheck.figures.entry import PAIR, Category, Entry
 from spotcheck.figures.frames_of import example
 from spotcheck.figures.images import describe, half_side
 from spotcheck.figures.results import Results
@@ -40,3 +41,6 @@ def draw(results: Results) -> style.Drawing:
         f" readings on one scale up to {highest:.0f} DN, the difference on ± {highest:.0f} DN. Right: the row through"
         " the fitted centre, blue and solid as measured, orange and dashed as simulated.",
     )
+
+
+FIGURES = (Entry("overview", "At a glance", Category.GLANCE, PAIR, draw),)

@@ -9,6 +9,7 @@ from spotcheck.estimate.photon_transfer import LINEAR, Quantity
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.figures import style
+from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results, Unavailable
 
 
@@ -214,3 +215,12 @@ def pattern(results: Results) -> style.Drawing:
         " above the dashed line of the noise that is left in the mean, stripes and hum stand out as peaks."
     )
     return style.Drawing(figure, text)
+
+
+FIGURES = (
+    Entry("photon-transfer", "Photon transfer", Category.SENSOR, ("transfer",), transfer),
+    Entry("response", "Response and linearity", Category.SENSOR, ("transfer",), response),
+    Entry("signal-to-noise", "Signal-to-noise ratio", Category.SENSOR, ("transfer",), ratio),
+    Entry("dark", "Without light", Category.SENSOR, ("transfer",), dark),
+    Entry("pattern", "Pattern of the sensor", Category.SENSOR, ("transfer",), pattern),
+)

@@ -6,6 +6,7 @@ from matplotlib.axes import Axes
 
 from spotcheck.estimate.precision import SCATTERED, pooled_ratio, sentence
 from spotcheck.figures import style
+from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results, Unavailable
 
 LABELS = {
@@ -103,3 +104,6 @@ def _ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
     ax.set_yticks(y, [LABELS[name] for name in SCATTERED])
     ax.set_xlabel("scatter over repeats / bound")
     return handles
+
+
+FIGURES = (Entry("precision", "How precisely a frame measures", Category.BOUNDS, ("precision",), draw),)

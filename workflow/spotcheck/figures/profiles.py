@@ -6,6 +6,7 @@ import numpy as np
 
 from spotcheck import store
 from spotcheck.figures import series, style
+from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.frames_of import Spot, residual_frames
 from spotcheck.figures.results import Results, Unavailable
 
@@ -123,3 +124,14 @@ def _reach(found: list[Profile], highest: float) -> float:
             bright = np.flatnonzero(curve - np.nanmin(curve) > 0.01 * highest)
             last = max(last, own.radius[bright[-1]] if bright.size else 0.0)
     return min(1.25 * last, float(found[0].radius[-1]))
+
+
+FIGURES = (
+    Entry(
+        "residual-profiles",
+        "Radial profiles and their residual",
+        Category.RESIDUALS,
+        ("crops", "fits", "simulated"),
+        draw,
+    ),
+)

@@ -5,6 +5,7 @@ import xarray as xr
 
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.figures import series, style
+from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results
 
 
@@ -55,3 +56,6 @@ def _other(calibration: xr.Dataset, name: str) -> str:
     own = calibration.sel(estimator=name)
     values = (f"{p} = {float(own[f'{p}_mean']):.2f} px" for p in ("p1", "p2"))
     return f"{calibration.attrs[f'estimator_{name}']}: {', '.join(values)}"
+
+
+FIGURES = (Entry("fig07", "Beam propagation parameters", Category.CALIBRATION, ("calibration",), draw, "Fig. 7"),)

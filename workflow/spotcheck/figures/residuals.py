@@ -10,6 +10,7 @@ from matplotlib.patches import Ellipse
 
 from spotcheck import store
 from spotcheck.figures import series, style
+from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.frames_of import Spot, residual_frames
 from spotcheck.figures.results import Results, Unavailable
 
@@ -135,3 +136,6 @@ def _draw(ax: Axes, panel: Panel, end: float, half: float) -> None:
         looks = {"fill": False, "edgecolor": "0.1", "linewidth": 0.8, "linestyle": dashes}
         ax.add_patch(Ellipse((0, 0), size[1], size[0], angle=direction, **looks))
     ax.set(xlim=(-half, half), ylim=(half, -half))
+
+
+FIGURES = (Entry("residuals", "Residual images", Category.RESIDUALS, ("crops", "fits", "simulated"), images),)

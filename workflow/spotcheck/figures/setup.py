@@ -9,6 +9,7 @@ from matplotlib.patches import Arc, Ellipse
 
 from spotcheck import optics
 from spotcheck.figures import style
+from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results, Unavailable
 
 MM = 1e3
@@ -177,3 +178,6 @@ def _table(ax: Axes, rows: list[tuple[str, str]]) -> None:
         y = 1 - (line + 0.5) / each
         ax.text(0.52 * column, y, what, va="center", fontsize=8.5)
         ax.text(0.52 * column + 0.235, y, value, va="center", fontsize=8.5)
+
+
+FIGURES = (Entry("fig05", "Optical set-up", Category.SET_UP, ("frames",), draw, "Fig. 5"),)

@@ -4,19 +4,20 @@ import json
 from pathlib import Path
 
 from spotcheck import store
-from spotcheck.figures import style
-from spotcheck.figures.registry import FIGURES, Entry
+from spotcheck.figures import every_figure, style
+from spotcheck.figures.entry import Entry
 from spotcheck.figures.results import Results, Unavailable
 
 
-def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] = FIGURES) -> dict[str, list]:
-    """Write `<name>.svg`, `<name>.png` and index.json into `folder`; return the index.
+def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] | None = None) -> dict[str, list]:
+    """Write `<name>.svg`, `<name>.png` of some figures (by default of all) and index.json into `folder`; return the
+    index.
 
     A figure that an earlier run drew and this one cannot is removed.
     """
     drawn: list[dict[str, str | None]] = []
     skipped: list[dict[str, str | None]] = []
-    for entry in entries:
+    for entry in every_figure() if entries is None else entries:
         record: dict[str, str | None] = {"name": entry.name, "title": entry.title}
         try:
             for need in entry.needs:
@@ -29,7 +30,7 @@ def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] = FIGUR
             for kind in style.FORMATS:
                 (folder / f"{entry.name}.{kind}").unlink(missing_ok=True)
         else:
-            drawn.append(record | {"caption": drawing.caption, "category": entry.category, "paper": entry.paper})
+            drawn.append(record | {"caption": drawing.caption, "category": entry.category.value, "paper": entry.paper})
     index = {"figures": drawn, "skipped": skipped}
     store.write_text(folder / "index.json", json.dumps(index, indent=1, ensure_ascii=False) + "\n")
     return index

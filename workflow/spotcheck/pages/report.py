@@ -20,7 +20,7 @@ from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES, SOURCES
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.figures.registry import VERDICT
+from spotcheck.figures.entry import Category
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.pages import write_page
@@ -51,9 +51,9 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "not_recorded": [axis.name for axis in dataset.axes if axis.values is None] if dataset.spots else [],
         "skipped": stages,
         "skipped_figures": _by_reason(index["skipped"]),
-        "figures": [f for f in figures if f["category"] != VERDICT],
+        "figures": [f for f in figures if f["category"] != Category.MISSING.value],
         "missing": _missing(results / "verdict.json"),
-        "missing_figures": [f for f in figures if f["category"] == VERDICT],
+        "missing_figures": [f for f in figures if f["category"] == Category.MISSING.value],
         "chain": _image(results / "chain", "fig06"),
         "sensor": _sensor(files.get("sensor")),
         "sources_of_sensor": SOURCES,
