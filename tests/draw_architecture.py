@@ -1,0 +1,208 @@
+"""Draws the two pictures of workflow/docs/architecture.md as SVG: `python -m tests.draw_architecture`.
+
+The floors are those that test_architecture.py holds; the stages, their files and arrows are held to the rules by
+tests/library/test_docs.py, which also draws both again.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.library.test_architecture import FLOORS
+
+DOCS = Path(__file__).parents[1] / "workflow" / "docs"
+# What lives in each room, in a few words.
+ROOMS = {
+    "judging": "a verdict in one call: all stages one after another",
+    "cli": "one subcommand for each stage: parse, call, write",
+    "figures": "one module a family of figures",
+    "discrepancy": "what the model is missing: the verdict",
+    "pages": "report and tables as HTML, page of effects",
+    "paper": "the paper's numbers beside ours",
+    "estimate": "fits, p1 and p2, bounds, sensor, caustic",
+    "metrics": "metrics of one crop, PSNR",
+    "comparison": "measured beside simulated",
+    "simulation": "simulated frames as a dataset",
+    "design": "a dataset of a model, from Python",
+    "model": "light, sensor, effects: mean, variance, draws",
+    "frames": "read, find the spot, cut",
+    "pgm": "PGM files",
+    "crops": "stages ingest and crop",
+    "optics": "geometry, diffraction",
+    "template": "new-dataset",
+    "errors": "InputError",
+    "schema": "YAML",
+    "manifest": "manifest.csv",
+    "instrument": "instrument.yaml",
+    "dataset": "the folder",
+    "store": "netCDF files",
+    "provenance": "digests",
+}
+
+
+class Stage(NamedTuple):
+    """A stage: its rule ("" for what no rule makes), what it writes, column and row in the picture, and the stages
+    whose files it takes, as far as no other arrow says so."""
+
+    rule: str
+    files: str
+    column: int
+    row: int
+    after: tuple[str, ...] = ()
+
+
+STAGES = (
+    Stage("ingest", "frames.nc", 1, 0),
+    Stage("crop", "crops.nc", 2, 0, ("ingest",)),
+    Stage("fit", "fits.nc", 3, 0, ("crop", "sensor")),
+    Stage("calibrate", "calibration.nc", 4, 0, ("fit",)),
+    Stage("simulate", "simulated.nc", 5, 0, ("calibrate",)),
+    Stage("fit_simulated", "simulated/*.nc", 6, 0, ("simulate",)),
+    Stage("compare", "metrics.nc", 7, 0, ("fit_simulated",)),
+    Stage("transfer", "transfer.nc", 1, 1, ("ingest",)),
+    Stage("sensor", "sensor.nc", 2, 1, ("crop", "transfer")),
+    Stage("caustic", "caustic.nc", 3, 1, ("fit",)),
+    Stage("bounds", "bounds.nc", 4, 1, ("calibrate",)),
+    Stage("precision", "precision.nc", 6, 1, ("fit_simulated",)),
+    Stage("discrepancy", "findings.json", 3, 2, ("sensor",)),
+    Stage("verify", "gap.nc", 4, 2, ("discrepancy",)),
+    Stage("advise", "advice.json", 4, 3, ("discrepancy",)),
+    Stage("judge", "verdict.json, model.yaml", 5, 2, ("verify", "advise")),
+    Stage("extended", "extended.nc", 6, 2, ("judge",)),
+    Stage("figures", "figures/", 4, 4),
+    Stage("paper", "paper_numbers.csv", 4, 5),
+    Stage("report", "report.html", 5, 4, ("figures", "paper")),
+    Stage("notebook", "notebooks/", 6, 4),
+)
+# Rules that the picture leaves out, or shows as part of a stage.
+NOT_SHOWN = ("ingest_simulated", "crop_simulated", "judge_flats", "chain", "tables")
+
+INK, FAINT, FILL, LINE = "#1a1a1a", "#555555", "#eef3f8", "#5b7a99"
+SANS = "font-family='DejaVu Sans, Verdana, Helvetica, sans-serif'"
+MONO = "font-family='DejaVu Sans Mono, Menlo, Consolas, monospace'"
+
+
+def main() -> None:
+    """Write both pictures."""
+    for name, text in pictures().items():
+        (DOCS / name).write_text(text, encoding="utf-8")
+
+
+def pictures() -> dict[str, str]:
+    """Content of the pictures by file name."""
+    return {"floors.svg": floors(), "stages.svg": stages()}
+
+
+def floors() -> str:
+    """The floors, one above the other, with their rooms."""
+    wide, high, left, gap = 900, 62, 46, 8
+    parts = []
+    for level, rooms in FLOORS.items():
+        y = 10 + (max(FLOORS) - level) * (high + gap)
+        parts.append(text(left / 2, y + high / 2 + 5, str(level), size=15, colour=FAINT, middle=True))
+        # Rooms share the floor's width by what is written in them.
+        need = [max(len(room) * 1.25, len(words(room)[0]), len(words(room)[1])) + 3 for room in rooms]
+        x, unit = float(left), (wide - left - 10 - gap * (len(rooms) - 1)) / sum(need)
+        for room, share in zip(rooms, need, strict=True):
+            parts.append(box(x, y, share * unit, high))
+            middle = x + share * unit / 2
+            first, second = words(room)
+            parts.append(text(middle, y + (22 if second else 27), room, size=12, bold=True, middle=True))
+            parts.append(text(middle, y + (38 if second else 44), first, size=9.5, colour=FAINT, middle=True))
+            parts.append(text(middle, y + 51, second, size=9.5, colour=FAINT, middle=True) if second else "")
+            x += share * unit + gap
+    height = 10 + len(FLOORS) * (high + gap)
+    return sheet(wide, height, "Rooms of the library by floor; imports only go down", parts)
+
+
+def words(room: str) -> tuple[str, str]:
+    """What lives in a room, on two lines where it is long."""
+    said = ROOMS[room]
+    if len(said) < 16:
+        return said, ""
+    cuts = [k for k, letter in enumerate(said) if letter == " "]
+    cut = min(cuts, key=lambda k: abs(k - len(said) / 2))
+    return said[:cut], said[cut + 1 :]
+
+
+# Size of a stage's box and distance from box to box [px].
+BOX, STEP = (112, 44), (132, 72)
+
+
+def stages() -> str:
+    """The stages with what they write, and arrows from what they take."""
+    at = {own.rule: own for own in STAGES}
+    parts = [folder()]
+    parts += [arrow(at[name], own) for own in STAGES for name in own.after]
+    parts.append(arrow(Stage("", "", 0, 0), at["ingest"]))
+    for own in STAGES:
+        x, y = corner(own)
+        title = "ingest · crop · fit" if own.rule == "fit_simulated" else "verdict" if own.rule == "judge" else own.rule
+        middle, files = x + BOX[0] / 2, own.files.split(", ")
+        top = y + (18 if len(files) == 1 else 14)
+        parts += [box(x, y, *BOX), text(middle, top, title, size=11 if len(title) < 16 else 10, bold=True, middle=True)]
+        parts += [
+            text(middle, top + 14 + 11 * k, file, size=9.5, colour=FAINT, middle=True, mono=True)
+            for k, file in enumerate(files)
+        ]
+    x, y = corner(at["figures"])
+    parts.append(text(x - 14, y + 20, "from all the files above:", size=10.5, colour=FAINT, end=True))
+    width, height = 20 + 7 * STEP[0] + BOX[0], 20 + 5 * STEP[1] + BOX[1]
+    return sheet(width, height, "Stages of the workflow and the files that they write", parts)
+
+
+def folder() -> str:
+    """The dataset, where everything starts."""
+    x, y = corner(Stage("", "", 0, 0))
+    lines = ("manifest.csv", "instrument.yaml", "frames/")
+    written = [text(x + 8, y + 34 + 14 * k, line, size=9, colour=FAINT, mono=True) for k, line in enumerate(lines)]
+    return "".join(
+        [box(x, y, BOX[0], 74, fill="#fff6e5"), text(x + 8, y + 18, "dataset", size=11.5, bold=True), *written]
+    )
+
+
+def corner(own: Stage) -> tuple[float, float]:
+    """Upper left corner of a stage's box."""
+    return 10 + own.column * STEP[0], 10 + own.row * STEP[1]
+
+
+def arrow(start: Stage, end: Stage) -> str:
+    """An arrow between two boxes: across in a row, down in a column, else from side to side."""
+    (x1, y1), (x2, y2) = corner(start), corner(end)
+    if start.column == end.column:
+        x1, y1, x2 = x1 + BOX[0] / 2, y1 + BOX[1], x2 + BOX[0] / 2
+        path = f"M{x1:g},{y1:g} L{x2:g},{y2 - 2:g}"
+    else:
+        x1, y1, y2 = x1 + BOX[0], y1 + BOX[1] / 2, y2 + BOX[1] / 2
+        half = (x1 + x2) / 2
+        path = f"M{x1:g},{y1:g} C{half:g},{y1:g} {half:g},{y2:g} {x2 - 2:g},{y2:g}"
+    return f"<path d='{path}' fill='none' stroke='{LINE}' stroke-width='1.3' marker-end='url(#tip)'/>\n"
+
+
+def box(x: float, y: float, width: float, height: float, fill: str = FILL) -> str:
+    """A rounded box."""
+    place = f"x='{x:.1f}' y='{y:.1f}' width='{width:.1f}' height='{height:.1f}'"
+    return f"<rect {place} rx='5' fill='{fill}' stroke='{LINE}'/>\n"
+
+
+def text(
+    x: float, y: float, said: str, size: float, *, colour: str = INK, bold: bool = False, middle: bool = False,
+    end: bool = False, mono: bool = False,
+) -> str:  # fmt: skip
+    """A line of text on its base line."""
+    anchor = "middle" if middle else "end" if end else "start"
+    weight = " font-weight='bold'" if bold else ""
+    look = f"{MONO if mono else SANS} font-size='{size:g}' fill='{colour}' text-anchor='{anchor}'{weight}"
+    return f"<text x='{x:.1f}' y='{y:.1f}' {look}>{said}</text>\n"
+
+
+def sheet(width: float, height: float, title: str, parts: list[str]) -> str:
+    """A white sheet with the parts on it."""
+    tip = f"<path d='M0,0 L7,3 L0,6 z' fill='{LINE}'/>"
+    marker = f"<marker id='tip' markerWidth='8' markerHeight='6' refX='6' refY='3' orient='auto'>{tip}</marker>"
+    head = f"<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {width:g} {height:g}' role='img'>\n"
+    ground = f"<title>{title}</title>\n<defs>{marker}</defs>\n<rect width='100%' height='100%' fill='white'/>\n"
+    return head + ground + "".join(parts) + "</svg>\n"
+
+
+if __name__ == "__main__":
+    main()

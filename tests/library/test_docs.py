@@ -1,0 +1,326 @@
+"""Pages that a person reads: tables list what the code has, messages are the code's own, links lead somewhere."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from spotcheck import dataset
+from spotcheck.crops import check_dataset
+from spotcheck.errors import InputError
+from spotcheck.estimate.caustic import CONDITION
+from spotcheck.estimate.levels import PHOTONS
+from spotcheck.frames import read
+from spotcheck.manifest import REQUIRED_COLUMNS
+from spotcheck.metrics import Metric
+from spotcheck.model.effects import vocabulary
+from spotcheck.schema import read_schema
+from tests import check_readme, draw_architecture
+from tests.library.conftest import HEADER, ROOT, folder, loaded
+from tests.library.test_architecture import FLOORS
+
+DOCS = ROOT / "workflow" / "docs"
+CONTRACT = DOCS / "dataset-contract.md"
+PAGES = sorted([ROOT / "README.md", ROOT / "config" / "README.md", ROOT / "CHANGELOG.md", *DOCS.glob("*.md")])
+
+
+def section(path: Path, heading: str) -> str:
+    """Text of a page below a heading, up to the next one of the same depth or above."""
+    depth = len(heading.split()[0])
+    after = path.read_text(encoding="utf-8").split(f"\n{heading}\n")[1]
+    return re.split(rf"\n#{{1,{depth}}} ", after)[0]
+
+
+def table(text: str, head: str) -> list[list[str]]:
+    """Cells of the rows of the table whose first column is called `head`."""
+    lines = text[text.index(f"| {head} |") :].split("\n\n")[0].splitlines()
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def code(cell: str) -> str:
+    """What stands between backticks, or the cell as it is."""
+    return cell.strip("`") if cell.count("`") == 2 else cell
+
+
+# What pages quote. Blocks that a run wrote are held by `make check-numbers`.
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_numbers_of_other_pages_are_quoted_rightly(path):
+    """Where a page takes a number from a table of another."""
+    text = path.read_text(encoding="utf-8")
+    assert check_readme.with_numbers(text) == text
+    # Rendered, a line that starts with a comment would lose its links.
+    assert not re.search(r"^\s*<!-- [\w-]+\.md: ", text, re.MULTILINE)
+
+
+def test_the_readme():
+    """Short, with the paper's count as its page has it, and the number of effects that there are."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 150
+    (quoted,) = [found[2] for found in check_readme.pattern("numbers").finditer(text)]
+    assert quoted == check_readme.quoted(DOCS / "paper.md", "numbers", first=True)
+    assert {int(number) for number in re.findall(r"(\d+)\s+effects", text)} == {len(vocabulary())}
+
+
+def test_check_readme_tells_and_mends(tmp_path, monkeypatch):
+    """A stale number and a stale block are refused, and right after --write."""
+    monkeypatch.setattr(check_readme, "DOCS", tmp_path)
+    (tmp_path / "scores.md").write_text("| row | × 2.5 (2.4–2.6) | 7 |\n")
+    (tmp_path / "verdict.json").write_text(json.dumps({"sentence": "All is well."}))
+    page = tmp_path / "page.md"
+    page.write_text("A <!-- scores.md: row -->9<!-- / --> b\n<!-- said: here -->\nold\n<!-- /said -->\n")
+    for more in ([], ["said", str(tmp_path / "verdict.json")]):
+        monkeypatch.setattr("sys.argv", ["check_readme.py", str(page), *more])
+        with pytest.raises(SystemExit, match="quotes something else than"):
+            check_readme.main()
+        monkeypatch.setattr("sys.argv", ["check_readme.py", str(page), *more, "--write"])
+        check_readme.main()
+        monkeypatch.setattr("sys.argv", ["check_readme.py", str(page), *more])
+        check_readme.main()
+    assert page.read_text() == (
+        "A <!-- scores.md: row -->2.5<!-- / --> b\n<!-- said: here -->\n> All is well.\n<!-- /said -->\n"
+    )
+
+
+# The dataset contract.
+
+
+def test_columns_of_the_manifest():
+    """Those that are required, those that some stage knows, and the rest."""
+    rows = table(section(CONTRACT, "## manifest.csv"), "column")
+    assert [code(row[0]) for row in rows] == [*REQUIRED_COLUMNS, "page", PHOTONS, CONDITION, "any other"]
+
+
+def instrument_keys() -> dict[str, dict]:
+    """Every key of instrument.yaml with its section, and what the schema says of it."""
+    out = {}
+    for name, own in read_schema("instrument")["properties"].items():
+        if own["type"] == "object":
+            out |= {f"{name}.{key}": content for key, content in own["properties"].items()}
+        else:
+            out[name] = own
+    return out
+
+
+def test_keys_of_the_instrument_file():
+    """In the schema's order, with its defaults and units."""
+    rows = table(section(CONTRACT, "## instrument.yaml"), "key")
+    assert [code(row[0]) for row in rows] == list(instrument_keys())
+    for (key, unit, default, meaning), own in zip(rows, instrument_keys().values(), strict=True):
+        assert ("default" in own) == ("`" in default), key
+        assert "default" not in own or json.dumps(own["default"]).strip('"') == code(default), key
+        said = re.search(r"\[(.+?)\]", own["description"])
+        assert unit == (said[1] if said else "bit" if "bit" in key else ""), key
+        assert meaning
+        for choice in own.get("enum", ()):
+            assert f"`{choice}`" in meaning, key
+
+
+def test_photon_budgets():
+    """A row for each choice."""
+    rows = table(section(CONTRACT, "### The baseline model"), "value")
+    assert {code(row[0]) for row in rows} == set(instrument_keys()["model.photon_budget"]["enum"])
+
+
+def nested(schema: dict) -> set[str]:
+    """Names of all keys below a part of a schema."""
+    out: set[str] = set()
+    for name, own in schema.get("properties", {}).items():
+        out |= {name} | nested(own)
+    for inner in (schema.get("items"), schema.get("additionalProperties")):
+        out |= nested(inner) if isinstance(inner, dict) else set()
+    return out
+
+
+def test_keys_of_the_verdict():
+    """Every key in the schema's order; the keys below it are named beside it, with every word that they can hold."""
+    schema = read_schema("verdict")
+    rows = {code(row[0]): row[1] for row in table(section(CONTRACT, "## verdict.json"), "key")}
+    assert list(rows) == list(schema["properties"]) == schema["required"]
+    for name, own in schema["properties"].items():
+        named = set(re.findall(r"`([a-z_0-9 -]+)`", rows[name]))
+        assert nested(own) - {"unit", "before", "after", "stderr"} <= named, name
+    assert set(schema["properties"]["where"]["items"]["properties"]["block"]["enum"]) <= set(
+        re.findall(r"`(\w+)`", rows["where"])
+    )
+    for place in schema["properties"]["gap"]["properties"]["on"]["enum"]:
+        assert place is None or f"`{place}`" in rows["gap"]
+
+
+def test_statuses_of_the_verdict():
+    """A row for each."""
+    rows = table(section(CONTRACT, "## verdict.json"), "status")
+    assert [code(row[0]) for row in rows] == read_schema("verdict")["properties"]["status"]["enum"]
+
+
+GOOD = "frames/a.tif,spot,0,1e-4,0"
+
+
+def manifest(*rows: str, header: str = HEADER):
+    """Loading a dataset of these rows."""
+    return lambda base: dataset.load(folder(base, list(rows), header=header))
+
+
+def instrument(text: str):
+    """Loading a dataset with this instrument file."""
+    return lambda base: dataset.load(folder(base, [GOOD], text))
+
+
+def beside(row: str, *files: str):
+    """Checking a dataset of one row with empty files in frames/."""
+
+    def check(base):
+        found = dataset.load(folder(base, [row]))
+        for name in files:
+            (base / "frames" / name).touch()
+        dataset.check_files(found)
+
+    return check
+
+
+def image(pixels: np.ndarray, text: str = ""):
+    """Checking and reading a dataset of one image."""
+
+    def check(base):
+        found = dataset.load(folder(base, [GOOD], text))
+        tifffile.imwrite(base / "frames" / "a.tif", pixels)
+        check_dataset(found)
+        read(found, found.frames[0])
+
+    return check
+
+
+MISTAKES = {
+    "a required column is missing": manifest("frames/a.tif,spot,0,1e-4", header=HEADER.removesuffix(",repeat")),
+    "an unknown kind": manifest(GOOD.replace("spot", "sopt")),
+    "a unit in a number": manifest(GOOD.replace("1e-4", "0.1ms")),
+    "two rows for one frame": manifest(GOOD, GOOD),
+    "a gap in a column": manifest(GOOD, "frames/b.tif,spot,0,,1"),
+    "a file that is not there": beside(GOOD),
+    "an image without a row": beside(GOOD, "a.tif", "b.tif"),
+    "a misspelt key": instrument("croppx: 240"),
+    "a key in the wrong place": instrument("f_number: 11"),
+    "a value out of range": instrument("sensor: {bit_depth: 17}"),
+    "a colour image": image(np.zeros((40, 50, 3), np.uint8)),
+    "a crop that is too large": image(np.zeros((30, 40), np.uint16)),
+    "a wrong bit depth": image(np.full((40, 50), 1024, np.uint16), "crop_px: 24\nsensor: {bit_depth: 10}"),
+}
+
+
+def test_every_mistake_of_the_page_is_tried():
+    rows = table(section(CONTRACT, "## Mistakes and their messages"), "mistake")
+    assert [row[0] for row in rows] == list(MISTAKES)
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_messages_are_the_programs_own(mistake, tmp_path):
+    """Word by word, backticks apart."""
+    rows = dict(table(section(CONTRACT, "## Mistakes and their messages"), "mistake"))
+    with pytest.raises(InputError) as caught:
+        MISTAKES[mistake](tmp_path)
+    assert str(caught.value).replace("`", "") == code(rows[mistake])
+
+
+def test_the_smallest_dataset_is_one(tmp_path):
+    """The page's manifest of two lines."""
+    text = section(CONTRACT, "## A first dataset")
+    header, row = re.search(r"(    file,kind.*\n)(    frames/.*\n)", text).groups()
+    found = loaded(tmp_path, [np.zeros((300, 300), np.uint16)])
+    (tmp_path / "frames" / "f0.tif").rename(tmp_path / "frames" / "spot.tif")
+    (tmp_path / "manifest.csv").write_text(header.strip() + "\n" + row.strip() + "\n")
+    found = dataset.load(tmp_path)
+    check_dataset(found)
+    assert found.shape == (1, 1, 1)
+
+
+# Architecture.
+
+RULES = ROOT / "workflow" / "rules"
+
+
+def rules() -> dict[str, str]:
+    """Text of every rule by name, with that of the functions in common.smk that it names."""
+    found = {}
+    helpers = re.split(r"^def ", (RULES / "common.smk").read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    for path in RULES.glob("*.smk"):
+        for part in re.split(r"^ *(?=(?:use )?rule )", path.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]:
+            named = re.match(r"(?:use rule \w+ as|rule) (\w+)", part)
+            found[named[1]] = (
+                found.get(named[1], "")
+                + part
+                + "".join(own for own in helpers if re.search(rf"\b{own.split('(')[0]}\b", part))
+            )
+    return found
+
+
+@pytest.mark.parametrize("name", draw_architecture.pictures())
+def test_pictures_are_drawn_from_the_code(name):
+    """`python -m tests.draw_architecture` draws what the page shows; every room has its words."""
+    assert {room for rooms in FLOORS.values() for room in rooms} <= set(draw_architecture.ROOMS)
+    assert (DOCS / name).read_text(encoding="utf-8") == draw_architecture.pictures()[name]
+
+
+def test_every_rule_is_in_the_picture():
+    """Or among those that it leaves out."""
+    shown = [own.rule for own in draw_architecture.STAGES]
+    assert sorted([*shown, *draw_architecture.NOT_SHOWN]) == sorted(rules())
+
+
+@pytest.mark.parametrize("own", draw_architecture.STAGES, ids=lambda own: own.rule)
+def test_stages_write_and_take_what_the_picture_says(own):
+    """A rule names its own files, and those of the stages from which an arrow leads to it."""
+    text = rules()[own.rule]
+    for file in own.files.split(", "):
+        assert file.strip("/").split("/*")[0] in text, file
+    files = {stage.rule: stage.files for stage in draw_architecture.STAGES}
+    for name in own.after:
+        assert f"rules.{name}.output" in text or files[name].split(".")[0] in text, name
+
+
+def test_the_table_of_stages():
+    """Every stage of the picture with its file."""
+    rows = table(section(DOCS / "architecture.md", "## The way of the data"), "stage")
+    told = {name: row[2] for row in rows for name in re.findall(r"`(\w+)`", row[0])}
+    shown = {own.rule: own.files for own in draw_architecture.STAGES if own.rule != "fit_simulated"}
+    assert set(told) == {"verdict" if name == "judge" else name for name in shown}
+    for name, files in shown.items():
+        assert all(f"`{file}`" in told["verdict" if name == "judge" else name] for file in files.split(", "))
+
+
+def test_the_pages_metric_is_one():
+    """Its function, and the form of its row."""
+    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    (text,) = [own.split("```")[0] for own in page.split("```python\n")[1:] if "PER_IMAGE" in own]
+    names = {"np": np, "Metric": Metric}
+    exec(text.replace("    ...,\n", ""), names)
+    (row,) = names["PER_IMAGE"]
+    assert row.units and row.long_name
+    assert row.function(np.array([[0.0, 4.0], [1.0, np.nan]])) == pytest.approx(1 / 3)
+
+
+# Links.
+
+
+def anchors(path: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them."""
+    heads = re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    texts = [re.sub(r"\[(.+?)\]\(.+?\)", r"\1", head).lower() for head in heads]
+    return {re.sub(r"[^\w\- ]", "", text).replace(" ", "-") for text in texts}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(path):
+    """Files that are there, and headings of theirs."""
+    text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith("http"):
+            continue
+        file, _, anchor = target.partition("#")
+        goal = (path.parent / file).resolve() if file else path
+        assert goal.exists(), target
+        assert goal.is_relative_to(ROOT), target
+        assert not anchor or anchor in anchors(goal), target
