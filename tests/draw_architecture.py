@@ -67,12 +67,14 @@ STAGES = (
     Stage("verify", "gap.nc", 4, 2, ("discrepancy",)),
     Stage("advise", "advice.json", 4, 3, ("discrepancy",)),
     Stage("judge", "verdict.json, model.yaml", 5, 2, ("verify", "advise")),
-    Stage("extended", "extended.nc", 6, 2, ("judge",)),
+    Stage("simulate_extended", "extended.nc", 6, 2, ("judge",)),
     Stage("figures", "figures/", 4, 4),
     Stage("paper", "paper_numbers.csv", 4, 5),
     Stage("report", "report.html", 5, 4, ("figures", "paper")),
     Stage("notebook", "notebooks/", 6, 4),
 )
+# What a box is called where its rule has another name.
+TITLES = {"fit_simulated": "ingest · crop · fit", "judge": "verdict", "simulate_extended": "extended"}
 # Rules that the picture leaves out, or shows as part of a stage.
 NOT_SHOWN = ("ingest_simulated", "crop_simulated", "judge_flats", "chain", "tables")
 
@@ -136,7 +138,7 @@ def stages() -> str:
     parts.append(arrow(Stage("", "", 0, 0), at["ingest"]))
     for own in STAGES:
         x, y = corner(own)
-        title = "ingest · crop · fit" if own.rule == "fit_simulated" else "verdict" if own.rule == "judge" else own.rule
+        title = TITLES.get(own.rule, own.rule)
         middle, files = x + BOX[0] / 2, own.files.split(", ")
         top = y + (18 if len(files) == 1 else 14)
         parts += [box(x, y, *BOX), text(middle, top, title, size=11 if len(title) < 16 else 10, bold=True, middle=True)]

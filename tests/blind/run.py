@@ -67,7 +67,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--score", action="store_true", help="score what is there, run nothing")
     parser.add_argument("--verbose", action="store_true", help="a line for every wrong verdict")
-    parser.add_argument("--write", action="store_true", help="also into workflow/docs and README")
+    parser.add_argument("--write", action="store_true", help="also into workflow/docs, and what is quoted of it")
     return parser.parse_args()
 
 
@@ -130,7 +130,6 @@ def finish(done: list[records.Record], folder: Path, name: str, base: int, write
     figures = [*score.figures(done), *times.figures(folder)]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "blind.md").write_text(table.as_markdown(figures, done, name, base), encoding="utf-8")
-    (folder / "summary.md").write_text(table.as_summary(figures, done, name, base), encoding="utf-8")
     picture.draw(score.confusion(done), folder / "blind.png")
     if write:
         publish(folder)
@@ -138,12 +137,12 @@ def finish(done: list[records.Record], folder: Path, name: str, base: int, write
 
 
 def publish(folder: Path) -> None:
-    """Scores into the pages and the README, and what they rest on beside the suite."""
+    """Scores into the pages, the numbers that others quote of them, and what they rest on beside the suite."""
     records.keep(folder)
     for file in ("blind.md", "blind.png"):
         shutil.copyfile(folder / file, records.ROOT / "workflow" / "docs" / file)
-    check = [sys.executable, "tests/check_readme.py", "README.md", "blind", str(folder / "summary.md"), "--write"]
-    subprocess.run(check, cwd=records.ROOT, check=True)
+    for page in ("README.md", "workflow/docs/verdict.md"):
+        subprocess.run([sys.executable, "tests/check_readme.py", page, "--write"], cwd=records.ROOT, check=True)
 
 
 if __name__ == "__main__":

@@ -43,14 +43,6 @@ def as_markdown(figures: Sequence[Figure], records: Sequence[Record], commit: st
     return "\n".join([*out, timing(counted), ""])
 
 
-def as_summary(figures: Sequence[Figure], records: Sequence[Record], commit: str, base: int) -> str:
-    """What the README quotes: the table and the count."""
-    sets = sum(map(outcome.scored, records))
-    lines = markdown(COLUMNS, [row(figure) for figure in figures])
-    said = f"{count(figures)}: {sets} sets, seeds from {base:,} on, commit `{commit}`. {PARTS}"
-    return "\n".join([*lines, "", said, ""])
-
-
 def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """A Markdown table."""
     lines = [columns, ["---", *["---:"] * (len(columns) - 2), "---"], *rows]

@@ -14,7 +14,6 @@ from spotcheck import provenance, store
 from tests.blind import figure, intervals, limit, outcome, picture, power, records, score, table, times
 from tests.blind.judge_case import BY_COMMAND, Nulls, compared, record_of
 from tests.blind.plan import PUBLISHED, Job, plan
-from tests.check_readme import pattern
 
 BASE = {"p1": 4.0, "p2": 50.0, "sigma_px": [15.0, 20.0], "peak_dn": 600.0, "top_hat": False, "bit_depth": 10,
         "photon_budget": "linear"}  # fmt: skip
@@ -335,8 +334,6 @@ def test_the_published_scores_follow_from_their_records():
     assert {row["job"]["seed"] for row in rows} <= {job.seed for job in itertools.islice(plan(base), 20_000)}
     page = (records.ROOT / "workflow/docs/blind.md").read_text(encoding="utf-8")
     assert page == table.as_markdown(figures, rows, kept.name, base)
-    quoted = pattern("blind").search((records.ROOT / "README.md").read_text(encoding="utf-8"))
-    assert quoted and quoted[2] == table.as_summary(figures, rows, kept.name, base)
 
 
 # A small fixed run

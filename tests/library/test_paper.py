@@ -58,6 +58,23 @@ def test_shares_count_what_is_to_be_counted():
     assert [v.entry for v in lost(own)] == [numbers[1][0], numbers[2][0], numbers[5][0]]
 
 
+def test_summary_says_how_many_hold_and_which_do_not():
+    """The first paragraph is what the README quotes."""
+    numbers = [
+        (entry("derived"), 0.5),
+        (entry("simulated"), 0.5),
+        (entry("measured") | {"id": "sum_sd", "printed": "up to 1"}, 2.0),
+        (entry("measured", counted=False) | {"id": "p2_sd"}, 2.0),
+    ]
+    first, second, third = verdicts.summary([Verdict(e, v, *interval(e)) for e, v in numbers]).split("\n\n")
+    assert first == (
+        "Of the numbers that the paper prints, 1 of 1 that follow from its inputs, 1 of 1 of its simulation"
+        " and 0 of 1 of its frames hold."
+    )
+    assert "sum sd (printed: up to 1; ours: 2)." in second and second.endswith("either: p2 sd.")
+    assert third.endswith("±.\n")
+
+
 def test_table_has_a_row_a_number():
     """CSV with the bounds, ours, and the verdict."""
     own = Verdict(entry("derived", printed="0–1, both", unit="1"), 0.25, 0, 1)

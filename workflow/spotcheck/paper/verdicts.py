@@ -78,21 +78,21 @@ def shares(verdicts: list[Verdict]) -> dict[str, tuple[int, int]]:
 
 
 def summary(verdicts: list[Verdict]) -> str:
-    """The shares that hold as a Markdown table, and what does not hold in a sentence."""
-    rows = ["| numbers of the paper | hold |", "|---|---|"]
-    sides = {"derived": "derived from its inputs", "simulated": "simulated side", "measured": "measured side"}
-    for kind, (held, counted) in shares(verdicts).items():
-        rows.append(f"| {sides[kind]} | {held} of {counted} |")
+    """How many numbers hold, in a sentence, and which do not, as Markdown."""
+    sides = {"derived": "that follow from its inputs", "simulated": "of its simulation", "measured": "of its frames"}
+    parts = [f"{held} of {counted} {sides[kind]}" for kind, (held, counted) in shares(verdicts).items()]
     failed = [v for v in verdicts if v.counted and not v.holds]
     texts = [f"{v.entry['id'].replace('_', ' ')} (printed: {v.entry['printed']}; ours: {v.ours:.3g})" for v in failed]
-    rows += ["", f"What does not hold: {'; '.join(texts) or 'nothing'}."]
     rest = [v.entry["id"].replace("_", " ") for v in verdicts if not v.counted and not v.holds]
-    rows[-1] += f" Shown and not counted, and not holding either: {', '.join(rest) or 'nothing'}."
-    rows += [
-        "",
-        "A printed range counts as two numbers, each met within half the range's width; others within the printed ±.",
-    ]
-    return "\n".join(rows) + "\n"
+    return "\n\n".join(
+        [
+            f"Of the numbers that the paper prints, {', '.join(parts[:-1])} and {parts[-1]} hold.",
+            f"What does not hold: {'; '.join(texts) or 'nothing'}. Shown but not counted, and not holding either:"
+            f" {', '.join(rest) or 'nothing'}.",
+            "A printed range counts as two numbers, each met within half the range's width; other numbers count as met"
+            " within the printed ±.\n",
+        ]
+    )
 
 
 def lost(verdicts: list[Verdict]) -> list[Verdict]:
