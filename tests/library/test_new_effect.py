@@ -5,9 +5,8 @@ import pytest
 from rig import hidden
 from spotcheck.discrepancy.extend import Tolerance
 from spotcheck.discrepancy.verdict import judge, verdict_json
-from tests.blind.crops import set_of
-from tests.blind.judge_case import Nulls
 from tests.library.effect_cases import one_file_more
+from tests.library.hidden_set import nulls, set_of
 
 COMA = '''"""Coma: the flanks reach further on one side."""
 
@@ -35,13 +34,13 @@ EFFECT = Effect(
 
 
 @pytest.mark.slow
-def test_what_was_unknown_is_named_by_one_new_file(tmp_path):
+def test_what_was_unknown_is_named_by_one_new_file(tmp_path, laws):
     """By name, with the strength that the rig drew within 4 standard errors (false alarm 6e-5)."""
     case = hidden.draw_case(8, "outside:coma:strong", "one_site")
-    seen, nulls = set_of(case), Nulls(tmp_path, 110)
+    seen, null_of = set_of(case), nulls(laws)
 
     def verdict():
-        return verdict_json(judge(seen.shots, seen.setting, seen.kind, nulls.null_for, Tolerance()), "8", Tolerance())
+        return verdict_json(judge(seen.shots, seen.setting, seen.kind, null_of, Tolerance()), "8", Tolerance())
 
     before = verdict()
     assert before["status"] == "unknown" and not before["effects"]
