@@ -101,7 +101,9 @@ def record_of(name: str, job: Job, laws: Path) -> Record:
             # The time of a null law is that of its design, not of this data set.
             record["seconds"] = None if first else time.perf_counter() - start
             record["outcome"] = word_for(record)
-            record |= own.beside(job, folder, results, record["truth"], judge)
+            more = own.beside(job, folder, results, record["truth"], judge)
+            # Whatever is recorded must be fit for a file.
+            record |= json.loads(json.dumps(more, allow_nan=False))
         except Busy:
             raise
         except Exception as error:

@@ -84,14 +84,15 @@ def beside(results: Path) -> dict[str, Any]:
     the crop's corner, its side [px], and what the base model leaves of its blocks, over the peak."""
     with store.read(results / "discrepancy.nc") as ds:
         known = "residual_before" in ds
-        left = (np.squeeze(ds["residual_before"].values) / float(ds["peak"])).round(4).tolist() if known else None
+        left = np.squeeze(ds["residual_before"].values) / float(ds["peak"]) if known else None
         closed = dict(zip(ds["candidate"].values, ds["candidate_closed"].values, strict=True)) if known else {}
     with store.read(results / "crops.nc") as ds:
         corner = [int(ds[name].sel(centring="light").item()) for name in ("top", "left")]
         side = int(ds.sizes["y"])
     # More noise excuses any mean.
     closed = {str(name): float(part) for name, part in closed.items() if not scatters(vocabulary()[name])}
-    return {"closed": closed, "seen": {"corner": corner, "side": side, "left": left}}
+    blocks = None if left is None else [[round(v, 4) if np.isfinite(v) else None for v in row] for row in left.tolist()]
+    return {"closed": closed, "seen": {"corner": corner, "side": side, "left": blocks}}
 
 
 def seen(records: Sequence[Record]) -> dict[str, Seen]:
