@@ -1,4 +1,5 @@
 # make        the environment, then every figure, number, notebook and page of the default dataset
+# make quick  the environment, then the tests that take no time: library, rules, architecture; no whole runs
 # make test   the environment, then every test
 
 PYTHON ?= python3
@@ -9,11 +10,15 @@ BENCH  := .venv-bench
 CHECK  := results/check
 WHEEL  := build/wheel
 
-.PHONY: all test wheel lint check-numbers bench blind blind-times second real snakemake-report lock lock-bench clean
+.PHONY: all quick test wheel lint check-numbers bench validate validate-times validate-second validate-real \
+    snakemake-report lock lock-bench clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
 	@$(BIN)/spotcheck where results/virtual-rig
+
+quick: $(READY)
+	$(BIN)/python -m pytest --numprocesses $(CORES) --dist loadgroup -m "not slow"
 
 test: $(READY)
 	$(BIN)/python -m pytest --numprocesses $(CORES) --dist loadgroup
@@ -47,10 +52,10 @@ check-numbers: $(READY)
 	$(BIN)/python tests/check_readme.py README.md numbers $(CHECK)/numbers.md
 
 # Ours and other packages side by side, in an environment of their own: they need 3 GB of disk.
-# PARTS="estimator simulator" runs just these; tests/benchmarks/run.py lists all. What the README quotes is replaced by hand:
+# PARTS="estimator simulator" runs just these; tests/validation/benchmarks/run.py lists all. What the README quotes is replaced by hand:
 # tests/check_readme.py README.md benchmarks results/benchmarks/summary.md --write
 bench: $(BENCH)/.ready
-	$(BENCH)/bin/python -m tests.benchmarks.run $(PARTS)
+	$(BENCH)/bin/python -m tests.validation.benchmarks.run $(PARTS)
 
 # The lock is complete; pip itself would ask for hashes of `pandas[excel]`, which it takes for another package than pandas.
 $(BENCH)/.ready: requirements-bench.lock pyproject.toml workflow/rig/pyproject.toml
@@ -59,26 +64,25 @@ $(BENCH)/.ready: requirements-bench.lock pyproject.toml workflow/rig/pyproject.t
 	$(BENCH)/bin/pip install --quiet --no-deps --no-build-isolation --editable . --editable workflow/rig
 	@touch $@
 
-# Datasets with hidden effects, judged for at most two hours; each call adds to the scores of the earlier ones at a commit.
-# BLIND="--hours 1 --limit 500" changes that; tests/blind/run.py lists all. `BLIND="--score --write"` writes the scores into
-# workflow/docs/ and README.
-BLIND ?= --hours 2 --workers $(CORES)
-blind: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.blind.run $(BLIND)
+# Data sets with hidden effects, judged for two hours; each call adds to those of the earlier ones at a commit.
+# VALIDATE="--hours 1 --jobs 500" changes that; tests/validation/run.py lists all. `VALIDATE="--report --publish"`, at a
+# release, writes scores and the records that they follow from into the repository.
+VALIDATE ?= --hours 2
+validate: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run rig --workers $(CORES) $(VALIDATE)
 
 # Times of the whole command, for the same table; nothing else should run beside it.
-blind-times: $(READY)
-	$(BIN)/python -m tests.blind.times
+validate-times: $(READY)
+	$(BIN)/python -m tests.validation.times
 
-# Hidden effects by a generator that shares nothing with the rig: SECOND="--sets 40" for fewer sets; table in results/blind/.
-second: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.second.judge --workers $(CORES) $(SECOND)
+# Hidden effects by a generator that shares nothing with the rig: SECOND="--jobs 40" for fewer sets.
+validate-second: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run second --hours 9 --workers $(CORES) $(SECOND)
 
-# Pages of real frames: beams, each judged alone and with a known effect put into its readings; a CCD by flats and darks beside
-# the standard's own package. Needs the frames beside the repository. REAL=--write puts them into workflow/docs/.
-real: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.real.sensor $(REAL)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.real.beams $(REAL)
+# Real frames, as they are and with a known effect put into their readings, and their pages. Needs the frames beside the
+# repository. REAL=--publish writes the pages into workflow/docs/.
+validate-real: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run real --workers $(CORES) $(REAL)
 
 lock-bench:
 	uv pip compile pyproject.toml --extra workflow --extra dev --extra bench --universal --generate-hashes --no-header --no-annotate \

@@ -1,10 +1,14 @@
-"""A small run of the whole workflow, made once a session, that rule, artefact and workflow tests look at."""
+"""What tests share: a small run of the whole workflow and null laws, made once a session by whichever worker needs them
+first."""
 
 import csv
+import fcntl
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -64,26 +68,67 @@ def small_rig_dataset(folder: Path, angles=(0, 90), exposures=(1e-4, 5e-4, 9e-4)
     return folder
 
 
-@pytest.fixture(scope="session")
-def small_run(tmp_path_factory) -> Path:
-    """Results folder of a small dataset of the virtual rig, after one complete run."""
-    base = tmp_path_factory.mktemp("small")
-    dataset = small_rig_dataset(base / "small")
-    run = snakemake(config={"dataset": dataset, "results": base / "results"})
-    assert run.returncode == 0, run.stdout + run.stderr
-    return base / "results" / "small"
+@contextmanager
+def alone(lock: Path) -> Iterator[None]:
+    """Let one process at a time do what follows."""
+    lock.parent.mkdir(parents=True, exist_ok=True)
+    with lock.open("w") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        yield
 
 
 @pytest.fixture(scope="session")
-def small_frames(tmp_path_factory) -> Path:
-    """The small dataset as a user's own folder: frames, manifest, instrument, and no rig."""
-    folder = small_rig_dataset(tmp_path_factory.mktemp("frames") / "small")
-    rig = Path(sys.executable).parent / "rig"
-    settings, truth = folder / "rig.yaml", folder / "truth.json"
-    subprocess.run([rig, "expose", folder, "--settings", settings, "--truth", truth], check=True, capture_output=True)
-    settings.unlink()
-    truth.unlink()
+def shared(tmp_path_factory) -> Path:
+    """A folder that all workers of this session share."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+def made_once(folder: Path, make: Callable[[Path], None]) -> Path:
+    """A folder that the first worker makes and the others find."""
+    with alone(folder.with_suffix(".lock")):
+        done = folder / ".made"
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            done.touch()
     return folder
+
+
+@pytest.fixture(scope="session")
+def laws(shared) -> Path:
+    """A folder of null laws."""
+    return shared / "laws"
+
+
+@pytest.fixture(scope="session")
+def small_run(shared) -> Path:
+    """Results folder of a small dataset of the virtual rig, after one complete run."""
+
+    def run(base: Path) -> None:
+        dataset = small_rig_dataset(base / "small")
+        done = snakemake(config={"dataset": dataset, "results": base / "results"})
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    return made_once(shared / "run", run) / "results" / "small"
+
+
+@pytest.fixture(scope="session")
+def small_frames(shared) -> Path:
+    """The small dataset as a user's own folder: frames, manifest, instrument, and no rig."""
+
+    def expose(base: Path) -> None:
+        folder = small_rig_dataset(base / "small")
+        rig = Path(sys.executable).parent / "rig"
+        settings, truth = folder / "rig.yaml", folder / "truth.json"
+        subprocess.run(
+            [rig, "expose", folder, "--settings", settings, "--truth", truth], check=True, capture_output=True
+        )
+        settings.unlink()
+        truth.unlink()
+
+    return made_once(shared / "frames", expose) / "small"
 
 
 @pytest.fixture

@@ -11,10 +11,7 @@ from spotcheck.discrepancy.shots import Shot, design_of
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import reading
-from tests.blind import advised, outcome
-from tests.blind.crops import set_of
-from tests.blind.judge_case import Nulls, record_of
-from tests.blind.plan import Job
+from tests.library.hidden_set import set_of
 
 
 def look_of(angles, exposures, repeats=2):
@@ -134,14 +131,3 @@ def test_a_blocked_beam_leaves_the_room():
         off = (frames.mean() - expected.mean) / np.sqrt(expected.variance / frames.size)
         # Six standard errors, and what rounding may move a mean of so little noise.
         assert abs(off) < 6
-
-
-def test_frames_that_are_asked_for_tell(tmp_path):
-    """A hidden ellipse at one angle: ambiguous, and named after the advised frame is made; a condition at random does
-    not do it."""
-    nulls = Nulls(tmp_path, advised.NULLS)
-    record = record_of(Job(0, 31000, "one:fibre_anisotropy:strong", "one_site"), nulls.null_for)
-    assert outcome.status(record) == "ambiguous" and record["advised"]["left"] == [["fibre_anisotropy"]]
-    assert outcome.told_apart(record)
-    assert not outcome.told_apart(record | {"advised": record["advised"] | {"any": [record["advised"]["needed"]]}})
-    assert not outcome.told_apart(record | {"advised": {"frames": None}})

@@ -11,7 +11,7 @@ from spotcheck.estimate.levels import levels_of
 from spotcheck.estimate.photon_transfer import transfer_of
 from tests.conftest import SHARED
 from tests.library.shelf import flats, levels
-from tests.real.emva import reference
+from tests.validation.generators.real.emva import reference
 
 CCD = SHARED / "data" / "emva-ccd"
 

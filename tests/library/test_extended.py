@@ -26,10 +26,10 @@ from spotcheck.model.chain import Law
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.extended import Extended, Site, Spot, no_model, read_model, text_of
 from spotcheck.model.sensor import SensorModel
-from tests.blind.crops import set_of
 from tests.library import small_verdict as small
 from tests.library.conftest import HEADER
 from tests.library.effect_cases import GHOST, of, present
+from tests.library.hidden_set import set_of
 from tests.library.test_exposed import SCATTERED, STEADY
 
 SENSOR = SensorModel(0.11, 8.0, 40.0, np.inf, 20.0, 1023.0)

@@ -16,11 +16,10 @@ from spotcheck.discrepancy.verdict import discovery_design, judge, verdict_json
 from spotcheck.model import effects
 from spotcheck.pages.effects import SCATTER
 from spotcheck.simulation import STACK
-from tests.blind.crops import set_of
-from tests.blind.judge_case import Nulls
 from tests.library import small_verdict as small
 from tests.library.conftest import folder
 from tests.library.effect_cases import knowing, written
+from tests.library.hidden_set import nulls, set_of
 
 COMA = '''"""Coma: the flanks reach further on one side."""
 
@@ -54,15 +53,14 @@ def the_librarys_again():
 
 
 @pytest.mark.slow
-def test_what_was_unknown_is_named_by_one_new_file(tmp_path):
+def test_what_was_unknown_is_named_by_one_new_file(tmp_path, laws):
     """Frames of the rig: by name, with the strength that it drew within 4 standard errors (false alarm 6e-5)."""
     case = hidden.draw_case(8, "outside:coma:strong", "one_site")
     seen = set_of(case)
 
     def verdict():
         # Each vocabulary has a null law of its own.
-        null_for = Nulls(tmp_path, 110).null_for
-        return verdict_json(judge(seen.shots, seen.setting, seen.kind, null_for, Tolerance()), "8", Tolerance())
+        return verdict_json(judge(seen.shots, seen.setting, seen.kind, nulls(laws), Tolerance()), "8", Tolerance())
 
     before = verdict()
     assert before["status"] == "unknown" and not before["effects"]

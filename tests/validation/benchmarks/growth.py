@@ -1,0 +1,89 @@
+"""Ten times the frames: time ten times, memory flat. Each run is a process of its own.
+
+`python -m tests.validation.benchmarks.growth fit|simulate COUNT` prints the processor time [s] of the work itself.
+"""
+
+import sys
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from spotcheck.estimate.fitted import SpotFits
+from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.model.simulate import frame_generators, frames
+from tests.validation.benchmarks import peak
+from tests.validation.benchmarks.simulator import FAINT_NOISE, SCENES
+from tests.validation.benchmarks.spots import chunks
+from tests.validation.benchmarks.table import Figure, Limit, Part, spread
+
+CHUNK = 16
+COUNTS = {"fit": 300, "simulate": 300}
+MEMORY = Limit("≤", 1.15)
+
+
+def simulate(count: int) -> Iterator[list[np.ndarray]]:
+    """Random frames, chunk after chunk."""
+    scene = SCENES[FAINT_NOISE]
+    light = scene.sensor.gain_dn_per_e * scene.light_e()
+    for number, size in enumerate(chunks(count, CHUNK)):
+        yield list(frames([light] * size, 0.0, scene.sensor, frame_generators(number, size)))
+
+
+def fit(count: int) -> Iterator[SpotFits]:
+    """Fits of frames, chunk after chunk: copies of a few, which cost nothing to make."""
+    stack = next(simulate(CHUNK))
+    for size in chunks(count, CHUNK):
+        yield fit_spots([frame.copy() for frame in stack[:size]], SCENES[FAINT_NOISE].sensor)
+
+
+TASKS = {"fit": fit, "simulate": simulate}
+
+
+def work(task: str, count: int) -> float:
+    """Processor time [s] of a task on `count` frames."""
+    start = time.process_time()
+    for _ in TASKS[task](count):
+        pass
+    return time.process_time() - start
+
+
+def run(task: str, count: int) -> tuple[float, float]:
+    """Processor time [s] and largest resident memory [MB] of a process of its own."""
+    said, memory = peak.run([sys.executable, "-m", "tests.validation.benchmarks.growth", task, str(count)])
+    return float(said), memory
+
+
+def measure(rounds: int = 3) -> Part:
+    """Ratios of ten times the frames to the frames, median of some rounds."""
+    figures = []
+    for task, count in COUNTS.items():
+        pairs = []
+        for number in range(rounds):
+            print(f"growth, {task}: round {number + 1} of {rounds}", file=sys.stderr)
+            pairs.append((run(task, count), run(task, 10 * count)))
+        few, many = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+        times, memory = spread(many[:, 0] / few[:, 0]), spread(many[:, 1] / few[:, 1])
+        deviation = abs(times.middle / 10 - 1)
+        figures += [
+            Figure(
+                f"{task}, {10 * count} frames: time / that of {count}, off from 10 by",
+                deviation,
+                f"{deviation:.1%} (× {times.shown()})",
+                Limit("≤", 0.1),
+            ),
+            Figure(
+                f"{task}, {10 * count} frames: memory / that of {count}",
+                memory.middle,
+                f"× {memory.shown()}, {np.median(many[:, 1]):.0f} MB",
+                MEMORY,
+            ),
+        ]
+    return Part("Growth with the number of frames", figures)
+
+
+if __name__ == "__main__":
+    task, count = sys.argv[1], int(sys.argv[2])
+    # Compiles, and touches what memory a chunk needs.
+    work(task, CHUNK)
+    print(work(task, count))

@@ -1,0 +1,62 @@
+"""What a generator of data sets is.
+
+A data set is a folder as the dataset contract has it (frames, manifest.csv, instrument.yaml), and a truth file that
+lies elsewhere and is read by scorers alone. A truth has `effects`, a list of objects with `name`, `parameters` and
+`form`; what else it holds is its generator's own.
+"""
+
+import csv
+import importlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, cast
+
+Record = dict[str, Any]
+# From a dataset folder and a folder of results to verdict.json; by name, the number of null sets.
+Judge = Callable[..., dict[str, Any]]
+
+
+class Job(NamedTuple):
+    """One data set to be made and judged: its number in the plan; its seed; what is hidden in it, as `none`,
+    `one:<effect>:<level>`, `two:<level>` or `two:<a>+<b>:<level>` (three, four), `outside:<mechanism>:<level>`, or
+    `real` and `real:<effect>` for real frames; its design; and the photon budget it is judged by, where that is not the
+    one it was made with."""
+
+    number: int
+    seed: int
+    kind: str
+    design: str
+    budget: str = ""
+
+
+class Generator(Protocol):
+    """A module that makes data sets: tests.validation.generators.<name>.generator."""
+
+    # Null sets of a calibration. ASSUME: seeds from FIRST on had no part in tuning.
+    NULL_SETS: int
+    FIRST: int
+    # How many jobs a call looks at.
+    JOBS: int
+
+    def jobs(self, first: int) -> Iterator[Job]:
+        """Jobs in an order of which every beginning is balanced, with seeds from `first` on."""
+
+    def write(self, job: Job, folder: Path, truth: Path) -> bool:
+        """Write a dataset folder and the truth; False where the job is passed over."""
+
+    def beside(self, job: Job, folder: Path, results: Path, truth: dict[str, Any], judge: Judge) -> dict[str, Any]:
+        """What the record of a judged data set holds beside its verdict."""
+
+    def report(self, records: Sequence[Record], folder: Path, name: str, publish: bool) -> str:
+        """Write pages into a folder of results, with `publish` into the repository too; returns what to print."""
+
+
+def generator(name: str) -> Generator:
+    """The generator of a name."""
+    return cast(Generator, importlib.import_module(f"tests.validation.generators.{name}.generator"))
+
+
+def manifest_of(folder: Path) -> list[dict[str, str]]:
+    """The rows of a folder's manifest as they stand."""
+    with (folder / "manifest.csv").open(encoding="utf-8") as stream:
+        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
