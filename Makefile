@@ -45,15 +45,22 @@ lint: $(READY)
 	$(BIN)/snakefmt --check Snakefile workflow/rules
 	$(BIN)/mypy
 
-# Of the default dataset's last run: no number of the paper left its tolerance, and the README quotes what was computed.
+# Of the default dataset's last run: no number of the paper left its tolerance, and pages quote what was computed.
+# QUOTE=--write mends the pages instead.
+QUOTED := $(BIN)/python tests/check_readme.py
 check-numbers: $(READY)
 	$(BIN)/spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig --strict \
 	    --table $(CHECK)/numbers.csv --page $(CHECK)/numbers.html --summary $(CHECK)/numbers.md
-	$(BIN)/python tests/check_readme.py README.md numbers $(CHECK)/numbers.md
+	$(QUOTED) workflow/docs/paper.md numbers $(CHECK)/numbers.md $(QUOTE)
+	$(QUOTED) README.md numbers workflow/docs/paper.md --first $(QUOTE)
+	$(QUOTED) README.md missing-answer results/virtual-rig/figures/index.json $(QUOTE)
+	$(QUOTED) workflow/docs/verdict.md verdict results/virtual-rig/verdict.json $(QUOTE)
+	$(QUOTED) README.md $(QUOTE)
+	$(QUOTED) workflow/docs/verdict.md $(QUOTE)
 
 # Ours and other packages side by side, in an environment of their own: they need 3 GB of disk.
-# PARTS="estimator simulator" runs just these; tests/validation/benchmarks/run.py lists all. What the README quotes is replaced by hand:
-# tests/check_readme.py README.md benchmarks results/benchmarks/summary.md --write
+# PARTS="estimator simulator" runs just these; tests/validation/benchmarks/run.py lists all. At a release its table is published:
+# tests/check_readme.py workflow/docs/benchmarks.md benchmarks results/benchmarks/summary.md --write
 bench: $(BENCH)/.ready
 	$(BENCH)/bin/python -m tests.validation.benchmarks.run $(PARTS)
 
