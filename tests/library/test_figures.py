@@ -125,16 +125,19 @@ def test_a_new_file_is_a_new_figure(tiny, tmp_path, monkeypatch):
     digest of what draws the figures covers every file of the folder."""
     page = (ROOT / "workflow" / "docs" / "architecture.md").read_text(encoding="utf-8")
     (text,) = [own.split("```")[0] for own in page.split("```python\n")[1:] if "FIGURES" in own]
-    (tmp_path / "brightness.py").write_text(text)
+    (tmp_path / "one_more.py").write_text(text)
+    before = every_figure()
     with monkeypatch.context() as patch, Results(tiny[1], tiny[0]) as results:
         patch.setattr(figures, "__path__", [*figures.__path__, str(tmp_path)])
         every_figure.cache_clear()
-        names = [entry.name for entry in every_figure() if entry.category is Category.METRICS]
-        write_all(results, tmp_path / "drawn", tuple(e for e in every_figure() if e.name == "brightness"))
-    sys.modules.pop("spotcheck.figures.brightness")
+        after = every_figure()
+        (own,) = [entry for entry in after if entry.draw.__module__ == "spotcheck.figures.one_more"]
+        write_all(results, tmp_path / "drawn", (own,))
+    sys.modules.pop("spotcheck.figures.one_more")
     every_figure.cache_clear()
-    assert names[-1] == "brightness" and (tmp_path / "drawn" / "brightness.png").exists()
-    assert "brightness" not in [entry.name for entry in every_figure()]
+    assert [entry for entry in after if entry is not own] == list(before) == list(every_figure())
+    assert own == [entry for entry in after if entry.category is own.category][-1]
+    assert (tmp_path / "drawn" / f"{own.name}.png").exists()
     drawn_by = {path.name for path in sources("spotcheck.cli.figures")}
     assert {path.name for path in Path(figures.__file__).parent.glob("*.py")} <= drawn_by
 
