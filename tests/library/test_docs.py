@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import tifffile
 
+import spotcheck
 from spotcheck import dataset
+from spotcheck.cli import COMMANDS
 from spotcheck.crops import check_dataset
 from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import CONDITION
@@ -64,6 +66,14 @@ def test_the_readme():
     (quoted,) = [found[2] for found in check_readme.pattern("numbers").finditer(text)]
     assert quoted.split() == check_readme.quoted(DOCS / "paper.md", "numbers", first=True).split()
     assert {int(number) for number in re.findall(r"(\d+)\s+effects", text)} == {len(vocabulary())}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_commands_and_functions_are_there(path):
+    """Subcommands, and public names of the library, wherever a page names one."""
+    text = path.read_text(encoding="utf-8")
+    assert set(re.findall(r"(?:`|bin/|^    )spotcheck ([a-z-]+)", text, re.MULTILINE)) <= set(COMMANDS)
+    assert set(re.findall(r"(?<!from )\bspotcheck\.([A-Za-z_]+)\b", text)) <= set(spotcheck.__all__)
 
 
 def test_check_readme_tells_and_mends(tmp_path, monkeypatch):
