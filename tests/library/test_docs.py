@@ -70,8 +70,10 @@ def test_the_readme():
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_and_functions_are_there(path):
-    """Subcommands, and public names of the library, wherever a page names one."""
+    """Targets of the Makefile, subcommands, and public names of the library, wherever a page names one."""
     text = path.read_text(encoding="utf-8")
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(re.findall(r"(?:`|^    |\" )make ([a-z-]+)", text, re.MULTILINE)) <= set(targets)
     assert set(re.findall(r"(?:`|bin/|^    )spotcheck ([a-z-]+)", text, re.MULTILINE)) <= set(COMMANDS)
     assert set(re.findall(r"(?<!from )\bspotcheck\.([A-Za-z_]+)\b", text)) <= set(spotcheck.__all__)
 

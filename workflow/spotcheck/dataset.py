@@ -1,4 +1,5 @@
-"""A dataset folder that keeps the contract: manifest.csv, instrument.yaml, frames/, and the grid that its spots span.
+"""A dataset folder that keeps the contract (workflow/docs/dataset-contract.md): manifest.csv, instrument.yaml, frames/,
+and the grid that its spots span.
 
 Everything that can be said without decoding a pixel is checked on loading; a breach raises `InputError`.
 """
@@ -36,7 +37,7 @@ class Axis:
 
 @dataclass(frozen=True, repr=False)
 class Dataset:
-    """A folder of frames: what its manifest.csv and instrument.yaml say. config/README.md describes both files.
+    """A folder of frames: what its manifest.csv and instrument.yaml say, as workflow/docs/dataset-contract.md explains.
 
     Attributes
     ----------

@@ -31,8 +31,8 @@ def judge_dataset(
     """Say what the simulation of a dataset is missing.
 
     Compares frames and model pixel by pixel, looks for the physical effects that explain what is left, and tests them
-    on frames that no step has seen. A dataset of flats and darks alone is judged by its levels of light. What is judged
-    and how is told in the README; these are the stages that `snakemake verdict` runs, and the verdict is the same.
+    on frames that no step has seen. A dataset of flats and darks alone is judged by its levels of light.
+    workflow/docs/verdict.md tells how; these are the stages that `snakemake verdict` runs, and the verdict is the same.
 
     Parameters
     ----------

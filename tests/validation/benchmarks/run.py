@@ -60,7 +60,7 @@ def main() -> None:
     RESULTS.mkdir(parents=True, exist_ok=True)
     plot.draw([point for part in parts for point in part.points], RESULTS)
     (RESULTS / "peers.md").write_text(table.as_markdown(parts, head), encoding="utf-8")
-    # What the README quotes: ours beside other packages; the workflow's own costs are told there in words.
+    # What workflow/docs/benchmarks.md quotes: ours beside other packages, without the workflow's own costs.
     beside = [part for name, part in zip(names, parts, strict=True) if name != "workflow"]
     (RESULTS / "summary.md").write_text(table.as_summary(beside), encoding="utf-8")
     print(table.as_text(parts))
