@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from spotcheck.simulation import STACK
 from tests.library import small_verdict as small
 from tests.library.conftest import folder
 from tests.library.effect_cases import knowing, written
-from tests.library.hidden_set import nulls, set_of
+from tests.library.hidden_set import set_of
+from tests.library.null_laws import null_law
 
 COMA = '''"""Coma: the flanks reach further on one side."""
 
@@ -60,7 +62,9 @@ def test_what_was_unknown_is_named_by_one_new_file(tmp_path, laws):
 
     def verdict():
         # Each vocabulary has a null law of its own.
-        return verdict_json(judge(seen.shots, seen.setting, seen.kind, nulls(laws), Tolerance()), "8", Tolerance())
+        return verdict_json(
+            judge(seen.shots, seen.setting, seen.kind, partial(null_law, laws), Tolerance()), "8", Tolerance()
+        )
 
     before = verdict()
     assert before["status"] == "unknown" and not before["effects"]
