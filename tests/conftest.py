@@ -21,11 +21,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 SNAKEMAKE = [sys.executable, "-m", "snakemake"]
 
 
-def snakemake(*arguments: str, cwd: Path = ROOT, config: dict | None = None) -> subprocess.CompletedProcess:
-    """Run Snakemake as a user would, on two cores; returns what it printed."""
+def snakemake(
+    *arguments: str, cwd: Path = ROOT, config: dict | None = None, laws: Path | None = None
+) -> subprocess.CompletedProcess:
+    """Run Snakemake as a user would, on two cores, with null laws that other runs have left in `laws`; returns what it
+    printed."""
     command = [*SNAKEMAKE, "--cores", "2", "--nolock", *arguments]
-    # The fewest null sets that can tell one in a hundred: p-values are not what a run of the workflow tests.
-    config = {"null_simulations": 200} | (config or {})
+    # Hardly more null sets than can tell one in a hundred: p-values are not what a run of the workflow tests.
+    config = {"null_simulations": 110} | (config or {})
+    if laws is not None:
+        kept = Path(config["results"], "_calibration")
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        laws.mkdir(parents=True, exist_ok=True)
+        kept.symlink_to(laws)
     command += ["--config", *(f"{key}={value}" for key, value in config.items())]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=environment(), check=False)
 
@@ -110,7 +118,7 @@ def small_run(shared) -> Path:
 
     def run(base: Path) -> None:
         dataset = small_rig_dataset(base / "small")
-        done = snakemake(config={"dataset": dataset, "results": base / "results"})
+        done = snakemake(config={"dataset": dataset, "results": base / "results"}, laws=shared / "laws")
         assert done.returncode == 0, done.stdout + done.stderr
 
     return made_once(shared / "run", run) / "results" / "small"

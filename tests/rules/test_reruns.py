@@ -8,6 +8,9 @@ import pytest
 
 from tests.conftest import ROOT, SNAKEMAKE, environment, planned
 
+# One checkout serves all.
+pytestmark = pytest.mark.xdist_group("reruns")
+
 
 @pytest.fixture(scope="module")
 def checkout(small_frames, tmp_path_factory):

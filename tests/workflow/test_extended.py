@@ -10,6 +10,9 @@ from spotcheck.dataset import load
 from spotcheck.model.extended import read_model
 from tests.conftest import planned, snakemake
 
+# One copy of the small run serves all.
+pytestmark = pytest.mark.xdist_group("extended")
+
 
 @pytest.fixture(scope="module")
 def run(small_run, tmp_path_factory):

@@ -8,21 +8,23 @@ import tifffile
 import xarray as xr
 from PIL import Image
 
-from tests.conftest import ROOT, SHARED, snakemake
+from tests.conftest import ROOT, SHARED, made_once, snakemake
 
 SETS = {"sample": ROOT / "data" / "zscan-sample", "hene": SHARED / "data" / "hene-zscan"}
 
 
 @pytest.fixture(scope="module", params=SETS)
-def zscan(request, tmp_path_factory):
+def zscan(request, shared, laws):
     """Folder and results of a z-scan; the real one is skipped where the shared folder is not there."""
     folder = SETS[request.param]
     if not folder.exists():
         pytest.skip(f"{folder.name}: the real frames are not on this machine")
-    root = tmp_path_factory.mktemp(request.param)
-    run = snakemake(config={"dataset": folder, "results": root})
-    assert run.returncode == 0, run.stdout + run.stderr
-    return folder, root / folder.name
+
+    def run(root):
+        done = snakemake(config={"dataset": folder, "results": root}, laws=laws)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    return folder, made_once(shared / request.param, run) / folder.name
 
 
 def test_what_needs_exposures_is_skipped_with_its_reason(zscan):

@@ -21,7 +21,7 @@ rule simulate_extended:
         runtime=30,
     params:
         folder=dataset_folder,
-        extended=lambda wildcards: f"{OUT}/extended",
+        extended=lambda wildcards: f"{results_folder(wildcards)}/extended",
         seed=config["seed"],
         vocabulary=VOCABULARY,
         own_effects=OWN_EFFECTS,
