@@ -16,6 +16,8 @@ import yaml
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
+# Sums of small matrices: more threads of BLAS would do nothing but wait. It reads this when numpy is loaded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 SNAKEMAKE = [sys.executable, "-m", "snakemake"]
 
 

@@ -1,26 +1,19 @@
-"""A case of the rig judged in memory: crops of all frames and the data sheet, by the library's own search for the spot;
-null laws that all tests share."""
+"""A case of the rig as an analysis sees it: crops of all frames by the library's own search for the spot, and the data
+sheet."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rig import hidden
 from spotcheck import frames, instrument
-from spotcheck.discrepancy.calibration import Kind, canonical, digest_of, stored
+from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
-from spotcheck.discrepancy.detect import Null
-from spotcheck.discrepancy.shots import Design, Shot
+from spotcheck.discrepancy.shots import Shot
 from spotcheck.instrument import Instrument
 from spotcheck.model.baseline import of_instrument
 from spotcheck.model.sensor import SensorModel
-from tests.conftest import alone
-from tests.validation.judge import SEED
-
-# The fewest null sets that can tell one in a hundred.
-NULLS = 110
 
 
 class Set(NamedTuple):
@@ -66,20 +59,6 @@ def set_of(case: hidden.Case) -> Set:
     rows, columns = shape
     setting = Setting(baseline, sensor, float(rows), ((columns - 1) / 2, (rows - 1) / 2))
     return Set(shots, setting, Kind(crop, own.bit_depth or 0, baseline.photon_budget, baseline.top_hat))
-
-
-def nulls(laws: Path) -> Callable[[Design, Kind], Null]:
-    """Null laws from a folder that all tests share, each made by the first test that asks for it."""
-    known: dict[str, Null] = {}
-
-    def null_of(design: Design, kind: Kind) -> Null:
-        key = digest_of(canonical(design), kind, NULLS, SEED)
-        if key not in known:
-            with alone(laws / f"{key}.lock"):
-                known[key] = stored(laws, design, kind, NULLS, SEED)
-        return known[key]
-
-    return null_of
 
 
 def instrument_of(content: dict[str, Any]) -> Instrument:

@@ -18,7 +18,7 @@ import yaml
 from spotcheck import dataset, store
 from spotcheck.cli import main
 from spotcheck.cli.judged import open_set
-from spotcheck.discrepancy.calibration import Kind, calibrate
+from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.detect import Null
 from spotcheck.discrepancy.extend import Tolerance, investigate
 from spotcheck.discrepancy.saved import saved_of
@@ -29,6 +29,7 @@ from spotcheck.estimate.sensor import judge_darks
 from spotcheck.frames import Surround
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 from tests.library.conftest import HEADER, folder
+from tests.library.null_laws import null_law
 from tests.reference.numpy_chain import draw
 
 SIDE, SHAPE, WIDTH, PEAK = 48, (72, 70), 5.0, 600.0
@@ -272,19 +273,14 @@ CASES: dict[str, Callable[[], Case]] = {
 
 
 @pytest.fixture(scope="module")
-def null_of() -> NullOf:
+def null_of(laws) -> NullOf:
     """The law of what is seen where nothing is missing: of the design that most cases have, or of a smaller one."""
     at = [(angle, t, repeat) for angle in ANGLES for repeat in range(3) for t in EXPOSURES]
     usual = design_of([Shot(*cell, k, (), 0, 0, lambda: np.zeros((1, 1))) for k, cell in enumerate(at)])
-    made: dict[str, Null] = {}
 
     def of(design: Design, kind: Kind) -> Null:
         own = len(design.condition) < FEW or kind.crop_px < SMALL
-        key = repr((design.condition.tolist(), design.site.tolist(), kind)) if own else ""
-        if key not in made:
-            usually = usual, Kind(SIDE, 10, "linear", False), 200, 20210
-            made[key] = calibrate(design, kind, 120, 20210) if own else calibrate(*usually)
-        return made[key]
+        return null_law(laws, design, kind) if own else null_law(laws, usual, Kind(SIDE, 10, "linear", False))
 
     return of
 

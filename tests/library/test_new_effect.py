@@ -4,9 +4,10 @@ import pytest
 
 from rig import hidden
 from spotcheck.discrepancy.extend import Tolerance
-from spotcheck.discrepancy.verdict import judge, verdict_json
+from spotcheck.discrepancy.verdict import discovery_design, judge, verdict_json
 from tests.library.effect_cases import one_file_more
-from tests.library.hidden_set import nulls, set_of
+from tests.library.hidden_set import set_of
+from tests.library.null_laws import null_law
 
 COMA = '''"""Coma: the flanks reach further on one side."""
 
@@ -37,10 +38,11 @@ EFFECT = Effect(
 def test_what_was_unknown_is_named_by_one_new_file(tmp_path, laws):
     """By name, with the strength that the rig drew within 4 standard errors (false alarm 6e-5)."""
     case = hidden.draw_case(8, "outside:coma:strong", "one_site")
-    seen, null_of = set_of(case), nulls(laws)
+    seen = set_of(case)
+    null = null_law(laws, discovery_design(seen.shots)[0], seen.kind)
 
     def verdict():
-        return verdict_json(judge(seen.shots, seen.setting, seen.kind, null_of, Tolerance()), "8", Tolerance())
+        return verdict_json(judge(seen.shots, seen.setting, seen.kind, lambda *_: null, Tolerance()), "8", Tolerance())
 
     before = verdict()
     assert before["status"] == "unknown" and not before["effects"]

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.calibration import Kind, calibrate
+from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.explain import account
 from spotcheck.discrepancy.extend import Tolerance, investigate
@@ -18,6 +18,7 @@ from spotcheck.discrepancy.verdict import Judgement, prepared, verdict_json
 from spotcheck.frames import reduce_frame
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.sensor import SensorModel
+from tests.library.null_laws import null_law
 from tests.library.small_verdict import present
 
 FRAME, CROP, BLOCK, SIGMA = 384, 96, 64, 12.0
@@ -107,12 +108,12 @@ def test_frames_without_their_surroundings_have_none():
 
 
 @pytest.mark.parametrize(("bend", "names"), [(0.0, []), (0.12, ["nonlinearity"])])
-def test_a_verdict_says_that_it_does_not_explain_the_frames(bend, names):
+def test_a_verdict_says_that_it_does_not_explain_the_frames(bend, names, laws):
     """Crops that agree, or of which a name explains all, beside a source that no crop shows: `unknown`, with the name
     kept."""
     shots = shots_of(np.random.default_rng(34), beside=40.0, bend=bend, repeats=4)
     chosen, design, base, setting = opened(shots)
-    found = investigate(chosen, design, base, setting, calibrate(design, KIND, 110, 1), Tolerance())
+    found = investigate(chosen, design, base, setting, null_law(laws, design, KIND), Tolerance())
     verdict = verdict_json(Judgement(found, None, [], ""), "beside", Tolerance())
     assert verdict["status"] == "unknown" and [own["name"] for own in verdict["effects"]] == names
     verdict["where"] = where(found.look, found.base, 0.01, found.detection, found.around)

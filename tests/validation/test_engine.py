@@ -2,6 +2,7 @@
 
 import json
 import math
+from functools import partial
 from itertools import zip_longest
 
 import pytest
@@ -10,7 +11,8 @@ from rig import hidden
 from spotcheck.discrepancy.extend import Tolerance
 from spotcheck.discrepancy.verdict import judge as judge_in_memory
 from spotcheck.discrepancy.verdict import verdict_json
-from tests.library.hidden_set import NULLS, nulls, set_of
+from tests.library.hidden_set import set_of
+from tests.library.null_laws import NULLS, null_law
 from tests.validation import judge, outcome
 from tests.validation.generators.rig import generator
 from tests.validation.protocol import Job
@@ -32,7 +34,7 @@ def test_frames_that_are_asked_for_tell(laws, monkeypatch):
     assert not outcome.told_apart(record | {"advised": {"frames": None}})
 
     seen = set_of(hidden.draw_case(JOB.seed, JOB.kind, JOB.design))
-    found = judge_in_memory(seen.shots, seen.setting, seen.kind, nulls(laws), Tolerance())
+    found = judge_in_memory(seen.shots, seen.setting, seen.kind, partial(null_law, laws), Tolerance())
     own = json.loads(json.dumps(verdict_json(found, "", Tolerance())))
     # What only the command adds, and the name of the folder.
     beside = ("dataset", "where", "sentence")

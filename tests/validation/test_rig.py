@@ -10,6 +10,7 @@ from scipy import stats
 
 from rig import hidden
 from spotcheck import dataset
+from tests.library.null_laws import NULLS
 from tests.validation import judge, outcome, page, records, score
 from tests.validation.generators.rig import generator, limit
 from tests.validation.protocol import Job
@@ -72,7 +73,7 @@ FIXED = [(2, "none"), (5, "none"), (1, "one:smear:strong"), (3, "one:super_gauss
 @pytest.mark.xdist_group("rig")
 def test_a_small_fixed_run(laws, monkeypatch):
     """From a job to a record and a page."""
-    monkeypatch.setattr(generator, "NULL_SETS", 110)
+    monkeypatch.setattr(generator, "NULL_SETS", NULLS)
     jobs = [Job(k, seed, kind, "one_site") for k, (seed, kind) in enumerate(FIXED)]
     rows = [judge.record_of("rig", job, laws) for job in jobs]
     assert [row["outcome"] for row in rows] == ["right"] * 6, [outcome.line(row) for row in rows]
