@@ -38,7 +38,7 @@ SHEET: dict[str, Any] = {"bit_depth": 10, "gain_dn_per_e": 0.11, "read_noise_e":
 ANGLES, EXPOSURES = (0.0, 45.0), (2e-4, 8e-4)
 TOLERANCE = Tolerance()
 # Designs of fewer frames, or of much smaller crops, have a null law of their own.
-FEW, SMALL = 9, 40
+FEW, SMALL = 5, 40
 NullOf = Callable[[Design, Kind], Null]
 
 
