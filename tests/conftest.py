@@ -21,19 +21,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 SNAKEMAKE = [sys.executable, "-m", "snakemake"]
 
 
-def snakemake(
-    *arguments: str, cwd: Path = ROOT, config: dict | None = None, laws: Path | None = None
-) -> subprocess.CompletedProcess:
-    """Run Snakemake as a user would, on two cores, with null laws that other runs have left in `laws`; returns what it
-    printed."""
+def snakemake(*arguments: str, cwd: Path = ROOT, config: dict | None = None) -> subprocess.CompletedProcess:
+    """Run Snakemake as a user would, on two cores; returns what it printed."""
     command = [*SNAKEMAKE, "--cores", "2", "--nolock", *arguments]
-    # Hardly more null sets than can tell one in a hundred: p-values are not what a run of the workflow tests.
+    # The fewest null sets that can tell one in a hundred: p-values are not what a run of the workflow tests.
     config = {"null_simulations": 110} | (config or {})
-    if laws is not None:
-        kept = Path(config["results"], "_calibration")
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        laws.mkdir(parents=True, exist_ok=True)
-        kept.symlink_to(laws)
     command += ["--config", *(f"{key}={value}" for key, value in config.items())]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=environment(), check=False)
 
@@ -78,6 +70,16 @@ def small_rig_dataset(folder: Path, angles=(0, 90), exposures=(1e-4, 5e-4, 9e-4)
     return folder
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What looks at the small run sits on one worker; slow tests come first, so that the workers end together."""
+    for item in items:
+        if "small_run" in getattr(item, "fixturenames", ()):
+            item.add_marker("slow")
+            item.add_marker(pytest.mark.xdist_group("small run"))
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 @contextmanager
 def alone(lock: Path) -> Iterator[None]:
     """Let one process at a time do what follows."""
@@ -118,7 +120,7 @@ def small_run(shared) -> Path:
 
     def run(base: Path) -> None:
         dataset = small_rig_dataset(base / "small")
-        done = snakemake(config={"dataset": dataset, "results": base / "results"}, laws=shared / "laws")
+        done = snakemake(config={"dataset": dataset, "results": base / "results"})
         assert done.returncode == 0, done.stdout + done.stderr
 
     return made_once(shared / "run", run) / "results" / "small"
