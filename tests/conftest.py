@@ -25,7 +25,7 @@ def snakemake(*arguments: str, cwd: Path = ROOT, config: dict | None = None) -> 
     """Run Snakemake as a user would, on two cores; returns what it printed."""
     command = [*SNAKEMAKE, "--cores", "2", "--nolock", *arguments]
     # The fewest null sets that can tell one in a hundred: p-values are not what a run of the workflow tests.
-    config = {"null_simulations": 200} | (config or {})
+    config = {"null_simulations": 110} | (config or {})
     command += ["--config", *(f"{key}={value}" for key, value in config.items())]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=environment(), check=False)
 
@@ -68,6 +68,16 @@ def small_rig_dataset(folder: Path, angles=(0, 90), exposures=(1e-4, 5e-4, 9e-4)
                 for t in exposures:
                     writer.writerow([f"frames/a{angle}_r{repeat}_t{t:g}.tif", "spot", angle, t, repeat])
     return folder
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What looks at the small run sits on one worker; slow tests come first, so that the workers end together."""
+    for item in items:
+        if "small_run" in getattr(item, "fixturenames", ()):
+            item.add_marker("slow")
+            item.add_marker(pytest.mark.xdist_group("small run"))
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @contextmanager
