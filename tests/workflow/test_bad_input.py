@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import tifffile
 
+from spotcheck.cli import main
 from tests.conftest import snakemake
+from tests.library.test_bad_cases import SHAPE, Case, spots, written
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -95,9 +97,32 @@ def good_results(small_frames, tmp_path_factory) -> Path:
     return root / small_frames.name
 
 
+def refused(output: str, words: list[str]) -> None:
+    """One sentence, with all that has to be in it, and no traceback."""
+    sentences = {line for line in output.splitlines() if line.startswith("spotcheck: ")}
+    assert len(sentences) == 1, output
+    assert all(word in next(iter(sentences)) for word in words), sentences
+    assert "Traceback" not in output
+
+
 @pytest.mark.parametrize("case", CASES)
-def test_bad_input_gets_one_line_and_loses_nothing(case, frames_only, good_results, tmp_path):
-    """The sentence names file, row or key, what is wrong, what would be right; results of a good run are untouched."""
+def test_bad_input_gets_one_line(case, frames_only, tmp_path, capsys):
+    """The sentence names file, row or key, what is wrong, what would be right; an earlier result stays as it was."""
+    earlier = tmp_path / "frames.nc"
+    earlier.write_bytes(b"the earlier result")
+    change, words = CASES[case]
+    change(frames_only)
+    with pytest.raises(SystemExit) as stopped:
+        main(["ingest", str(frames_only), "--output", str(earlier)])
+    assert stopped.value.code == 2
+    refused(capsys.readouterr().err, words)
+    assert earlier.read_bytes() == b"the earlier result"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["unknown kind", "above bit depth"])
+def test_the_workflow_says_it_and_loses_nothing(case, frames_only, good_results, tmp_path):
+    """A fault that shows before a job starts, and one that a job finds: results of a good run are untouched."""
     results = shutil.copytree(good_results, tmp_path / "results" / "mine")
     (results / ".dataset").write_text(f"{frames_only}\n")
     before = digests(results)
@@ -105,15 +130,12 @@ def test_bad_input_gets_one_line_and_loses_nothing(case, frames_only, good_resul
     change, words = CASES[case]
     change(frames_only)
     bad = snakemake("ingest", config={"dataset": frames_only, "results": tmp_path / "results"})
-    output = bad.stdout + bad.stderr
     assert bad.returncode != 0
-    sentences = {line for line in output.splitlines() if line.startswith("spotcheck: ")}
-    assert len(sentences) == 1, output
-    assert all(word in next(iter(sentences)) for word in words), sentences
-    assert "Traceback" not in output
+    refused(bad.stdout + bad.stderr, words)
     assert digests(results) == before
 
 
+@pytest.mark.slow
 def test_unwritable_results(frames_only, tmp_path):
     """A results folder that cannot be made: here a file stands in its way, which stops root as well."""
     (tmp_path / "file").write_text("")
@@ -132,6 +154,7 @@ def test_same_name_in_one_results_root(frames_only, small_run, tmp_path):
     assert "another folder of the same name" in bad.stderr
 
 
+@pytest.mark.slow
 def test_no_such_dataset():
     """A name that is no dataset."""
     bad = snakemake("-n", config={"dataset": "nowhere"})
@@ -139,12 +162,14 @@ def test_no_such_dataset():
     assert "nowhere: no folder with a manifest.csv" in bad.stderr
 
 
-@pytest.mark.parametrize("reading", [0, 1023])
-def test_black_or_saturated_frame_is_no_error(reading, frames_only, tmp_path):
-    """A single frame that is black or saturated all over is flagged, and everything else still comes out."""
-    rewrite(frames_only, lambda p: np.full_like(p, reading))
-    run = snakemake("report", config={"dataset": frames_only, "results": tmp_path / "results"})
+@pytest.mark.slow
+def test_a_black_and_a_saturated_frame_are_no_error(tmp_path):
+    """Single frames that are black or saturated all over are flagged, and everything else still comes out."""
+    frames = spots()
+    frames[0], frames[-1] = (frames[k]._replace(pixels=np.full(SHAPE, dn)) for k, dn in ((0, 0), (-1, 1023)))
+    folder = written(Case(frames), tmp_path)
+    run = snakemake("report", config={"dataset": folder, "results": tmp_path / "results"})
     assert run.returncode == 0, run.stdout + run.stderr
-    page = (tmp_path / "results" / "mine" / "report.html").read_text()
-    assert "a0_r0_t0.0001.tif" in page
-    assert ("no light above the noise" if reading == 0 else "every pixel of the crop reads full scale") in page
+    page = (tmp_path / "results" / folder.name / "report.html").read_text()
+    assert "f0.tif" in page and "no light above the noise" in page
+    assert "f11.tif" in page and "every pixel of the crop reads full scale" in page

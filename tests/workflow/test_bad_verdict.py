@@ -7,6 +7,8 @@ import pytest
 from tests.conftest import snakemake
 from tests.library.test_bad_cases import CASES, written
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("name", "why"),

@@ -54,6 +54,8 @@ def drawn(tmp_path_factory):
     return root / "results" / "set"
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("flats")
 def test_a_sensor_comes_back(drawn):
     """Each within 3 standard errors of what was drawn (false alarm of the four together 1 %)."""
     with xr.open_dataset(drawn / "transfer.nc") as ds:
@@ -65,6 +67,8 @@ def test_a_sensor_comes_back(drawn):
         assert abs(found[name].value - truth) < 3 * found[name].stderr + margin, name
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("flats")
 def test_the_report_shows_it(drawn):
     """Figures, the table, and a verdict that finds nothing wrong."""
     page = (drawn / "report.html").read_text(encoding="utf-8")
@@ -105,6 +109,7 @@ def test_bad_flats_say_what_is_wrong(case, tmp_path):
     assert verdict["status"] in ("consistent", "not_assessed")
 
 
+@pytest.mark.slow
 def test_a_real_ccd(tmp_path):
     """The quick look of others gave K ≈ 0.280 DN/e-, 10.9 e- and 13.9 ke-: within 1 %, 1 % and 2 %. Its response bends,
     and the verdict names that bend or a set that holds it."""

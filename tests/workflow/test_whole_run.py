@@ -42,22 +42,24 @@ def test_second_call_has_nothing_to_do(small_run):
 
 
 def test_equal_inputs_give_equal_files(small_run, tmp_path):
-    """Another run, on one core, gives every netCDF file and every frame byte by byte again."""
+    """Another run, on one core, gives every netCDF file and every frame byte by byte again; those of the verdict are
+    held against each other in tests/library/test_equal_verdicts.py, on a set that is judged sooner."""
     dataset = small_run.parents[1] / "small"
     twin = tmp_path / "small"
     twin.mkdir()
     for name in ("manifest.csv", "instrument.yaml", "rig.yaml"):
         (twin / name).write_bytes((dataset / name).read_bytes())
     where = {"dataset": twin, "results": tmp_path / "results"}
-    run = snakemake("compare", "bounds", "precision", "verdict", "--cores", "1", config=where)
+    run = snakemake("compare", "bounds", "precision", "--cores", "1", config=where)
     assert run.returncode == 0, run.stdout + run.stderr
     first, second = (sorted(p.rglob("*.tif")) for p in (dataset, twin))
     assert len(first) == 18
     assert [digest(p) for p in first] == [digest(p) for p in second]
-    names = [p.relative_to(small_run) for p in small_run.rglob("*.nc")]
-    assert len(names) >= 11
+    again = tmp_path / "results" / "small"
+    names = [p.relative_to(again) for p in again.rglob("*.nc")]
+    assert len(names) >= 9
     for name in names:
-        assert digest(small_run / name) == digest(tmp_path / "results" / "small" / name), name
+        assert digest(small_run / name) == digest(again / name), name
 
 
 def digest(path: Path) -> str:
