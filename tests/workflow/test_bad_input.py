@@ -10,6 +10,7 @@ import tifffile
 
 from spotcheck.cli import main
 from tests.conftest import snakemake
+from tests.library.test_bad_cases import SHAPE, Case, spots, written
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -162,20 +163,13 @@ def test_no_such_dataset():
 
 
 @pytest.mark.slow
-def test_a_black_and_a_saturated_frame_are_no_error(frames_only, tmp_path):
-    """Single frames that are black or saturated all over are flagged, and everything else still comes out. Of one
-    repeat."""
-    manifest = frames_only / "manifest.csv"
-    header, *rows = manifest.read_text().splitlines()
-    manifest.write_text("\n".join([header, *(row for row in rows if row.endswith(",0"))]) + "\n")
-    for row in rows:
-        if not row.endswith(",0"):
-            (frames_only / row.split(",")[0]).unlink()
-    rewrite(frames_only, lambda p: np.zeros_like(p))
-    last = frames_only / "frames" / "a90_r0_t0.0009.tif"
-    tifffile.imwrite(last, np.full_like(tifffile.imread(last), 1023))
-    run = snakemake("--until", "report", config={"dataset": frames_only, "results": tmp_path / "results"})
+def test_a_black_and_a_saturated_frame_are_no_error(tmp_path):
+    """Single frames that are black or saturated all over are flagged, and everything else still comes out."""
+    frames = spots()
+    frames[0], frames[-1] = (frames[k]._replace(pixels=np.full(SHAPE, dn)) for k, dn in ((0, 0), (-1, 1023)))
+    folder = written(Case(frames), tmp_path)
+    run = snakemake("--until", "report", config={"dataset": folder, "results": tmp_path / "results"})
     assert run.returncode == 0, run.stdout + run.stderr
-    page = (tmp_path / "results" / "mine" / "report.html").read_text()
-    assert "a0_r0_t0.0001.tif" in page and "no light above the noise" in page
-    assert "a90_r0_t0.0009.tif" in page and "every pixel of the crop reads full scale" in page
+    page = (tmp_path / "results" / folder.name / "report.html").read_text()
+    assert "f0.tif" in page and "no light above the noise" in page
+    assert "f11.tif" in page and "every pixel of the crop reads full scale" in page
