@@ -13,7 +13,7 @@ from tests.conftest import ROOT, SHARED, snakemake
 # What is run: all of the sample; of the real beam what only its frames can show.
 SETS = {
     "sample": (ROOT / "data" / "zscan-sample", ()),
-    "hene": (SHARED / "data" / "hene-zscan", ("--until", "compare", "caustic", "fit")),
+    "hene": (SHARED / "data" / "hene-zscan", ("--until", "compare", "caustic")),
 }
 pytestmark = pytest.mark.slow
 
