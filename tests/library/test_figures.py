@@ -108,6 +108,7 @@ def test_names_titles_and_inputs_of_the_registry():
     assert papers == {f"Fig. {number}" for number in wanted}
 
 
+@pytest.mark.slow
 def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
     data, out = tiny
     main(["figures", "--results", str(out), "--dataset", str(data), "--output", str(tmp_path)])
@@ -126,6 +127,7 @@ def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
     assert left == {f"{name}.{kind}" for name in drawn for kind in style.FORMATS}
 
 
+@pytest.mark.slow
 def test_equal_inputs_give_equal_bytes(tiny, tmp_path):
     """Drawn twice, under other settings of the user's: house style and salt settle everything."""
     data, out = tiny
@@ -149,6 +151,7 @@ def hollow(ds: xr.Dataset) -> xr.Dataset:
     return ds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "design",
     [
