@@ -326,6 +326,7 @@ def judged(own: Path, out: Path, null_of: NullOf) -> dict[str, Any]:
     return json.loads(Path(at["verdict.json"]).read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_bad_case_ends_well(name, null_of, tmp_path):
     """A verdict that keeps its contract: the right status, no name of what is not there, and its reasons in words."""

@@ -38,6 +38,7 @@ def test_moments_with_and_without_each_set(gap):
         np.testing.assert_allclose(rest[:, k], by_scipy(np.delete(table, k, axis=0)), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_of_new_sets_one_in_a_hundred_is_odd():
     """30 laws of 400 sets, 400 new sets each. The law's own noise gives the rate of each a standard deviation of 0.5 %
     (four of 400 sets lie above), and as much the new sets, so that of the mean is 0.13 %: four of these either way

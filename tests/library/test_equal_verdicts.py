@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from spotcheck.cli import main
 from tests.library.test_bad_cases import CASES, written
 
@@ -32,6 +34,7 @@ def judged(folder: Path, out: Path, workers: int) -> dict[str, bytes]:
     return {str(path.relative_to(out)): path.read_bytes() for path in files}
 
 
+@pytest.mark.slow
 def test_equal_frames_give_equal_verdicts(tmp_path):
     """Byte by byte, of null sets drawn by one process and by two, with an effect named."""
     folder = written(CASES["a copy beside the only spot"](), tmp_path)

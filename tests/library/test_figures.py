@@ -150,6 +150,7 @@ def test_every_metric_is_drawn():
         assert in_print.get(metric.name, f"metric-{metric.name.replace('_', '-')}") in titles
 
 
+@pytest.mark.slow
 def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
     data, out = tiny
     main(["figures", "--results", str(out), "--dataset", str(data), "--output", str(tmp_path)])
@@ -168,6 +169,7 @@ def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
     assert left == {f"{name}.{kind}" for name in drawn for kind in style.FORMATS}
 
 
+@pytest.mark.slow
 def test_equal_inputs_give_equal_bytes(tiny, tmp_path):
     """Drawn twice, under other settings of the user's: house style and salt settle everything."""
     data, out = tiny
@@ -191,6 +193,7 @@ def hollow(ds: xr.Dataset) -> xr.Dataset:
     return ds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "design",
     [

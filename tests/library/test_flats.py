@@ -53,6 +53,7 @@ def test_a_linear_sensor_is_consistent():
         assert "agree with a linear sensor" in verdict["sentence"] and "K = 0." in verdict["sentence"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "name", "key", "true"),
     [
@@ -79,6 +80,7 @@ def test_a_late_shutter_is_tied_with_a_pedestal():
     assert "They cannot tell this from" in verdict["sentence"]
 
 
+@pytest.mark.slow
 def test_two_effects():
     """A response that bends, and a late shutter: the set is found, the pedestal tied; the file keeps the schema."""
     verdict = judged(levels(np.random.default_rng(23), bend=0.03, late=4e-5))
@@ -105,6 +107,7 @@ def test_too_few_levels():
     assert series_of(transfer_of(own, FULL), FULL) is None
 
 
+@pytest.mark.slow
 def test_lamps_that_change_hide_the_shutter():
     """Light that does not go with the exposure: no error of the exposure can be told."""
     own = [level._replace(photons=level.photons * (1 + 0.3 * np.sin(k))) if level.kind == "flat" else level

@@ -25,8 +25,8 @@ from spotcheck.model.baseline import Baseline
 from spotcheck.model.effects.speckle import field
 from spotcheck.model.sensor import SensorModel
 
-# What was named takes half a minute to find: one worker makes it.
-pytestmark = pytest.mark.xdist_group("freed")
+# One worker makes what most of these look at.
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("freed")]
 
 SIDE, SIGMA, LEVEL, RATIO = 90, 6.5, 700.0, 1.25
 SENSOR = SensorModel(0.11, 13.0, 0.0, np.inf, 0.0, 1023.0)

@@ -84,6 +84,7 @@ def test_noise_in_time_is_half_of_the_difference():
     assert variance_by_row(a, b)[0] == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_errors_cover_random_sensors():
     """Over 200 random sensors gain, dark noise, dark offset and quantum efficiency lie within their standard errors in
     60 to 76 of 100 (68 ± 8 is 2.4 standard errors of the share: one in 60 leaves it by chance, seeds are fixed), and

@@ -61,6 +61,7 @@ def around_of(shots):
     return look, surround_of(chosen, look, account(look, ()))
 
 
+@pytest.mark.slow
 def test_without_anything_there_it_is_a_normal_number():
     """Of 80 sets mean and standard deviation are 0 and 1 within three standard errors (0.34, 0.24): a false alarm in
     200. Null laws draw it from this law instead of from whole frames."""
@@ -107,6 +108,7 @@ def test_frames_without_their_surroundings_have_none():
     assert around_of(small)[1] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("bend", "names"), [(0.0, []), (0.12, ["nonlinearity"])])
 def test_a_verdict_says_that_it_does_not_explain_the_frames(bend, names, laws):
     """Crops that agree, or of which a name explains all, beside a source that no crop shows: `unknown`, with the name

@@ -252,6 +252,7 @@ def test_several_effects_are_strong_beside_each_other(coarse, number, word):
 # Kinds and designs
 
 
+@pytest.mark.slow
 def test_every_possible_case_can_be_drawn(coarse, monkeypatch):
     monkeypatch.setattr(strength, "_PIXELS", 4000)
     monkeypatch.setattr(case_module, "_ATTEMPTS", 2)

@@ -96,6 +96,7 @@ def test_a_score_counts_its_ends_and_misses_outside():
     assert scores.Score("n", math.nan, 2.0, 4.0).miss == 10.0
 
 
+@pytest.mark.slow
 def test_the_default_rig_holds_most_of_the_paper_s_numbers():
     sites = plan.sites(plan.read_plan(DEFAULT.parent))
     rig = load(DEFAULT)
@@ -109,6 +110,7 @@ def test_the_default_rig_holds_most_of_the_paper_s_numbers():
     np.testing.assert_allclose(amplitudes.mean(axis=2), seen.tables["amplitude"].mean(axis=2), rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_small_search_repeats_itself(tmp_path):
     small_plan(tmp_path)
     texts = []

@@ -117,6 +117,7 @@ def test_notebooks_take_other_parameters(notebook, parameters, small_run, tmp_pa
     assert all(f"{key} = {value}" in injected for key, value in parameters.items())
 
 
+@pytest.mark.slow
 def test_default_dataset_is_planned_whole():
     """A dry run of the default dataset plans every stage once."""
     run = snakemake("--dry-run", "--forceall")
