@@ -1,6 +1,7 @@
 """Frames that no rig of ours made: a HeNe beam at nine distances; and the small set that stands in for it."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,30 +11,41 @@ from PIL import Image
 
 from tests.conftest import ROOT, SHARED, snakemake
 
-# What is run: all of the sample; of the real beam what only its frames can show.
-SETS = {
-    "sample": (ROOT / "data" / "zscan-sample", ()),
-    "hene": (SHARED / "data" / "hene-zscan", ("--until", "compare", "caustic")),
-}
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in SETS])
-def zscan(request, tmp_path_factory):
-    """Folder and results of a z-scan; the real one is skipped where the shared folder is not there."""
-    folder, targets = SETS[request.param]
-    if not folder.exists():
-        pytest.skip(f"{folder.name}: the real frames are not on this machine")
-    root = tmp_path_factory.mktemp(request.param)
+def judged(folder: Path, root: Path, *targets: str) -> tuple[Path, Path]:
+    """Folder and results of a z-scan."""
     run = snakemake(*targets, config={"dataset": folder, "results": root})
     assert run.returncode == 0, run.stdout + run.stderr
     return folder, root / folder.name
 
 
-@pytest.mark.parametrize("zscan", [pytest.param("sample", marks=pytest.mark.xdist_group("sample"))], indirect=True)
-def test_the_report_says_what_is_skipped_and_what_the_beam_is(zscan):
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory):
+    """All that is made of the sample."""
+    return judged(ROOT / "data" / "zscan-sample", tmp_path_factory.mktemp("sample"))
+
+
+@pytest.fixture(scope="module")
+def hene(tmp_path_factory):
+    """Of the real beam what only its frames can show; skipped where the shared folder is not there."""
+    folder = SHARED / "data" / "hene-zscan"
+    if not folder.exists():
+        pytest.skip(f"{folder.name}: the real frames are not on this machine")
+    return judged(folder, tmp_path_factory.mktemp("hene"), "--until", "compare", "caustic")
+
+
+@pytest.fixture(params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in ("sample", "hene")])
+def zscan(request):
+    """Either."""
+    return request.getfixturevalue(request.param)
+
+
+@pytest.mark.xdist_group("sample")
+def test_the_report_says_what_is_skipped_and_what_the_beam_is(sample):
     """Why there are no p1, p2 and bounds; waist, divergence and M², with a figure."""
-    _, results = zscan
+    _, results = sample
     page = (results / "report.html").read_text()
     assert "p1 and p2 need exposure times, and the manifest gives none" in page
     for word in ("waist", "divergence", "M²"):
