@@ -1,63 +1,84 @@
-"""Readings of a camera: mean, variance and random draws against the exact law."""
+"""The law of a reading as a table: against sums over all electrons and readings, and against the table of the fit."""
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
-from tests.library.shelf import CAMERA
-from tests.reference.exact_law import moments, reading_law
+from spotcheck.discrepancy.observe.readings import look_up, reading_law
+from spotcheck.model.chain import View
+from spotcheck.model.effect import Present
+from spotcheck.model.effects import vocabulary
+from spotcheck.model.law import faint_law
+from spotcheck.model.sensor import SensorModel
 
-SENSORS = [
-    SensorModel(0.11, 13.0, full_scale_dn=1023.0),
-    SensorModel(0.5, 5.0, black_level_dn=20.0, full_scale_dn=1023.0),
-    SensorModel(1.0, 0.0, full_scale_dn=255.0),
-    SensorModel(0.02, 8.0, black_level_dn=2.0, full_scale_dn=255.0),
-    SensorModel(0.3, 9.0, full_well_e=400.0, black_level_dn=30.0, full_scale_dn=4095.0),
-]
-
-
-@pytest.mark.parametrize("sensor", SENSORS)
-def test_moments_of_a_reading(sensor):
-    """Against the law summed over electrons. Of the noise without clips the mean is off by less than 0.5 %, the
-    variance by less than 2 %: what skew brings at the clips where light counts as normal; faint light is exact but for
-    interpolation."""
-    electrons = np.array([0, 0.01, 0.3, 1, 3.3, 7, 20, 31, 33, 50, 77.3, 100, 150, 250, 395, 420, 800, 2000])
-    want = np.array([moments(reading_law(own, sensor))[:2] for own in electrons])
-    noise = sensor.gain_dn_per_e**2 * (electrons + sensor.read_noise_e**2) + ROUNDING_VARIANCE
-    half = sensor._replace(quantum_efficiency=0.5)
-    assert np.max(np.abs(half.mean(2 * electrons) - want[:, 0]) / np.sqrt(noise)) < 0.005
-    assert np.max(np.abs(half.variance(2 * electrons) - want[:, 1]) / noise) < 0.02
+ONE = np.ones((1, 1, 1))
+VIEW = View(ONE, ONE, ONE, ONE, ONE, ONE, ONE, ONE, ONE, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0)
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
-def test_draws_have_these_moments(sensor):
-    """200 000 readings at four levels: within 4.5 standard errors (false alarm 7e-6 a number, 40 of them) and what the
-    moments may be off; dark current counts with its exposure."""
-    warm, count = sensor._replace(dark_current_e_per_s=2e4), 200_000
-    for photons in (0.0, 5.0, 60.0, 380.0):
-        drawn = warm.draw(np.full((2, count // 2), photons), 7, exposure_s=1e-3).astype(float)
-        mean, variance = warm.mean(photons, exposure_s=1e-3), warm.variance(photons, exposure_s=1e-3)
-        fourth = np.mean((drawn - drawn.mean()) ** 4) - drawn.var() ** 2
-        noise = sensor.gain_dn_per_e**2 * (photons + 20 + sensor.read_noise_e**2) + ROUNDING_VARIANCE
-        assert abs(drawn.mean() - mean) < 4.5 * np.sqrt(variance / count) + 0.005 * np.sqrt(noise)
-        assert abs(drawn.var() - variance) < 4.5 * np.sqrt(fourth / count) + 0.02 * noise
+def moments(sensor: SensorModel, electrons, present=()) -> np.ndarray:
+    """Mean and variance of readings, from the table."""
+    law = reading_law(sensor, present, VIEW, 4e4)
+    out = np.empty((4, len(electrons)))
+    look_up(np.asarray(electrons, float), law.first, law.step, np.stack(law[2:]), out)
+    return out
 
 
-def test_draws_follow_their_generator():
-    """Equal seeds, equal readings, in the shape of the light; a generator goes on."""
-    photons = np.full((3, 4, 5), 700.0)
-    first = CAMERA.draw(photons, 3)
-    assert first.shape == (3, 4, 5) and first.dtype == np.uint16
-    assert np.array_equal(first, CAMERA.draw(photons, np.random.default_rng(3)))
-    rng = np.random.default_rng(3)
-    assert not np.array_equal(CAMERA.draw(photons, rng), CAMERA.draw(photons, rng))
-    assert CAMERA.draw(700.0, 1).shape == () and CAMERA.mean(700.0).shape == ()
+def summed(sensor: SensorModel, electrons: float, read_e: float, level: float = np.inf) -> tuple[float, float]:
+    """Mean and variance of rounded, cut readings, summed over electrons and readings."""
+    counts = np.arange(int(electrons + 12 * np.sqrt(electrons) + 30))
+    readings = np.arange(int(sensor.full_scale_dn) + 1)
+    signal = sensor.gain_dn_per_e * counts
+    edges = np.minimum.outer(np.full(len(counts), np.inf), readings[:-1] + 0.5) - sensor.black_level_dn
+    # What stops stops with its read noise: readings above the level's own gather there.
+    edges = np.where(edges > level, np.inf, edges)
+    above = stats.norm.sf(edges, signal[:, None], sensor.gain_dn_per_e * read_e)
+    above = stats.poisson.pmf(counts, electrons) @ above
+    first, second = above.sum(), ((2 * readings[1:] - 1) * above).sum()
+    return first, second - first**2
 
 
-@pytest.mark.parametrize("photons", [-1.0, [3.0, np.nan]])
-def test_light_is_not_negative(photons):
-    for call in (CAMERA.mean, CAMERA.variance, lambda light: CAMERA.draw(light, 1)):
-        with pytest.raises(ValueError, match="photons: holds a number that is not 0 or above"):
-            call(photons)
-    with pytest.raises(ValueError, match="sensor: gain_dn_per_e is -1"):
-        CAMERA._replace(gain_dn_per_e=-1).mean(3.0)
+@pytest.mark.parametrize("black", [0.0, 3.0, 40.0])
+@pytest.mark.parametrize("read_e", [2.0, 6.0])
+def test_faint_light_by_sums(black, read_e):
+    """From no light to where Poisson's law passes for normal: the mean to 1e-4 DN, the variance to a part in 1000.
+
+    A pedestal of 0.001 DN is what a million pixels of 1 DN of noise tell.
+    """
+    sensor = SensorModel(0.11, read_e, black_level_dn=black, full_scale_dn=1023)
+    electrons = np.array([0.0, 0.3, 2.0, 10.0, 40.0, 300.0, 2500.0])
+    mean, variance = moments(sensor, electrons)[:2]
+    want = np.array([summed(sensor, e, read_e) for e in electrons]).T
+    np.testing.assert_allclose(mean, want[0], atol=1e-4)
+    np.testing.assert_allclose(variance, want[1], rtol=1e-3)
+
+
+def test_as_the_table_of_the_fit():
+    """`faint_law` is the same law, tabulated for single readings. Where noise is 0.2 DN, straight lines between the
+    nodes are off by 1e-4 DN."""
+    sensor = SensorModel(0.11, 2.0, black_level_dn=1.0, full_scale_dn=1023)
+    table = faint_law(sensor)
+    own = table.levels > -20
+    mean, variance = moments(sensor, table.levels[own])[:2]
+    np.testing.assert_allclose(mean, table.mean[own], atol=2e-4)
+    np.testing.assert_allclose(variance, table.variance[own], rtol=2e-3, atol=1e-4)
+
+
+def test_a_clip_in_faint_light():
+    """A converter that stops at 20 DN above black: its readings pile up there."""
+    sensor = SensorModel(0.11, 6.0, black_level_dn=3.0, full_scale_dn=1023)
+    clip = Present(vocabulary()["saturation"], "sharp with noise", (20.0, 0.03))
+    electrons = np.array([50.0, 150.0, 180.0, 250.0, 1000.0])
+    mean, variance = moments(sensor, electrons, (clip,))[:2]
+    want = np.array([summed(sensor, e, 6.0, 20.0) for e in electrons]).T
+    np.testing.assert_allclose(mean, want[0], atol=2e-3)
+    np.testing.assert_allclose(variance, want[1], rtol=5e-3, atol=1e-4)
+
+
+def test_bright_light_and_slopes():
+    """Far from both ends a reading has mean K ν + black, variance K² (ν + noise²) + 1/12, slopes 1 and K."""
+    sensor = SensorModel(0.11, 6.0, black_level_dn=12.0, full_scale_dn=1023)
+    mean, variance, slope, growth = moments(sensor, [1000.0, 5000.0])
+    np.testing.assert_allclose(mean, [122.0, 562.0], rtol=1e-6)
+    np.testing.assert_allclose(variance, 0.11**2 * (np.array([1000.0, 5000.0]) + 36) + 1 / 12, rtol=1e-4)
+    np.testing.assert_allclose(slope, 1, rtol=1e-4)
+    np.testing.assert_allclose(growth, 0.11, rtol=1e-2)

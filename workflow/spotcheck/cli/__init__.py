@@ -9,6 +9,8 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+import spotcheck
+
 COMMANDS = {
     "check": "check a dataset folder against the contract, without decoding a pixel",
     "ingest": "record digest, shape and extremes of every frame",
@@ -58,6 +60,7 @@ def main(argv: list[str] | None = None) -> None:
 def run(words: Sequence[str]) -> None:
     """Run the subcommand that the words of a command line name. Raises `InputError` for what the user can mend."""
     parser = argparse.ArgumentParser(prog="spotcheck", description="How a camera sees a laser spot on a composite.")
+    parser.add_argument("--version", action="version", version=f"spotcheck {spotcheck.__version__}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     asked = next((word for word in words if word in COMMANDS), None)
     for name, text in COMMANDS.items():

@@ -71,7 +71,8 @@ def fit_spots(
         out. A single image gives a single spot: plain numbers in place of arrays.
     sensor : gain, read noise, black level and full scale; dark current is part of the fitted offset.
     weighting : "likelihood", or "equal" for unweighted least squares, with the errors that the sensor's noise causes.
-        It does without a sensor: errors are then those of white noise as large as the residuals, and χ² is NaN.
+        It does without a sensor: errors are then those of white noise as large as the residuals, which is too small
+        where light brings shot noise (by a factor of two to three for a bright spot), and χ² is NaN.
     top_hat : fit the Gaussian under a plateau at exp(−1/4) of its peak (Eqs. 39–40 of the paper).
     integrated : light is integrated over each pixel and not sampled at its centre: amplitude and widths are those of
         the light before, to 1e-5 of the peak for widths of 3 px or more.

@@ -11,18 +11,21 @@ import numpy as np
 from spotcheck import optics
 from spotcheck.instrument import Instrument
 from spotcheck.model import propagation, spot
+from spotcheck.model.light_shape import LightShape
 
 # A step of the derivative by complex step: its square vanishes beside 1 in double precision, so the result is exact.
 STEP = 1e-30
 
 
 class Baseline(NamedTuple):
-    """What the instrument fixes: M σ_la/s_px [px], the law of the peak, the top hat, the longest exposure [s]."""
+    """What the instrument fixes: M σ_la/s_px [px], the law of the peak, the top hat, the longest exposure [s], and what
+    is known of the light's shape beyond the declared one (None: nothing)."""
 
     laser_px: float
     photon_budget: str
     top_hat: bool
     longest_s: float
+    learned: LightShape | None = None
 
     def propagation(self, exposure_s, p1, p2):
         """p_b [px] (Eq. 8)."""

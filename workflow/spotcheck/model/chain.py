@@ -157,13 +157,13 @@ def light(view: View, baseline: Baseline, base: Law | Free, present: Sequence[Pr
             two = 2 * sigma * sigma
             shape = amplitude * np.exp(-dx * dx / two) * np.exp(-dy * dy / two)
         else:
-            for own in metrics:
-                dx, dy = own.apply(view, dx, dy)
+            dx, dy = round_again(view, dx, dy, present)
             half = (dx * dx + dy * dy) / (2 * sigma * sigma)
             for own in profiles:
                 half = own.apply(view, half)
             shape = amplitude * np.exp(-half)
-        return np.minimum(shape, spot.top_hat_level(amplitude)) if baseline.top_hat else shape
+        shape = np.minimum(shape, spot.top_hat_level(amplitude)) if baseline.top_hat else shape
+        return shape if baseline.learned is None else shape + amplitude * baseline.learned(dx / sigma, dy / sigma)
 
     def blurred(shift_x, shift_y):
         paths = _at(present, Place.BLUR)
@@ -187,6 +187,13 @@ def light(view: View, baseline: Baseline, base: Law | Free, present: Sequence[Pr
         if own.form != "electronic":
             beside = beside + own.apply(view)
     return total, beside
+
+
+def round_again(view: View, dx, dy, present: Sequence[Present]):
+    """Displacements from the spot's centre [px] in which its shape is the declared one, whatever stretches it."""
+    for own in _at(present, Place.METRIC):
+        dx, dy = own.apply(view, dx, dy)
+    return dx, dy
 
 
 def moments(
@@ -321,7 +328,13 @@ def _readings(view: View, own_light, beside, present: Sequence[Present], sensor:
         electrons = own.apply(view, electrons)
     mean, variance = gain * electrons, gain**2 * variance
     # Of shot noise; what stops or bends does so far from black, where alone it is asked for.
-    third = gain * variance
+    return behind_charge(mean, variance, gain * variance, view, present, sensor)
+
+
+def behind_charge(mean, variance, third, view: View, present: Sequence[Present], sensor: SensorModel) -> Moments:
+    """Moments of readings whose charge has a `mean` [DN], a variance [DN²] and a third central moment [DN³]: what the
+    well, read noise, response, black level and converter make of them."""
+    gain = sensor.gain_dn_per_e
     read = sensor.read_noise_e**2
     for own in _at(present, Place.NOISE):
         read = own.apply(read)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from spotcheck.errors import InputError
+from spotcheck.model import effect_trial
 from spotcheck.model.chain import Law
 from spotcheck.model.effect import COMPONENTS, MARKS, NEEDS, Context, Effect, Parameter, Place, Scatter
 
@@ -98,6 +99,7 @@ def _faults(effect: Effect) -> Iterator[str]:
     yield from _of_words(effect)
     yield from _of_scatter(effect)
     yield from _of_functions(effect)
+    yield from effect_trial.faults(effect, EXAMPLE)
 
 
 def _of_parameters(effect: Effect) -> Iterator[str]:

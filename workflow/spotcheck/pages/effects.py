@@ -55,10 +55,12 @@ with a file is said in one sentence before anything is computed.
 
 1. Choose the place in the chain; the comments of `Place` in [model/effect.py](../spotcheck/model/effect.py) say what
    the function gets and returns there. Parameters come by name, and `form` too where there are several forms.
-2. Write the function on arrays that broadcast over views and points, in px, DN (or e-), s and rad; `View` in
+2. Write the function on arrays that broadcast over views and points. Parameters come in the units that they declare;
+   what the place hands in is in px, DN or e- and s, and `view.angle` in rad. `View` in
    [model/chain.py](../spotcheck/model/chain.py) says what it can look at.
-3. List the parameters, strength first, each with unit, lowest and highest value (numbers, or functions of the
-   `Context`); `neutral` is the strength at which the effect vanishes, 0 unless said; `starts` is where its fit begins.
+3. List the parameters, strength first, each with unit, lowest and highest value (numbers, functions of the `Context`,
+   or -np.inf and np.inf for a direction); `neutral` is the strength at which the effect vanishes, 0 unless said;
+   `starts` is where its fit begins.
 4. Say in `needs` what a design must vary for it to show, in `contains` which effects are a special case of it, and in
    `always` whether a search tries it even where its starts promise nothing. `Effect` in
    [model/effect.py](../spotcheck/model/effect.py) explains every field.
@@ -70,9 +72,10 @@ SCATTERING = """### An effect that scatters
 
 What has no mean of its own, but draws a number or a field anew for every frame or site, or once for the sensor, is at
 `Place.SCATTER` and says in `Scatter(of, shared, component)` what it draws. `spotcheck simulate` draws it with the
-function. A fit does not use the function: it tells the strength as the root of a variance component, and effects of one
-component look alike to it. If two of them are in the vocabulary, both are answers; leave out what you know not to be
-there. For a laser that is known to hop between modes:
+function: factors have the mean 1, offsets and places the mean 0, and the first parameter is their rms. A fit does not
+use the function: it tells the strength as the root of a variance component, and effects of one component look alike to
+it. If two of them are in the vocabulary, both are answers; leave out what you know not to be there. For a laser that is
+known to hop between modes:
 
     snakemake --cores 2 --config effects="[lab/mode_hopping.py]" vocabulary="{without: [power_fluctuation]}"
 """

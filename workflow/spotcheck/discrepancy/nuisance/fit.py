@@ -1,0 +1,231 @@
+"""The light's shape, every frame's brightness, width and centre, and effects, fitted to all pixels at once.
+
+Fisher's scoring on χ² + Σ ln variance + λ cᵀPc. The shape is common to all frames, in the coordinates of the spot; what
+it shares with the frames' numbers (all brighter, all wider, all moved) is the shape's: the numbers' steps sum to 0.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy.nuisance import normal
+from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, told
+from spotcheck.model.effect import Context
+from spotcheck.model.light_shape import LightShape
+
+NUMBERS = len(Numbers._fields)
+# The dear matrices of the normal equations are made at so many first steps, and kept.
+RENEWED = 2
+# A step that gains less than this in −2 ln L ends the fit; one that loses is halved so many times.
+ENOUGH, HALVINGS = 0.5, 4
+# Part of a parameter's value, or of its start, by which slopes are taken.
+NUDGE = 1e-3
+
+
+class Free(NamedTuple):
+    """One free parameter: of which effect, which one, its bounds, and the step of its slope."""
+
+    effect: int
+    parameter: int
+    low: float
+    high: float
+    nudge: float
+
+
+class Sums(NamedTuple):
+    """Of all pixels under a model: −2 ln L but for constants; G [coefficient, 4, 7], X [coefficient, number] and
+    D [number, number] of the normal equations, and the scores of both parts."""
+
+    deviance: float
+    gram: np.ndarray
+    joined: np.ndarray
+    dense: np.ndarray
+    shape: np.ndarray
+    others: np.ndarray
+
+
+class Fitted(NamedTuple):
+    """The model, its free parameters, −2 ln L with the penalty, the factored normal equations, the penalty, and how
+    many steps were taken."""
+
+    model: Model
+    free: tuple[Free, ...]
+    total: float
+    schur: normal.Schur
+    penalty: float
+    steps: int
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the numbers' steps and, behind them, of the effects' free parameters."""
+        return np.linalg.inv(self.schur.left)
+
+
+def free_of(model: Model, context: Context) -> tuple[Free, ...]:
+    """The parameters of a model's effects that a fit may change."""
+    out = []
+    for e, own in enumerate(model.present):
+        starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
+        bounds = own.effect.bounds(context)
+        for p, parameter in enumerate(own.effect.parameters):
+            if parameter.name not in own.effect.idle.get(own.form, ()):
+                scale = max(abs(own.values[p]), float(np.median(starts[:, p])), 1e-12)
+                scale = 1.0 if parameter.unit == "deg" else scale
+                out.append(Free(e, p, float(bounds[p, 0]), float(bounds[p, 1]), NUDGE * scale))
+    return tuple(out)
+
+
+def changed(model: Model, free: Sequence[Free], values: Sequence[float]) -> Model:
+    """A model with other values of its free parameters, kept within their bounds."""
+    every = [list(own.values) for own in model.present]
+    for own, value in zip(free, values, strict=True):
+        every[own.effect][own.parameter] = float(np.clip(value, own.low, own.high))
+    present = tuple(own._replace(values=tuple(v)) for own, v in zip(model.present, every, strict=True))
+    return model._replace(present=present)
+
+
+def values_of(model: Model, free: Sequence[Free]) -> np.ndarray:
+    """Values of the free parameters."""
+    return np.array([model.present[own.effect].values[own.parameter] for own in free])
+
+
+def sums_of(
+    frames: Sequence[Frame], model: Model, free: Sequence[Free] = (), *, curved: bool, workers: int = 2
+) -> Sums:
+    """All sums under a model; with `curved` false only the deviance and the scores."""
+    ready, nudged = Expectation(frames, model), nudged_of(frames, model, free)
+    with ThreadPoolExecutor(workers) as pool:
+        parts = np.array_split(np.arange(len(frames)), workers)
+        jobs = [pool.submit(_part, frames, model, ready, nudged, part, curved) for part in parts]
+        done = [job.result() for job in jobs]
+    return Sums(*(sum(own[1:], own[0]) for own in zip(*done, strict=True)))
+
+
+Nudged = list[tuple[Expectation, float]]
+
+
+def nudged_of(frames: Sequence[Frame], model: Model, free: Sequence[Free]) -> Nudged:
+    """The model with each free parameter a small step off, and that step."""
+    out = []
+    for own in free:
+        value = model.present[own.effect].values[own.parameter]
+        # Away from a bound, or the slope would be 0.
+        step = -own.nudge if value + own.nudge > own.high else own.nudge
+        out.append((Expectation(frames, changed(model, [own], [value + step])), step))
+    return out
+
+
+def changes_of(frame: Frame, k: int, seen: Expected, nudged: Nudged) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Slopes of mean and variance [pixel] by each free parameter."""
+    then = [(other.of(frame, k), step) for other, step in nudged]
+    return [((o.mean - seen.mean).ravel() / step, (o.variance - seen.variance).ravel() / step) for o, step in then]
+
+
+def _part(
+    frames: Sequence[Frame], model: Model, ready: Expectation, nudged: Nudged, which: np.ndarray, curved: bool
+) -> Sums:
+    """The sums of some frames."""
+    learned = model.baseline.learned
+    assert learned is not None
+    side, few, last = len(learned.coefficients), NUMBERS * len(frames), NUMBERS * len(frames) + len(nudged)
+    size = side * side
+    gram, joined = np.zeros((size, 4, 7)), np.zeros((size, last if curved else 0))
+    dense, shape, others = np.zeros((last, last)), np.zeros((size, 1)), np.zeros(last)
+    deviance = 0.0
+    behind = np.zeros((size, len(nudged)))
+    for k in which:
+        frame = frames[k]
+        seen = ready.of(frame, k)
+        tells = told(frame, seen)
+        deviance += tells.deviance
+        own, peak = slice(NUMBERS * k, NUMBERS * (k + 1)), np.exp(model.numbers.log_peak[k])
+        slopes = ready.by_numbers(frame, k, seen)
+        u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
+        others[own] = slopes @ tells.light
+        normal.project(u, v, learned.step, side, (peak * tells.light)[None], shape)
+        changes = changes_of(frame, k, seen, nudged)
+        for c, (mean, variance) in enumerate(changes):
+            others[few + c] += tells.score(mean, variance).sum()
+        if curved:
+            normal.gather(u, v, learned.step, side, peak**2 * tells.sure_light, gram)
+            block = np.zeros((size, NUMBERS))
+            normal.project(u, v, learned.step, side, slopes * (peak * tells.sure_light), block)
+            joined[:, own] = block
+            dense[own, own] = (slopes * tells.sure_light) @ slopes.T
+            lights = [tells.with_light(*change) for change in changes]
+            for c, light in enumerate(lights):
+                dense[own, few + c] = dense[few + c, own] = slopes @ light
+                for d in range(c + 1):
+                    shared = tells.information(changes[c], changes[d]).sum()
+                    dense[few + c, few + d] += shared
+                    dense[few + d, few + c] = dense[few + c, few + d]
+            if lights:
+                normal.project(u, v, learned.step, side, peak * np.stack(lights), behind)
+    if curved:
+        joined[:, few:] = behind
+    return Sums(deviance, gram, joined, dense, shape, others)
+
+
+def contrasts(frames: int, more: int = 0) -> np.ndarray:
+    """Orthonormal steps of all frames' numbers [number, step] that sum to 0 over the frames; `more` numbers behind them
+    are free."""
+    apart = np.linalg.svd(np.eye(frames) - 1 / frames)[0][:, : frames - 1]
+    both = np.kron(apart, np.eye(NUMBERS))
+    out = np.zeros((NUMBERS * frames + more, both.shape[1] + more))
+    out[: len(both), : both.shape[1]] = both
+    out[len(both) :, both.shape[1] :] = np.eye(more)
+    return out
+
+
+def fit(
+    frames: Sequence[Frame], model: Model, penalty: float, free: Sequence[Free] = (), steps: int = 8, workers: int = 2
+) -> Fitted:
+    """Fit shape, numbers and free parameters from a start."""
+    learned = model.baseline.learned
+    assert learned is not None
+    side = len(learned.coefficients)
+    rough = penalty * normal.roughness(side)
+    basis = contrasts(len(frames), len(free))
+    solved: normal.Schur | None = None
+    best, total, taken = model, np.inf, 0
+    shape = numbers = np.zeros(0)
+    halved = 0
+    for taken in range(1, steps + 2):
+        sums = sums_of(frames, model, free, curved=taken <= RENEWED, workers=workers)
+        assert model.baseline.learned is not None
+        flat = model.baseline.learned.coefficients.ravel()
+        bent = normal.product(rough, flat)
+        now = sums.deviance + float(flat @ bent)
+        if now > total and halved < HALVINGS:
+            halved += 1
+            shape, numbers = shape / 2, numbers / 2
+            model = stepped(best, shape, numbers, free)
+            continue
+        if taken <= RENEWED or solved is None:
+            band = normal.banded(sums.gram, side) + rough
+            solved = normal.schur(band, sums.joined @ basis, basis.T @ sums.dense @ basis)
+        done = total - now < ENOUGH or taken > steps
+        if now <= total:
+            best, total = model, now
+        if done:
+            break
+        change, moved = solved.solve(sums.shape[:, 0] - bent, basis.T @ sums.others)
+        shape, numbers = change, basis @ moved
+        model = stepped(best, shape, numbers, free)
+    assert solved is not None
+    return Fitted(best, tuple(free), total, solved, penalty, taken)
+
+
+def stepped(model: Model, shape: np.ndarray, numbers: np.ndarray, free: Sequence[Free]) -> Model:
+    """A model after a step of the shape's coefficients, of the frames' numbers (centres in σ) and of parameters."""
+    learned = model.baseline.learned
+    assert learned is not None
+    own, last = model.numbers, NUMBERS * len(model.numbers.x)
+    step = numbers[:last].reshape(-1, NUMBERS).T
+    width = np.exp(own.log_width)
+    moved = Numbers(own.log_peak + step[0], own.log_width + step[1], own.x + width * step[2], own.y + width * step[3])
+    grown = LightShape(learned.step, learned.coefficients + shape.reshape(learned.coefficients.shape))
+    model = model._replace(baseline=model.baseline._replace(learned=grown), numbers=moved)
+    return changed(model, free, values_of(model, free) + numbers[last:])

@@ -1,0 +1,126 @@
+"""Normal equations of the light's shape beside few other numbers: a banded part, a dense part, and what joins them.
+
+The shape's coefficients are many, but each meets only its neighbours: G [coefficient, coefficient] is banded. All other
+numbers (frames, effects, sheet) are few: D [number, number] is dense, X [coefficient, number] joins both. What the
+shape leaves of the others is Schur's complement D − Xᵀ G⁻¹ X.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy import linalg
+
+from spotcheck.model.light_shape import weights_at
+
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@compiled
+def gather(u, v, step, side, weight, gram):
+    """Add Σ w b bᵀ of the splines b at points u, v [point] to `gram` [coefficient, 4, 7]: each with itself and those
+    behind it."""
+    middle = (side - 1) / 2
+    across, along = np.empty(4), np.empty(4)
+    for k in range(u.size):
+        tu, tv = u[k] / step + middle, v[k] / step + middle
+        heavy = weight[k]
+        if heavy == 0 or not (-2 < tu < side + 1 and -2 < tv < side + 1):
+            continue
+        i, j = weights_at(tv, across), weights_at(tu, along)
+        for a in range(4):
+            if not 0 <= i + a < side:
+                continue
+            for b in range(4):
+                if not 0 <= j + b < side:
+                    continue
+                own = (i + a) * side + j + b
+                mine = heavy * across[a] * along[b]
+                for c in range(a, 4):
+                    if i + c >= side:
+                        break
+                    part = mine * across[c]
+                    for d in range(b if c == a else 0, 4):
+                        if 0 <= j + d < side:
+                            gram[own, c - a, d - b + 3] += part * along[d]
+
+
+@compiled
+def project(u, v, step, side, values, out):
+    """Add Σ values b of the splines b at points u, v [point] to `out` [coefficient, column]; values [column, point]."""
+    middle = (side - 1) / 2
+    across, along = np.empty(4), np.empty(4)
+    for k in range(u.size):
+        tu, tv = u[k] / step + middle, v[k] / step + middle
+        if not (-2 < tu < side + 1 and -2 < tv < side + 1):
+            continue
+        i, j = weights_at(tv, across), weights_at(tu, along)
+        for a in range(4):
+            if not 0 <= i + a < side:
+                continue
+            for b in range(4):
+                if not 0 <= j + b < side:
+                    continue
+                own = (i + a) * side + j + b
+                part = across[a] * along[b]
+                for c in range(values.shape[0]):
+                    out[own, c] += part * values[c, k]
+
+
+def banded(gram: np.ndarray, side: int) -> np.ndarray:
+    """`gram` in scipy's lower banded form [diagonal, coefficient]."""
+    out = np.zeros((3 * side + 4, side * side))
+    for a in range(4):
+        for b in range(-3, 4):
+            if a * side + b >= 0:
+                out[a * side + b] += gram[:, a, b + 3]
+    return out
+
+
+def roughness(side: int) -> np.ndarray:
+    """Σ of squared second differences along both axes, as a lower banded form [diagonal, coefficient]."""
+    second = np.diff(np.eye(side), 2, axis=0)
+    one = second.T @ second
+    out = np.zeros((3 * side + 4, side * side))
+    for gap in range(3):
+        inner = np.zeros((side, side))
+        inner[:, : side - gap] += np.diag(one, -gap)
+        out[gap] += inner.ravel()
+        outer = np.zeros((side, side))
+        outer[: side - gap] += np.diag(one, -gap)[:, None]
+        out[gap * side] += outer.ravel()
+    return out
+
+
+def product(band: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """A symmetric banded matrix (lower form) times a vector."""
+    out = band[0] * vector
+    for gap in np.flatnonzero(band.any(axis=1)):
+        if gap:
+            out[gap:] += band[gap, :-gap] * vector[:-gap]
+            out[:-gap] += band[gap, :-gap] * vector[gap:]
+    return out
+
+
+class Schur(NamedTuple):
+    """G's Cholesky factor (lower banded), G⁻¹X, and what the shape leaves of the other numbers' information."""
+
+    factor: np.ndarray
+    absorbed: np.ndarray
+    left: np.ndarray
+
+    def solve(self, shape: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both parts of the solution for a right-hand side in two parts [coefficient], [number]."""
+        inner = linalg.cho_solve_banded((self.factor, True), shape)
+        if not others.size:
+            return inner, others
+        joined = self.absorbed.T @ shape
+        step = linalg.solve(self.left, others - joined, assume_a="sym")
+        return inner - self.absorbed @ step, step
+
+
+def schur(band: np.ndarray, joined: np.ndarray, dense: np.ndarray) -> Schur:
+    """Factor G and reduce D."""
+    factor = linalg.cholesky_banded(band, lower=True, check_finite=False)
+    absorbed = linalg.cho_solve_banded((factor, True), joined) if joined.shape[1] else joined
+    return Schur(factor, absorbed, dense - joined.T @ absorbed)
