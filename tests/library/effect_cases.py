@@ -37,9 +37,9 @@ def written(folder: Path, name: str, text: str) -> Path:
 
 
 CONTEXTS = {
-    "the paper's": Context(18.4, 640.0, 1023.0, 240.0, 1e-4, 13.0, 0.11, 0.17),
-    "small and faint": Context(2.5, 12.0, 255.0, 40.0, 1e-6, 0.0, 2.0, -0.3),
-    "16 bit": Context(45.0, 6e4, 65535.0, 512.0, 3.0, 2.0, 1.2, 0.0),
+    "the paper's": Context(18.4, 640.0, 1023.0, 240.0, 1e-4, 13.0, 0.11, 0.17, 9e-4),
+    "small and faint": Context(2.5, 12.0, 255.0, 40.0, 1e-6, 0.0, 2.0, -0.3, 5e-6),
+    "16 bit": Context(45.0, 6e4, 65535.0, 512.0, 3.0, 2.0, 1.2, 0.0, 9.0),
 }
 
 P1, P2, PEAK, LASER = 2.48, 34.55, 640.0, 1.19

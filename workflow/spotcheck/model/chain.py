@@ -84,7 +84,7 @@ def bounds_context(
     full_scale = float(min(sensor.full_scale_dn, 65535.0))
     return Context(
         sigma, float(baseline.plateau(peak)), full_scale, crop_px, shortest_s, sensor.read_noise_e,
-        sensor.gain_dn_per_e, exponent,
+        sensor.gain_dn_per_e, exponent, longest_s,
     )  # fmt: skip
 
 

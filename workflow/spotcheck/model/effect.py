@@ -70,8 +70,8 @@ class Scatter(NamedTuple):
 
 class Context(NamedTuple):
     """What bounds and starts may depend on: σ_g [px] at the longest exposure, brightest light [DN], full scale [DN],
-    crop [px], shortest exposure [s], read noise [e-], gain [DN/e-], and the power of t that p1 and p2 come nearest
-    to."""
+    crop [px], shortest exposure [s], read noise [e-], gain [DN/e-], the power of t that p1 and p2 come nearest to, and
+    the longest exposure [s]."""
 
     sigma_px: float
     peak_dn: float
@@ -81,6 +81,7 @@ class Context(NamedTuple):
     read_noise_e: float
     gain_dn_per_e: float
     exponent: float
+    longest_s: float
 
 
 class Parameter(NamedTuple):
@@ -107,7 +108,8 @@ class Effect(NamedTuple):
     - `number`: its place in the vocabulary, from 1; 0: behind all others. Random draws depend on it.
     - `forms` among which the data choose; `idle`, the parameters that a form does not have or that the means do not
       tell; `rounded`, the forms whose strength [DN] shows in readings as a whole number.
-    - `neutral`, the strength at which it vanishes.
+    - `neutral`, the strength at which it vanishes, and `negligible`, how far from it a user would call it nothing (a
+      number, or a function of the context); nearer than that it is not named, however surely it is there.
     - `replaces`, the baseline's parameters that lose their meaning.
     - `scatter`, what it draws, for an effect that has no mean of its own.
 
@@ -135,6 +137,7 @@ class Effect(NamedTuple):
     idle: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     rounded: tuple[str, ...] = ()
     neutral: float = 0.0
+    negligible: float | Callable[[Context], float] = 0.0
     replaces: tuple[str, ...] = ()
     scatter: Scatter | None = None
     needs: tuple[str, ...] = ()
@@ -153,6 +156,13 @@ class Effect(NamedTuple):
     def has_as_special_case(self, other: "Effect") -> bool:
         """Whether another effect is a special case of this one."""
         return other.name in self.contains or other.place in self.contains
+
+    def excess(self, strength: float, context: Context) -> float:
+        """How far a strength is from where the effect vanishes, in units of what is negligible; infinite where nothing
+        is. An effect without a neutral strength vanishes at its lowest."""
+        neutral = self.bounds(context)[0, 0] if np.isnan(self.neutral) else self.neutral
+        least = self.negligible(context) if callable(self.negligible) else self.negligible
+        return np.inf if least == 0 or not np.isfinite(neutral) else abs(strength - neutral) / least
 
     def bounds(self, context: Context) -> np.ndarray:
         """Lowest and highest value of each parameter [parameter, 2]."""

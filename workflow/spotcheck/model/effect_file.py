@@ -38,7 +38,7 @@ ARGUMENTS = {
 DRAWS = {"gain": ("rng",), "centre": ("rng",), "row": ("rows", "rng"), "field": ("shape", "rng")}
 SHARED = ("frame", "site", "sensor")
 # Bounds and starts are tried on a spot as the paper has it.
-EXAMPLE = Context(18.0, 640.0, 1023.0, 240.0, 1e-4, 13.0, 0.11, 0.17)
+EXAMPLE = Context(18.0, 640.0, 1023.0, 240.0, 1e-4, 13.0, 0.11, 0.17, 9e-4)
 
 
 def read_effect(path: Path) -> tuple[Effect, str]:

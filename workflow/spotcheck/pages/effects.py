@@ -26,7 +26,17 @@ PLACES = {
     Place.SCATTER: "draws a random number or field of its own",
 }
 # What a bound may depend on, in the order of `Context`.
-CONTEXT = ("σ_g", "peak", "full scale", "crop", "shortest exposure", "read noise", "K", "power of t nearest to p1, p2")
+CONTEXT = (
+    "σ_g",
+    "peak",
+    "full scale",
+    "crop",
+    "shortest exposure",
+    "read noise",
+    "K",
+    "power of t nearest to p1, p2",
+    "longest exposure",
+)
 
 INTRODUCTION = """# The vocabulary of effects
 
@@ -35,7 +45,7 @@ Written by `spotcheck effects --output workflow/docs/effects.md` from the files 
 file; how the places follow each other is in [model/chain.py](../spotcheck/model/chain.py).
 
 A bound in words is set by the data: σ_g at the longest exposure [px], the brightest light (peak) and full scale [DN],
-the crop's side [px], the shortest exposure [s], read noise [e-]. Directions are in degrees from +x towards +y. A
+the crop's side [px], the shortest and the longest exposure [s], read noise [e-]. Directions are in degrees from +x towards +y. A
 parameter marked *inner* is a constant of the form: it is fitted, and reported as part of the form.
 """
 
@@ -59,7 +69,8 @@ with a file is said in one sentence before anything is computed.
    what the place hands in is in px, DN or e- and s, and `view.angle` in rad. `View` in
    [model/chain.py](../spotcheck/model/chain.py) says what it can look at.
 3. List the parameters, strength first, each with unit, lowest and highest value (numbers, functions of the `Context`,
-   or -np.inf and np.inf for a direction); `neutral` is the strength at which the effect vanishes, 0 unless said;
+   or -np.inf and np.inf for a direction); `neutral` is the strength at which the effect vanishes, 0 unless said, and
+   `negligible` how near to it a user would call it nothing;
    `starts` is where its fit begins.
 4. Say in `needs` what a design must vary for it to show, in `contains` which effects are a special case of it, and in
    `always` whether a search tries it even where its starts promise nothing. `Effect` in
@@ -191,10 +202,12 @@ def bound(end: float | Callable[[Context], float]) -> str:
         return "set by the data"
 
 
-def _row(parameter: Parameter, neutral: float | None) -> str:
+def _row(parameter: Parameter, neutral: float | None, least: float | Callable[[Context], float]) -> str:
     notes = ["inner"] if parameter.inner else []
     if neutral is not None and not math.isnan(neutral):
         notes.append("vanishes at " + ("∞" if math.isinf(neutral) else _text(neutral)))
+    if least:
+        notes.append(f"nothing within {bound(least)}")
     cells = (f"`{parameter.name}`", parameter.unit, bound(parameter.low), bound(parameter.high), "; ".join(notes))
     return "| " + " | ".join(cells) + " |"
 
@@ -224,7 +237,9 @@ def section(effect: Effect) -> str:
         notes.append("Shows in levels of flats and darks too.")
     if len(effect.forms) > 1:
         notes.append(_forms(effect))
-    rows = [_row(p, None if k else effect.neutral) for k, p in enumerate(effect.parameters)]
+    rows = [
+        _row(p, None if k else effect.neutral, 0.0 if k else effect.negligible) for k, p in enumerate(effect.parameters)
+    ]
     title = (
         f"[{effect.name}](../spotcheck/model/effects/{effect.name}.py)" if effect.name in built_in() else effect.name
     )

@@ -1,77 +1,134 @@
-"""What the pixels say of an effect, to first order, beside the light's shape and the frames' numbers.
+"""What the pixels say of a change of the model, to first order, beside the light's shape and all that is fitted.
 
-An effect at its start changes mean and variance of every pixel by (m, w). What shape and numbers can make up for is
-taken off: m̃ = m − s ℓ, w̃ = w − s' ℓ, with the light ℓ that fits best and the slopes s, s' of mean and variance by the
-light. The score of the rest and its information, for readings of mean µ and variance V:
+Another model changes mean and variance of every pixel by (m, w). What shape, frames' numbers and free parameters can make
+up for is taken off; of the rest, for readings y of mean µ and variance V, score and information are
 
-    U = Σ m̃ r / V + Σ w̃ (r² / V − 1) / 2V,    I = Σ m̃² / V + Σ w̃² / 2V²,    r = y − µ
+    U = Σ m (y − µ) / V + Σ w ((y − µ)² / V − 1) / 2V,    I = Σ m² / V + Σ w² / 2V².
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
 from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
-from spotcheck.model.effect import Present
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, told
 from spotcheck.model.light_shape import LightShape
 
-# Cells in which an effect has to speak alike: azimuths, and radii [σ] that part them.
+# Cells in which an effect has to speak alike: azimuths, and the radius [σ] that parts near from far.
 AZIMUTHS, RADIUS = 8, 1.2
+CELLS = 2 * AZIMUTHS
 
 
 class Score(NamedTuple):
-    """Score and information of an effect in units of its start, by cell [frame, cell]."""
+    """Score and information of a change in its own units; of its information what would be there were the shape known;
+    and what makes up for it: coefficients of the shape and steps of the numbers and free parameters."""
 
-    score: np.ndarray
-    information: np.ndarray
+    score: float
+    information: float
+    if_known: float
+    shape: np.ndarray
+    others: np.ndarray
 
     @property
     def z(self) -> float:
         """The score in its standard errors."""
-        return float(self.score.sum() / np.sqrt(max(self.information.sum(), 1e-300)))
+        return self.score / float(np.sqrt(max(self.information, 1e-300)))
 
     @property
     def size(self) -> float:
-        """The effect's size in units of its start, to first order."""
-        return float(self.score.sum() / max(self.information.sum(), 1e-300))
+        """How much of the change there is, to first order."""
+        return self.score / max(self.information, 1e-300)
 
 
-def scores_of(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) -> list[Score]:
-    """The score of each trial beside what is nuisance."""
-    model = fitted.model
-    plain = Expectation(frames, model)
-    ready = [Expectation(frames, model._replace(present=(*model.present, own))) for own in trials]
-    nudged = nudged_of(frames, model, fitted.free)
-    shape, numbers = _made_up(frames, fitted, plain, ready, nudged)
-    few = NUMBERS * len(frames)
-    out = [Score(np.zeros((len(frames), 2 * AZIMUTHS)), np.zeros((len(frames), 2 * AZIMUTHS))) for _ in trials]
+def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], workers: int = 2) -> list[Score]:
+    """Score and information of each other model."""
+    plain, ready = Expectation(frames, fitted.model), [Expectation(frames, other) for other in others]
+    nudged = nudged_of(frames, fitted.model, fitted.free)
+
+    def part(which: np.ndarray) -> list[np.ndarray]:
+        return _sums(frames, fitted, plain, ready, nudged, which)
+
+    score, raw, shape, numbers, pull, own = _added(part, len(frames), workers)
+    basis = contrasts(len(frames), len(nudged))
+    right = fitted.schur.solve(pull[:, 0], basis.T @ own[:, 0])
+    out = []
+    for c in range(len(others)):
+        x, n = shape[:, c], basis.T @ numbers[:, c]
+        inner, step = fitted.schur.solve(x, n)
+        only = np.linalg.solve(fitted.schur.left + fitted.schur.given, n) if n.size else n
+        left = raw[c] - x @ inner - n @ step
+        out.append(
+            Score(score[c] - x @ right[0] - n @ right[1], float(left), float(raw[c] - n @ only), inner, basis @ step)
+        )
+    return out
+
+
+def _sums(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Sequence[Expectation], nudged, which):
+    """Of some frames: scores and information [trial], what trials share with the shape [coefficient, trial] and with all
+    else that is fitted [number, trial], and the scores of both."""
+    model, count = fitted.model, len(ready)
     learned = model.baseline.learned
     assert learned is not None
-    side = len(learned.coefficients)
-    for k, frame in enumerate(frames):
+    side, few = len(learned.coefficients), NUMBERS * len(frames)
+    score, raw = np.zeros(count), np.zeros(count)
+    shape, pull = np.zeros((side * side, count)), np.zeros((side * side, 1))
+    numbers, own = np.zeros((few + len(nudged), count)), np.zeros((few + len(nudged), 1))
+    for k in which:
+        frame = frames[k]
         seen = plain.of(frame, k)
         tells = told(frame, seen)
-        slopes = plain.by_numbers(frame, k, seen)
-        peak = np.exp(model.numbers.log_peak[k])
-        cell = _cells(seen.u, seen.v).ravel()
-        own = slice(NUMBERS * k, NUMBERS * (k + 1))
-        changes = changes_of(frame, k, seen, nudged)
-        for c, other in enumerate(ready):
+        changes = []
+        for other in ready:
             then = other.of(frame, k)
-            known = numbers[few:, c]
-            surface = LightShape(learned.step, shape[:, c].reshape(side, side))
-            made_up = peak * surface(seen.u, seen.v).ravel() + numbers[own, c] @ slopes
-            mean = (then.mean - seen.mean).ravel() - tells.slope * made_up
-            variance = (then.variance - seen.variance).ravel() - tells.growth * made_up
-            for size, change in zip(known, changes, strict=True):
+            changes.append(((then.mean - seen.mean).ravel(), (then.variance - seen.variance).ravel()))
+        score += [tells.score(*change).sum() for change in changes]
+        raw += [tells.information(change, change).sum() for change in changes]
+        light = np.stack([tells.with_light(*change) for change in changes])
+        slopes = plain.by_numbers(frame, k, seen)
+        at = slice(NUMBERS * k, NUMBERS * (k + 1))
+        numbers[at], own[at, 0] = slopes @ light.T, slopes @ tells.light
+        for d, change in enumerate(changes_of(frame, k, seen, nudged)):
+            numbers[few + d] += [tells.information(change, one).sum() for one in changes]
+            own[few + d] += tells.score(*change).sum()
+        u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
+        peak = np.exp(model.numbers.log_peak[k])
+        normal.project(u, v, learned.step, side, peak * light, shape)
+        normal.project(u, v, learned.step, side, peak * tells.light[None], pull)
+    assert learned is not None
+    flat = learned.coefficients.ravel()
+    if 0 in which:
+        pull[:, 0] -= fitted.penalty * normal.product(normal.roughness(side), flat)
+    return [score, raw, shape, numbers, pull, own]
+
+
+def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, workers: int = 2):
+    """Score and information [frame, cell] of a change, in 8 azimuths, near and far from the spot's centre."""
+    plain, then = Expectation(frames, fitted.model), Expectation(frames, other)
+    nudged = nudged_of(frames, fitted.model, fitted.free)
+    learned, few = fitted.model.baseline.learned, NUMBERS * len(frames)
+    assert learned is not None
+    surface = LightShape(learned.step, own.shape.reshape(learned.coefficients.shape))
+
+    def part(which: np.ndarray) -> list[np.ndarray]:
+        score, information = np.zeros((len(frames), CELLS)), np.zeros((len(frames), CELLS))
+        for k in which:
+            seen = plain.of(frames[k], k)
+            tells, after = told(frames[k], seen), then.of(frames[k], k)
+            made_up = np.exp(fitted.model.numbers.log_peak[k]) * surface(seen.u, seen.v).ravel()
+            made_up = made_up + own.others[NUMBERS * k : NUMBERS * (k + 1)] @ plain.by_numbers(frames[k], k, seen)
+            mean = (after.mean - seen.mean).ravel() - tells.slope * made_up
+            variance = (after.variance - seen.variance).ravel() - tells.growth * made_up
+            for size, change in zip(own.others[few:], changes_of(frames[k], k, seen, nudged), strict=True):
                 mean, variance = mean - size * change[0], variance - size * change[1]
-            left = mean, variance
-            out[c].score[k] = np.bincount(cell, tells.score(*left), 2 * AZIMUTHS)
-            out[c].information[k] = np.bincount(cell, tells.information(left, left), 2 * AZIMUTHS)
-    return out
+            cell = _cells(seen.u, seen.v).ravel()
+            score[k] = np.bincount(cell, tells.score(mean, variance), CELLS)
+            information[k] = np.bincount(cell, tells.information((mean, variance), (mean, variance)), CELLS)
+        return [score, information]
+
+    return _added(part, len(frames), workers)
 
 
 def _cells(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -80,27 +137,8 @@ def _cells(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return turn + AZIMUTHS * (np.hypot(u, v) > RADIUS)
 
 
-def _made_up(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Sequence[Expectation], nudged):
-    """Coefficients [coefficient, trial] of the shape and steps [number, trial] of the frames' numbers that make up best
-    for each trial's change of the mean."""
-    model = fitted.model
-    learned = model.baseline.learned
-    assert learned is not None
-    side = len(learned.coefficients)
-    shape = np.zeros((side * side, len(ready)))
-    few = NUMBERS * len(frames)
-    numbers = np.zeros((few + len(nudged), len(ready)))
-    for k, frame in enumerate(frames):
-        seen = plain.of(frame, k)
-        tells = told(frame, seen)
-        then = [other.of(frame, k) for other in ready]
-        own = [((other.mean - seen.mean).ravel(), (other.variance - seen.variance).ravel()) for other in then]
-        light = np.stack([tells.with_light(*change) for change in own])
-        for d, change in enumerate(changes_of(frame, k, seen, nudged)):
-            numbers[few + d] += [tells.information(change, one).sum() for one in own]
-        numbers[NUMBERS * k : NUMBERS * (k + 1)] = plain.by_numbers(frame, k, seen) @ light.T
-        u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
-        normal.project(u, v, learned.step, side, np.exp(model.numbers.log_peak[k]) * light, shape)
-    basis = contrasts(len(frames), len(nudged))
-    parts = [fitted.schur.solve(shape[:, c], basis.T @ numbers[:, c]) for c in range(len(ready))]
-    return np.stack([part[0] for part in parts], 1), basis @ np.stack([part[1] for part in parts], 1)
+def _added(part: Callable[[np.ndarray], list[np.ndarray]], frames: int, workers: int) -> list[np.ndarray]:
+    """Sums of what several threads make of some frames each."""
+    with ThreadPoolExecutor(workers) as pool:
+        done = list(pool.map(part, np.array_split(np.arange(frames), min(workers, frames))))
+    return [np.sum(own, axis=0) for own in zip(*done, strict=True)]

@@ -16,10 +16,15 @@ from spotcheck.model.effect import Context
 from spotcheck.model.light_shape import LightShape
 
 NUMBERS = len(Numbers._fields)
-# The dear matrices of the normal equations are made at so many first steps, and kept.
-RENEWED = 2
+# The dear matrices of the normal equations are made at so many first steps, then at every so many, and kept between.
+RENEWED, AGAIN = 2, 3
 # A step that gains less than this in −2 ln L ends the fit; one that loses is halved so many times.
 ENOUGH, HALVINGS = 0.5, 4
+# The farthest that a step may change logs of peak and width, and a centre [σ]; of a parameter it is its own size.
+FARTHEST = (0.5, 0.3, 1.0, 1.0)
+# The farthest for the shape [peaks], and part of the median coefficient's information that every coefficient gets on
+# top in a step: where all frames are clipped they tell next to nothing, and a straight line leads far off.
+FARTHEST_SHAPE, HELD = 0.3, 1e-3
 # Part of a parameter's value, or of its start, by which slopes are taken.
 NUDGE = 1e-3
 
@@ -70,7 +75,8 @@ def free_of(model: Model, context: Context) -> tuple[Free, ...]:
         starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
         bounds = own.effect.bounds(context)
         for p, parameter in enumerate(own.effect.parameters):
-            if parameter.name not in own.effect.idle.get(own.form, ()):
+            # A strength that means do not tell, noise does.
+            if p == 0 or parameter.name not in own.effect.idle.get(own.form, ()):
                 scale = max(abs(own.values[p]), float(np.median(starts[:, p])), 1e-12)
                 scale = 1.0 if parameter.unit == "deg" else scale
                 out.append(Free(e, p, float(bounds[p, 0]), float(bounds[p, 1]), NUDGE * scale))
@@ -188,24 +194,30 @@ def fit(
     side = len(learned.coefficients)
     rough = penalty * normal.roughness(side)
     basis = contrasts(len(frames), len(free))
+
+    def matrices(sums: Sums, held: float = 0.0) -> normal.Schur:
+        band = normal.banded(sums.gram, side) + rough
+        band[0] += held * np.median(band[0])
+        return normal.schur(band, sums.joined @ basis, basis.T @ sums.dense @ basis)
+
     solved: normal.Schur | None = None
     best, total, taken = model, np.inf, 0
     shape = numbers = np.zeros(0)
     halved = 0
     for taken in range(1, steps + 2):
-        sums = sums_of(frames, model, free, curved=taken <= RENEWED, workers=workers)
+        renewed = taken <= RENEWED or taken % AGAIN == 0
+        sums = sums_of(frames, model, free, curved=renewed, workers=workers)
         assert model.baseline.learned is not None
         flat = model.baseline.learned.coefficients.ravel()
         bent = normal.product(rough, flat)
         now = sums.deviance + float(flat @ bent)
-        if now > total and halved < HALVINGS:
+        if not now <= total and halved < HALVINGS:
             halved += 1
             shape, numbers = shape / 2, numbers / 2
             model = stepped(best, shape, numbers, free)
             continue
-        if taken <= RENEWED or solved is None:
-            band = normal.banded(sums.gram, side) + rough
-            solved = normal.schur(band, sums.joined @ basis, basis.T @ sums.dense @ basis)
+        if renewed or solved is None:
+            solved = matrices(sums, HELD)
         done = total - now < ENOUGH or taken > steps
         if now <= total:
             best, total = model, now
@@ -213,9 +225,19 @@ def fit(
             break
         change, moved = solved.solve(sums.shape[:, 0] - bent, basis.T @ sums.others)
         shape, numbers = change, basis @ moved
+        part = min(bold(numbers, free), FARTHEST_SHAPE / max(np.abs(change).max(), FARTHEST_SHAPE))
+        shape, numbers, halved = part * shape, part * numbers, 0
         model = stepped(best, shape, numbers, free)
-    assert solved is not None
-    return Fitted(best, tuple(free), total, solved, penalty, taken)
+    # Scores and errors need the matrices of the model that was found, or what shape takes exceeds what there is.
+    sums = sums_of(frames, best, free, curved=True, workers=workers)
+    return Fitted(best, tuple(free), total, matrices(sums), penalty, taken)
+
+
+def bold(numbers: np.ndarray, free: Sequence[Free]) -> float:
+    """Which part of a step may be taken at once: beyond, its straight line leads nowhere."""
+    last = len(numbers) - len(free)
+    reach = np.concatenate([np.tile(FARTHEST, last // NUMBERS), [own.nudge / NUDGE for own in free]])
+    return float(min(1.0, 1 / max(np.max(np.abs(numbers) / reach, initial=0.0), 1e-300)))
 
 
 def stepped(model: Model, shape: np.ndarray, numbers: np.ndarray, free: Sequence[Free]) -> Model:

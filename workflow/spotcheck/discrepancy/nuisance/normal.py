@@ -13,6 +13,9 @@ from scipy import linalg
 
 from spotcheck.model.light_shape import weights_at
 
+# Part of its own information that every number gets on top where a system is solved.
+DAMPING = 1e-9
+
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 
@@ -103,10 +106,11 @@ def product(band: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 class Schur(NamedTuple):
-    """G's Cholesky factor (lower banded), G⁻¹X, and what the shape leaves of the other numbers' information."""
+    """G's Cholesky factor (lower banded), G⁻¹X, and what the shape takes and leaves of the other numbers' information."""
 
     factor: np.ndarray
     absorbed: np.ndarray
+    given: np.ndarray
     left: np.ndarray
 
     def solve(self, shape: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +119,10 @@ class Schur(NamedTuple):
         if not others.size:
             return inner, others
         joined = self.absorbed.T @ shape
-        step = linalg.solve(self.left, others - joined, assume_a="sym")
+        # A parameter of which nothing is told, or two that share all, must not stop the others.
+        own = np.diag(self.left)
+        damped = self.left + np.diag(np.where(own > 0, DAMPING * own, 1.0))
+        step = linalg.solve(damped, others - joined, assume_a="sym")
         return inner - self.absorbed @ step, step
 
 
@@ -123,4 +130,5 @@ def schur(band: np.ndarray, joined: np.ndarray, dense: np.ndarray) -> Schur:
     """Factor G and reduce D."""
     factor = linalg.cholesky_banded(band, lower=True, check_finite=False)
     absorbed = linalg.cho_solve_banded((factor, True), joined) if joined.shape[1] else joined
-    return Schur(factor, absorbed, dense - joined.T @ absorbed)
+    given = joined.T @ absorbed
+    return Schur(factor, absorbed, given, dense - given)

@@ -11,6 +11,8 @@ from spotcheck.model.chain import Free, View, light, round_again, true_exposure
 from spotcheck.model.effect import Place, Present
 from spotcheck.model.sensor import SensorModel
 
+# No model is surer of a reading than this [DN²]: where a clip leaves no noise, one odd pixel would decide all.
+LEAST_VARIANCE = 0.01
 # Relative steps of width and place [σ] by which their slopes are taken.
 NUDGE = 1e-4
 
@@ -62,7 +64,7 @@ class Expectation:
         gain = model.sensor.gain_dn_per_e
         brightest = float(np.exp(np.max(model.numbers.log_peak))) if len(frames) else 1.0
         highest = 4 * max(brightest, min(model.sensor.full_scale_dn, 65535.0)) / gain
-        behind = [own for own in model.present if own.effect.place not in (Place.CHARGE, Place.SCATTER)]
+        behind = [own for own in model.present if own.effect.place is not Place.CHARGE and not _is_uneven(own)]
         self.law = reading_law(model.sensor, behind, frames[0].view, highest)
         self.table = np.stack(self.law[2:])
 
@@ -85,7 +87,11 @@ class Expectation:
         electrons = electrons + model.sensor.dark_current_e_per_s * true_exposure(view, model.present)
         charge = electrons
         for effect in model.present:
-            charge = effect.apply(view, charge) if effect.effect.place is Place.CHARGE else charge
+            if effect.effect.place is Place.CHARGE:
+                charge = effect.apply(view, charge)
+            elif _is_uneven(effect):
+                # ASSUME: an uneven black level lies where the sensor is linear, so that it counts as charge.
+                charge = charge + effect.apply(view) / model.sensor.gain_dn_per_e
         shape = frame.pixels.shape
         out = np.empty((4, frame.pixels.size))
         look_up(np.ascontiguousarray(charge, float).ravel(), self.law.first, self.law.step, self.table, out)
@@ -109,6 +115,11 @@ class Expectation:
         )
         steps = [(self.light(frame, numbers)[0][0] - seen.spot) / NUDGE for numbers in moved]
         return np.stack([seen.spot, *steps]).reshape(4, -1)
+
+
+def _is_uneven(own: Present) -> bool:
+    """Whether an effect is a black level that differs from pixel to pixel."""
+    return own.effect.place is Place.PEDESTAL and own.form == "electronic" and not own.effect.uniform
 
 
 class Told(NamedTuple):
@@ -142,7 +153,7 @@ class Told(NamedTuple):
 def told(frame: Frame, seen: Expected) -> Told:
     """What a frame tells about what was expected: the likelihood of normal readings, in mean and in variance."""
     known = np.isfinite(frame.pixels).ravel()
-    weight = np.where(known, 1 / seen.variance.ravel(), 0.0)
+    weight = np.where(known, 1 / np.maximum(seen.variance.ravel(), LEAST_VARIANCE), 0.0)
     residual = np.where(known, (frame.pixels - seen.mean).ravel(), 0.0)
     mean = residual * weight
     variance = np.where(known, (residual * mean - 1) * weight / 2, 0.0)

@@ -21,5 +21,6 @@ EFFECT = Effect(
     ),
     starts=lambda c: [(0.02, gamma0) for gamma0 in (0.0, 45.0, 90.0, 135.0)],
     function=reflected,
+    negligible=0.005,
     needs=("angle", "law"),
 )

@@ -26,6 +26,7 @@ EFFECT = Effect(
     starts=lambda c: [(0.5, 1.0, direction) for direction in (0.0, 90.0, 180.0, 270.0)],
     function=slope_across,
     forms=("light", "electronic"),
+    negligible=0.1,
     contains=("dark_offset",),
     flats="levels are means over the frame",
 )

@@ -23,4 +23,5 @@ EFFECT = Effect(
     starts=lambda c: [(1.02, direction) for direction in (0.0, 45.0, 90.0, 135.0)],
     function=stretch,
     neutral=1.0,
+    negligible=0.005,
 )

@@ -18,6 +18,7 @@ EFFECT = Effect(
     starts=lambda c: [(1.0,), (4.0,), (0.6,), (0.03 * c.peak_dn,)],
     function=lowest,
     forms=("subtracted", "dead zone"),
+    negligible=0.1,
     always=True,
     # Clipped noise is skewed and has tails of its own.
     marks=("skewness", "outliers"),

@@ -19,6 +19,7 @@ EFFECT = Effect(
     starts=lambda c: [(1.0,)],
     function=pedestal,
     forms=("light", "electronic"),
+    negligible=0.1,
     uniform=True,
     flats="",
 )

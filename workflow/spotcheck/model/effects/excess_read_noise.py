@@ -19,6 +19,7 @@ EFFECT = Effect(
     starts=lambda c: [(1.05 * c.read_noise_e + 0.1,)],
     function=noise,
     neutral=np.nan,
+    negligible=lambda c: 0.03 * c.read_noise_e,
     # The scatter of pixels tells it, not the means: the joint fit of the means leaves it as it is.
     idle={"": ("total",)},
     always=True,

@@ -32,4 +32,5 @@ EFFECT = Effect(
     function=stretch,
     forms=("same sense", "opposite sense"),
     neutral=1.0,
+    negligible=0.005,
 )

@@ -21,6 +21,7 @@ EFFECT = Effect(
     ),
     starts=lambda c: [(0.01, 0.0)],
     function=gains,
+    negligible=0.002,
     scatter=Scatter("field", "sensor", "pixel"),
     # Hot pixels are outliers, and what all sites share adds up as stripes would.
     marks=("hot", "skewness", "outliers", "stripes"),

@@ -26,5 +26,6 @@ EFFECT = Effect(
         for a in np.arange(8) * np.pi / 4
     ],
     function=ghost,
+    negligible=0.002,
     always=True,
 )

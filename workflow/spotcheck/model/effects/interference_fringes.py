@@ -30,6 +30,7 @@ EFFECT = Effect(
     starts=lambda c: [],
     function=stripes,
     forms=("site", "spot", "sensor"),
+    negligible=0.003,
     idle={"site": ("d", "phase")},
     always=True,
     spectral=True,

@@ -26,6 +26,7 @@ EFFECT = Effect(
     starts=lambda c: [(0.02, 2.0)],
     function=drift,
     forms=FORMS,
+    negligible=0.005,
     idle={"linear": ("rate",)},
     needs=("order", "law"),
     flats="levels are compared, not the order of frames",

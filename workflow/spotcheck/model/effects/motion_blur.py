@@ -29,4 +29,5 @@ EFFECT = Effect(
     ),
     starts=lambda c: [(0.1 * c.sigma_px / c.shortest_s, direction) for direction in (0.0, 45.0, 90.0, 135.0)],
     function=path,
+    negligible=lambda c: 0.15 * c.sigma_px / c.longest_s,
 )

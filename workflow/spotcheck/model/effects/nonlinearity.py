@@ -17,6 +17,7 @@ EFFECT = Effect(
     parameters=(Parameter("q", "1", -0.6, 0.45),),
     starts=lambda c: [(0.02,)],
     function=bend,
+    negligible=0.005,
     # What bends skews the noise.
     marks=("skewness",),
     flats="",

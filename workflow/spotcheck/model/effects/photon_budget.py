@@ -18,6 +18,7 @@ EFFECT = Effect(
     parameters=(Parameter("q", "1", -2.0, 2.0),),
     starts=lambda c: [(0.02,)],
     function=grown,
+    negligible=0.01,
     needs=("exposure", "law"),
     flats="",
 )

@@ -16,6 +16,7 @@ EFFECT = Effect(
     parameters=(Parameter("rms", "px", 0.0, lambda c: c.crop_px / 4),),
     starts=lambda c: [(0.2,)],
     function=shift,
+    negligible=0.1,
     needs=("exposure",),
     scatter=Scatter("centre", "frame", "centre"),
 )

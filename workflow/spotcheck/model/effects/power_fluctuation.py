@@ -16,6 +16,7 @@ EFFECT = Effect(
     parameters=(Parameter("rms", "1", 0.0, 2.0),),
     starts=lambda c: [(0.02,)],
     function=factor,
+    negligible=0.003,
     needs=("frames", "law"),
     scatter=Scatter("gain", "frame", "gain"),
     # A brightness of each frame's own fits any law of the brightness.

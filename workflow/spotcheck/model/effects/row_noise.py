@@ -16,6 +16,7 @@ EFFECT = Effect(
     parameters=(Parameter("rms", "DN", 0.0, lambda c: 0.2 * c.full_scale_dn),),
     starts=lambda c: [(0.2,)],
     function=offsets,
+    negligible=0.05,
     scatter=Scatter("row", "frame", "row"),
     # The scatter of lines tells it; the means see it only where black cuts it.
     idle={"": ("rms",)},

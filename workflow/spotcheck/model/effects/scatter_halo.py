@@ -30,5 +30,6 @@ EFFECT = Effect(
     starts=lambda c: [(0.01, f * c.sigma_px, 1.5) for f in (1.5, 3.0)],
     function=halo,
     forms=("exponential", "gaussian", "power"),
+    negligible=0.002,
     idle={"exponential": ("tail",), "gaussian": ("tail",)},
 )

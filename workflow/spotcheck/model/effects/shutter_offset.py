@@ -16,6 +16,7 @@ EFFECT = Effect(
     parameters=(Parameter("offset", "s", lambda c: -0.5 * c.shortest_s, lambda c: 0.5 * c.shortest_s),),
     starts=lambda c: [(0.02 * c.shortest_s,)],
     function=true_exposure,
+    negligible=lambda c: 0.005 * c.shortest_s,
     needs=("exposure", "law"),
     flats="",
 )

@@ -22,6 +22,7 @@ EFFECT = Effect(
     parameters=(Parameter("fraction", "1", 0.0, 5.0),),
     starts=lambda c: [(0.005,)],
     function=smeared,
+    negligible=0.002,
     # What smears along a column carries the column's noise.
     marks=("columns of a frame",),
     flats="the light is the same all over",

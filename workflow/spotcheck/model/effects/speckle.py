@@ -37,6 +37,7 @@ EFFECT = Effect(
     ),
     starts=lambda c: [(0.05, 2.0)],
     function=field,
+    negligible=0.01,
     scatter=Scatter("field", "site", "grain"),
     # Its intensities are skewed and have a long tail.
     marks=("skewness", "outliers"),

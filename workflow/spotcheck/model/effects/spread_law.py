@@ -22,6 +22,7 @@ EFFECT = Effect(
     starts=lambda c: [(c.exponent,)],
     function=power_of,
     neutral=np.nan,
+    negligible=0.01,
     replaces=("p1",),
     needs=("three exposures", "law"),
     always=True,

@@ -19,4 +19,5 @@ EFFECT = Effect(
     starts=lambda c: [(1.02,)],
     function=flanks,
     neutral=1.0,
+    negligible=0.01,
 )

@@ -1,0 +1,1 @@
+"""Forward steps with refit, rivals, ties, and the tests that a name must pass."""

@@ -1,0 +1,73 @@
+"""Whether an effect holds everywhere it speaks: the consistency test.
+
+The score of an effect's strength, beside all else that is fitted, is split into cells; where the effect is what its name
+says, every cell asks for the same strength. Q = Σ U²/I − (Σ U)²/Σ I follows χ² of one less than cells. Searches for
+gravitational waves live on this test (Allen, Phys. Rev. D 71, 062001); the allowance in proportion to the signal's square
+is theirs too, for templates that are nearly right.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.evidence.pixels import by_cell, screen
+from spotcheck.discrepancy.nuisance.fit import Fitted, Free, changed, values_of
+from spotcheck.discrepancy.observe.pixels import Frame
+
+
+class Holding(NamedTuple):
+    """Q over its cells, the square of z beside all else, and the strength's standard error."""
+
+    q: float
+    cells: int
+    z2: float
+    error: float
+
+    @property
+    def excess(self) -> float:
+        """What is missed beyond chance, as a part of z²."""
+        return (self.q - (self.cells - 1)) / max(self.z2, 1e-300)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the effect speaks alike everywhere."""
+        by_chance = criteria.CHANCE.value * np.sqrt(2 * max(self.cells - 1, 1))
+        return self.q - (self.cells - 1) <= max(by_chance, criteria.ROUNDED.value * self.z2)
+
+
+def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int, gain: float) -> Holding:
+    """Test the effect of a number in a fitted model; `groups` [frame] parts frames, by exposure or by site. `gain` is
+    what −2 ln L loses without it."""
+    strength = next(own for own in fitted.free if own.effect == effect and own.parameter == 0)
+    at = fitted.free.index(strength)
+    others = tuple(own for own in fitted.free if own is not strength)
+    beside = _without(fitted, at, others)
+    value = values_of(fitted.model, [strength])[0]
+    step = -strength.nudge if value + strength.nudge > strength.high else strength.nudge
+    moved = changed(fitted.model, [strength], [value + step])
+    (own,) = screen(frames, beside, [moved])
+    score, information = by_cell(frames, beside, moved, own)
+    parts = len(np.unique(groups))
+    u, i = (np.zeros((parts, score.shape[1])) for _ in range(2))
+    np.add.at(u, np.unique(groups, return_inverse=True)[1], score)
+    np.add.at(i, np.unique(groups, return_inverse=True)[1], information)
+    # A cell that tells next to nothing has no normal score.
+    told = i > 1e-4 * i.max()
+    q = float((u[told] ** 2 / i[told]).sum() - u[told].sum() ** 2 / i[told].sum())
+    error = abs(step) / np.sqrt(max(own.information, 1e-300))
+    neutral = fitted.model.present[effect].effect.neutral
+    wald = ((value - neutral) / error) ** 2 if np.isfinite(neutral) else np.inf
+    return Holding(q, int(told.sum()), float(min(gain, wald)), float(error))
+
+
+def _without(fitted: Fitted, at: int, others: tuple[Free, ...]) -> Fitted:
+    """The same fit, with the parameter at a place held: its rows and columns leave the dense part."""
+    left, absorbed = fitted.schur.left, fitted.schur.absorbed
+    place = left.shape[0] - len(fitted.free) + at
+    keep = np.delete(np.arange(left.shape[0]), place)
+    schur = fitted.schur._replace(
+        absorbed=absorbed[:, keep], left=left[np.ix_(keep, keep)], given=fitted.schur.given[np.ix_(keep, keep)]
+    )
+    return fitted._replace(free=others, schur=schur)
