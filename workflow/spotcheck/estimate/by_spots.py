@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from spotcheck.estimate.noise import Gain, NoiseCurve, common_stop, gain_from_curve, noise_curve, stop_of
+from spotcheck.estimate.noise import Gain, NoiseCurve, common_stop, correlated_px, gain_from_curve, noise_curve, stop_of
 from spotcheck.estimate.same_site import EMPTY, curve_of, tally_of
 
 # Readings below this part of the level at which the signal stops still have all their noise.
@@ -52,7 +52,9 @@ def seen_by_spots(
     for crop in crops:
         stops.append(stop_of(crop, black_dn))
         curve = noise_curve(crop, whole(stops[-1]))
-        curves += [curve] if curve.level.size else []
+        # Noise that neighbours share, as compression and fine grain leave it, is not in their differences.
+        told = curve.level.size and correlated_px(crop, whole(stops[-1])).tells
+        curves += [curve] if told else []
     if curves:
         pooled = NoiseCurve(*(np.concatenate(parts) for parts in zip(*curves, strict=True)))
         ways[f"differences of neighbouring pixels in {_counted(len(curves), 'frame')}"] = pooled
