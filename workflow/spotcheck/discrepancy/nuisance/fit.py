@@ -22,16 +22,21 @@ RENEWED = 2
 ENOUGH, HALVINGS = 0.5, 4
 # Part of a parameter's value, or of its start, by which slopes are taken.
 NUDGE = 1e-3
+# In place of an effect: the sensor, and which of its numbers may be free.
+SENSOR, SENSOR_NUMBERS = -1, ("gain_dn_per_e", "read_noise_e", "black_level_dn")
 
 
 class Free(NamedTuple):
-    """One free parameter: of which effect, which one, its bounds, and the step of its slope."""
+    """One free parameter: of which effect (or `SENSOR`), which one, its bounds, the step of its slope; and the centre
+    and precision (one over the variance) of what is known of it beforehand."""
 
     effect: int
     parameter: int
     low: float
     high: float
     nudge: float
+    centre: float = 0.0
+    precision: float = 0.0
 
 
 class Sums(NamedTuple):
@@ -80,15 +85,26 @@ def free_of(model: Model, context: Context) -> tuple[Free, ...]:
 def changed(model: Model, free: Sequence[Free], values: Sequence[float]) -> Model:
     """A model with other values of its free parameters, kept within their bounds."""
     every = [list(own.values) for own in model.present]
+    sensor = model.sensor
     for own, value in zip(free, values, strict=True):
-        every[own.effect][own.parameter] = float(np.clip(value, own.low, own.high))
+        value = float(np.clip(value, own.low, own.high))
+        if own.effect == SENSOR:
+            sensor = sensor._replace(**{SENSOR_NUMBERS[own.parameter]: value})
+        else:
+            every[own.effect][own.parameter] = value
     present = tuple(own._replace(values=tuple(v)) for own, v in zip(model.present, every, strict=True))
-    return model._replace(present=present)
+    return model._replace(present=present, sensor=sensor)
 
 
 def values_of(model: Model, free: Sequence[Free]) -> np.ndarray:
     """Values of the free parameters."""
-    return np.array([model.present[own.effect].values[own.parameter] for own in free])
+    return np.array([_value(model, own) for own in free])
+
+
+def _value(model: Model, own: Free) -> float:
+    if own.effect == SENSOR:
+        return float(getattr(model.sensor, SENSOR_NUMBERS[own.parameter]))
+    return model.present[own.effect].values[own.parameter]
 
 
 def sums_of(
@@ -110,7 +126,7 @@ def nudged_of(frames: Sequence[Frame], model: Model, free: Sequence[Free]) -> Nu
     """The model with each free parameter a small step off, and that step."""
     out = []
     for own in free:
-        value = model.present[own.effect].values[own.parameter]
+        value = _value(model, own)
         # Away from a bound, or the slope would be 0.
         step = -own.nudge if value + own.nudge > own.high else own.nudge
         out.append((Expectation(frames, changed(model, [own], [value + step])), step))
@@ -188,6 +204,8 @@ def fit(
     side = len(learned.coefficients)
     rough = penalty * normal.roughness(side)
     basis = contrasts(len(frames), len(free))
+    known = np.array([own.precision for own in free])
+    centre, behind = np.array([own.centre for own in free]), np.arange(NUMBERS * len(frames), len(basis))
     solved: normal.Schur | None = None
     best, total, taken = model, np.inf, 0
     shape = numbers = np.zeros(0)
@@ -197,7 +215,10 @@ def fit(
         assert model.baseline.learned is not None
         flat = model.baseline.learned.coefficients.ravel()
         bent = normal.product(rough, flat)
-        now = sums.deviance + float(flat @ bent)
+        off = centre - values_of(model, free)
+        now = sums.deviance + float(flat @ bent) + float(known @ off**2)
+        sums.others[behind] += known * off
+        sums.dense[behind, behind] += known
         if now > total and halved < HALVINGS:
             halved += 1
             shape, numbers = shape / 2, numbers / 2

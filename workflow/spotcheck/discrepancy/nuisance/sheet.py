@@ -1,0 +1,65 @@
+"""The data sheet's errors: gain, read noise and black level as numbers that a fit may move, as far as the sheet's own
+errors let it, and by how much frames contradict the sheet."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy.nuisance.fit import NUDGE, SENSOR, SENSOR_NUMBERS, Fitted, Free, values_of
+from spotcheck.model.sensor import SensorModel
+
+# Lowest read noise [e-] whose step is a part of itself, and the step of a black level [DN].
+LEAST_E, STEP_DN = 0.1, 0.01
+# Least gain in parts of the stated one.
+LEAST_GAIN = 0.1
+# A fit may move a number by so many stated errors: beyond, the sheet is of another camera, or what is missing in the
+# model passes for noise.
+FARTHEST = 10.0
+
+
+class Against(NamedTuple):
+    """Of one number of the sheet: its name; what is stated, with its error; what frames and sheet together say, with
+    the error of that; by how many stated errors it moved; and that in the errors that it would have if the sheet were
+    right (a standard normal number then)."""
+
+    name: str
+    stated: float
+    stated_stderr: float
+    value: float
+    stderr: float
+    stated_errors: float
+    z: float
+
+
+def free_of_sheet(sensor: SensorModel, stderr: Sequence[float]) -> tuple[Free, ...]:
+    """The numbers of a sheet that have an error, for `nuisance.fit`; `stderr` of gain [DN/e-], read noise [e-] and
+    black level [DN], 0 where a number is exact.
+
+    The fit is to start from a shape that is fitted: what an unfitted one leaves would pass for noise.
+    """
+    gain, noise = sensor.gain_dn_per_e, sensor.read_noise_e
+    least = (LEAST_GAIN * gain, 0.0, -np.inf)
+    steps = (NUDGE * gain, NUDGE * max(noise, LEAST_E), STEP_DN)
+    stated = (gain, noise, sensor.black_level_dn)
+    return tuple(
+        Free(SENSOR, p, max(stated[p] - FARTHEST * error, least[p]), stated[p] + FARTHEST * error, steps[p],
+             stated[p], 1 / error**2)
+        for p, error in enumerate(stderr)
+        if error > 0
+    )  # fmt: skip
+
+
+def against_sheet(fitted: Fitted) -> tuple[Against, ...]:
+    """By how much a fit moved the numbers of the sheet."""
+    errors = np.sqrt(np.diag(fitted.covariance)[len(fitted.schur.left) - len(fitted.free) :])
+    out = []
+    for own, value, error in zip(fitted.free, values_of(fitted.model, fitted.free), errors, strict=True):
+        if own.effect == SENSOR:
+            stated = own.precision**-0.5
+            moved = float(value - own.centre)
+            # Sheet and frames are independent: a moved value has the variance that the sheet's loses by the frames.
+            scatter = np.sqrt(max(stated**2 - error**2, 1e-12 * stated**2))
+            name = SENSOR_NUMBERS[own.parameter]
+            out.append(Against(name, own.centre, stated, float(value), float(error), moved / stated, moved / scatter))
+    return tuple(out)
