@@ -212,11 +212,11 @@ def correlated_px(image: np.ndarray, full_scale: float) -> Correlated:
     unit = np.full(seen.difference.size, np.nan)
     for _, own in _bins(seen, full_scale):
         unit[own.which] = seen.difference.ravel()[own.which] / np.sqrt(own.variance)
-    unit = unit.reshape(seen.difference.shape)
+    image_of_units = unit.reshape(seen.difference.shape)
     if np.isfinite(unit).sum() < 2 * FEWEST:
         return Correlated(0, True)
     farthest, tells = 0, True
-    for grid in (unit, unit.T):
+    for grid in (image_of_units, image_of_units.T):
         for lag in range(1, min(FARTHEST, len(grid) - 1) + 1):
             product = grid[:-lag] * grid[lag:]
             product = product[np.isfinite(product)]

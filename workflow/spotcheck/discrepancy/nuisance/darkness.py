@@ -50,7 +50,7 @@ class Histogram(NamedTuple):
 
     electrons: float
     offset: float
-    count: np.ndarray
+    read: np.ndarray
 
 
 def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
@@ -73,7 +73,7 @@ def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
     own_histograms = [
         Histogram(level * step, offset, kept_counts(np.concatenate(parts))) for (level, offset), parts in dark.items()
     ]
-    if sum(own.count.sum() for own in own_histograms) < FEWEST:
+    if sum(own.read.sum() for own in own_histograms) < FEWEST:
         return None
     return fit_dark(own_histograms, gain, _dead(model.present))
 
@@ -111,7 +111,7 @@ def kept_counts(readings: np.ndarray) -> np.ndarray:
 
 def fit_dark(histograms: Sequence[Histogram], gain: float, dead: float = 0.0) -> Darkness:
     """Fisher's scoring for black level and ln noise [DN]; each histogram is a sample of the law below its last code."""
-    pixels = int(sum(own.count.sum() for own in histograms))
+    pixels = int(sum(own.read.sum() for own in histograms))
     black, log_noise = _start(histograms, gain)
     reached, information = -np.inf, np.eye(2)
     step, best = np.zeros(2), np.array([black, log_noise])
@@ -146,15 +146,15 @@ def fit_dark(histograms: Sequence[Histogram], gain: float, dead: float = 0.0) ->
 
 def _third(own: Histogram) -> float:
     """Readings of the third most frequent code."""
-    return float(np.sort(own.count)[-3]) if len(own.count) > 2 else 0.0
+    return float(np.sort(own.read)[-3]) if len(own.read) > 2 else 0.0
 
 
 def _start(histograms: Sequence[Histogram], gain: float) -> tuple[float, float]:
     """Black level and ln noise [DN] by the moments of the readings."""
-    own = max(histograms, key=lambda one: one.count.sum())
-    codes = np.arange(len(own.count))
-    mean = codes @ own.count / own.count.sum()
-    variance = (codes - mean) ** 2 @ own.count / own.count.sum() - gain**2 * own.electrons - 1 / 12
+    own = max(histograms, key=lambda one: one.read.sum())
+    codes = np.arange(len(own.read))
+    mean = codes @ own.read / own.read.sum()
+    variance = (codes - mean) ** 2 @ own.read / own.read.sum() - gain**2 * own.electrons - 1 / 12
     return float(mean - own.offset - gain * own.electrons), 0.5 * float(np.log(max(variance, 0.2**2)))
 
 
@@ -167,9 +167,9 @@ def _told(histograms: Sequence[Histogram], gain: float, dead: float, black: floa
         part = np.maximum(np.diff(below, prepend=0.0), 1e-300) / below[-1]
         change = np.diff(slopes, axis=1, prepend=0.0) / below[-1] - part * (slopes[:, -1:] / below[-1])
         relative = np.where(part > 1e-14, change / part, 0.0)
-        total += float(own.count @ np.log(part))
-        score += relative @ own.count
-        information += own.count.sum() * (relative * part) @ relative.T
+        total += float(own.read @ np.log(part))
+        score += relative @ own.read
+        information += own.read.sum() * (relative * part) @ relative.T
     return total, score, information
 
 
@@ -182,7 +182,7 @@ def _law(own: Histogram, gain: float, dead: float, black: float, noise: float) -
     weight = np.exp(xlogy(counts, mean) - mean - gammaln(counts + 1))
     # Below no light at all, as a black level stated too high makes it, noise is read noise alone.
     signal = black + own.offset + gain * (counts if own.electrons > 0 else np.full(1, own.electrons))
-    edges = np.maximum(np.arange(len(own.count)) + 0.5, dead)
+    edges = np.maximum(np.arange(len(own.read)) + 0.5, dead)
     z = (edges - signal[:, None]) / noise
     density = np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
     return weight @ ndtr(z), np.stack([-(weight @ density) / noise, -(weight @ (z * density))])

@@ -196,9 +196,16 @@ def contrasts(frames: int, more: int = 0) -> np.ndarray:
 
 
 def fit(
-    frames: Sequence[Frame], model: Model, penalty: float, free: Sequence[Free] = (), steps: int = 8, workers: int = 2
+    frames: Sequence[Frame],
+    model: Model,
+    penalty: float,
+    free: Sequence[Free] = (),
+    steps: int = 8,
+    workers: int = 2,
+    tilt: np.ndarray | float = 0.0,
 ) -> Fitted:
-    """Fit shape, numbers and free parameters from a start."""
+    """Fit shape, numbers and free parameters from a start; `tilt` [parameter] is added to the parameters' scores: see
+    `sheet.taken_up`."""
     learned = model.baseline.learned
     assert learned is not None
     side = len(learned.coefficients)
@@ -216,8 +223,8 @@ def fit(
         flat = model.baseline.learned.coefficients.ravel()
         bent = normal.product(rough, flat)
         off = centre - values_of(model, free)
-        now = sums.deviance + float(flat @ bent) + float(known @ off**2)
-        sums.others[behind] += known * off
+        now = sums.deviance + float(flat @ bent) + float(known @ off**2) + 2 * float(np.sum(tilt * off))
+        sums.others[behind] += known * off + tilt
         sums.dense[behind, behind] += known
         if now > total and halved < HALVINGS:
             halved += 1
