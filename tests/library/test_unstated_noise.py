@@ -6,8 +6,10 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from spotcheck.discrepancy.nuisance.unstated_noise import skipped_codes, unstated_noise
+from spotcheck.estimate import sensor as sensor_stage
 from spotcheck.estimate.noise import correlated_px, gain_from_curve, noise_curve
 from tests.conftest import SHARED
+from tests.library.conftest import loaded
 
 GAIN, NOISE, BLACK = 0.025, 13.0, 5.0
 
@@ -95,6 +97,17 @@ def test_nine_frames_of_a_hene_beam():
         assert own is not None and own.gain == pytest.approx(found.gain.gain, rel=0.12)
     pooled = unstated_noise(frames, 255.0).gain
     assert 0.0240 < pooled.gain < 0.0262 and pooled.low < 0.0227
+
+
+def test_the_sensor_file_of_hene_frames(tmp_path):
+    """Each of the nine alone, and all: gain and read noise with errors, so that none is left without a verdict."""
+    frames = [image.astype(np.float32) for image in shared("hene-zscan")]
+    ds = loaded(tmp_path, [np.zeros((9, 9), np.uint8)], "sensor: {bit_depth: 8}\ncrop_px: 8")
+    for crops in [*([image] for image in frames), frames]:
+        out = sensor_stage.resolve(ds, 8, crops)
+        assert sensor_stage.model_of(out) is not None
+        assert 0 < float(out["gain_dn_per_e_stderr"]) < 0.1 * float(out["gain_dn_per_e"])
+        assert 0 < float(out["read_noise_e_stderr"]) < 8 and float(out["read_noise_e"]) < 15
 
 
 def test_compressed_frames_are_not_white():

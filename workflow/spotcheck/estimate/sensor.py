@@ -165,7 +165,7 @@ def _used(name: str, found: Mapping[str, Found], default: float | None) -> Found
     if np.isnan(own.value):
         return own._replace(
             how="unknown: not in instrument.yaml, no flats and darks in pairs, and no frame shows noise that grows with"
-            " its light"
+            " its light and that each pixel has of its own"
         )
     return own
 
