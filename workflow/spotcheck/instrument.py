@@ -47,6 +47,9 @@ class Sensor:
     full_well_e: float | None = None
     black_level_dn: float = 0.0
     value_shift_bits: int = 0
+    gain_dn_per_e_stderr: float = 0.0
+    read_noise_e_stderr: float = 0.0
+    black_level_dn_stderr: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ ROUNDED = Criterion(
     0.02,
     "1",
     "an effect holds everywhere if what it misses in cells exceeds chance by no more than this part of its own z²",
-    "forms that are nearly right, a halo or a smear, miss up to 0.017 where they are true; false names miss 0.6 or more",
+    "forms that are nearly right, a halo or a smear, miss up to 0.017 where they are true; false names miss 0.6",
 )
 CHANCE = Criterion(
     8.0,

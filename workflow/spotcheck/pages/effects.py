@@ -45,8 +45,8 @@ Written by `spotcheck effects --output workflow/docs/effects.md` from the files 
 file; how the places follow each other is in [model/chain.py](../spotcheck/model/chain.py).
 
 A bound in words is set by the data: σ_g at the longest exposure [px], the brightest light (peak) and full scale [DN],
-the crop's side [px], the shortest and the longest exposure [s], read noise [e-]. Directions are in degrees from +x towards +y. A
-parameter marked *inner* is a constant of the form: it is fitted, and reported as part of the form.
+the crop's side [px], the shortest and the longest exposure [s], read noise [e-]. Directions are in degrees from +x
+towards +y. A parameter marked *inner* is a constant of the form: it is fitted, and reported as part of the form.
 """
 
 ADDING = """## Adding an effect

@@ -1,7 +1,7 @@
 """What the pixels say of a change of the model, to first order, beside the light's shape and all that is fitted.
 
-Another model changes mean and variance of every pixel by (m, w). What shape, frames' numbers and free parameters can make
-up for is taken off; of the rest, for readings y of mean µ and variance V, score and information are
+Another model changes mean and variance of every pixel by (m, w). What shape, frames' numbers and free parameters can
+make up for is taken off; of the rest, for readings y of mean µ and variance V, score and information are
 
     U = Σ m (y − µ) / V + Σ w ((y − µ)² / V − 1) / 2V,    I = Σ m² / V + Σ w² / 2V².
 """
@@ -67,8 +67,8 @@ def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], wor
 
 
 def _sums(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Sequence[Expectation], nudged, which):
-    """Of some frames: scores and information [trial], what trials share with the shape [coefficient, trial] and with all
-    else that is fitted [number, trial], and the scores of both."""
+    """Of some frames: scores and information [trial], what trials share with the shape [coefficient, trial] and with
+    all else that is fitted [number, trial], and the scores of both."""
     model, count = fitted.model, len(ready)
     learned = model.baseline.learned
     assert learned is not None

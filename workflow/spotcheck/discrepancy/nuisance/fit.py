@@ -27,16 +27,21 @@ FARTHEST = (0.5, 0.3, 1.0, 1.0)
 FARTHEST_SHAPE, HELD = 0.3, 1e-3
 # Part of a parameter's value, or of its start, by which slopes are taken.
 NUDGE = 1e-3
+# In place of an effect: the sensor, and which of its numbers may be free.
+SENSOR, SENSOR_NUMBERS = -1, ("gain_dn_per_e", "read_noise_e", "black_level_dn")
 
 
 class Free(NamedTuple):
-    """One free parameter: of which effect, which one, its bounds, and the step of its slope."""
+    """One free parameter: of which effect (or `SENSOR`), which one, its bounds, the step of its slope; and the centre
+    and precision (one over the variance) of what is known of it beforehand."""
 
     effect: int
     parameter: int
     low: float
     high: float
     nudge: float
+    centre: float = 0.0
+    precision: float = 0.0
 
 
 class Sums(NamedTuple):
@@ -86,15 +91,26 @@ def free_of(model: Model, context: Context) -> tuple[Free, ...]:
 def changed(model: Model, free: Sequence[Free], values: Sequence[float]) -> Model:
     """A model with other values of its free parameters, kept within their bounds."""
     every = [list(own.values) for own in model.present]
+    sensor = model.sensor
     for own, value in zip(free, values, strict=True):
-        every[own.effect][own.parameter] = float(np.clip(value, own.low, own.high))
+        value = float(np.clip(value, own.low, own.high))
+        if own.effect == SENSOR:
+            sensor = sensor._replace(**{SENSOR_NUMBERS[own.parameter]: value})
+        else:
+            every[own.effect][own.parameter] = value
     present = tuple(own._replace(values=tuple(v)) for own, v in zip(model.present, every, strict=True))
-    return model._replace(present=present)
+    return model._replace(present=present, sensor=sensor)
 
 
 def values_of(model: Model, free: Sequence[Free]) -> np.ndarray:
     """Values of the free parameters."""
-    return np.array([model.present[own.effect].values[own.parameter] for own in free])
+    return np.array([_value(model, own) for own in free])
+
+
+def _value(model: Model, own: Free) -> float:
+    if own.effect == SENSOR:
+        return float(getattr(model.sensor, SENSOR_NUMBERS[own.parameter]))
+    return model.present[own.effect].values[own.parameter]
 
 
 def sums_of(
@@ -116,7 +132,7 @@ def nudged_of(frames: Sequence[Frame], model: Model, free: Sequence[Free]) -> Nu
     """The model with each free parameter a small step off, and that step."""
     out = []
     for own in free:
-        value = model.present[own.effect].values[own.parameter]
+        value = _value(model, own)
         # Away from a bound, or the slope would be 0.
         step = -own.nudge if value + own.nudge > own.high else own.nudge
         out.append((Expectation(frames, changed(model, [own], [value + step])), step))
@@ -186,19 +202,29 @@ def contrasts(frames: int, more: int = 0) -> np.ndarray:
 
 
 def fit(
-    frames: Sequence[Frame], model: Model, penalty: float, free: Sequence[Free] = (), steps: int = 8, workers: int = 2
+    frames: Sequence[Frame],
+    model: Model,
+    penalty: float,
+    free: Sequence[Free] = (),
+    steps: int = 8,
+    workers: int = 2,
+    tilt: np.ndarray | float = 0.0,
 ) -> Fitted:
-    """Fit shape, numbers and free parameters from a start."""
+    """Fit shape, numbers and free parameters from a start; `tilt` [parameter] is added to the parameters' scores: see
+    `sheet.taken_up`."""
     learned = model.baseline.learned
     assert learned is not None
     side = len(learned.coefficients)
     rough = penalty * normal.roughness(side)
     basis = contrasts(len(frames), len(free))
+    known = np.array([own.precision for own in free])
+    centre, behind = np.array([own.centre for own in free]), np.arange(NUMBERS * len(frames), len(basis))
 
     def matrices(sums: Sums, held: float = 0.0) -> normal.Schur:
-        band = normal.banded(sums.gram, side) + rough
+        band, dense = normal.banded(sums.gram, side) + rough, sums.dense.copy()
         band[0] += held * np.median(band[0])
-        return normal.schur(band, sums.joined @ basis, basis.T @ sums.dense @ basis)
+        dense[behind, behind] += known
+        return normal.schur(band, sums.joined @ basis, basis.T @ dense @ basis)
 
     solved: normal.Schur | None = None
     best, total, taken = model, np.inf, 0
@@ -210,7 +236,9 @@ def fit(
         assert model.baseline.learned is not None
         flat = model.baseline.learned.coefficients.ravel()
         bent = normal.product(rough, flat)
-        now = sums.deviance + float(flat @ bent)
+        off = centre - values_of(model, free)
+        now = sums.deviance + float(flat @ bent) + float(known @ off**2) + 2 * float(np.sum(tilt * off))
+        sums.others[behind] += known * off + tilt
         if not now <= total and halved < HALVINGS:
             halved += 1
             shape, numbers = shape / 2, numbers / 2

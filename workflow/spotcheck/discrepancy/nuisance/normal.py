@@ -106,7 +106,8 @@ def product(band: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 class Schur(NamedTuple):
-    """G's Cholesky factor (lower banded), G⁻¹X, and what the shape takes and leaves of the other numbers' information."""
+    """G's Cholesky factor (lower banded), G⁻¹X, and what the shape takes and leaves of the other numbers'
+    information."""
 
     factor: np.ndarray
     absorbed: np.ndarray

@@ -1,9 +1,9 @@
 """Whether an effect holds everywhere it speaks: the consistency test.
 
-The score of an effect's strength, beside all else that is fitted, is split into cells; where the effect is what its name
-says, every cell asks for the same strength. Q = Σ U²/I − (Σ U)²/Σ I follows χ² of one less than cells. Searches for
-gravitational waves live on this test (Allen, Phys. Rev. D 71, 062001); the allowance in proportion to the signal's square
-is theirs too, for templates that are nearly right.
+The score of an effect's strength, beside all else that is fitted, is split into cells; where the effect is what its
+name says, every cell asks for the same strength. Q = Σ U²/I − (Σ U)²/Σ I follows χ² of one less than cells. Searches
+for gravitational waves live on this test (Allen, Phys. Rev. D 71, 062001); the allowance in proportion to the signal's
+square is theirs too, for templates that are nearly right.
 """
 
 from collections.abc import Sequence

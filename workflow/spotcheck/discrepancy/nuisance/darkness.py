@@ -1,0 +1,188 @@
+"""Read noise and black level from pixels that the spot does not light, by maximum likelihood.
+
+A dark pixel has few electrons of known mean ν: dark current, stray light, smear. Its signal is b + K n + noise, n by
+Poisson's law; it is rounded once and reads 0 below half a DN. The readings' histogram follows that law up to the code
+below which all but 0.2 % of them lie, and is cut there: hot pixels are above.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import gammaln, ndtr, xlogy
+
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model
+from spotcheck.model.chain import View, true_exposure
+from spotcheck.model.effect import Place, Present
+
+# Pixels are dark beyond so many σ_g of the spot's centre: a Gaussian of 1000 DN adds 1e-5 DN there.
+BEYOND = 6.0
+# Readings above the code that this part of them does not exceed are left out: hot pixels.
+KEPT = 0.998
+# Pixels of light within this part of the read noise [e-] count as of the same light: they add a ten-thousandth of the
+# noise's variance.
+ALIKE = 0.03
+# Two numbers need three codes; fewer readings of the third than this, or information as ill-conditioned as that, tell
+# nothing.
+THIRD, SINGULAR = 10, 1e12
+# Least noise [DN]: below, rounding leaves one or two codes, which tell no more than that.
+LEAST_DN = 0.03
+# Fewest dark pixels; steps of the fit, the longest [DN, and 1 in ln noise], and the change in errors that ends it.
+FEWEST, STEPS, LONGEST, ENOUGH = 100, 80, 0.5, 1e-4
+
+
+class Darkness(NamedTuple):
+    """Black level [DN] and read noise [e-] with their errors, infinite where the readings do not tell (one code or two
+    alone), their correlation, and of how many pixels. Electronic pedestals of the model are not in the black level;
+    noise that effects of the model add is in the read noise."""
+
+    black_level_dn: float
+    black_level_stderr: float
+    read_noise_e: float
+    read_noise_stderr: float
+    correlation: float
+    pixels: int
+
+
+class Histogram(NamedTuple):
+    """Mean electrons of some pixels, what is added to their black level [DN], and how often each code from 0 on is
+    read; the last code is the highest that is kept."""
+
+    electrons: float
+    offset: float
+    read: np.ndarray
+
+
+def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
+    """Of the dark pixels of all frames; None where there are too few."""
+    gain = model.sensor.gain_dn_per_e
+    ready = Expectation(frames, model)
+    dark: dict[tuple[int, float], list[np.ndarray]] = {}
+    step = max(ALIKE * model.sensor.read_noise_e, ALIKE)
+    for k, frame in enumerate(frames):
+        electrons = _electrons(ready, frame, k)
+        own = ready.numbers_of(k)
+        distance = np.hypot(frame.view.x - own.x, frame.view.y - own.y)[0] / np.exp(own.log_width[0])
+        readings, light = (
+            image[(distance > BEYOND) & np.isfinite(frame.pixels)] for image in (frame.pixels, electrons)
+        )
+        level = np.rint(light / step).astype(int)
+        offset = _offset(frame.view, model.present)
+        for which in np.unique(level):
+            dark.setdefault((int(which), offset), []).append(readings[level == which])
+    own_histograms = [
+        Histogram(level * step, offset, kept_counts(np.concatenate(parts))) for (level, offset), parts in dark.items()
+    ]
+    if sum(own.read.sum() for own in own_histograms) < FEWEST:
+        return None
+    return fit_dark(own_histograms, gain, _dead(model.present))
+
+
+def _electrons(ready: Expectation, frame: Frame, k: int) -> np.ndarray:
+    """Mean electrons of each pixel of a frame."""
+    model = ready.model
+    spot, beside = ready.light(frame, ready.numbers_of(k))
+    out = (spot + beside) / model.sensor.gain_dn_per_e
+    out = out + model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
+    for own in model.present:
+        out = own.apply(frame.view, out) if own.effect.place is Place.CHARGE else out
+    return np.broadcast_to(out, (1, *frame.pixels.shape))[0]
+
+
+def _offset(view: View, present: Sequence[Present]) -> float:
+    """What effects add to the black level [DN]."""
+    added = [own for own in present if own.effect.place is Place.PEDESTAL and own.form == "electronic"]
+    taken = [own for own in present if own.effect.place is Place.DIGITAL and own.form == "subtracted"]
+    return float(sum(np.mean(own.apply(view)) for own in added) - sum(own.apply() for own in taken))
+
+
+def _dead(present: Sequence[Present]) -> float:
+    """Signal [DN] below which a reading is 0."""
+    zones = [own for own in present if own.effect.place is Place.DIGITAL and own.form != "subtracted"]
+    return float(max((own.apply() for own in zones), default=0.0))
+
+
+def kept_counts(readings: np.ndarray) -> np.ndarray:
+    """How often each code is read, up to the code that all but `1 − KEPT` of the readings do not exceed."""
+    count = np.bincount(np.asarray(readings).astype(int))
+    highest = int(np.searchsorted(np.cumsum(count), KEPT * count.sum()))
+    return count[: highest + 1]
+
+
+def fit_dark(histograms: Sequence[Histogram], gain: float, dead: float = 0.0) -> Darkness:
+    """Fisher's scoring for black level and ln noise [DN]; each histogram is a sample of the law below its last code."""
+    pixels = int(sum(own.read.sum() for own in histograms))
+    black, log_noise = _start(histograms, gain)
+    reached, information = -np.inf, np.eye(2)
+    step, best = np.zeros(2), np.array([black, log_noise])
+    at = best.copy()
+    for _ in range(STEPS):
+        likelihood, score, here = _told(histograms, gain, dead, at[0], np.exp(at[1]))
+        if likelihood < reached:
+            # Half a step back; what is less than the sums' own rounding is the end.
+            step = step / 2
+            if step @ information @ step < ENOUGH**2:
+                break
+            at = best + step
+            continue
+        reached, best, information = likelihood, at, here
+        step = np.linalg.pinv(information) @ score
+        # Shorter, not turned: it has to lead upwards.
+        step = step * min(1.0, LONGEST / max(np.abs(step).max(), LONGEST))
+        if step @ information @ step < ENOUGH**2:
+            break
+        at = best + step
+        at[1] = max(at[1], np.log(LEAST_DN))
+    noise = float(np.exp(best[1]))
+    if np.linalg.cond(information) > SINGULAR or max(map(_third, histograms)) < THIRD:
+        return Darkness(float(best[0]), np.inf, noise / gain, np.inf, 0.0, pixels)
+    covariance = np.linalg.inv(information)
+    errors = np.sqrt(np.diag(covariance))
+    correlation = float(covariance[0, 1] / errors.prod())
+    return Darkness(
+        float(best[0]), float(errors[0]), noise / gain, float(errors[1] * noise / gain), correlation, pixels
+    )
+
+
+def _third(own: Histogram) -> float:
+    """Readings of the third most frequent code."""
+    return float(np.sort(own.read)[-3]) if len(own.read) > 2 else 0.0
+
+
+def _start(histograms: Sequence[Histogram], gain: float) -> tuple[float, float]:
+    """Black level and ln noise [DN] by the moments of the readings."""
+    own = max(histograms, key=lambda one: one.read.sum())
+    codes = np.arange(len(own.read))
+    mean = codes @ own.read / own.read.sum()
+    variance = (codes - mean) ** 2 @ own.read / own.read.sum() - gain**2 * own.electrons - 1 / 12
+    return float(mean - own.offset - gain * own.electrons), 0.5 * float(np.log(max(variance, 0.2**2)))
+
+
+def _told(histograms: Sequence[Histogram], gain: float, dead: float, black: float, noise: float):
+    """ln likelihood, score and information of (black, ln noise)."""
+    total, score, information = 0.0, np.zeros(2), np.zeros((2, 2))
+    for own in histograms:
+        below, slopes = _law(own, gain, dead, black, noise)
+        # Given that a reading is kept; no less than what double precision leaves of a difference.
+        part = np.maximum(np.diff(below, prepend=0.0), 1e-300) / below[-1]
+        change = np.diff(slopes, axis=1, prepend=0.0) / below[-1] - part * (slopes[:, -1:] / below[-1])
+        relative = np.where(part > 1e-14, change / part, 0.0)
+        total += float(own.read @ np.log(part))
+        score += relative @ own.read
+        information += own.read.sum() * (relative * part) @ relative.T
+    return total, score, information
+
+
+def _law(own: Histogram, gain: float, dead: float, black: float, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """P(reading ≤ code) [code] and its slopes by black level and ln noise [2, code]."""
+    reach = 8 * np.sqrt(own.electrons) + 12
+    counts = np.arange(max(int(own.electrons - reach), 0), int(own.electrons + reach) + 1) if own.electrons > 0 else [0]
+    counts = np.asarray(counts, float)
+    mean = max(own.electrons, 0.0)
+    weight = np.exp(xlogy(counts, mean) - mean - gammaln(counts + 1))
+    # Below no light at all, as a black level stated too high makes it, noise is read noise alone.
+    signal = black + own.offset + gain * (counts if own.electrons > 0 else np.full(1, own.electrons))
+    edges = np.maximum(np.arange(len(own.read)) + 0.5, dead)
+    z = (edges - signal[:, None]) / noise
+    density = np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
+    return weight @ ndtr(z), np.stack([-(weight @ density) / noise, -(weight @ (z * density))])

@@ -1,0 +1,119 @@
+"""The data sheet's errors: gain, read noise and black level as numbers that a fit may move, as far as the sheet's own
+errors let it, and by how much frames contradict the sheet."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from spotcheck.discrepancy.nuisance import normal
+from spotcheck.discrepancy.nuisance.fit import (
+    NUDGE,
+    SENSOR,
+    SENSOR_NUMBERS,
+    Fitted,
+    Free,
+    changes_of,
+    fit,
+    nudged_of,
+    values_of,
+)
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
+from spotcheck.model.light_shape import LightShape
+from spotcheck.model.sensor import SensorModel
+
+# Lowest read noise [e-] whose step is a part of itself, and the step of a black level [DN].
+LEAST_E, STEP_DN = 0.1, 0.01
+# Least gain in parts of the stated one.
+LEAST_GAIN = 0.1
+# A fit may move a number by so many stated errors: beyond, the sheet is of another camera, or what is missing in the
+# model passes for noise.
+FARTHEST = 10.0
+# Draws by which what the shape takes up is told: one scatters by √(2 tr H) of tr H coefficients.
+DRAWS = 2
+
+
+class Against(NamedTuple):
+    """Of one number of the sheet: its name; what is stated, with its error; what frames and sheet together say, with
+    the error of that; by how many stated errors it moved; and that in the errors that it would have if the sheet were
+    right (a standard normal number then)."""
+
+    name: str
+    stated: float
+    stated_stderr: float
+    value: float
+    stderr: float
+    stated_errors: float
+    z: float
+
+
+def free_of_sheet(sensor: SensorModel, stderr: Sequence[float]) -> tuple[Free, ...]:
+    """The numbers of a sheet that have an error, for `nuisance.fit`; `stderr` of gain [DN/e-], read noise [e-] and
+    black level [DN], 0 where a number is exact.
+
+    A fit with them is to start from a shape that is fitted (`fit_sheet`): what an unfitted one leaves passes for noise.
+    """
+    gain, noise = sensor.gain_dn_per_e, sensor.read_noise_e
+    least = (LEAST_GAIN * gain, 0.0, -np.inf)
+    steps = (NUDGE * gain, NUDGE * max(noise, LEAST_E), STEP_DN)
+    stated = (gain, noise, sensor.black_level_dn)
+    return tuple(
+        Free(SENSOR, p, max(stated[p] - FARTHEST * error, least[p]), stated[p] + FARTHEST * error, steps[p],
+             stated[p], 1 / error**2)
+        for p, error in enumerate(stderr)
+        if error > 0
+    )  # fmt: skip
+
+
+def fit_sheet(frames: Sequence[Frame], fitted: Fitted, free: Sequence[Free], workers: int = 2) -> Fitted:
+    """Fit on from a shape that is fitted, with numbers of the sheet among the free parameters.
+
+    The shape takes noise up, one variance for each coefficient that the readings tell. Likelihood takes that for less
+    noise; restricted likelihood (REML, Patterson & Thompson 1971) gives it back.
+    """
+    first = fit(frames, fitted.model, fitted.penalty, free, workers=workers)
+    return fit(frames, first.model, first.penalty, free, workers=workers, tilt=taken_up(frames, first))
+
+
+def taken_up(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
+    """½ tr(H ∂ ln V/∂θ) for each free parameter θ, which its score lacks: H projects readings of variance V on the
+    shape. By random signs (Hutchinson 1989), the same at each call."""
+    model, learned = fitted.model, fitted.model.baseline.learned
+    assert learned is not None
+    side = len(learned.coefficients)
+    ready, nudged = Expectation(frames, model), nudged_of(frames, model, fitted.free)
+    seen = [ready.of(frame, k) for k, frame in enumerate(frames)]
+    shared = []
+    for k, (frame, own) in enumerate(zip(frames, seen, strict=True)):
+        tells = told(frame, own)
+        shared.append(np.exp(model.numbers.log_peak[k]) * tells.slope * np.sqrt(tells.sure))
+    rng, out = np.random.default_rng(0), np.zeros(len(fitted.free))
+    for _ in range(DRAWS):
+        signs = [rng.choice((-1.0, 1.0), own.size) for own in shared]
+        projected = np.zeros((side * side, 1))
+        for own, weight, sign in zip(seen, shared, signs, strict=True):
+            u, v = (np.ascontiguousarray(part).ravel() for part in (own.u, own.v))
+            normal.project(u, v, learned.step, side, (weight * sign)[None], projected)
+        surface = LightShape(
+            learned.step, linalg.cho_solve_banded((fitted.schur.factor, True), projected[:, 0]).reshape(side, side)
+        )
+        for k, (own, weight, sign) in enumerate(zip(seen, shared, signs, strict=True)):
+            back = weight * sign * surface(own.u, own.v).ravel() / own.variance.ravel()
+            out += [back @ change[1] for change in changes_of(frames[k], k, own, nudged)]
+    return out / (2 * DRAWS)
+
+
+def against_sheet(fitted: Fitted) -> tuple[Against, ...]:
+    """By how much a fit moved the numbers of the sheet."""
+    errors = np.sqrt(np.diag(fitted.covariance)[len(fitted.schur.left) - len(fitted.free) :])
+    out = []
+    for own, value, error in zip(fitted.free, values_of(fitted.model, fitted.free), errors, strict=True):
+        if own.effect == SENSOR:
+            stated = own.precision**-0.5
+            moved = float(value - own.centre)
+            # Sheet and frames are independent: a moved value has the variance that the sheet's loses by the frames.
+            scatter = np.sqrt(max(stated**2 - error**2, 1e-12 * stated**2))
+            name = SENSOR_NUMBERS[own.parameter]
+            out.append(Against(name, own.centre, stated, float(value), float(error), moved / stated, moved / scatter))
+    return tuple(out)
