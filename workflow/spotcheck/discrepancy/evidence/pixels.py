@@ -24,11 +24,13 @@ CELLS = 2 * AZIMUTHS
 
 class Score(NamedTuple):
     """Score and information of a change in its own units; of its information what would be there were the shape known;
-    and what makes up for it: coefficients of the shape and steps of the numbers and free parameters."""
+    by what −2 ln L drops if all of the change is made and nothing else; and what makes up for it: coefficients of the
+    shape and steps of the numbers and free parameters."""
 
     score: float
     information: float
     if_known: float
+    drop: float
     shape: np.ndarray
     others: np.ndarray
 
@@ -51,18 +53,17 @@ def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], wor
     def part(which: np.ndarray) -> list[np.ndarray]:
         return _sums(frames, fitted, plain, ready, nudged, which)
 
-    score, raw, shape, numbers, pull, own = _added(part, len(frames), workers)
+    score, raw, drop, shape, numbers, pull, own = _added(part, len(frames), workers)
     basis = contrasts(len(frames), len(nudged))
     right = fitted.schur.solve(pull[:, 0], basis.T @ own[:, 0])
     out = []
     for c in range(len(others)):
         x, n = shape[:, c], basis.T @ numbers[:, c]
         inner, step = fitted.schur.solve(x, n)
-        only = np.linalg.solve(fitted.schur.left + fitted.schur.given, n) if n.size else n
+        only = normal.solve(fitted.schur.left + fitted.schur.given, n) if n.size else n
         left = raw[c] - x @ inner - n @ step
-        out.append(
-            Score(score[c] - x @ right[0] - n @ right[1], float(left), float(raw[c] - n @ only), inner, basis @ step)
-        )
+        own_score = float(score[c] - x @ right[0] - n @ right[1])
+        out.append(Score(own_score, float(left), float(raw[c] - n @ only), float(drop[c]), inner, basis @ step))
     return out
 
 
@@ -73,7 +74,7 @@ def _sums(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Se
     learned = model.baseline.learned
     assert learned is not None
     side, few = len(learned.coefficients), NUMBERS * len(frames)
-    score, raw = np.zeros(count), np.zeros(count)
+    score, raw, drop = np.zeros(count), np.zeros(count), np.zeros(count)
     shape, pull = np.zeros((side * side, count)), np.zeros((side * side, 1))
     numbers, own = np.zeros((few + len(nudged), count)), np.zeros((few + len(nudged), 1))
     for k in which:
@@ -81,8 +82,9 @@ def _sums(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Se
         seen = plain.of(frame, k)
         tells = told(frame, seen)
         changes = []
-        for other in ready:
+        for c, other in enumerate(ready):
             then = other.of(frame, k)
+            drop[c] += tells.deviance - told(frame, then).deviance
             changes.append(((then.mean - seen.mean).ravel(), (then.variance - seen.variance).ravel()))
         score += [tells.score(*change).sum() for change in changes]
         raw += [tells.information(change, change).sum() for change in changes]
@@ -101,7 +103,7 @@ def _sums(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Se
     flat = learned.coefficients.ravel()
     if 0 in which:
         pull[:, 0] -= fitted.penalty * normal.product(normal.roughness(side), flat)
-    return [score, raw, shape, numbers, pull, own]
+    return [score, raw, drop, shape, numbers, pull, own]
 
 
 def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, workers: int = 2):

@@ -120,11 +120,15 @@ class Schur(NamedTuple):
         if not others.size:
             return inner, others
         joined = self.absorbed.T @ shape
-        # A parameter of which nothing is told, or two that share all, must not stop the others.
-        own = np.diag(self.left)
-        damped = self.left + np.diag(np.where(own > 0, DAMPING * own, 1.0))
-        step = linalg.solve(damped, others - joined, assume_a="sym")
+        step = solve(self.left, others - joined)
         return inner - self.absorbed @ step, step
+
+
+def solve(information: np.ndarray, score: np.ndarray) -> np.ndarray:
+    """Steps of numbers; one of which nothing is told, or two that share all, do not stop the others."""
+    own = np.diag(information)
+    damped = information + np.diag(np.where(own > 0, DAMPING * own, 1.0))
+    return linalg.solve(damped, score, assume_a="sym")
 
 
 def schur(band: np.ndarray, joined: np.ndarray, dense: np.ndarray) -> Schur:

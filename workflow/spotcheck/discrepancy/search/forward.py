@@ -25,7 +25,9 @@ class Trial(NamedTuple):
     @property
     def promise(self) -> float:
         """What −2 ln L would gain, to first order; 0 for an effect that would have to be negative."""
-        return self.score.z**2 if self.score.size > 0 else 0.0
+        # Of a level there is all or nothing: where frames fit worse with it than without, it lies elsewhere.
+        elsewhere = np.isinf(self.own.effect.neutral) and self.score.drop < 0
+        return 0.0 if elsewhere or self.score.size < 0 else self.score.z**2
 
 
 class Found(NamedTuple):

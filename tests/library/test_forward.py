@@ -1,0 +1,58 @@
+"""Scores and the search: the law of scores where nothing is missing, and what is found where something is."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from spotcheck.discrepancy.evidence.pixels import by_cell, screen
+from spotcheck.discrepancy.search.forward import search, with_effect
+from spotcheck.model.effect import Present
+from spotcheck.model.effects import vocabulary
+from tests.library.small_light import CONTEXT, fitted
+
+TRIED = {"dark_offset": (1.0,), "nonlinearity": (0.02,), "excess_read_noise": (6.3,), "smear": (0.005,)}
+
+
+def effects(*names: str):
+    return [vocabulary()[name] for name in names]
+
+
+def test_scores_of_what_is_not_there_are_normal():
+    """z of four effects on twelve sets without any: mean 0, mean square 1 (false alarm 1e-4 each); and the cells add up
+    to the whole."""
+    z = []
+    for seed in range(12):
+        frames, fit, _ = fitted(100 + seed, sites=2)
+        others = [
+            with_effect(fit.model, Present(vocabulary()[name], vocabulary()[name].forms[0], values))
+            for name, values in TRIED.items()
+        ]
+        scores = screen(frames, fit, others, workers=1)
+        z += [score.z for score in scores]
+        score, information = by_cell(frames, fit, others[0], scores[0], workers=1)
+        assert score.sum() == pytest.approx(scores[0].score, abs=0.02 * np.sqrt(scores[0].information))
+        assert information.sum() == pytest.approx(scores[0].information, rel=0.01)
+    mean_square = np.mean(np.square(z))
+    assert abs(np.mean(z)) < stats.norm.isf(5e-5) / np.sqrt(len(z))
+    assert stats.chi2.ppf(5e-5, len(z)) < len(z) * mean_square < stats.chi2.isf(5e-5, len(z))
+
+
+@pytest.mark.parametrize(
+    ("kinds", "name", "value", "off"),
+    [
+        ({"pedestal": 2.0}, "dark_offset", 2.0, 0.02),
+        ({"clip": 560.0}, "saturation", 560.0, 0.3),
+        ({"read": 8.0}, "excess_read_noise", 8.0, 0.1),
+        ({}, None, 0.0, 0.0),
+    ],
+)
+def test_what_is_missing_is_found_on_light_that_is_no_gaussian(kinds, name, value, off):
+    """Alone, its size right, holding everywhere; nothing where nothing is missing."""
+    frames, fit, known = fitted(7, **kinds)
+    known_effects = effects("dark_offset", "saturation", "excess_read_noise", "nonlinearity", "smear", "scatter_halo")
+    outcome = search(frames, known[:, 0], fit, known_effects, CONTEXT._replace(peak_dn=kinds.get("clip", 679.0) / 0.97))
+    assert [one.own.effect.name for one in outcome.found] == ([name] if name else [])
+    if name:
+        (found,) = outcome.found
+        assert abs(found.own.values[0] - value) < off and found.holding.holds
+        assert abs(found.own.values[0] - value) < 4 * found.holding.error + 1e-3 * value
