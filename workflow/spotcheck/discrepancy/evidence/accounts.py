@@ -47,7 +47,8 @@ class Rows(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """Rows, the frames' view, the model with the effects that act on brightness and width, and what bounds depend on."""
+    """Rows, design and view of the frames, the model with the effects that act on brightness and width, and what bounds
+    depend on."""
 
     rows: Rows
     design: Design
@@ -85,7 +86,7 @@ class Account(NamedTuple):
     @property
     def present(self) -> tuple[Present, ...]:
         """Effects with their fitted values."""
-        return changed(self.mean.model, self.mean.free, self.theta[len(self.mean.law_free) :]).present
+        return changed(self.mean.model, self.mean.free, [*self.theta[len(self.mean.law_free) :]]).present
 
     @property
     def law(self) -> Law:
@@ -172,7 +173,7 @@ def _law(mean: Mean, theta: np.ndarray) -> Law:
 def predicted(mean: Mean, theta: np.ndarray) -> np.ndarray:
     """The rows under parameters; NaN where the law has no width."""
     problem = mean.problem
-    present = changed(mean.model, mean.free, theta[len(mean.law_free) :]).present
+    present = changed(mean.model, mean.free, [*theta[len(mean.law_free) :]]).present
     with np.errstate(all="ignore"):
         peak, sigma = spot_state(problem.view, mean.model.baseline, _law(mean, theta), present)
         logs = [np.broadcast_to(np.log(own), problem.view.exposure_s.shape).ravel() for own in (peak, sigma)]

@@ -5,6 +5,7 @@ Fisher's scoring as in Searle, Casella & McCulloch, Variance Components (1992), 
 Satterthwaite 1946 (doi:10.2307/3002019).
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -83,7 +84,7 @@ def scored(
     ends = np.cumsum([0, *(own.members.shape[1] for own in components)])
     shared = members.T @ (left @ members)
     drawn = members.T @ pulled
-    blocks = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    blocks = [slice(a, b) for a, b in pairwise(ends)]
     score = np.array([drawn[b] @ drawn[b] - np.trace(shared[b, b]) for b in blocks]) / 2
     information = np.array([[np.sum(shared[a, b] ** 2) for b in blocks] for a in blocks]) / 2
     return Scored(deviance, score, information)
@@ -199,16 +200,18 @@ def root_of(tau: float, error: float) -> tuple[float, float]:
     return float(np.sqrt(tau)), float(error / (2 * np.sqrt(max(tau, error))))
 
 
-def z_of(t: float, freedom: float, parameters: int = 1) -> float:
+def z_of(t: float, freedom: float, parameters: int = 1, tries: int = 1) -> float:
     """The standard normal number as unlikely (both sides) as Student's t with so many degrees of freedom; as the
-    largest t among the directions of several parameters, by Fisher's F."""
+    largest t among the directions of several parameters, by Fisher's F; and as the largest of so many tries, by
+    Bonferroni."""
     if not np.isfinite(t):
         return 0.0
     if parameters > 1:
         log_p = stats.f.logsf(t * t / parameters, parameters, freedom)
     else:
         log_p = stats.t.logsf(abs(t), freedom) + np.log(2)
+    log_p = min(log_p + np.log(tries), 0.0)
     if not log_p > UNDERFLOW:
         # Wallace 1959 (doi:10.1214/aoms/1177706092), good to a part in a hundred where tails underflow.
         return float(np.sign(t) * np.sqrt(freedom * np.log1p(t * t / freedom)))
-    return float(np.sign(t) * max(-special.ndtri_exp(min(log_p, 0.0) - np.log(2)), 0.0))
+    return float(np.sign(t) * max(-special.ndtri_exp(log_p - np.log(2)), 0.0))

@@ -25,6 +25,7 @@ from spotcheck.discrepancy.evidence.accounts import (
 from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.design import Design, missing
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
+from spotcheck.discrepancy.evidence.scatter import Scatter, scatters_of
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, Present
 from spotcheck.model.effects import vocabulary
@@ -60,12 +61,14 @@ class Trial(NamedTuple):
 
 class Laws(NamedTuple):
     """Accounts by restricted and by full likelihood without any further effect, −2 ln L without scatter that is itself
-    an effect, and what each effect brings; all None or empty where the baseline has no law or frames are few."""
+    an effect, and what each effect brings; no account and no trial where the baseline has no law or frames are few. The
+    scatter of frames, of their centres too, is there in any case."""
 
     base: Account | None
     full: Account | None
     alone: float
     trials: tuple[Trial, ...]
+    scatters: tuple[Scatter, ...]
 
 
 def laws_of(
@@ -75,62 +78,45 @@ def laws_of(
     sensor: SensorModel,
     crop_px: float,
     present: Sequence[Present] = (),
+    effects: Sequence[Effect] | None = None,
     common_width: float = COMMON_WIDTH,
 ) -> Laws:
     """What frames say of the baseline's laws and of every effect of brightness and width that their design can show.
 
     `present`: effects that are in the model already; those of brightness and width are fitted again with each trial.
+    `effects`: those to try, by default the run's vocabulary. `common_width` as in `rows_of`.
     """
-    if baseline.photon_budget == "free" or len(design.site) < FEWEST:
-        return Laws(None, None, np.nan, ())
+    law = baseline.photon_budget != "free" and len(design.site) >= FEWEST
+    known = tuple(vocabulary().values()) if effects is None else tuple(effects)
+    taken = {own.effect.name for own in present}
+    tried = [e for e in known if e.name not in taken and not missing(e, design, law=law)]
+    scatters = tuple(scatters_of(numbers, design, tried))
+    if not law:
+        return Laws(None, None, np.nan, (), scatters)
     problem = problem_of(numbers, design, baseline, sensor, crop_px, present, common_width)
     base = account(mean_of(problem, problem.model.present), problem.rows.components, restricted=True)
     full = account(mean_of(problem, base.present, base), problem.rows.components, restricted=False, start=base)
-    taken = {own.effect.name for own in present}
-    tried = [e for e in vocabulary().values() if e.name not in taken and not missing(e, design, law=True)]
-    scatter = [e for e in vocabulary().values() if component_of(e, problem.rows.components) is not None and e.name not in taken]
-    held = [component_of(effect, problem.rows.components) for effect in scatter]
-    bare = tuple(own for k, own in enumerate(problem.rows.components) if k not in held)
+    held = {part_of(effect) for effect in known if effect.name not in taken}
+    bare = tuple(own for own in problem.rows.components if (own.of, own.shared) not in held)
     alone = account(mean_of(problem, full.present, full), bare, restricted=False, start=full).deviance
-    trials = []
-    for effect in tried:
-        if effect.place in PLACES:
-            trials.append(_law_trial(problem, effect, base, full, bare))
-        elif effect in scatter:
-            trials.append(_scatter_trial(problem, effect, base, full, bare))
-    return Laws(base, full, alone, tuple(trials))
+    trials = [_law_trial(problem, e, base, full, bare) for e in tried if e.place in PLACES]
+    trials += [_scatter_trial(problem, own, full, held) for own in scatters if part_of(own.effect)]
+    return Laws(base, full, alone, tuple(trials), scatters)
 
 
-
-def component_of(effect: Effect, components: Sequence[Component]) -> int | None:
-    """Which component a scatter of the light is; None where it is none of them."""
-    if effect.component != "gain" or effect.scatter is None:
-        return None
-    pairs = [(own.of, own.shared) for own in components]
-    own = ("brightness", effect.scatter.shared)
-    return pairs.index(own) if own in pairs else None
+def part_of(effect: Effect) -> tuple[str, str] | None:
+    """Of what a component is and what shares it, where an effect is one of the rows' components."""
+    return ("brightness", effect.scatter.shared) if effect.scatter and effect.component == "gain" else None
 
 
-def _scatter_trial(problem: Problem, effect: Effect, base: Account, full: Account, bare: tuple[Component, ...]) -> Trial:
-    """A component against none of it, by restricted likelihood."""
-    # ASSUME: the scatter is small, so that of the brightness's logarithm is the same.
-    every = problem.rows.components
-    which = component_of(effect, every)
-    assert which is not None
-    without = tuple(own for k, own in enumerate(every) if k != which)
-    null = account(mean_of(problem, base.present, base), without, restricted=True, start=base)
-    own = tuple(c for c in every if c in bare or c is every[which])
-    alone = account(mean_of(problem, full.present, full), own, restricted=False, start=full)
-    tau, sure = base.found.weights.tau[which], mixed.spread(base.found)[which]
-    value, error = mixed.root_of(tau, sure)
-    gain = max(null.deviance - base.deviance, 0.0)
-    present = Present(effect, effect.forms[0], _with_strength(effect, problem, value))
-    return Trial(present, value, error, float(np.sqrt(gain)), np.inf, gain, alone.deviance, 0.0)
-
-
-def _with_strength(effect: Effect, problem: Problem, value: float) -> tuple[float, ...]:
-    """An effect's first start with another strength."""
-    return (value, *effect.starts(problem.context)[0][1:])
+def _scatter_trial(problem: Problem, own: Scatter, full: Account, held: set[tuple[str, str] | None]) -> Trial:
+    """A scatter of frames as a trial: the test is its own, −2 ln L for rivals that of an account that has it."""
+    others = held - {part_of(own.effect)}
+    with_it = tuple(c for c in problem.rows.components if (c.of, c.shared) not in others)
+    alone = account(mean_of(problem, full.present, full), with_it, restricted=False, start=full)
+    values = (own.value, *own.effect.starts(problem.context)[0][1:])
+    present = Present(own.effect, own.effect.forms[0], values)
+    return Trial(present, own.value, own.error, own.z, np.inf, own.gain, alone.deviance, 0.0)
 
 
 def _law_trial(problem: Problem, effect: Effect, base: Account, full: Account, bare: tuple[Component, ...]) -> Trial:
@@ -176,7 +162,7 @@ def _judged(own: Account, base: Account, gain: float, alone: float) -> Trial:
         t = (value - present.effect.neutral) / error
     else:
         t, freedom = _against(own, base)
-    z = mixed.z_of(t, freedom, len(places))
+    z = mixed.z_of(t, freedom, len(places), len(present.effect.forms))
     return Trial(present, float(value), error, z, freedom, gain, alone, between)
 
 
