@@ -30,6 +30,10 @@ COMMON_WIDTH = 0.1
 STEPS, ENOUGH, STIFF = 40, 1e-5, 1e8
 # Rounds of fitting laws and components in turn, and the gain in −2 ln L that ends them.
 ROUNDS, SETTLED = 8, 1e-3
+# A variance [1] of ln peak or ln σ_g beside which nothing else counts: where fits begin, once with either set aside.
+LOOSE = 1.0
+# Fits whose rows differ by less than this [χ²] are one.
+SAME = 1.0
 # Relative step of slopes by p1 and by the reference width, of the latter.
 NUDGE = 1e-3
 
@@ -241,16 +245,50 @@ def start_of(mean: Mean) -> np.ndarray:
     return np.array([*(mean.law[k] for k in mean.law_free), *values_of(mean.model, mean.free)])
 
 
-def account(
-    mean: Mean, components: tuple[Component, ...], *, restricted: bool, start: Account | None = None
-) -> Account:
-    """Fit laws and components in turn, by restricted likelihood or by full, from where an account left the components
-    and where the model stands."""
-    rows, theta = mean.problem.rows, start_of(mean)
-    tau = mixed.begun(rows.known, components)
-    if start is not None:
+def beginnings(rows: Rows) -> list[np.ndarray]:
+    """Components from which fits begin: about the known errors; and so large in brightness, or in width, that the other
+    says all. A law that is wrong for one of the two is otherwise made right for it, and wrong for the other."""
+    tau = mixed.begun(rows.known, rows.components)
+    of = np.array([own.of for own in rows.components])
+    return [tau, *(np.where(of == own, LOOSE, tau) for own in np.unique(of))]
+
+
+def first_account(problem: Problem) -> Account:
+    """The best fit of what is present, by restricted likelihood, from all beginnings."""
+    rows, mean, found = problem.rows, mean_of(problem, problem.model.present), []
+    for tau in beginnings(rows):
+        theta, _ = settle(mean, start_of(mean), mixed.weights_at(rows.known, rows.components, tau).factor)
+        found.append((theta, tau))
+    every = [
+        account(mean, rows.components, restricted=True, start=own)
+        for own in apart(mean, found, linalg.cholesky(rows.known, lower=True))
+    ]
+    return min(every, key=lambda own: own.deviance)
+
+
+Start = tuple[np.ndarray, np.ndarray]
+
+
+def apart(mean: Mean, starts: Sequence[Start], factor: np.ndarray) -> list[Start]:
+    """Of parameters, each with components, those whose rows differ under a covariance with that Cholesky factor."""
+    kept, seen = list[Start](), list[np.ndarray]()
+    for start in starts:
+        rows = linalg.solve_triangular(factor, predicted(mean, start[0]), lower=True)
+        if np.isfinite(rows).all() and not any(np.sum((rows - other) ** 2) < SAME for other in seen):
+            kept.append(start)
+            seen.append(rows)
+    return kept
+
+
+def account(mean: Mean, components: tuple[Component, ...], *, restricted: bool, start: "Account | Start") -> Account:
+    """Fit laws and components in turn, by restricted likelihood or by full, from parameters with as many components, or
+    from where the model stands and an account left the components."""
+    rows = mean.problem.rows
+    if isinstance(start, Account):
         # Scoring leaves 0 as easily as any other value.
-        tau = np.array([start.variance(own.of, own.shared) for own in components])
+        theta, tau = start_of(mean), np.array([start.variance(own.of, own.shared) for own in components])
+    else:
+        theta, tau = start
     weights, last = mixed.weights_at(rows.known, components, tau), np.inf
     for _ in range(ROUNDS):
         theta, _ = settle(mean, theta, weights.factor)

@@ -15,7 +15,11 @@ from spotcheck.discrepancy.evidence.accounts import (
     PLACES,
     Account,
     Problem,
+    Start,
     account,
+    apart,
+    beginnings,
+    first_account,
     mean_of,
     predicted,
     problem_of,
@@ -94,7 +98,7 @@ def laws_of(
     if not law:
         return Laws(None, None, np.nan, (), scatters)
     problem = problem_of(numbers, design, baseline, sensor, crop_px, present, common_width)
-    base = account(mean_of(problem, problem.model.present), problem.rows.components, restricted=True)
+    base = first_account(problem)
     full = account(mean_of(problem, base.present, base), problem.rows.components, restricted=False, start=base)
     held = {part_of(effect) for effect in known if effect.name not in taken}
     bare = tuple(own for own in problem.rows.components if (own.of, own.shared) not in held)
@@ -123,28 +127,30 @@ def _law_trial(problem: Problem, effect: Effect, base: Account, full: Account, b
     """An effect fitted from all its starts in all its forms, beside what is present."""
     best, lowest = None, np.inf
     for form in effect.forms:
-        near = _nearest(problem, effect, form, base)
-        if near is None:
-            continue
-        own = account(mean_of(problem, near.present, near), problem.rows.components, restricted=False, start=near)
-        price = own.deviance + PRICE * len(own.mean.free)
-        if price < lowest:
-            best, lowest = own, price
+        for start in _nearest(problem, effect, form, base):
+            mean = mean_of(problem, (*base.present, Present(effect, form, effect.starts(problem.context)[0])), base)
+            own = account(mean, problem.rows.components, restricted=False, start=start)
+            price = own.deviance + PRICE * len(own.mean.free)
+            if price < lowest:
+                best, lowest = own, price
     assert best is not None
     sharp = account(mean_of(problem, best.present, best), problem.rows.components, restricted=True, start=best)
     alone = account(mean_of(problem, best.present, best), bare, restricted=False, start=best)
     return _judged(sharp, base, full.deviance - best.deviance, alone.deviance)
 
 
-def _nearest(problem: Problem, effect: Effect, form: str, base: Account) -> Account | None:
-    """The best fit of a form at the components that are there without it."""
-    best, lowest = None, np.inf
-    for start in effect.starts(problem.context):
-        mean = mean_of(problem, (*base.present, Present(effect, form, tuple(start))), base)
-        theta, chi2 = settle(mean, start_of(mean), base.found.weights.factor)
-        if chi2 < lowest:
-            best, lowest = base._replace(mean=mean, theta=theta), chi2
-    return best
+def _nearest(problem: Problem, effect: Effect, form: str, base: Account) -> list[Start]:
+    """The best fits of a form at the components that are there without it, and at those from which fits begin."""
+    rows, out = problem.rows, []
+    means = [
+        mean_of(problem, (*base.present, Present(effect, form, tuple(start))), base)
+        for start in effect.starts(problem.context)
+    ]
+    for tau in (base.found.weights.tau, *beginnings(rows)):
+        factor = mixed.weights_at(rows.known, rows.components, tau).factor
+        fits = [settle(mean, start_of(mean), factor) for mean in means]
+        out.append((min(fits, key=lambda fit: fit[1])[0], tau))
+    return apart(means[0], out, base.found.weights.factor)
 
 
 def _judged(own: Account, base: Account, gain: float, alone: float) -> Trial:
