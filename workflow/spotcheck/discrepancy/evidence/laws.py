@@ -30,6 +30,7 @@ from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.design import Design, missing
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.evidence.scatter import Scatter, scatters_of
+from spotcheck.discrepancy.nuisance.fit import NUMBERS
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, Present
 from spotcheck.model.effects import vocabulary
@@ -180,12 +181,12 @@ def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float,
     found = mixed.reckoned(own.found, own.components, slopes)
     rows, heavy = own.mean.problem.rows, found.rows[row]
     first, doubt, beyond = found.covariance[row, row], found.doubt[row], 0.0
-    cells = rows.influence.shape[1]
-    if cells > 1:
-        parts = heavy @ rows.influence
-        scatter = cells * float(np.var(parts, ddof=1))
+    # Each frame's own numbers are fitted to its cells, which then scatter by less.
+    cells, left = rows.influence.shape[1], rows.influence.shape[1] - NUMBERS
+    if left > 0:
+        scatter = cells * cells / left * float(np.var(heavy @ rows.influence))
         beyond = max(scatter - float(heavy @ rows.known @ heavy), 0.0)
-        doubt += 2 * scatter**2 / (cells - 1) if beyond else 0.0
+        doubt += 2 * scatter**2 / left if beyond else 0.0
     total = first + beyond
     return float(total), beyond, float(2 * total**2 / doubt) if doubt > 0 else np.inf
 
