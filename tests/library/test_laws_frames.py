@@ -151,3 +151,15 @@ def test_numbers_are_known_as_well_as_said():
         errors = np.sqrt(np.diag(numbers.covariance)).reshape(-1, 4).T
         square.append(((off / errors) ** 2).mean(1))
     np.testing.assert_allclose(np.mean(square, 0), 1, atol=4 * 0.17)
+
+
+def test_noise_that_rows_share_adds_to_what_is_known():
+    """A covariance of ln peaks beyond the weights adds as it is, but for what all frames share; of centres in σ."""
+    own = fitted(1, late=0.0, power=0.0, jitter=0.0)[2]
+    frames = len(own.model.numbers.x)
+    more = np.kron(np.eye(frames), np.diag([4e-6, 0.0, 9e-6, 0.0]))
+    added = (numbers_of(own, more=more).covariance - numbers_of(own).covariance).reshape(frames, 4, frames, 4)
+    apart, width = np.eye(frames) - 1 / frames, np.exp(own.model.numbers.log_width)
+    np.testing.assert_allclose(added[:, 0, :, 0], 4e-6 * apart, atol=1e-12)
+    np.testing.assert_allclose(added[:, 2, :, 2], 9e-6 * apart * np.outer(width, width), atol=1e-10)
+    np.testing.assert_allclose(added[:, 0, :, 2], 0, atol=1e-12)
