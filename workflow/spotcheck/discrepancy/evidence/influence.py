@@ -1,0 +1,77 @@
+"""The numbers of the frames with their covariance, and how much each cell of the spot has to say in them.
+
+Where the model is right, cells of the spot differ in what they say by noise alone; where the light or the sensor is
+otherwise than modelled, they differ by more, and what follows from their sum is no better known than they agree.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy.nuisance import normal
+from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
+
+# Cells: azimuths, and the radii [σ] within which a third and two thirds of a Gaussian's light lie.
+AZIMUTHS, RADII = 8, (0.90, 1.48)
+CELLS = AZIMUTHS * (len(RADII) + 1)
+
+
+class FrameNumbers(NamedTuple):
+    """`values` [number, frame]: log of the peak [DN], log of σ_g [px], centre x, y [px]; their covariance [frame ×
+    number, frame × number], a frame's numbers side by side, without what all frames have in common (the shape's); and
+    the part of each number that each cell brings [frame × number, cell], without columns where it was not asked for."""
+
+    values: np.ndarray
+    covariance: np.ndarray
+    influence: np.ndarray
+
+
+def numbers_of(fitted: Fitted, influence: np.ndarray | None = None, more: np.ndarray | None = None) -> FrameNumbers:
+    """The frames' numbers after a fit. `influence` as `influence_of` gives it; `more`: covariance [frame × number,
+    frame × number], centres in σ, of what the weights do not know, such as noise that the pixels of a row share."""
+    values = np.stack(fitted.model.numbers)
+    frames = values.shape[1]
+    basis, steps = contrasts(frames), NUMBERS * (frames - 1)
+    covariance = basis @ fitted.covariance[:steps, :steps] @ basis.T
+    if more is not None:
+        covariance = covariance + basis @ (basis.T @ more @ basis) @ basis.T
+    width = np.exp(values[1])
+    unit = np.stack([np.ones(frames), np.ones(frames), width, width], 1).ravel()
+    cells = np.zeros((len(unit), 0)) if influence is None else influence * unit[:, None]
+    return FrameNumbers(values, covariance * np.outer(unit, unit), cells)
+
+
+def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
+    """Steps of the frames' numbers [frame × number, cell], centres in σ, that each cell of the spot asks for: the
+    solution of the normal equations for the scores of its pixels, those of all frames together."""
+    model, few = fitted.model, NUMBERS * len(frames)
+    learned = model.baseline.learned
+    assert learned is not None
+    side = len(learned.coefficients)
+    ready, nudged = Expectation(frames, model), nudged_of(frames, model, fitted.free)
+    shape, others = np.zeros((CELLS, side * side, 1)), np.zeros((few + len(nudged), CELLS))
+    for k, frame in enumerate(frames):
+        seen = ready.of(frame, k)
+        tells = told(frame, seen)
+        u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
+        cell = cells_of(u, v)
+        parts = [*(ready.by_numbers(frame, k, seen) * tells.light)]
+        parts += [tells.score(*change) for change in changes_of(frame, k, seen, nudged)]
+        rows = [*range(NUMBERS * k, NUMBERS * (k + 1)), *range(few, few + len(nudged))]
+        for row, part in zip(rows, parts, strict=True):
+            others[row] += np.bincount(cell, part, CELLS)
+        light = np.exp(model.numbers.log_peak[k]) * tells.light
+        for c in range(CELLS):
+            own = cell == c
+            normal.project(u[own], v[own], learned.step, side, light[own][None], shape[c])
+    basis = contrasts(len(frames), len(nudged))
+    left = basis.T @ others - fitted.schur.absorbed.T @ shape[:, :, 0].T
+    return (basis @ np.linalg.solve(fitted.schur.left, left))[:few]
+
+
+def cells_of(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Cell of each point of the spot, u and v in σ."""
+    turn = np.floor((np.arctan2(v, u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
+    return turn + AZIMUTHS * np.searchsorted(RADII, np.hypot(u, v))

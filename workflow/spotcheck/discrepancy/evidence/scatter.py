@@ -1,0 +1,130 @@
+"""What the frames' brightness and centres say of a scatter from frame to frame, whatever the laws.
+
+Of every site one value, of every exposure one shift: what follows exposure or site is no scatter of frames, and a model
+of light or sensor that is not quite right moves all frames of an exposure alike. What these leave is noise of known
+covariance and one variance, by restricted maximum likelihood.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg, optimize, stats
+
+from spotcheck.discrepancy.evidence.components import root_of
+from spotcheck.discrepancy.evidence.design import Design
+from spotcheck.discrepancy.evidence.influence import FrameNumbers
+from spotcheck.model.effect import Effect
+
+# Which of a frame's numbers scatter, by component: along each axis with the same variance.
+AXES = {"gain": (0,), "centre": (2, 3)}
+# Part of the frames that the test leaves out, those furthest off: a few bad frames are no scatter of all.
+WORST = 0.1
+# Singular values of the sites' and exposures' places below this, of the largest, are none.
+NONE = 1e-9
+# Fewer degrees of freedom than this tell no variance.
+FEWEST = 4
+# Points of the grid on which the variance is first looked for, evenly in its logarithm.
+GRID = 60
+
+
+class Scatter(NamedTuple):
+    """A scatter of frames: `value` and `error` of its rms (along each axis, in the effect's unit), and of the test that
+    leaves the worst frames out, z (0 or more) and gain in −2 ln L against none (by chance half χ²₁, half 0)."""
+
+    effect: Effect
+    value: float
+    error: float
+    z: float
+    gain: float
+
+
+class Variance(NamedTuple):
+    """A variance, its standard error, and the gain in −2 ln L against 0."""
+
+    variance: float
+    error: float
+    gain: float
+
+
+def scatters_of(numbers: FrameNumbers, design: Design, effects: Iterable[Effect]) -> Iterator[Scatter]:
+    """The scatter of frames that each of some effects is, of brightness or of centre."""
+    # ASSUME: the light's scatter is small, so that its logarithm's is the same.
+    every = np.arange(len(design.site))
+    for effect in effects:
+        axes = AXES.get(effect.component)
+        if axes is None or effect.scatter is None or effect.scatter.shared != "frame":
+            continue
+        fitted = scatter_of(numbers, design, axes, every)
+        if fitted is not None:
+            kept = kept_of(numbers, design, axes, fitted.variance)
+            tested = scatter_of(numbers, design, axes, kept, narrowed(1 - len(kept) / len(every), len(axes)))
+            gain = tested.gain if tested is not None else 0.0
+            yield Scatter(effect, *root_of(fitted.variance, fitted.error), float(np.sqrt(gain)), gain)
+
+
+def narrowed(part: float, axes: int) -> float:
+    """What is left of the variance of normal numbers along some axes without that part which lies furthest out."""
+    return float(stats.chi2.cdf(stats.chi2.isf(part, axes), axes + 2) / (1 - part)) if part else 1.0
+
+
+def scatter_of(
+    numbers: FrameNumbers, design: Design, axes: tuple[int, ...], frames: np.ndarray, part: float = 1.0
+) -> Variance | None:
+    """The scatter of some frames' numbers; None where sites and exposures take all. `part` multiplies noise and scatter
+    alike."""
+    apart = _apart(design, axes, frames)
+    if len(axes) * apart.shape[1] < FEWEST:
+        return None
+    known, values = _numbers(numbers, axes, frames)
+    lift = np.kron(apart, np.eye(len(axes)))
+    noise, turn = np.linalg.eigh(part * (lift.T @ known @ lift))
+    square = (turn.T @ (lift.T @ values)) ** 2
+
+    def deviance(variance: float) -> float:
+        total = noise + part * variance
+        return float(np.sum(np.log(total) + square / total))
+
+    highest = float(square.max()) / part
+    # On a grid first: the likelihood may have more than one top.
+    grid = np.concatenate([[0.0], highest * np.geomspace(1e-8, 1.0, GRID)])
+    best = int(np.argmin([deviance(own) for own in grid]))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    found = optimize.minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 1e-6 * high})
+    variance = float(found.x) if found.fun < deviance(0.0) else 0.0
+    error = np.sqrt(2 / np.sum((part / (noise + part * variance)) ** 2))
+    return Variance(variance, float(error), max(deviance(0.0) - deviance(variance), 0.0))
+
+
+def kept_of(numbers: FrameNumbers, design: Design, axes: tuple[int, ...], variance: float) -> np.ndarray:
+    """The frames but for the worst, which lie furthest off in the errors of what sites and exposures leave."""
+    every, each = np.arange(len(design.site)), len(axes)
+    apart = _apart(design, axes, every)
+    lift = np.kron(apart @ apart.T, np.eye(each))
+    known, values = _numbers(numbers, axes, every)
+    off = (lift @ values).reshape(-1, each)
+    errors = (lift @ (known + variance * np.eye(len(known))) @ lift).reshape(len(every), each, len(every), each)
+    # A frame alone at its site is off by nothing, with an error of nothing.
+    far = [own @ np.linalg.pinv(errors[k, :, k], rcond=NONE, hermitian=True) @ own for k, own in enumerate(off)]
+    return np.sort(np.argsort(far, kind="stable")[: len(every) - int(WORST * len(every))])
+
+
+def _apart(design: Design, axes: tuple[int, ...], frames: np.ndarray) -> np.ndarray:
+    """Orthonormal steps [frame, step] between frames that no value of a site and no shift of an exposure brings.
+
+    Where no site was seen twice, brightness may be compared from site to site, beside a shift of each angle; places may
+    not.
+    """
+    site, exposure, angle = (own[frames] for own in (design.site, design.exposure_s, design.angle_deg))
+    first = site
+    if axes == AXES["gain"] and len(np.unique(design.site)) == len(design.site):
+        first = angle
+    places = [own[:, None] == np.unique(own) for own in (first, exposure)]
+    columns = np.concatenate([np.ones((len(frames), 1)), *places], 1)
+    return linalg.null_space(columns.T.astype(float), rcond=NONE)
+
+
+def _numbers(numbers: FrameNumbers, axes: tuple[int, ...], frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance and values [frame × axis] of some numbers of some frames."""
+    own = (len(numbers.values) * frames[:, None] + np.array(axes)).ravel()
+    return numbers.covariance[np.ix_(own, own)], numbers.values[np.ix_(np.array(axes), frames)].T.ravel()
