@@ -24,8 +24,8 @@ def beam(u, v):
 
 
 def drawn(seed: int, sites: int = 4, pedestal=0.0, clip=np.inf, read=NOISE):
-    """Frames [frame, row, column], and of each exposure, peak, width and centre; `pedestal` [DN] of light, a `clip` [DN]
-    of the signal with its noise."""
+    """Frames [frame, row, column], and of each exposure, peak, width and centre; `pedestal` [DN] of light, a `clip`
+    [DN] of the signal with its noise."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:SIDE, :SIDE].astype(float)
     frames, known = [], []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from spotcheck.discrepancy.nuisance import sheet
+from spotcheck.discrepancy.nuisance import sheet, taken
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.nuisance.sheet import against_sheet, fit_sheet, free_of_sheet
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers
@@ -73,10 +73,10 @@ def test_a_contradiction_is_that_of_its_number(which):
 def test_what_the_shape_takes_up(monkeypatch):
     """½ tr(H ∂ ln V/∂θ) of a dense matrix, within 5 %, some ten errors of 60 draws of random signs: V = K light
     + K² noise² + 1/12."""
-    monkeypatch.setattr(sheet, "DRAWS", 60)
+    monkeypatch.setattr(taken, "DRAWS", 60)
     frames, model, error = case(6, count=1)
     fitted = fit(frames, model, 1.0, free_of_sheet(model.sensor, error), steps=1)
-    found = sheet.taken_up(frames, fitted)
+    found = sheet.tilt_of(frames, fitted)
     seen = Expectation(frames, fitted.model).of(frames[0], 0)
     learned = fitted.model.baseline.learned
     across, along = learned.basis(seen.v.ravel()), learned.basis(seen.u.ravel())

@@ -14,6 +14,7 @@ import numpy as np
 
 from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of
+from spotcheck.discrepancy.nuisance.taken import taken_up
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, told
 from spotcheck.model.light_shape import LightShape
 
@@ -48,10 +49,10 @@ class Score(NamedTuple):
 def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], workers: int = 2) -> list[Score]:
     """Score and information of each other model."""
     plain, ready = Expectation(frames, fitted.model), [Expectation(frames, other) for other in others]
-    nudged = nudged_of(frames, fitted.model, fitted.free)
+    nudged, lacks = nudged_of(frames, fitted.model, fitted.free), taken_up(frames, fitted)
 
     def part(which: np.ndarray) -> list[np.ndarray]:
-        return _sums(frames, fitted, plain, ready, nudged, which)
+        return _sums(frames, fitted, plain, ready, nudged, lacks, which)
 
     score, raw, drop, shape, numbers, pull, own = _added(part, len(frames), workers)
     basis = contrasts(len(frames), len(nudged))
@@ -67,7 +68,9 @@ def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], wor
     return out
 
 
-def _sums(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Sequence[Expectation], nudged, which):
+def _sums(
+    frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Sequence[Expectation], nudged, lacks, which
+):
     """Of some frames: scores and information [trial], what trials share with the shape [coefficient, trial] and with
     all else that is fitted [number, trial], and the scores of both."""
     model, count = fitted.model, len(ready)
@@ -86,19 +89,20 @@ def _sums(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Se
             then = other.of(frame, k)
             drop[c] += tells.deviance - told(frame, then).deviance
             changes.append(((then.mean - seen.mean).ravel(), (then.variance - seen.variance).ravel()))
-        score += [tells.score(*change).sum() for change in changes]
+        score += [tells.score(*change).sum() + lacks[k] @ change[1] for change in changes]
         raw += [tells.information(change, change).sum() for change in changes]
         light = np.stack([tells.with_light(*change) for change in changes])
         slopes = plain.by_numbers(frame, k, seen)
         at = slice(NUMBERS * k, NUMBERS * (k + 1))
-        numbers[at], own[at, 0] = slopes @ light.T, slopes @ tells.light
+        pulled = tells.light + lacks[k] * tells.growth
+        numbers[at], own[at, 0] = slopes @ light.T, slopes @ pulled
         for d, change in enumerate(changes_of(frame, k, seen, nudged)):
             numbers[few + d] += [tells.information(change, one).sum() for one in changes]
-            own[few + d] += tells.score(*change).sum()
+            own[few + d] += tells.score(*change).sum() + lacks[k] @ change[1]
         u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
         peak = np.exp(model.numbers.log_peak[k])
         normal.project(u, v, learned.step, side, peak * light, shape)
-        normal.project(u, v, learned.step, side, peak * tells.light[None], pull)
+        normal.project(u, v, learned.step, side, peak * pulled[None], pull)
     assert learned is not None
     flat = learned.coefficients.ravel()
     if 0 in which:
@@ -109,7 +113,7 @@ def _sums(frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Se
 def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, workers: int = 2):
     """Score and information [frame, cell] of a change, in 8 azimuths, near and far from the spot's centre."""
     plain, then = Expectation(frames, fitted.model), Expectation(frames, other)
-    nudged = nudged_of(frames, fitted.model, fitted.free)
+    nudged, lacks = nudged_of(frames, fitted.model, fitted.free), taken_up(frames, fitted)
     learned, few = fitted.model.baseline.learned, NUMBERS * len(frames)
     assert learned is not None
     surface = LightShape(learned.step, own.shape.reshape(learned.coefficients.shape))
@@ -126,7 +130,7 @@ def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, w
             for size, change in zip(own.others[few:], changes_of(frames[k], k, seen, nudged), strict=True):
                 mean, variance = mean - size * change[0], variance - size * change[1]
             cell = _cells(seen.u, seen.v).ravel()
-            score[k] = np.bincount(cell, tells.score(mean, variance), CELLS)
+            score[k] = np.bincount(cell, tells.score(mean, variance) + lacks[k] * variance, CELLS)
             information[k] = np.bincount(cell, tells.information((mean, variance), (mean, variance)), CELLS)
         return [score, information]
 

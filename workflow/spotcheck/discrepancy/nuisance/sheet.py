@@ -5,9 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
-from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.nuisance.fit import (
     NUDGE,
     SENSOR,
@@ -19,8 +17,8 @@ from spotcheck.discrepancy.nuisance.fit import (
     nudged_of,
     values_of,
 )
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
-from spotcheck.model.light_shape import LightShape
+from spotcheck.discrepancy.nuisance.taken import taken_up
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame
 from spotcheck.model.sensor import SensorModel
 
 # Lowest read noise [e-] whose step is a part of itself, and the step of a black level [DN].
@@ -30,8 +28,6 @@ LEAST_GAIN = 0.1
 # A fit may move a number by so many stated errors: beyond, the sheet is of another camera, or what is missing in the
 # model passes for noise.
 FARTHEST = 10.0
-# Draws by which what the shape takes up is told: one scatters by √(2 tr H) of tr H coefficients.
-DRAWS = 2
 
 
 class Against(NamedTuple):
@@ -73,35 +69,17 @@ def fit_sheet(frames: Sequence[Frame], fitted: Fitted, free: Sequence[Free], wor
     noise; restricted likelihood (REML, Patterson & Thompson 1971) gives it back.
     """
     first = fit(frames, fitted.model, fitted.penalty, free, workers=workers)
-    return fit(frames, first.model, first.penalty, free, workers=workers, tilt=taken_up(frames, first))
+    return fit(frames, first.model, first.penalty, free, workers=workers, tilt=tilt_of(frames, first))
 
 
-def taken_up(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
-    """½ tr(H ∂ ln V/∂θ) for each free parameter θ, which its score lacks: H projects readings of variance V on the
-    shape. By random signs (Hutchinson 1989), the same at each call."""
-    model, learned = fitted.model, fitted.model.baseline.learned
-    assert learned is not None
-    side = len(learned.coefficients)
-    ready, nudged = Expectation(frames, model), nudged_of(frames, model, fitted.free)
-    seen = [ready.of(frame, k) for k, frame in enumerate(frames)]
-    shared = []
-    for k, (frame, own) in enumerate(zip(frames, seen, strict=True)):
-        tells = told(frame, own)
-        shared.append(np.exp(model.numbers.log_peak[k]) * tells.slope * np.sqrt(tells.sure))
-    rng, out = np.random.default_rng(0), np.zeros(len(fitted.free))
-    for _ in range(DRAWS):
-        signs = [rng.choice((-1.0, 1.0), own.size) for own in shared]
-        projected = np.zeros((side * side, 1))
-        for own, weight, sign in zip(seen, shared, signs, strict=True):
-            u, v = (np.ascontiguousarray(part).ravel() for part in (own.u, own.v))
-            normal.project(u, v, learned.step, side, (weight * sign)[None], projected)
-        surface = LightShape(
-            learned.step, linalg.cho_solve_banded((fitted.schur.factor, True), projected[:, 0]).reshape(side, side)
-        )
-        for k, (own, weight, sign) in enumerate(zip(seen, shared, signs, strict=True)):
-            back = weight * sign * surface(own.u, own.v).ravel() / own.variance.ravel()
-            out += [back @ change[1] for change in changes_of(frames[k], k, own, nudged)]
-    return out / (2 * DRAWS)
+def tilt_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
+    """What the score of each free parameter lacks for what the shape takes up of the noise."""
+    ready, nudged = Expectation(frames, fitted.model), nudged_of(frames, fitted.model, fitted.free)
+    lacks = taken_up(frames, fitted)
+    out = np.zeros(len(fitted.free))
+    for k, frame in enumerate(frames):
+        out += [lacks[k] @ change[1] for change in changes_of(frame, k, ready.of(frame, k), nudged)]
+    return out
 
 
 def against_sheet(fitted: Fitted) -> tuple[Against, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.pixels import Score, screen
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
+from spotcheck.discrepancy.nuisance.sheet import fit_sheet
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 from spotcheck.discrepancy.search.holds import Holding, holding_of
 from spotcheck.model.effect import Context, Effect, Place, Present
@@ -119,7 +120,7 @@ def _tested(
 def _refitted(frames: Sequence[Frame], now: Fitted, trial: Trial, context: Context) -> Fitted:
     """A fit with an effect more, from where its score points."""
     model = with_effect(now.model, trial.own)
-    return fit(frames, model, now.penalty, free_of(model, context))
+    return fit_sheet(frames, now._replace(model=model), free_of(model, context))
 
 
 def _matters(one: Fitted, context: Context) -> bool:
