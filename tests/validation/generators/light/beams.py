@@ -84,7 +84,9 @@ def _usable(path: Path) -> bool:
 
 def _rough(pixels: np.ndarray) -> tuple[float, float, float, float]:
     """Pedestal, centre and width of a frame, from its border and its pixels above exp(−1/2) of the peak."""
-    border = np.concatenate([pixels[:20].ravel(), pixels[-20:].ravel(), pixels[:, :20].ravel(), pixels[:, -20:].ravel()])
+    border = np.concatenate(
+        [pixels[:20].ravel(), pixels[-20:].ravel(), pixels[:, :20].ravel(), pixels[:, -20:].ravel()]
+    )
     pedestal = float(np.median(border))
     smooth = ndimage.gaussian_filter(pixels, 5.0) - pedestal
     y, x = np.nonzero(smooth > np.exp(-0.5) * smooth.max())
@@ -157,7 +159,7 @@ def drawn(kind: str, rng: Rng) -> Beam:
 
 
 def modes(rng: Rng) -> Callable[[float], Beam]:
-    """A mixture of Hermite–Gauss modes to order 4, their intensities added or their fields (Siegman, Lasers, ch. 16)."""
+    """A mixture of Hermite–Gauss modes to order 4: their intensities add, or their fields (Siegman, Lasers, 16)."""
     pairs = [(m, n) for m in range(5) for n in range(5 - m) if m + n]
     weights = rng.exponential(1.0, len(pairs)) * (rng.random(len(pairs)) < 0.35)
     phases, turned, coherent = np.exp(2j * np.pi * rng.random(len(pairs))), rng.uniform(0, np.pi), rng.random() < 0.5
@@ -204,7 +206,7 @@ def rings(rng: Rng) -> Callable[[float], Beam]:
     """Rings of a round aperture that dims the pupil beyond its edge, some Fresnel zones out of focus (Born and Wolf,
     8.8)."""
     rho, _ = _pupil()
-    edge, defocus = rng.uniform(0.55, 0.8), rng.uniform(15, 35)
+    edge, defocus = rng.uniform(0.55, 0.8), rng.uniform(8, 20)
     whole = np.exp(-((2 * rho) ** 2) / 2 + 1j * defocus * rho**2)
     return lambda s: _far("rings", whole * (1 - np.tanh(0.3 * s) * (rho > edge)), defocus)
 
@@ -219,7 +221,8 @@ def _far(name: str, field: np.ndarray, defocus: float = 0.0) -> Beam:
     """The far field of a pupil; `defocus` is the phase at one radius [rad], which widens it."""
     intensity = np.abs(np.fft.fftshift(np.fft.fft2(np.fft.ifftshift(field)))) ** 2
     y, x = np.unravel_index(np.argmax(ndimage.gaussian_filter(intensity, 2.0)), intensity.shape)
-    # Widths of intensities are those of fields over √2: by diffraction SIDE/2π over the pupil's, by rays the phase's slope.
+    # Widths of intensities are those of fields over √2: SIDE/2π over the pupil's by diffraction, the phase's slope by
+    # rays.
     sigma = SIDE / (2 * np.pi * WAIST) / np.sqrt(2) * np.hypot(1, defocus / 2)
     return standard(name, _sampled(intensity / intensity.max()), (float(x), float(y), float(sigma)))
 

@@ -73,9 +73,17 @@ class Effect:
 
 
 class Shape(Protocol):
-    """The light's shape in u = (x − x₀)/σ, v = (y − y₀)/σ, in peaks of the Gaussian that fits it best."""
+    """The light's shape in u = (x − x₀)/σ, v = (y − y₀)/σ, in peaks of the Gaussian that fits it best; its name, its
+    highest value, and its rms off that Gaussian."""
 
-    top: float  # its highest value
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def top(self) -> float: ...
+
+    @property
+    def off(self) -> float: ...
 
     def __call__(self, u: np.ndarray, v: np.ndarray) -> np.ndarray: ...
 
