@@ -16,7 +16,7 @@ from tests.validation.generators.light import outside
 from tests.validation.generators.second.effects import VOCABULARY
 from tests.validation.protocol import Job, dealt
 
-# Of each hundred jobs.
+# 1,700 jobs give every row of the table some 150 sets at least, but for those of real frames, which are nine.
 SHARES = {
     "null": 11, "plain": 10, "strong default": 10, "strong one_exposure": 10, "strong single_frame": 11, "ten": 10,
     "others": 1, "outside real": 10, "outside gauss": 8, "tied": 7, "two": 8, "hene": 8, "sheet": 6,

@@ -22,7 +22,8 @@ LEAST = {
     "angle_reflectance": 0.005, "photon_budget": 0.005, "shutter_offset": 0.01, "spread_law": 0.05, "motion_blur": 2.5,
     "interference_fringes": 0.003, "ghost_reflection": 0.003, "speckle": 0.02, "excess_read_noise": 0.03,
     "power_fluctuation": 0.003, "laser_drift": 0.005, "pointing_jitter": 0.15, "fixed_pattern": 0.003,
-    "row_noise": 0.2, "smear": 0.004,
+    "row_noise": 0.2, "smear": 0.004, "outside:flicker_rows": 0.2, "outside:two_tap": 0.3, "outside:offset_wander": 0.3,
+    "outside:image_lag": 0.003, "outside:second_spot_sometimes": 1.0,
 }  # fmt: skip
 # Where counts are the strength.
 LEAST_HOT = 5.0
@@ -88,7 +89,10 @@ def least_of(effect: Effect) -> float:
     """The least strength."""
     if effect.name == "fixed_pattern" and effect.form["kind"] == "hot":
         return LEAST_HOT
-    # Of what is outside the vocabulary any size will do.
+    if effect.floor >= effect.cap:
+        # As strong as it was drawn.
+        return effect.cap
+    # Of other strangers any size will do.
     return LEAST.get(effect.name, 1e-3 * effect.cap)
 
 
