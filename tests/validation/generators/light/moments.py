@@ -69,7 +69,9 @@ def _digital(case: Case, i: int, mean: np.ndarray, variance: np.ndarray) -> Mome
             mean, variance = above(mean - threshold, variance, 0.0)
         else:
             mean, variance = dead_below(mean, variance, threshold)
-    mean, variance = above(mean, variance, 0.0)
+    else:
+        # Behind a clip nothing is below 0, and the law is no longer normal.
+        mean, variance = above(mean, variance, 0.0)
     mean, variance = below(mean, variance, FULL_SCALE)
     mean = case.apply("codes", mean, i)
     return Moments(mean, variance + ROUNDING * np.minimum(variance / ROUNDING, 1.0) + LEAST)
