@@ -72,7 +72,13 @@ def brute(reference: Reference, case: Case, unknown: np.ndarray | None = None) -
                     for new in changed]  # fmt: skip
     shape = [of_light(images) if any(image.any() for image in images) else 0 * numbers[0]
              for images in splines_of(reference)]  # fmt: skip
-    effect = column([moments(case, i) for i in reference.frames])
+    effect = []
+    for i in reference.frames:
+        before, after = moments(own, i), moments(case, i)
+        # Twice the divergence of two normal laws of mean 0, with a sign.
+        ratio = (after.variance / before.variance)[::2, ::2].ravel()
+        effect += [((after.mean - before.mean) / np.sqrt(before.variance))[::2, ::2].ravel(),
+                   np.sign(ratio - 1) * np.sqrt(ratio - np.log(ratio) - 1)]  # fmt: skip
     beside = np.stack(numbers, 1)
     if unknown is not None:
         beside = beside @ unknown
@@ -80,12 +86,12 @@ def brute(reference: Reference, case: Case, unknown: np.ndarray | None = None) -
     else:
         prior = np.zeros((0, beside.shape[1]))
     out = []
-    for more in (np.zeros((len(effect), 0)), np.stack(shape, 1)):
+    for more in (np.zeros((len(numbers[0]), 0)), np.stack(shape, 1)):
         few = more.shape[1]
         weak = np.eye(few) / (bound.PRIOR * np.sqrt(reference.scale))
         rows = [[beside, more], [prior, np.zeros((len(prior), few))], [np.zeros((few, beside.shape[1])), weak]]
         a = np.vstack([np.hstack(row) for row in rows])
-        b = np.r_[effect, np.zeros(len(prior) + few)]
+        b = np.r_[np.concatenate(effect), np.zeros(len(prior) + few)]
         left = b - a @ np.linalg.lstsq(a, b, rcond=1e-9)[0]
         out.append(float(np.sqrt(left @ left * reference.scale)))
     return out[0], out[1]

@@ -15,8 +15,9 @@ from tests.validation.generators.light.moments import moments
 from tests.validation.generators.second.case import LASER_WIDTH, Case
 from tests.validation.generators.second.optics import budget, coordinates, light, spread
 
-# Distance of the free shape's nodes and how far they go [σ].
-NODES, REACH = 0.15, 4.8
+# Distance of the free shape's nodes and how far they go [σ]. Stripes stand out of the spectrum of any light, so a net
+# fine enough to draw them is no rival: beside them, that of which the light itself needs no finer.
+NODES, BESIDE_STRIPES, REACH = 0.15, 0.3, 4.8
 # What is thought of a coefficient of the shape before there are data: 0 ± this, in peaks. Wide; it only keeps parts of
 # the shape that no pixel sees from being singular.
 PRIOR = 0.3
@@ -52,9 +53,10 @@ class Snr(NamedTuple):
 class Reference:
     """The readings of a case without effects, and what is not known of them."""
 
-    def __init__(self, case: Case, also: Sequence[int] = ()) -> None:
-        """`also` are frames of sites that have to be among those that stand for all."""
-        self.case = case.only()
+    def __init__(self, case: Case, also: Sequence[int] = (), nodes: float | None = None) -> None:
+        """`also` are frames of sites that have to be among those that stand for all; `nodes` the distance of the free
+        shape's [σ]."""
+        self.case, self.nodes = case.only(), nodes or NODES
         sites = SITES[case.design]
         every = sorted({frame.site for frame in case.frames})
         chosen = [own[(3 * k + 1) % len(own)] for k, own in enumerate(_groups(case, every, sites))]
@@ -92,10 +94,13 @@ class Reference:
         return Whitened(mean / np.sqrt(self.variance), variance / (np.sqrt(2) * self.variance))
 
     def change(self, case: Case) -> Whitened:
-        """What the effects of a case change, in its own base: exposures that no law bends are the same in both."""
+        """What the effects of a case change. A variance tells −ln of its ratio and more, half the square of its change
+        where that is small: twice the divergence of two normal laws. A clip leaves next to none."""
         found = [moments(case, i) for i in self.frames]
         mean, variance = (np.stack([self.thin(own[k]) for own in found]) for k in (0, 1))
-        return self.whiten(mean - self.mean, variance - self.variance)
+        ratio = variance / self.variance
+        apart = np.sign(ratio - 1) * np.sqrt(np.maximum(ratio - 1 - np.log(ratio), 0.0))
+        return Whitened((mean - self.mean) / np.sqrt(self.variance), apart)
 
     # What is not known
 
@@ -110,7 +115,7 @@ class Reference:
             by_y, by_x = np.gradient(image)
             own = (image, -(dx * by_x + dy * by_y), -self.sigma[k] * by_x, -self.sigma[k] * by_y)
             slopes.append([self.thin(part) for part in own])
-            self.axes.append([_basis(d.ravel()[:: self.stride] / self.sigma[k]) for d in (dx, dy)])
+            self.axes.append([_basis(d.ravel()[:: self.stride] / self.sigma[k], self.nodes) for d in (dx, dy)])
         self.slopes = np.array(slopes)  # [frame, number, y, x], light by number [DN]
         self.sure = self.by_light.mean**2 + self.by_light.variance**2
         side = self.axes[0][0].shape[1]
@@ -203,10 +208,10 @@ def _groups(case: Case, sites: list[int], count: int) -> list[list[int]]:
     return [list(part) for a in angles for part in np.array_split(own[a], each) if len(part)]
 
 
-def _basis(u: np.ndarray) -> np.ndarray:
-    """Cubic B-splines [point, node] at u [σ]."""
-    nodes = NODES * np.arange(-int(np.ceil(REACH / NODES)), int(np.ceil(REACH / NODES)) + 1)
-    t = np.abs(u[:, None] - nodes) / NODES
+def _basis(u: np.ndarray, step: float) -> np.ndarray:
+    """Cubic B-splines [point, node] at u, with nodes so far from each other [σ]."""
+    count = int(np.ceil(REACH / step))
+    t = np.abs(u[:, None] / step - np.arange(-count, count + 1))
     return np.where(t < 1, 2 / 3 - t * t * (1 - t / 2), np.maximum(2 - t, 0.0) ** 3 / 6)
 
 

@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,10 @@ import tifffile
 import yaml
 
 from tests.validation.generators.light import hene
-from tests.validation.generators.light.bound import Reference, behind_grain
+from tests.validation.generators.light.bound import BESIDE_STRIPES, Reference, behind_grain
 from tests.validation.generators.light.case import draw_case
 from tests.validation.generators.light.outside import MECHANISMS, RARE
-from tests.validation.generators.light.strength import REACHED, SCATTERS, tune, unknown_of
+from tests.validation.generators.light.strength import SCATTERS, tune, unknown_of
 from tests.validation.generators.second.case import Case, Effect
 from tests.validation.generators.second.effects import VOCABULARY
 from tests.validation.generators.second.sensor import expose
@@ -76,15 +77,13 @@ def hide(case: Case, names: Sequence[str], level: float, top: Effect | None = No
             reference = Reference(case, also=effect.state["frames"].tolist())
             effect.cap = effect.floor
         else:
-            reference = Reference(case)
-        tuned = tune(reference, case, effect, level)
+            reference = Reference(case, nodes=BESIDE_STRIPES if name == "interference_fringes" else None)
+        behind = partial(_behind, reference, case, effect, top) if top else None
+        tuned = tune(reference, case, effect, level, behind)
         truth: dict[str, Any] = {"name": name, "form": effect.form, "parameters": effect.at(effect.s)}
         truth |= tuned._asdict()
-        if top:
-            change = reference.change(case.only(effect))
-            unknown = unknown_of(reference, name)
-            behind = behind_grain(reference, change, top["contrast"], top["grain"], unknown)
-            truth |= {"behind_speckle": behind, "met": tuned.met and behind >= REACHED * level}
+        if behind:
+            truth["behind_speckle"] = behind()
         truths.append(truth)
         found.append(effect)
     for effect in (*found, *([top] if top else [])):
@@ -92,6 +91,12 @@ def hide(case: Case, names: Sequence[str], level: float, top: Effect | None = No
     if top:
         truths.append({"name": "speckle", "form": top.form, "parameters": top.at(top.s), "on_top": True})
     return truths
+
+
+def _behind(reference: Reference, case: Case, effect: Effect, top: Effect) -> float:
+    """Signal-to-noise of an effect, as strong as it is, behind speckle."""
+    change = reference.change(case.only(effect))
+    return behind_grain(reference, change, top["contrast"], top["grain"], unknown_of(reference, effect.name))
 
 
 def _on_top(case: Case) -> Effect | None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.validation.generators.light.bound import NODES, Reference, Snr
+from tests.validation.generators.light.bound import Reference, Snr
 from tests.validation.generators.second.case import Case, Effect
 from tests.validation.generators.second.optics import spread
 
@@ -49,9 +49,11 @@ class Tuned(NamedTuple):
     floored: bool
 
 
-def tune(reference: Reference, case: Case, effect: Effect, wanted: float) -> Tuned:
-    """Set an effect's strength so that its signal-to-noise beside a free shape is as wanted; where the shape hides it,
-    that with the shape known."""
+def tune(
+    reference: Reference, case: Case, effect: Effect, wanted: float, behind: Callable[[], float] | None = None
+) -> Tuned:
+    """Set an effect's strength so that its signal-to-noise beside a free shape, and `behind` what lies on top, is as
+    wanted; where the shape hides it, that with the shape known."""
     measure = measure_of(reference, case, effect)
     low, high = least_of(effect), effect.cap
     start = measure(np.sqrt(low * high))
@@ -59,8 +61,9 @@ def tune(reference: Reference, case: Case, effect: Effect, wanted: float) -> Tun
 
     def reached(s: float) -> float:
         found = measure(s)
+        value = found.known if tied else found.free
         # In logarithms of the wanted one; far below it nothing is to be told from 0.
-        return float(np.log(max((found.known if tied else found.free) / wanted, 1e-6)))
+        return float(np.log(max(min(value, behind() if behind else np.inf) / wanted, 1e-6)))
 
     ends = [(low, reached(low)), (high, reached(high))]
     floored, met = ends[0][1] >= 0, ends[1][1] >= np.log(REACHED)
@@ -69,7 +72,7 @@ def tune(reference: Reference, case: Case, effect: Effect, wanted: float) -> Tun
     else:
         _find(reached, ends)
     found = measure(effect.s)
-    return Tuned(wanted, found.known, found.free, bool(found.free < TIED * found.known), met, floored)
+    return Tuned(wanted, found.known, found.free, bool(found.free < TIED * found.known), bool(met), bool(floored))
 
 
 def _find(reached: Callable[[float], float], ends: list[tuple[float, float]]) -> None:
@@ -178,7 +181,7 @@ def _finer(reference: Reference, grain: float) -> float:
     """Part of the squared spectrum of a field that is finer than the shape's nodes."""
     f = np.fft.fftfreq(256)
     power = np.exp(-2 * (np.pi * grain) ** 2 * (f[:, None] ** 2 + f[None, :] ** 2) / (4 * np.log(2)))
-    coarse = np.abs(f) < 1 / (2 * NODES * float(reference.sigma[0]))
+    coarse = np.abs(f) < 1 / (2 * reference.nodes * float(reference.sigma[0]))
     return float(1 - np.sum(power[np.ix_(coarse, coarse)]) / np.sum(power))
 
 
@@ -191,7 +194,7 @@ def _pattern(reference: Reference, effect: Effect) -> Snr:
     of_hot = float(np.sum(heights**2)) / dark * len(reference.case.frames)
     told = _told_by_field(reference, [list(range(len(reference.frames)))]) * share
     gains = _variances(effect["prnu"] ** 4 * told**2, reference.stride**2)
-    left = 1.0 if len(reference.case.centres) > 1 else 1 - 1 / (NODES * float(reference.sigma[0])) ** 2
+    left = 1.0 if len(reference.case.centres) > 1 else 1 - 1 / (reference.nodes * float(reference.sigma[0])) ** 2
     return Snr(float(np.hypot(gains, np.sqrt(of_hot))), float(np.hypot(gains * np.sqrt(left), np.sqrt(of_hot))))
 
 
