@@ -23,7 +23,7 @@ LEAST = {
     "interference_fringes": 0.003, "ghost_reflection": 0.003, "speckle": 0.02, "excess_read_noise": 0.03,
     "power_fluctuation": 0.003, "laser_drift": 0.005, "pointing_jitter": 0.15, "fixed_pattern": 0.003,
     "row_noise": 0.2, "smear": 0.004, "outside:flicker_rows": 0.2, "outside:two_tap": 0.3, "outside:offset_wander": 0.3,
-    "outside:image_lag": 0.003, "outside:second_spot_sometimes": 1.0,
+    "outside:image_lag": 0.003, "outside:second_spot_sometimes": 1.0, "outside:converter_steps": 1.0,
 }  # fmt: skip
 # Where counts are the strength.
 LEAST_HOT = 5.0
