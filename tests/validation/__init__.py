@@ -5,7 +5,7 @@ protocol and one judge serve all:
 
 protocol    what a generator of data sets is, and what a job is
 generators  rig: the virtual rig's hidden effects; second: code of its own, for the same effects; real: real frames, as
-            they are and with an effect put into their readings
+            they are and with an effect put into their readings; light: light that is no Gaussian
 judge       from a folder to its verdict by the command line, and from a job to its record
 records     one line a job; the records that the published scores follow from
 run         the command: as many jobs as the time allows, then the generator's report

@@ -8,6 +8,7 @@ lies elsewhere and is read by scorers alone. A truth has `effects`, a list of ob
 import csv
 import importlib
 from collections.abc import Callable, Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -19,8 +20,8 @@ Judge = Callable[..., dict[str, Any]]
 class Job(NamedTuple):
     """One data set to be made and judged: its number in the plan; its seed; what is hidden in it, as `none`,
     `one:<effect>:<level>`, `two:<level>` or `two:<a>+<b>:<level>` (three, four), `outside:<mechanism>:<level>`, or
-    `real` and `real:<effect>` for real frames; its design; and the photon budget it is judged by, where that is not the
-    one it was made with."""
+    `real` and `real:<effect>` for real frames (of `light` the kind of light is before the level, and there are more
+    kinds); its design; and the photon budget it is judged by, where that is not the one it was made with."""
 
     number: int
     seed: int
@@ -54,6 +55,15 @@ class Generator(Protocol):
 def generator(name: str) -> Generator:
     """The generator of a name."""
     return cast(Generator, importlib.import_module(f"tests.validation.generators.{name}.generator"))
+
+
+def dealt(shares: dict[str, int]) -> Iterator[str]:
+    """Names without end, each as often as its share wants and spread evenly: the most overdue comes next."""
+    total, given = sum(shares.values()), dict.fromkeys(shares, 0)
+    for number in count(1):
+        name = max(shares, key=lambda own: shares[own] * number / total - given[own])
+        given[name] += 1
+        yield name
 
 
 def manifest_of(folder: Path) -> list[dict[str, str]]:

@@ -4,10 +4,10 @@ The plan has no end. A job's seed is the first seed plus its number, so that no 
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import count, cycle
+from itertools import cycle
 
 from rig import hidden
-from tests.validation.protocol import Job
+from tests.validation.protocol import Job, dealt
 
 # Mends that come of sets with effects leave null sets as they are; those with effects then are drawn anew, from this
 # much higher on.
@@ -36,15 +36,6 @@ def plan(first: int) -> Iterator[Job]:
     }
     for number, name in enumerate(dealt(SHARES)):
         yield Job(number, first + number + AFRESH * (name != "none"), *next(streams[name]))
-
-
-def dealt(shares: dict[str, int]) -> Iterator[str]:
-    """Names without end, each as often as its share wants and spread evenly: the most overdue comes next."""
-    total, given = sum(shares.values()), dict.fromkeys(shares, 0)
-    for number in count(1):
-        name = max(shares, key=lambda own: shares[own] * number / total - given[own])
-        given[name] += 1
-        yield name
 
 
 def _nulls() -> Iterator[tuple[str, str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -71,6 +72,22 @@ class Effect:
         return self.at(self.s)[key]
 
 
+class Shape(Protocol):
+    """The light's shape in u = (x − x₀)/σ, v = (y − y₀)/σ, in peaks of the Gaussian that fits it best; its name, its
+    highest value, and its rms off that Gaussian."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def top(self) -> float: ...
+
+    @property
+    def off(self) -> float: ...
+
+    def __call__(self, u: np.ndarray, v: np.ndarray) -> np.ndarray: ...
+
+
 @dataclass
 class Case:
     """Everything that a dataset is made of. Lengths in px, light and levels in DN, noise in electrons."""
@@ -92,6 +109,8 @@ class Case:
     peak: float  # DN, amplitude A at the longest exposure
     centres: np.ndarray  # px, (site, [x, y])
     effects: dict[str, Effect] = field(default_factory=dict)
+    shape: Shape | None = None  # a Gaussian if there is none
+    full_well: float = np.inf  # e-
 
     @property
     def exposures(self) -> list[float]:
@@ -101,7 +120,8 @@ class Case:
     @property
     def plateau(self) -> float:
         """Highest base light [DN]."""
-        return self.peak * (np.exp(-0.25) if self.top_hat else 1.0)
+        top = self.shape.top if self.shape else 1.0
+        return self.peak * (np.exp(-0.25) if self.top_hat else top)
 
     def get(self, name: str) -> Effect | None:
         """The effect of this name, if the case has it."""

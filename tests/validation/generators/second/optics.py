@@ -81,7 +81,12 @@ def spot(case: Case, i: int, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndar
     dx, dy = case.apply("coordinates", (dx, dy), i)
     half_square = (dx**2 + dy**2) / (2 * sigma**2)
     effect = case.get("super_gaussian")
-    image = peak * np.exp(-(half_square ** effect["n"] if effect else half_square))
+    if case.shape:
+        # The radius in which exp(−ρ²/2) would be exp(−(ρ²/2)^n).
+        steeper = np.maximum(half_square, 1e-12) ** ((effect["n"] - 1) / 2) if effect else 1.0
+        image = peak * case.shape(dx / sigma * steeper, dy / sigma * steeper)
+    else:
+        image = peak * np.exp(-(half_square ** effect["n"] if effect else half_square))
     if case.top_hat:
         image = np.minimum(image, peak * np.exp(-0.25))
     image = case.apply("profile", image, i, half_square)

@@ -26,6 +26,7 @@ def read_out(case: Case, i: int, rng: np.random.Generator | None = None) -> np.n
     well = case.get("saturation")
     if well and well.form["knee"] != "hard_after_read_noise":
         electrons = saturate(electrons, well["level"] / case.gain, well.form.get("order"))
+    electrons = np.minimum(electrons, case.full_well)
     if rng:
         excess = case.get("excess_read_noise")
         electrons += (excess["total"] if excess else case.read_noise) * rng.standard_normal(electrons.shape)
