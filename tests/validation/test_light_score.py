@@ -148,7 +148,7 @@ def test_a_row_is_met_unless_its_interval_excludes_what_it_must_be():
                 z = (hits / count - end) / np.sqrt(end * (1 - end) / count)
                 assert abs(z) == pytest.approx(stats.norm.isf(0.025), rel=1e-9)
     rows = [record(ONE, [put_in("smear")], [entry("smear")] if k % 10 else []) for k in range(30)]
-    must = score.MUST["strong"]
+    must = score.STRONG["default"]
     own = found(rows, "one effect at 50")
     assert own.value == 0.9 and own.interval[1] > must and own.verdict() == "ok"
     rows = [record(ONE, [put_in("smear")], [entry("smear")] if k % 2 else []) for k in range(30)]
