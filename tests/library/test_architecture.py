@@ -74,6 +74,22 @@ def test_imports_go_down(path):
             assert FLOOR[room] <= FLOOR[own], f"{module_of(path)} imports {name} from above"
 
 
+ROOMS = ("criteria", "observe", "nuisance", "evidence", "search", "conclude", "verdict")
+
+
+def test_the_rooms_of_the_verdict_follow_each_other():
+    """Each room imports only itself and those before it (criteria may be read by all), and none of the files beside the
+    rooms."""
+    inside = "spotcheck.discrepancy."
+    for path in FILES:
+        module = module_of(path)
+        room = module.removeprefix(inside).split(".")[0]
+        if not module.startswith(inside) or room not in ROOMS or path.name == f"{room}.py" and room == "verdict":
+            continue
+        known = {name.removeprefix(inside).split(".")[0] for name in imports(path) if name.startswith(inside)}
+        assert known <= set(ROOMS[: ROOMS.index(room) + 1]), f"{path.name} imports {sorted(known)}"
+
+
 def test_no_rings():
     """No module imports itself through others, in any room, when it runs."""
     known = {module_of(p) for p in FILES}
