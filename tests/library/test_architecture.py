@@ -84,7 +84,7 @@ def test_the_rooms_of_the_verdict_follow_each_other():
     for path in FILES:
         module = module_of(path)
         room = module.removeprefix(inside).split(".")[0]
-        if not module.startswith(inside) or room not in ROOMS or path.name == f"{room}.py" and room == "verdict":
+        if not module.startswith(inside) or room not in ROOMS or (path.name == f"{room}.py" and room == "verdict"):
             continue
         known = {name.removeprefix(inside).split(".")[0] for name in imports(path) if name.startswith(inside)}
         assert known <= set(ROOMS[: ROOMS.index(room) + 1]), f"{path.name} imports {sorted(known)}"
