@@ -1,0 +1,194 @@
+"""Whether the frames agree with the baseline: one p-value, from laws of summaries alone.
+
+Each frame's own brightness, width and centre are fitted under the declared shape. What is left of its readings is
+summed in several ways, the frames' numbers are held against the baseline's law, and each sum has a p-value of its own.
+The smallest counts, corrected for their number.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from spotcheck.discrepancy.evidence import fields as spectra
+from spotcheck.discrepancy.evidence.cells import (
+    SQUARE,
+    SQUARE_NORM,
+    Cells,
+    Readings,
+    Standard,
+    cells_of,
+    coarser,
+    pooled,
+)
+from spotcheck.discrepancy.evidence.hot import hot_pixels, largest_reading
+from spotcheck.discrepancy.evidence.numbers import exposures_of, numbers_parts
+from spotcheck.discrepancy.evidence.parts import (
+    Part,
+    Standing,
+    cauchy,
+    largest,
+    normal,
+    sidak,
+    standing,
+    standing_squares,
+    sum_of_squares,
+)
+from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
+from spotcheck.discrepancy.observe.pixels import Frame, Model
+
+# Crops that lie further apart than this [px] share no window of the sensor.
+LARGEST_WINDOW = 2048
+
+
+class Design(Protocol):
+    """What of a design is asked here: the number of each frame's site and of its condition [frame]."""
+
+    @property
+    def site(self) -> np.ndarray: ...
+    @property
+    def condition(self) -> np.ndarray: ...
+
+
+class Detection(NamedTuple):
+    """The p-value that the frames agree with the model, by the smallest part's (Šidák) and by Cauchy's combination; and
+    every part, the oddest first."""
+
+    p_value: float
+    p_cauchy: float
+    parts: tuple[Part, ...]
+
+    @property
+    def worst(self) -> Part:
+        """The oddest part."""
+        return self.parts[0]
+
+
+class Looked(NamedTuple):
+    """All sums over the frames: cells of each frame by kind; fields of the frames and of the sites; and the readings
+    as they were standardised."""
+
+    cells: list[dict[str, Cells]]
+    powers: list[spectra.Power]
+    fields: list[spectra.Field]
+    seen: list[Standard]
+
+
+def detect(frames: Sequence[Frame], model: Model | Numbered, design: Design) -> Detection:
+    """Test frames against a model's baseline; a `Model` has its frames' numbers fitted first."""
+    numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)
+    looked = look(frames, numbered.model, design)
+    found = [
+        *cell_parts(looked.cells, design),
+        *numbers_parts(numbered, exposures_of(frames), np.asarray(design.site)),
+        *field_parts(looked, design),
+        largest_reading(looked.seen, [own.pixels for own in frames], numbered.model.sensor),
+        hot_pixels(looked.seen, [own.pixels for own in frames], numbered.model.sensor) if len(frames) > 1 else None,
+    ]
+    parts = sorted((own for own in found if own is not None), key=lambda own: own.p_value)
+    values = [own.p_value for own in parts]
+    return Detection(sidak(values[0], len(values)), cauchy(values), tuple(parts))
+
+
+def look(frames: Sequence[Frame], model: Model, design: Design) -> Looked:
+    """One pass over all frames."""
+    readings = Readings(frames, model)
+    seen = [readings.of(k) for k in range(len(frames))]
+    brightest = max(float(own.electrons.max()) for own in seen)
+    corner = min(int(own.row.min()) for own in seen), min(int(own.column.min()) for own in seen)
+    cells = [cells_of(own, brightest, corner) for own in seen]
+    site, condition = np.asarray(design.site), np.asarray(design.condition)
+    # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
+    taken = _once([(int(c), own.shape) for c, own in zip(condition, seen, strict=True)], lambda k: (
+        spectra.taken_power(seen[k], np.where(seen[k].offset > 0, 1.0, 0.0)),
+        spectra.taken_power(seen[k], seen[k].relative),
+    ))  # fmt: skip
+    powers = [
+        spectra.power_of(spectra.field_of([own], [np.where(own.offset > 0, 1.0, 0.0)], [taken[k][0]]))
+        for k, own in enumerate(seen)
+    ]
+    fields = []
+    for s in np.unique(site):
+        own = np.flatnonzero(site == s)
+        fields.append(spectra.field_of([seen[k] for k in own], [seen[k].relative for k in own],
+                                       [taken[k][1] for k in own]))  # fmt: skip
+    return Looked(cells, powers, fields, seen)
+
+
+def _once(keys: Sequence[Hashable], make: Callable) -> list:
+    """What `make` gives for the first place of each key, for all places."""
+    known: dict[Hashable, object] = {}
+    for k, key in enumerate(keys):
+        if key not in known:
+            known[key] = make(k)
+    return [known[key] for key in keys]
+
+
+def _groups(cells: Sequence[Cells], key: np.ndarray) -> tuple[list[Cells], list[str]]:
+    """Cells pooled over the frames of each value of `key`, and the values."""
+    values = np.unique(key)
+    return [pooled([cells[k] for k in np.flatnonzero(key == v)]) for v in values], [str(v) for v in values]
+
+
+def cell_parts(cells: Sequence[dict[str, Cells]], design: Design) -> list[Part | None]:
+    """All parts from sums over cells: of single frames, of sites, of conditions, and of all frames."""
+    count = len(cells)
+    alone, whole = np.arange(count), np.zeros(count, int)
+    site, condition = np.asarray(design.site), np.asarray(design.condition)
+    kinds = {kind: [own[kind] for own in cells] for kind in cells[0]}
+    kinds["coarse block"] = [coarser(own) for own in kinds["block"]]
+    out: list[Part | None] = []
+
+    def ask(name: str, kind: str, key: np.ndarray, of: str, law=standing, most: bool = False) -> None:
+        groups, values = _groups(kinds[kind], key)
+        stands: list[Standing] = [law(own) for own in groups]
+        names = [f"{of} {v}" if of != "all" else "" for v in values]
+        out.append(sum_of_squares(name, stands, names))
+        if most:
+            out.append(largest(name.replace("mean:", "mean: largest"), stands, names))
+
+    ask("mean: blocks of a frame", "block", alone, "frame", most=True)
+    ask("mean: coarse blocks of a frame", "coarse block", alone, "frame", most=True)
+    ask("mean: rows of a frame", "row", alone, "frame")
+    ask("mean: columns of a frame", "column", alone, "frame")
+    ask("mean: levels of a condition", "level", condition, "condition")
+    ask("mean: sectors of a condition", "sector", condition, "condition")
+    if len(np.unique(site)) < count:
+        ask("mean: blocks of a site", "block", site, "site", most=True)
+    if count > 1:
+        ask("mean: blocks of all frames", "block", whole, "all", most=True)
+        ask("mean: rows of all frames", "row", whole, "all")
+        ask("mean: columns of all frames", "column", whole, "all")
+        ask("mean: sectors of all frames", "sector", whole, "all")
+        ask("variance: frames", "whole", alone, "frame", standing_squares) if "whole" in kinds else None
+    ask("mean: levels of all frames", "level", whole, "all", most=True)
+    ask("variance: levels of all frames", "level", whole, "all", standing_squares)
+    ask("variance: coarse blocks of all frames", "coarse block", whole, "all", standing_squares)
+    sums = sum(own["level"].sums[:, :7].sum(axis=0) for own in cells)
+    out.append(normal("variance: all readings", float(sums[SQUARE]), float(sums[SQUARE_NORM])))
+    return out
+
+
+def field_parts(looked: Looked, design: Design) -> list[Part | None]:
+    """All parts from spectra."""
+    out = [spectra.rings_part("spectrum: frames", looked.powers)]
+    shared = [spectra.power_of(own) for own in looked.fields]
+    # Fields of like weight each count as much as they tell.
+    scaled = [_scaled(own) for own in shared]
+    out.append(spectra.rings_part("spectrum: sites", scaled))
+    shapes = {own.pull.shape for own in looked.fields}
+    if len(shapes) == 1:
+        out.append(spectra.peak_part("spectrum: peak of sites", looked.fields))
+    if len(looked.fields) > 1:
+        rows, columns = (np.concatenate([getattr(own, axis)[[0, -1]] for own in looked.seen]) for axis in
+                         ("row", "column"))  # fmt: skip
+        if max(np.ptp(rows), np.ptp(columns)) < LARGEST_WINDOW:
+            every = spectra.field_of(looked.seen, [own.relative for own in looked.seen], [])
+            out.append(spectra.peak_part("spectrum: peak of all frames", [every]))
+    return out
+
+
+def _scaled(power: spectra.Power) -> spectra.Power:
+    """Powers in units of their mean."""
+    unit = np.maximum(power.mean, 1e-300)
+    return spectra.Power(power.value / unit, power.mean / unit, power.variance / unit**2)

@@ -1,0 +1,186 @@
+"""Standardised readings summed over cells, with all that the laws of such sums need.
+
+z = (y − µ)/√V of a reading y has mean 0, variance 1 and cumulants κ₃, κ₄. The frame's own four numbers were fitted: with
+their slopes as orthonormal columns Q [pixel, 4], what is left of z is (1 − QQᵀ) z, and a sum aᵀz has the variance
+aᵀa − |Qᵀa|².
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy import linalg
+
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model
+from spotcheck.discrepancy.observe.readings import cumulants_of, look_up
+from spotcheck.model.chain import true_exposure
+
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+# Columns of what `gather` sums over a cell: a z, a², a³κ₃, a⁴κ₄; z² − 1 + h, its variance; then Qᵀa.
+SUM, NORM, THIRD, FOURTH, SQUARE, SQUARE_NORM, COUNT, TAKEN = range(8)
+NUMBERS = 4
+# Levels of light, even in its root, at which residuals are compared.
+LEVELS = 12
+# Side [px] of the smallest blocks, and how many of them a coarse block has along each side.
+BLOCK, COARSE = 8, 3
+# Sectors about the spot: azimuths, and bounds of the radius [σ].
+AZIMUTHS, RADII = 8, np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0])
+# A pixel whose variance is below this [DN²] repeats one number: the law of its z would be that of one reading in a
+# million, which the exact law of the largest reading judges instead.
+CERTAIN = 1e-6
+
+
+class Standard(NamedTuple):
+    """Of every pixel of a frame [pixel]: z, cumulants κ₃ and κ₄ of its law; the slopes of z by an offset and by a part
+    of the spot's light; electrons; what the frame's numbers take, Q [4, pixel]; place on the sensor (row, column) and
+    about the spot, u and v [σ]; and rows and columns of the crop."""
+
+    z: np.ndarray
+    third: np.ndarray
+    fourth: np.ndarray
+    offset: np.ndarray
+    relative: np.ndarray
+    electrons: np.ndarray
+    taken: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    shape: tuple[int, int]
+
+
+class Readings:
+    """A model made ready to standardise the readings of its frames."""
+
+    def __init__(self, frames: Sequence[Frame], model: Model):
+        self.frames, self.model = frames, model
+        self.ready = Expectation(frames, model)
+        law = self.ready.law
+        root = law.first + law.step * np.arange(law.mean.size)
+        # ASSUME: an effect behind the charge changes mean and variance, and hardly the higher cumulants.
+        self.table = np.stack(cumulants_of(model.sensor, root * np.abs(root))[2:])
+
+    def of(self, k: int) -> Standard:
+        """Standardised readings of frame `k`."""
+        frame, model, law = self.frames[k], self.model, self.ready.law
+        seen = self.ready.of(frame, k)
+        spot, beside = self.ready.light(frame, self.ready.numbers_of(k))
+        electrons = np.broadcast_to((spot + beside) / model.sensor.gain_dn_per_e, (1, *frame.pixels.shape)).ravel()
+        dark = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
+        electrons = electrons + np.ravel(dark)
+        higher = np.empty((2, electrons.size))
+        look_up(electrons, law.first, law.step, self.table, higher)
+        variance = seen.variance.ravel()
+        known = np.isfinite(frame.pixels).ravel() & (variance > CERTAIN)
+        weight = np.where(known, 1 / np.sqrt(np.maximum(variance, CERTAIN)), 0.0)
+        z = np.where(known, (frame.pixels - seen.mean).ravel(), 0.0) * weight
+        offset = seen.slope.ravel() * weight
+        slopes = self.ready.by_numbers(frame, k, seen) * offset
+        taken = whitened(slopes)
+        row, column = (np.rint(np.broadcast_to(axis, (1, *frame.pixels.shape))).astype(np.int64).ravel()
+                       for axis in (frame.view.y, frame.view.x))  # fmt: skip
+        return Standard(
+            z, higher[0] * weight**3, higher[1] * weight**4, offset, offset * seen.spot.ravel(), electrons, taken,
+            row, column, seen.u.ravel(), seen.v.ravel(), frame.pixels.shape,
+        )  # fmt: skip
+
+
+def whitened(slopes: np.ndarray) -> np.ndarray:
+    """Slopes [number, pixel] made orthonormal; those that say nothing are 0."""
+    size, axes = linalg.eigh(slopes @ slopes.T)
+    good = size > 1e-10 * max(size[-1], 1e-300)
+    root = np.where(good, 1 / np.sqrt(np.where(good, size, 1.0)), 0.0)
+    return (axes * root).T @ slopes
+
+
+@compiled
+def gather(index, weight, which, z, third, fourth, taken, out):
+    """Add a frame's pixels to cells: `index` [kind, pixel] of the cell (below 0: none), `weight` [weight, pixel] and
+    `which` [kind] of the weights a is; `out` [cell, column] as named above."""
+    numbers = taken.shape[0]
+    for k in range(z.size):
+        if weight[0, k] == 0 and weight[1, k] == 0:
+            continue
+        h = 0.0
+        for j in range(numbers):
+            h += taken[j, k] * taken[j, k]
+        square, spread = z[k] * z[k] - 1 + h, 2 + fourth[k] - 4 * h
+        for kind in range(index.shape[0]):
+            cell = index[kind, k]
+            if cell < 0:
+                continue
+            a = weight[which[kind], k]
+            a2 = a * a
+            out[cell, 0] += a * z[k]
+            out[cell, 1] += a2
+            out[cell, 2] += a2 * a * third[k]
+            out[cell, 3] += a2 * a2 * fourth[k]
+            out[cell, 4] += square
+            out[cell, 5] += spread
+            out[cell, 6] += 1
+            for j in range(numbers):
+                out[cell, 7 + j] += a * taken[j, k]
+
+
+class Cells(NamedTuple):
+    """Sums of one kind over the cells of one frame: `label` [cell, 2] says which cell, `sums` [cell, column] as named
+    above."""
+
+    label: np.ndarray
+    sums: np.ndarray
+
+
+KINDS = ("block", "row", "column", "level", "sector")
+
+
+def cells_of(seen: Standard, brightest: float, corner: tuple[int, int]) -> dict[str, Cells]:
+    """The cells of a frame by kind. Levels are counted up to `brightest` [e-], blocks from `corner` (row, column)."""
+    rows, columns = seen.row - corner[0], seen.column - corner[1]
+    level = np.sqrt(np.clip(seen.electrons / brightest, 0.0, 1.0))
+    turn = np.floor((np.arctan2(seen.v, seen.u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
+    ring = np.digitize(np.hypot(seen.u, seen.v), RADII)
+    labels = {
+        "block": (rows // BLOCK, columns // BLOCK),
+        "row": (rows, 0 * rows),
+        "column": (columns, 0 * rows),
+        "level": (np.minimum((level * LEVELS).astype(int), LEVELS - 1), 0 * rows),
+        "sector": (ring, turn),
+    }
+    index, spans, first = [], [], 0
+    for one, two in labels.values():
+        low = int(one.min()), int(two.min())
+        size = int(one.max()) - low[0] + 1, int(two.max()) - low[1] + 1
+        index.append(first + (one - low[0]) * size[1] + two - low[1])
+        spans.append((first, low, size))
+        first += size[0] * size[1]
+    out = np.zeros((first, TAKEN + NUMBERS))
+    which = np.array([1 if kind == "sector" else 0 for kind in KINDS])
+    gather(np.stack(index), np.stack([seen.offset, seen.relative]), which, seen.z, seen.third, seen.fourth, seen.taken,
+           out)  # fmt: skip
+    found = {}
+    for kind, (start, low, size) in zip(KINDS, spans, strict=True):
+        place = np.stack(np.meshgrid(*(low[d] + np.arange(size[d]) for d in (0, 1)), indexing="ij"), -1).reshape(-1, 2)
+        found[kind] = Cells(place, out[start : start + size[0] * size[1]])
+    return found
+
+
+def coarser(cells: Cells, factor: int = COARSE) -> Cells:
+    """Blocks of blocks."""
+    return pooled([Cells(cells.label // factor, cells.sums)])
+
+
+def pooled(frames: Sequence[Cells]) -> Cells:
+    """Cells of one label added up over frames. What the numbers of each frame take stays apart: 4 columns a frame."""
+    label, where = np.unique(np.concatenate([own.label for own in frames]), axis=0, return_inverse=True)
+    where = where.reshape(-1)
+    sums = np.zeros((len(label), TAKEN + NUMBERS * len(frames)))
+    first = 0
+    for k, own in enumerate(frames):
+        at = where[first : first + len(own.label)]
+        first += len(own.label)
+        np.add.at(sums, (at, slice(None, TAKEN)), own.sums[:, :TAKEN])
+        mine = slice(TAKEN + NUMBERS * k, TAKEN + NUMBERS * (k + 1))
+        np.add.at(sums, (at, mine), own.sums[:, TAKEN:])
+    return Cells(label, sums)

@@ -1,0 +1,193 @@
+"""The largest readings by the exact law of a reading, in one frame and of one pixel in all frames.
+
+Where noise is finer than a DN, the largest of a million readings has no law that is nearly normal: chances are summed
+over electrons and readings. Only the oddest pixels of each level of light are looked at so closely.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from spotcheck.discrepancy.evidence.cells import Standard
+from spotcheck.discrepancy.evidence.parts import Part, sidak
+from spotcheck.model.sensor import SensorModel
+
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+# Bins of light, even in its root, of each of which the oddest pixels are looked at.
+BINS = 24
+# Levels of light at which it is found how rare readings can be.
+NODES = 160
+# Above this mean [e-] Poisson's law passes for normal, with its skewness.
+POISSON_E = 3000.0
+# Chances of sums come from a Fourier transform and are good to so much.
+FINEST = 1e-13
+ROOT_HALF = math.sqrt(0.5)
+
+
+@compiled
+def _tail(z):
+    return 0.5 * math.erfc(z * ROOT_HALF)
+
+
+@compiled
+def chance_of(reading, electrons, gain, noise, black, full_well, top, upper):
+    """P(y ≥ reading), or without `upper` P(y ≤ reading), under a mean number of electrons."""
+    if upper and reading <= 0:
+        return 1.0
+    if not upper and reading >= top:
+        return 1.0
+    edge = (reading - 0.5 if upper else reading + 0.5) - black
+    sign = 1.0 if upper else -1.0
+    spread = max(gain * noise, 1e-9)
+    if electrons <= 0:
+        return _tail(sign * (edge - gain * electrons) / spread)
+    if electrons > POISSON_E:
+        sd = gain * math.sqrt(electrons + noise * noise)
+        z = (edge - gain * min(electrons, full_well)) / sd
+        skewness = gain**3 * electrons / sd**3
+        # Cornish and Fisher's first term.
+        return _tail(sign * (z - skewness * (z * z - 1) / 6))
+    reach = 9 * math.sqrt(electrons) + 14
+    low, high = max(int(electrons - reach), 0), int(electrons + reach)
+    top_count = max(int(electrons), low)
+    total = value = 0.0
+    part = 1.0
+    for n in range(top_count, high + 1):
+        total += part
+        value += part * _tail(sign * (edge - gain * min(n, full_well)) / spread)
+        part *= electrons / (n + 1)
+    part = top_count / electrons
+    for n in range(top_count - 1, low - 1, -1):
+        total += part
+        value += part * _tail(sign * (edge - gain * min(n, full_well)) / spread)
+        part *= n / electrons
+    return value / total
+
+
+@compiled
+def reached(chance, electrons, gain, noise, black, full_well, top, upper):
+    """The largest chance of an extreme reading that is not above `chance`: readings are whole numbers."""
+    mean = gain * max(electrons, 0.0) + black
+    reach = 45 * gain * math.sqrt(max(electrons, 0.0) + noise * noise) + 3
+    low, high = math.floor(mean - reach), math.ceil(mean + reach)
+    if upper:
+        low, high = max(low, 0.0), min(high, top + 1)
+    else:
+        low, high = max(low, -1.0), min(high, top)
+    # The nearest reading so rare, by halving.
+    while high - low > 1:
+        middle = math.floor((low + high) / 2)
+        rare = chance_of(middle, electrons, gain, noise, black, full_well, top, upper) <= chance
+        if upper == rare:
+            high = middle
+        else:
+            low = middle
+    reading = high if upper else low
+    if reading > top or reading < 0:
+        return 0.0
+    out = chance_of(reading, electrons, gain, noise, black, full_well, top, upper)
+    return out if out <= chance else 0.0
+
+
+def _numbers(sensor: SensorModel) -> tuple:
+    return (sensor.gain_dn_per_e, sensor.read_noise_e, sensor.black_level_dn, float(sensor.full_well_e),
+            float(min(sensor.full_scale_dn, 65535.0)))  # fmt: skip
+
+
+def largest_reading(frames: Sequence[Standard], pixels: Sequence[np.ndarray], sensor: SensorModel) -> Part | None:
+    """Whether the oddest reading of all frames is odder than the oddest of so many should be."""
+    numbers = _numbers(sensor)
+    brightest = max(float(own.electrons.max()) for own in frames)
+    best, found = 2.0, (0.0, "")
+    counts = np.zeros(NODES)
+    for k, own in enumerate(frames):
+        known = own.offset > 0
+        root = np.sqrt(np.clip(own.electrons / brightest, 0, 1))
+        counts += np.bincount(np.minimum((root[known] * NODES).astype(int), NODES - 1), minlength=NODES)
+        for j in _oddest(own.z, np.minimum((root * BINS).astype(int), BINS - 1), known):
+            y = float(pixels[k].ravel()[j])
+            p = chance_of(y, own.electrons[j], *numbers, bool(own.z[j] > 0))
+            if p < best:
+                best, found = p, (float(own.z[j]), f"frame {k}, row {own.row[j]}, column {own.column[j]}")
+    if not counts.sum():
+        return None
+    levels = brightest * ((np.arange(NODES) + 0.5) / NODES) ** 2
+    rarer = sum(
+        count * (reached(best, e, *numbers, True) + reached(best, e, *numbers, False))
+        for count, e in zip(counts, levels, strict=True)
+        if count
+    )
+    return Part("readings: largest", found[0], float(max(-np.expm1(-max(rarer, best)), 1e-300)), found[1])
+
+
+def _oddest(z: np.ndarray, bins: np.ndarray, known: np.ndarray) -> list[int]:
+    """The pixels with highest and lowest z of each bin."""
+    out = []
+    order = np.argsort(np.where(known, z, 0.0))
+    for way in (order, order[::-1]):
+        # The first of each bin in either order.
+        head = way[: 4 * BINS] if way.size > 64 * BINS else way
+        out += head[np.unique(bins[head], return_index=True)[1]].tolist()
+    return [j for j in out if known[j]]
+
+
+def hot_pixels(frames: Sequence[Standard], pixels: Sequence[np.ndarray], sensor: SensorModel) -> Part | None:
+    """Whether one pixel of the sensor reads too much or too little in all frames together: the plain sum of its
+    readings, under the exact law of that sum."""
+    places = np.concatenate([own.row.astype(np.int64) * 2**24 + own.column for own in frames])
+    label, where = np.unique(places, return_inverse=True)
+    where = where.reshape(-1)
+    known = np.concatenate([own.offset > 0 for own in frames])
+    sd = np.concatenate([1 / np.where(own.offset > 0, own.offset, 1.0) for own in frames])
+    z = np.concatenate([own.z for own in frames])
+    off, square = (np.bincount(where[known], v[known], len(label)) for v in (z * sd, sd**2))
+    seen = square > 0
+    z = np.where(seen, off / np.sqrt(np.where(seen, square, 1.0)), 0.0)
+    bins = np.digitize(square, np.quantile(square[seen], np.linspace(0, 1, BINS + 1)[1:-1]))
+    best, found = 2.0, (0.0, "")
+    for j in _oddest(z, bins, seen):
+        members = np.flatnonzero((where == j) & known)
+        p = _chance_of_sum(members, frames, pixels, sensor, bool(z[j] > 0))
+        if p < best:
+            best = p
+            found = float(z[j]), f"row {label[j] // 2**24}, column {label[j] % 2**24}"
+    if best > 1:
+        return None
+    return Part("readings: hot pixels", found[0], sidak(best, 2 * int(seen.sum())), found[1])
+
+
+def _chance_of_sum(members, frames, pixels, sensor: SensorModel, upper: bool) -> float:
+    """P(Σ y as extreme) of readings [member], by the product of their characteristic functions."""
+    size = frames[0].z.size
+    numbers = _numbers(sensor)
+    total, laws, first = 0.0, [], 0.0
+    for m in members:
+        k, j = divmod(int(m), size)
+        electrons = float(frames[k].electrons[j])
+        total += float(pixels[k].ravel()[j])
+        lowest, law = _law(electrons, numbers)
+        first += lowest
+        laws.append(law)
+    span = sum(len(law) - 1 for law in laws) + 1
+    padded = 1 << int(np.ceil(np.log2(span + 1)))
+    whole = np.ones(padded // 2 + 1, complex)
+    for law in laws:
+        whole *= np.fft.rfft(law, padded)
+    chances = np.fft.irfft(whole, padded)[:span]
+    at = round(total - first)
+    tail = chances[max(at, 0) :] if upper else chances[: max(at + 1, 0)]
+    return float(max(tail.sum(), FINEST))
+
+
+def _law(electrons: float, numbers: tuple) -> tuple[float, np.ndarray]:
+    """Lowest reading that counts, and the chances of it and those above."""
+    gain, noise, black, _, top = numbers
+    reach = 10 * gain * np.sqrt(max(electrons, 0.0) + noise**2) + 2 + 12 * gain
+    low = float(np.clip(np.floor(gain * electrons + black - reach), 0, top))
+    high = float(np.clip(np.ceil(gain * electrons + black + reach), 0, top))
+    above = np.array([chance_of(y, electrons, *numbers, True) for y in np.arange(low, high + 2)])
+    above[0], above[-1] = 1.0, 0.0
+    return low, np.maximum(above[:-1] - above[1:], 0.0)
