@@ -137,6 +137,7 @@ def cell_parts(cells: Sequence[dict[str, Cells]], design: Design) -> list[Part |
     site, condition = np.asarray(design.site), np.asarray(design.condition)
     kinds = {kind: [own[kind] for own in cells] for kind in cells[0]}
     kinds["coarse block"] = [coarser(own) for own in kinds["block"]]
+    kinds["whole"] = [pooled([Cells(0 * own.label, own.sums)]) for own in kinds["level"]]
     out: list[Part | None] = []
 
     def ask(name: str, kind: str, key: np.ndarray, of: str, law=standing, most: bool = False) -> None:
@@ -160,12 +161,12 @@ def cell_parts(cells: Sequence[dict[str, Cells]], design: Design) -> list[Part |
         ask("mean: rows of all frames", "row", whole, "all")
         ask("mean: columns of all frames", "column", whole, "all")
         ask("mean: sectors of all frames", "sector", whole, "all")
-        ask("variance: frames", "whole", alone, "frame", standing_squares) if "whole" in kinds else None
+        ask("variance: frames", "whole", alone, "frame", standing_squares)
     ask("mean: levels of all frames", "level", whole, "all", most=True)
     ask("variance: levels of all frames", "level", whole, "all", standing_squares)
     ask("variance: coarse blocks of all frames", "coarse block", whole, "all", standing_squares)
-    sums = sum(own["level"].sums[:, :7].sum(axis=0) for own in cells)
-    out.append(normal("variance: all readings", float(sums[SQUARE]), float(sums[SQUARE_NORM])))
+    total, variance = (sum(float(own.sums[0, at]) for own in kinds["whole"]) for at in (SQUARE, SQUARE_NORM))
+    out.append(normal("variance: all readings", total, variance))
     return out
 
 

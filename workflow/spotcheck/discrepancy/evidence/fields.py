@@ -136,7 +136,7 @@ def peak_part(name: str, fields: Sequence[Field]) -> Part | None:
     j, i = np.unravel_index(int(np.argmax(power)), power.shape)
     freedom = 2 * count
     area, edge = np.pi / 2 * (high**2 - low**2), np.pi / 2 * (high + low)
-    p = expected_peaks(float(power[j, i]), freedom, 4 * np.pi**2 * spread, area, edge)
+    p = chance_of_peak(float(power[j, i]), freedom, 4 * np.pi**2 * spread, area, edge)
     period, turn = 1 / radius[j, i], np.degrees(np.arctan2(ky[j, 0], kx[0, i])) % 180
     statistic = (power[j, i] - freedom) / np.sqrt(2 * freedom)
     return Part(name, float(statistic), p, f"period {period:.1f} px, {turn:.0f}° across")
@@ -152,13 +152,14 @@ def _spread(weight: np.ndarray) -> np.ndarray:
     return np.array([[down @ (rows - y) ** 2 / total, both], [both, along @ (columns - x) ** 2 / total]])
 
 
-def expected_peaks(level: float, freedom: int, gradient: np.ndarray, area: float, edge: float) -> float:
-    """Expected Euler characteristic of a χ² field above a level: nearly the chance that it gets there. `gradient` is
-    the covariance of the slopes of its normal components, `edge` half the length of the region's boundary."""
+def chance_of_peak(level: float, freedom: int, gradient: np.ndarray, area: float, edge: float) -> float:
+    """The chance that a χ² field gets above a level somewhere: from the expected Euler characteristic of what lies
+    above, peaks that come as Poisson's. `gradient` is the covariance of the slopes of its normal components, `edge`
+    half the length of the region's boundary."""
     if level <= freedom + 1:
         return 1.0
     log = (freedom - 2) / 2 * np.log(level / 2) - level / 2 - special.gammaln(freedom / 2)
     size = np.sqrt(np.linalg.det(gradient))
     two = area * size * (level - freedom + 1) / (2 * np.pi)
     one = edge * np.sqrt(size) * np.sqrt(level) / np.sqrt(2 * np.pi)
-    return float(np.clip((two + one) * np.exp(log), 1e-300, 1.0))
+    return float(np.clip(-np.expm1(-(two + one) * np.exp(log)), 1e-300, 1.0))
