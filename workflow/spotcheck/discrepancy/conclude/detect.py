@@ -100,11 +100,11 @@ def look(frames: Sequence[Frame], model: Model, design: Design) -> Looked:
     site, condition = np.asarray(design.site), np.asarray(design.condition)
     # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
     taken = _once([(int(c), own.shape) for c, own in zip(condition, seen, strict=True)], lambda k: (
-        spectra.taken_power(seen[k], np.where(seen[k].offset > 0, 1.0, 0.0)),
+        spectra.taken_power(seen[k], np.where(seen[k].spread > 0, 1.0, 0.0)),
         spectra.taken_power(seen[k], seen[k].relative),
     ))  # fmt: skip
     powers = [
-        spectra.power_of(spectra.field_of([own], [np.where(own.offset > 0, 1.0, 0.0)], [taken[k][0]]))
+        spectra.power_of(spectra.field_of([own], [np.where(own.spread > 0, 1.0, 0.0)], [taken[k][0]]))
         for k, own in enumerate(seen)
     ]
     fields = []

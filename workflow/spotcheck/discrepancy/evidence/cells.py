@@ -33,11 +33,12 @@ CERTAIN = 1e-6
 
 
 class Standard(NamedTuple):
-    """Of every pixel of a frame [pixel]: z, cumulants κ₃ and κ₄ of its law; the slopes of z by an offset and by a part
+    """Of every pixel of a frame [pixel]: z, √V [DN] (0: masked), cumulants κ₃ and κ₄ of its law; the slopes of z by an offset and by a part
     of the spot's light; electrons; what the frame's numbers take, Q [4, pixel]; place on the sensor (row, column) and
     about the spot, u and v [σ]; and rows and columns of the crop."""
 
     z: np.ndarray
+    spread: np.ndarray
     third: np.ndarray
     fourth: np.ndarray
     offset: np.ndarray
@@ -82,7 +83,7 @@ class Readings:
         row, column = (np.rint(np.broadcast_to(axis, (1, *frame.pixels.shape))).astype(np.int64).ravel()
                        for axis in (frame.view.y, frame.view.x))  # fmt: skip
         return Standard(
-            z, higher[0] * weight**3, higher[1] * weight**4, offset, offset * seen.spot.ravel(), electrons, taken,
+            z, np.where(known, np.sqrt(variance), 0.0), higher[0] * weight**3, higher[1] * weight**4, offset, offset * seen.spot.ravel(), electrons, taken,
             row, column, seen.u.ravel(), seen.v.ravel(), frame.pixels.shape,
         )  # fmt: skip
 

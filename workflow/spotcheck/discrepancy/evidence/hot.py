@@ -104,10 +104,12 @@ def largest_reading(frames: Sequence[Standard], pixels: Sequence[np.ndarray], se
     best, found = 2.0, (0.0, "")
     counts = np.zeros(NODES)
     for k, own in enumerate(frames):
-        known = own.offset > 0
+        known = own.spread > 0
         root = np.sqrt(np.clip(own.electrons / brightest, 0, 1))
         counts += np.bincount(np.minimum((root[known] * NODES).astype(int), NODES - 1), minlength=NODES)
-        for j in _oddest(own.z, np.minimum((root * BINS).astype(int), BINS - 1), known):
+        for j in oddest(own.z, np.minimum((root * BINS).astype(int), BINS - 1), known, BINS):
+            if j < 0:
+                continue
             y = float(pixels[k].ravel()[j])
             p = chance_of(y, own.electrons[j], *numbers, bool(own.z[j] > 0))
             if p < best:
@@ -123,71 +125,82 @@ def largest_reading(frames: Sequence[Standard], pixels: Sequence[np.ndarray], se
     return Part("readings: largest", found[0], float(max(-np.expm1(-max(rarer, best)), 1e-300)), found[1])
 
 
-def _oddest(z: np.ndarray, bins: np.ndarray, known: np.ndarray) -> list[int]:
-    """The pixels with highest and lowest z of each bin."""
-    out = []
-    order = np.argsort(np.where(known, z, 0.0))
-    for way in (order, order[::-1]):
-        # The first of each bin in either order.
-        head = way[: 4 * BINS] if way.size > 64 * BINS else way
-        out += head[np.unique(bins[head], return_index=True)[1]].tolist()
-    return [j for j in out if known[j]]
+@compiled
+def oddest(z, bins, known, size):
+    """The pixels with highest and lowest z of each bin, −1 where a bin has none."""
+    out = np.full(2 * size, -1)
+    for k in range(z.size):
+        if known[k]:
+            for side, sign in ((0, 1.0), (1, -1.0)):
+                at = 2 * bins[k] + side
+                if out[at] < 0 or sign * z[k] > sign * z[out[at]]:
+                    out[at] = k
+    return out
 
 
 def hot_pixels(frames: Sequence[Standard], pixels: Sequence[np.ndarray], sensor: SensorModel) -> Part | None:
     """Whether one pixel of the sensor reads too much or too little in all frames together: the plain sum of its
     readings, under the exact law of that sum."""
-    places = np.concatenate([own.row.astype(np.int64) * 2**24 + own.column for own in frames])
-    label, where = np.unique(places, return_inverse=True)
-    where = where.reshape(-1)
-    known = np.concatenate([own.offset > 0 for own in frames])
-    sd = np.concatenate([1 / np.where(own.offset > 0, own.offset, 1.0) for own in frames])
-    z = np.concatenate([own.z for own in frames])
-    off, square = (np.bincount(where[known], v[known], len(label)) for v in (z * sd, sd**2))
+    top, left = (min(int(getattr(own, axis).min()) for own in frames) for axis in ("row", "column"))
+    size = tuple(max(int(getattr(own, axis).max()) for own in frames) - first + 1
+                 for axis, first in (("row", top), ("column", left)))  # fmt: skip
+    off, square = np.zeros(size), np.zeros(size)
+    places = []
+    for own in frames:
+        row, column = int(own.row.min()) - top, int(own.column.min()) - left
+        at = (slice(row, row + own.shape[0]), slice(column, column + own.shape[1]))
+        places.append(at)
+        off[at] += (own.z * own.spread).reshape(own.shape)
+        square[at] += (own.spread**2).reshape(own.shape)
     seen = square > 0
     z = np.where(seen, off / np.sqrt(np.where(seen, square, 1.0)), 0.0)
     bins = np.digitize(square, np.quantile(square[seen], np.linspace(0, 1, BINS + 1)[1:-1]))
     best, found = 2.0, (0.0, "")
-    for j in _oddest(z, bins, seen):
-        members = np.flatnonzero((where == j) & known)
-        p = _chance_of_sum(members, frames, pixels, sensor, bool(z[j] > 0))
-        if p < best:
-            best = p
-            found = float(z[j]), f"row {label[j] // 2**24}, column {label[j] % 2**24}"
+    for j in oddest(z.ravel(), bins.ravel(), seen.ravel(), BINS):
+        if j < 0:
+            continue
+        row, column = divmod(int(j), size[1])
+        here = [(k, (row - at[0].start) * frames[k].shape[1] + column - at[1].start) for k, at in enumerate(places)
+                if at[0].start <= row < at[0].stop and at[1].start <= column < at[1].stop]  # fmt: skip
+        here = [(k, p) for k, p in here if frames[k].spread[p] > 0]
+        electrons = np.array([frames[k].electrons[p] for k, p in here])
+        total = sum(float(pixels[k].ravel()[p]) for k, p in here)
+        chance = chance_of_sum(total, electrons, sensor, bool(z[row, column] > 0))
+        if chance < best:
+            best, found = chance, (float(z[row, column]), f"row {row + top}, column {column + left}")
     if best > 1:
         return None
     return Part("readings: hot pixels", found[0], sidak(best, 2 * int(seen.sum())), found[1])
 
 
-def _chance_of_sum(members, frames, pixels, sensor: SensorModel, upper: bool) -> float:
-    """P(Σ y as extreme) of readings [member], by the product of their characteristic functions."""
-    size = frames[0].z.size
-    numbers = _numbers(sensor)
-    total, laws, first = 0.0, [], 0.0
-    for m in members:
-        k, j = divmod(int(m), size)
-        electrons = float(frames[k].electrons[j])
-        total += float(pixels[k].ravel()[j])
-        lowest, law = _law(electrons, numbers)
-        first += lowest
-        laws.append(law)
-    span = sum(len(law) - 1 for law in laws) + 1
+def chance_of_sum(total: float, electrons: np.ndarray, sensor: SensorModel, upper: bool) -> float:
+    """P(Σ y ≥ total), or without `upper` P(Σ y ≤ total), of readings at mean numbers of electrons [reading], by the
+    product of their characteristic functions."""
+    gain, noise, black, full_well, top = _numbers(sensor)
+    reach = 10 * gain * np.sqrt(np.maximum(electrons, 0.0) + noise**2) + 2 + 12 * gain
+    low, high = (np.clip(np.round(gain * electrons + black + way * reach), 0, top) for way in (-1, 1))
+    laws = np.zeros((electrons.size, int((high - low).max()) + 1))
+    _fill(laws, low, high, electrons, gain, noise, black, full_well, top)
+    span = int((high - low).sum()) + 1
     padded = 1 << int(np.ceil(np.log2(span + 1)))
     whole = np.ones(padded // 2 + 1, complex)
     for law in laws:
         whole *= np.fft.rfft(law, padded)
     chances = np.fft.irfft(whole, padded)[:span]
-    at = round(total - first)
+    at = round(total - low.sum())
     tail = chances[max(at, 0) :] if upper else chances[: max(at + 1, 0)]
     return float(max(tail.sum(), FINEST))
 
 
-def _law(electrons: float, numbers: tuple) -> tuple[float, np.ndarray]:
-    """Lowest reading that counts, and the chances of it and those above."""
-    gain, noise, black, _, top = numbers
-    reach = 10 * gain * np.sqrt(max(electrons, 0.0) + noise**2) + 2 + 12 * gain
-    low = float(np.clip(np.floor(gain * electrons + black - reach), 0, top))
-    high = float(np.clip(np.ceil(gain * electrons + black + reach), 0, top))
-    above = np.array([chance_of(y, electrons, *numbers, True) for y in np.arange(low, high + 2)])
-    above[0], above[-1] = 1.0, 0.0
-    return low, np.maximum(above[:-1] - above[1:], 0.0)
+@compiled
+def _fill(laws, low, high, electrons, gain, noise, black, full_well, top):
+    """The chance of each reading from `low` to `high` [reading], of each its own, into `laws` [reading, value]."""
+    for k in range(electrons.size):
+        above = 1.0
+        count = int(high[k] - low[k]) + 1
+        for j in range(count):
+            beyond = 0.0
+            if j < count - 1:
+                beyond = chance_of(low[k] + j + 1, electrons[k], gain, noise, black, full_well, top, True)
+            laws[k, j] = max(above - beyond, 0.0)
+            above = beyond
