@@ -1,0 +1,159 @@
+"""How much is left once the light's shape is learned: by size, since p-values flag structure that no one would miss.
+
+Mean residuals of blocks have the power of noise and what is unexplained beside it. Noise goes through the fit as well:
+with H the fit's projection of standardised readings, it is left with the covariance (1 − H)². Of the shape's
+coefficients, S = G + λP, so that a mean aᵀz loses aᵀ(2H − H²)a = Var aᵀBx + Var aᵀBx' with x ~ N(0, S⁻¹) and
+x' ~ N(0, S⁻¹λPS⁻¹), which a few draws tell; the frame's own numbers take |Qᵀa|² besides.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from spotcheck.discrepancy.conclude.detect import Design
+from spotcheck.discrepancy.evidence.cells import BLOCK, RADII, Readings, Standard
+from spotcheck.discrepancy.nuisance.fit import Fitted
+from spotcheck.discrepancy.observe.pixels import Frame
+from spotcheck.model.light_shape import LightShape
+
+# Draws of the shape's coefficients, by which it is told how much noise the shape takes: to 1 part in 30 of that, since
+# many nodes share in it.
+DRAWS = 12
+# Blocks whose middle lies further from the spot than this [σ] are left out: there is hardly any light.
+REACH = float(RADII[-1])
+
+
+class Unexplained(NamedTuple):
+    """Power of block means above noise, as rms in parts of each frame's peak: `size` over all frames, its `error` (of
+    the square, as a part of the peak squared), and `noise`, what noise alone has; `z` the excess in its own errors;
+    `by_frame` [frame], `by_ring` [ring of the radius] rms likewise (0: below noise); `taken` the part of the blocks' noise
+    that fits took; and the oddest block's frame, row, column [px of the sensor] and mean residual in parts of the
+    peak."""
+
+    size: float
+    error: float
+    noise: float
+    z: float
+    by_frame: np.ndarray
+    by_ring: np.ndarray
+    taken: float
+    worst: tuple[int, float, float, float]
+
+
+class _Blocks(NamedTuple):
+    """Of the blocks of a frame about the spot [block]: mean residual and its variance before fits [peak, peak²], what
+    the frame's numbers take of that, radius [σ], place [px], and the pixels' numbers and weights to sum others."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+    taken: np.ndarray
+    radius: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    index: np.ndarray
+    share: np.ndarray
+
+
+def unexplained(frames: Sequence[Frame], fitted: Fitted, design: Design, seed: int = 0) -> Unexplained:
+    """Measure what a fit with a learned shape leaves."""
+    readings = Readings(frames, fitted.model)
+    peak = np.exp(fitted.model.numbers.log_peak)
+    condition = np.asarray(design.condition)
+    shapes = _draws(fitted, np.random.default_rng(seed))
+    blocks, parts = [], {}
+    for k in range(len(frames)):
+        seen = readings.of(k)
+        own = _blocks(seen, float(peak[k]))
+        blocks.append(own)
+        c = int(condition[k])
+        if c not in parts:
+            # Frames of one condition are so alike that the shape takes the same part of their noise.
+            parts[c] = _taken_by_shape(seen, own, shapes) / max(float(own.variance.sum()), 1e-300)
+    left = [own.variance * max(1 - parts[int(c)], 0.0) - own.taken for own, c in zip(blocks, condition, strict=True)]
+    excess = [own.mean**2 - v for own, v in zip(blocks, left, strict=True)]
+    count = sum(len(own) for own in excess)
+    if not count:
+        return Unexplained(0.0, np.inf, np.inf, 0.0, np.zeros(len(frames)), np.zeros(len(RADII)), 0.0, (0, 0, 0, 0.0))
+    total = float(sum(own.sum() for own in excess)) / count
+    noise = float(sum(v.sum() for v in left)) / count
+    before = float(sum(own.variance.sum() for own in blocks)) / count
+    error = float(np.sqrt(2 * sum((np.maximum(v, 0.0) ** 2).sum() for v in left))) / count
+    ring = np.concatenate([np.digitize(own.radius, RADII) for own in blocks])
+    size = np.maximum(np.bincount(ring, minlength=len(RADII)), 1)
+    by_ring = np.bincount(ring, np.concatenate(excess), len(RADII)) / size
+    score = [own / np.sqrt(np.maximum(v, 1e-3 * b.variance)) for own, v, b in zip(excess, left, blocks, strict=True)]
+    k = int(np.argmax([own.max(initial=-1.0) for own in score]))
+    j = int(np.argmax(score[k]))
+    worst = k, float(blocks[k].row[j]), float(blocks[k].column[j]), float(blocks[k].mean[j])
+    return Unexplained(_root(total), error, _root(noise), total / max(error, 1e-300),
+                       np.array([_root(own.mean()) if own.size else 0.0 for own in excess]),
+                       np.sqrt(np.maximum(by_ring, 0.0)), 1 - noise / before, worst)  # fmt: skip
+
+
+def _root(power: float) -> float:
+    return float(np.sqrt(max(power, 0.0)))
+
+
+def _blocks(seen: Standard, peak: float) -> _Blocks:
+    """The whole blocks of a frame about its spot."""
+    rows, columns = seen.shape
+    across = columns // BLOCK
+    row, column = (axis - axis.min() for axis in (seen.row, seen.column))
+    inside = (row < rows // BLOCK * BLOCK) & (column < across * BLOCK) & (seen.spread > 0)
+    index = np.where(inside, row // BLOCK * across + column // BLOCK, -1)
+    number = max(rows // BLOCK * across, 1)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(index[inside], values[inside], number) / np.maximum(count, 1)
+
+    count = np.bincount(index[inside], minlength=number)
+    radius = np.hypot(mean(seen.u), mean(seen.v))
+    good = (count == BLOCK**2) & (radius < REACH)
+    new = np.cumsum(good) - 1
+    kept = np.where(inside & good[np.maximum(index, 0)], new[np.maximum(index, 0)], -1)
+    variance = mean(seen.spread**2) / BLOCK**2
+    taken = sum(mean(seen.spread * own) ** 2 for own in seen.taken)
+    share = seen.spread * seen.offset
+    return _Blocks(mean(seen.z * seen.spread)[good] / peak, variance[good] / peak**2, taken[good] / peak**2,
+                   radius[good], mean(seen.row)[good], mean(seen.column)[good], kept, share)  # fmt: skip
+
+
+def _draws(fitted: Fitted, rng: np.random.Generator) -> list[LightShape]:
+    """Shapes whose variance at any place is what the shape takes of noise there, in pairs x and x'."""
+    learned = fitted.model.baseline.learned
+    assert learned is not None
+    side = len(learned.coefficients)
+    factor = fitted.schur.factor
+    second = np.diff(np.eye(side), 2, axis=0)
+    out = []
+    for _ in range(DRAWS):
+        # Lᵀx = ξ: the factor is banded and lower, its transpose banded and upper.
+        x = linalg.solve_banded((0, len(factor) - 1), _transposed(factor), rng.standard_normal(side * side))
+        bent = second.T @ rng.standard_normal((side - 2, side)) + rng.standard_normal((side, side - 2)) @ second
+        smooth = linalg.cho_solve_banded((factor, True), np.sqrt(fitted.penalty) * bent.ravel())
+        out += [LightShape(learned.step, own.reshape(side, side)) for own in (x, smooth)]
+    return out
+
+
+def _transposed(factor: np.ndarray) -> np.ndarray:
+    """A lower banded matrix [diagonal, column] transposed, as an upper banded one."""
+    out = np.zeros_like(factor)
+    last = len(factor) - 1
+    for gap in range(last + 1):
+        out[last - gap, gap:] = factor[gap, : factor.shape[1] - gap]
+    return out
+
+
+def _taken_by_shape(seen: Standard, blocks: _Blocks, shapes: Sequence[LightShape]) -> float:
+    """Σ over blocks of the variance that the shape takes [peak²]."""
+    inside = blocks.index >= 0
+    u, v, index = seen.u[inside], seen.v[inside], blocks.index[inside]
+    # A change s of the shape changes a reading by peak · slope · s.
+    share = blocks.share[inside]
+    total = 0.0
+    for shape in shapes:
+        moved = np.bincount(index, share * shape(u, v), len(blocks.mean)) / BLOCK**2
+        total += float(moved @ moved)
+    return total / (len(shapes) / 2)
