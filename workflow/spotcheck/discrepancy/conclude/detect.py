@@ -19,6 +19,7 @@ from spotcheck.discrepancy.evidence.cells import (
     Standard,
     cells_of,
     coarser,
+    place_of,
     pooled,
 )
 from spotcheck.discrepancy.evidence.hot import hot_pixels, largest_reading
@@ -65,10 +66,11 @@ class Detection(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """All sums over the frames: cells of each frame by kind; fields of the frames and of the sites; and the readings
-    as they were standardised."""
+    """All sums over the frames: cells of each frame by kind, counted from a corner (row, column) of the sensor; fields
+    of the frames and of the sites; and the readings as they were standardised."""
 
     cells: list[dict[str, Cells]]
+    corner: tuple[int, int]
     powers: list[spectra.Power]
     fields: list[spectra.Field]
     seen: list[Standard]
@@ -79,13 +81,13 @@ def detect(frames: Sequence[Frame], model: Model | Numbered, design: Design) -> 
     numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)
     looked = look(frames, numbered.model, design)
     found = [
-        *cell_parts(looked.cells, design),
+        *cell_parts(looked, design),
         *numbers_parts(numbered, exposures_of(frames), np.asarray(design.site)),
         *field_parts(looked, design),
         largest_reading(looked.seen, [own.pixels for own in frames], numbered.model.sensor),
         hot_pixels(looked.seen, [own.pixels for own in frames], numbered.model.sensor) if len(frames) > 1 else None,
     ]
-    parts = sorted((own for own in found if own is not None), key=lambda own: own.p_value)
+    parts = sorted((own for own in found if own is not None), key=lambda own: (own.p_value, -abs(own.statistic)))
     values = [own.p_value for own in parts]
     return Detection(sidak(values[0], len(values)), cauchy(values), tuple(parts))
 
@@ -112,7 +114,7 @@ def look(frames: Sequence[Frame], model: Model, design: Design) -> Looked:
         own = np.flatnonzero(site == s)
         fields.append(spectra.field_of([seen[k] for k in own], [seen[k].relative for k in own],
                                        [taken[k][1] for k in own]))  # fmt: skip
-    return Looked(cells, powers, fields, seen)
+    return Looked(cells, corner, powers, fields, seen)
 
 
 def _once(keys: Sequence[Hashable], make: Callable) -> list:
@@ -124,15 +126,9 @@ def _once(keys: Sequence[Hashable], make: Callable) -> list:
     return [known[key] for key in keys]
 
 
-def _groups(cells: Sequence[Cells], key: np.ndarray) -> tuple[list[Cells], list[str]]:
-    """Cells pooled over the frames of each value of `key`, and the values."""
-    values = np.unique(key)
-    return [pooled([cells[k] for k in np.flatnonzero(key == v)]) for v in values], [str(v) for v in values]
-
-
-def cell_parts(cells: Sequence[dict[str, Cells]], design: Design) -> list[Part | None]:
+def cell_parts(looked: Looked, design: Design) -> list[Part | None]:
     """All parts from sums over cells: of single frames, of sites, of conditions, and of all frames."""
-    count = len(cells)
+    cells, count = looked.cells, len(looked.cells)
     alone, whole = np.arange(count), np.zeros(count, int)
     site, condition = np.asarray(design.site), np.asarray(design.condition)
     kinds = {kind: [own[kind] for own in cells] for kind in cells[0]}
@@ -141,12 +137,17 @@ def cell_parts(cells: Sequence[dict[str, Cells]], design: Design) -> list[Part |
     out: list[Part | None] = []
 
     def ask(name: str, kind: str, key: np.ndarray, of: str, law=standing, most: bool = False) -> None:
-        groups, values = _groups(kinds[kind], key)
+        values = np.unique(key)
+        groups = [pooled([kinds[kind][int(k)] for k in np.flatnonzero(key == v)]) for v in values]
         stands: list[Standing] = [law(own) for own in groups]
-        names = [f"{of} {v}" if of != "all" else "" for v in values]
-        out.append(sum_of_squares(name, stands, names))
+
+        def words(group: int, label: tuple[int, int]) -> str:
+            place = place_of(kind, label, looked.corner)
+            return place if of == "all" else f"{of} {values[group]}, {place}".removesuffix(", ")
+
+        out.append(sum_of_squares(name, stands, words))
         if most:
-            out.append(largest(name.replace("mean:", "mean: largest"), stands, names))
+            out.append(largest(name.replace("mean:", "mean: largest of"), stands, words))
 
     ask("mean: blocks of a frame", "block", alone, "frame", most=True)
     ask("mean: coarse blocks of a frame", "coarse block", alone, "frame", most=True)

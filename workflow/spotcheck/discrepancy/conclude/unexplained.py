@@ -27,10 +27,9 @@ REACH = float(RADII[-1])
 
 class Unexplained(NamedTuple):
     """Power of block means above noise, as rms in parts of each frame's peak: `size` over all frames, its `error` (of
-    the square, as a part of the peak squared), and `noise`, what noise alone has; `z` the excess in its own errors;
-    `by_frame` [frame], `by_ring` [ring of the radius] rms likewise (0: below noise); `taken` the part of the blocks' noise
-    that fits took; and the oddest block's frame, row, column [px of the sensor] and mean residual in parts of the
-    peak."""
+    the square, in squared peaks), and `noise`, what noise alone has; `z` the excess in its own errors; `by_frame`
+    [frame] and `by_ring` [ring of the radius] rms likewise (0: below noise); `taken` the part of the blocks' noise that
+    fits took; and the oddest block's frame, row, column [px of the sensor] and mean residual in parts of the peak."""
 
     size: float
     error: float
@@ -44,7 +43,8 @@ class Unexplained(NamedTuple):
 
 class _Blocks(NamedTuple):
     """Of the blocks of a frame about the spot [block]: mean residual and its variance before fits [peak, peak²], what
-    the frame's numbers take of that, radius [σ], place [px], and the pixels' numbers and weights to sum others."""
+    the frame's numbers take of that, radius [σ], place [px]; of each pixel, its block (−1: none) and the slope of its
+    reading [1]."""
 
     mean: np.ndarray
     variance: np.ndarray
@@ -52,7 +52,7 @@ class _Blocks(NamedTuple):
     radius: np.ndarray
     row: np.ndarray
     column: np.ndarray
-    index: np.ndarray
+    block: np.ndarray
     share: np.ndarray
 
 
@@ -114,7 +114,7 @@ def _blocks(seen: Standard, peak: float) -> _Blocks:
     new = np.cumsum(good) - 1
     kept = np.where(inside & good[np.maximum(index, 0)], new[np.maximum(index, 0)], -1)
     variance = mean(seen.spread**2) / BLOCK**2
-    taken = sum(mean(seen.spread * own) ** 2 for own in seen.taken)
+    taken = np.sum([mean(seen.spread * own) ** 2 for own in seen.taken], axis=0)
     share = seen.spread * seen.offset
     return _Blocks(mean(seen.z * seen.spread)[good] / peak, variance[good] / peak**2, taken[good] / peak**2,
                    radius[good], mean(seen.row)[good], mean(seen.column)[good], kept, share)  # fmt: skip
@@ -148,8 +148,8 @@ def _transposed(factor: np.ndarray) -> np.ndarray:
 
 def _taken_by_shape(seen: Standard, blocks: _Blocks, shapes: Sequence[LightShape]) -> float:
     """Σ over blocks of the variance that the shape takes [peak²]."""
-    inside = blocks.index >= 0
-    u, v, index = seen.u[inside], seen.v[inside], blocks.index[inside]
+    inside = blocks.block >= 0
+    u, v, index = seen.u[inside], seen.v[inside], blocks.block[inside]
     # A change s of the shape changes a reading by peak · slope · s.
     share = blocks.share[inside]
     total = 0.0

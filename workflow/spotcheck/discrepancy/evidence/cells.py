@@ -1,8 +1,8 @@
 """Standardised readings summed over cells, with all that the laws of such sums need.
 
-z = (y − µ)/√V of a reading y has mean 0, variance 1 and cumulants κ₃, κ₄. The frame's own four numbers were fitted: with
-their slopes as orthonormal columns Q [pixel, 4], what is left of z is (1 − QQᵀ) z, and a sum aᵀz has the variance
-aᵀa − |Qᵀa|².
+z = (y − µ)/√V of a reading y has mean 0, variance 1 and cumulants κ₃, κ₄. The frame's own four numbers were fitted:
+with their slopes as orthonormal columns Q [pixel, 4], what is left of z is (1 − QQᵀ) z, and a sum aᵀz has the
+variance aᵀa − |Qᵀa|².
 """
 
 from collections.abc import Sequence
@@ -33,9 +33,9 @@ CERTAIN = 1e-6
 
 
 class Standard(NamedTuple):
-    """Of every pixel of a frame [pixel]: z, √V [DN] (0: masked), cumulants κ₃ and κ₄ of its law; the slopes of z by an offset and by a part
-    of the spot's light; electrons; what the frame's numbers take, Q [4, pixel]; place on the sensor (row, column) and
-    about the spot, u and v [σ]; and rows and columns of the crop."""
+    """Of every pixel of a frame [pixel]: z, √V [DN] (0: masked), cumulants κ₃ and κ₄ of its law; the slopes
+    of z by an offset and by a part of the spot's light; electrons; what the frame's numbers take, Q [4, pixel]; place
+    on the sensor (row, column) and about the spot, u and v [σ]; and rows and columns of the crop."""
 
     z: np.ndarray
     spread: np.ndarray
@@ -83,8 +83,9 @@ class Readings:
         row, column = (np.rint(np.broadcast_to(axis, (1, *frame.pixels.shape))).astype(np.int64).ravel()
                        for axis in (frame.view.y, frame.view.x))  # fmt: skip
         return Standard(
-            z, np.where(known, np.sqrt(variance), 0.0), higher[0] * weight**3, higher[1] * weight**4, offset, offset * seen.spot.ravel(), electrons, taken,
-            row, column, seen.u.ravel(), seen.v.ravel(), frame.pixels.shape,
+            z, np.where(known, np.sqrt(variance), 0.0), higher[0] * weight**3, higher[1] * weight**4, offset,
+            offset * seen.spot.ravel(), electrons, taken, row, column, seen.u.ravel(), seen.v.ravel(),
+            frame.pixels.shape,
         )  # fmt: skip
 
 
@@ -167,6 +168,22 @@ def cells_of(seen: Standard, brightest: float, corner: tuple[int, int]) -> dict[
     return found
 
 
+def place_of(kind: str, label: tuple[int, int], corner: tuple[int, int]) -> str:
+    """Where a cell lies, in words."""
+    one, two = label
+    if kind in ("block", "coarse block"):
+        side = BLOCK * (COARSE if kind == "coarse block" else 1)
+        return f"{side} px about row {corner[0] + side * one + side // 2}, column {corner[1] + side * two + side // 2}"
+    if kind in ("row", "column"):
+        return f"{kind} {corner[kind == 'column'] + one}"
+    if kind == "level":
+        return f"light of {(one / LEVELS) ** 2:.3f} to {((one + 1) / LEVELS) ** 2:.3f} of the brightest"
+    if kind == "sector":
+        radius = "within 0.5 σ" if one == 0 else f"beyond {RADII[one - 1]:g} σ"
+        return f"{radius} at {(two + 0.5) * 360 / AZIMUTHS - 180:.0f}°"
+    return ""
+
+
 def coarser(cells: Cells, factor: int = COARSE) -> Cells:
     """Blocks of blocks."""
     return pooled([Cells(cells.label // factor, cells.sums)])
@@ -181,7 +198,7 @@ def pooled(frames: Sequence[Cells]) -> Cells:
     for k, own in enumerate(frames):
         at = where[first : first + len(own.label)]
         first += len(own.label)
-        np.add.at(sums, (at, slice(None, TAKEN)), own.sums[:, :TAKEN])
-        mine = slice(TAKEN + NUMBERS * k, TAKEN + NUMBERS * (k + 1))
-        np.add.at(sums, (at, mine), own.sums[:, TAKEN:])
+        mine = TAKEN + NUMBERS * k
+        np.add.at(sums[:, :TAKEN], at, own.sums[:, :TAKEN])
+        np.add.at(sums[:, mine : mine + NUMBERS], at, own.sums[:, TAKEN:])
     return Cells(label, sums)

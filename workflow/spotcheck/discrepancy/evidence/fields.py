@@ -78,7 +78,7 @@ def field_of(frames: Sequence[Standard], weights: Sequence[np.ndarray], taken: S
             total[at] += values.reshape(own.shape)
     # The power that a frame's numbers take does not depend on the window but for the rings' number of modes.
     size = out[0].size / frames[0].z.size
-    return Field(*out, sum(taken, np.zeros(len(RINGS) - 1)) * size)
+    return Field(out[0], out[1], out[2], sum(taken, np.zeros(len(RINGS) - 1)) * size)
 
 
 def power_of(field: Field) -> Power:
@@ -96,7 +96,7 @@ def power_of(field: Field) -> Power:
 def rings_part(name: str, powers: Sequence[Power]) -> Part | None:
     """Whether the power of some ring, summed over independent fields of like weight, is off on either side: a gamma law
     of that mean and variance."""
-    value, mean, variance = (sum(own[k] for own in powers) for k in range(3))
+    value, mean, variance = np.sum([tuple(own) for own in powers], axis=0)
     good = (variance > 0) & (mean > 0)
     if not good.any():
         return None

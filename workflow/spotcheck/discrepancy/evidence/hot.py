@@ -97,6 +97,10 @@ def _numbers(sensor: SensorModel) -> tuple:
             float(min(sensor.full_scale_dn, 65535.0)))  # fmt: skip
 
 
+def _reached(chance: float, electrons: float, sensor: SensorModel, upper: bool) -> float:
+    return reached(chance, electrons, *_numbers(sensor), upper)  # type: ignore[call-arg]
+
+
 def largest_reading(frames: Sequence[Standard], pixels: Sequence[np.ndarray], sensor: SensorModel) -> Part | None:
     """Whether the oddest reading of all frames is odder than the oddest of so many should be."""
     numbers = _numbers(sensor)
@@ -111,14 +115,14 @@ def largest_reading(frames: Sequence[Standard], pixels: Sequence[np.ndarray], se
             if j < 0:
                 continue
             y = float(pixels[k].ravel()[j])
-            p = chance_of(y, own.electrons[j], *numbers, bool(own.z[j] > 0))
+            p = chance_of(y, own.electrons[j], *numbers, bool(own.z[j] > 0))  # type: ignore[call-arg]
             if p < best:
                 best, found = p, (float(own.z[j]), f"frame {k}, row {own.row[j]}, column {own.column[j]}")
     if not counts.sum():
         return None
     levels = brightest * ((np.arange(NODES) + 0.5) / NODES) ** 2
     rarer = sum(
-        count * (reached(best, e, *numbers, True) + reached(best, e, *numbers, False))
+        count * (_reached(best, float(e), sensor, True) + _reached(best, float(e), sensor, False))
         for count, e in zip(counts, levels, strict=True)
         if count
     )

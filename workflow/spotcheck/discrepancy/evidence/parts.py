@@ -1,6 +1,6 @@
 """From sums over cells to p-values, by laws of which a few moments are known."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +62,11 @@ def standing_squares(cells: Cells) -> Standing:
     return Standing(*(own[good] for own in out))
 
 
-def sum_of_squares(name: str, groups: Sequence[Standing], names: Sequence[str]) -> Part | None:
+# Words for a cell: the number of its group and its label.
+Words = Callable[[int, tuple[int, int]], str]
+
+
+def sum_of_squares(name: str, groups: Sequence[Standing], words: Words) -> Part | None:
     """Whether the squares of all cells add up to more than they should; groups are independent of each other.
 
     Σ z² is a quadratic form of nearly normal numbers of covariance C = 1 − FFᵀ: cumulants tr C, 2 tr C² + Σκ₄,
@@ -70,7 +74,7 @@ def sum_of_squares(name: str, groups: Sequence[Standing], names: Sequence[str]) 
     """
     total = first = second = third = 0.0
     worst, where = -1.0, ""
-    for own, at in zip(groups, names, strict=True):
+    for at, own in enumerate(groups):
         if not own.z.size:
             continue
         gram = own.taken.T @ own.taken
@@ -83,17 +87,17 @@ def sum_of_squares(name: str, groups: Sequence[Standing], names: Sequence[str]) 
         third += 8 * (count - 3 * one + 3 * two - three) + float((12 * own.kurtosis + 10 * own.skewness**2).sum())
         j = int(np.argmax(np.abs(own.z)))
         if abs(own.z[j]) > worst:
-            worst, where = float(abs(own.z[j])), f"{at} {tuple(own.label[j].tolist())}".strip()
+            worst, where = float(abs(own.z[j])), words(at, tuple(own.label[j].tolist()))
     if second <= 0 or first < 0.5:
         return None
     statistic = (total - first) / np.sqrt(second)
     return Part(name, float(statistic), upper_tail(statistic, third / second**1.5), where)
 
 
-def largest(name: str, groups: Sequence[Standing], names: Sequence[str]) -> Part | None:
+def largest(name: str, groups: Sequence[Standing], words: Words) -> Part | None:
     """Whether one cell is odder than the oddest of so many should be (Šidák), each by its own skewness."""
     best, count, found = 2.0, 0, None
-    for own, at in zip(groups, names, strict=True):
+    for at, own in enumerate(groups):
         good = np.abs(own.skewness) < MOST_SKEWED
         left = 1 - (own.taken**2).sum(axis=1)
         z = (own.z / np.sqrt(left))[good]
@@ -103,7 +107,7 @@ def largest(name: str, groups: Sequence[Standing], names: Sequence[str]) -> Part
         p = two_sided(z, own.skewness[good])
         j = int(np.argmin(p))
         if p[j] < best:
-            best, found = float(p[j]), (float(z[j]), f"{at} {tuple(own.label[good][j].tolist())}".strip())
+            best, found = float(p[j]), (float(z[j]), words(at, tuple(own.label[good][j].tolist())))
     if found is None:
         return None
     return Part(name, found[0], sidak(best, count), found[1])
@@ -144,6 +148,6 @@ def sidak(smallest: float, count: float) -> float:
 
 
 def cauchy(values: Sequence[float]) -> float:
-    """p-values of any dependence joined (Liu & Xie 2020, doi:10.1080/01621459.2018.1554485), right where it is small."""
+    """p-values of any dependence joined (Liu & Xie 2020, doi:10.1080/01621459.2018.1554485): right where small."""
     p = np.clip(np.asarray(values, float), 1e-15, 1 - 1e-3)
     return float(stats.cauchy.sf(np.mean(np.tan((0.5 - p) * np.pi))))
