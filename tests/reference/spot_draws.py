@@ -62,8 +62,9 @@ def draw(rng: np.random.Generator, setup: Setup, effect: dict[str, float] | None
         x0, y0 = side / 2 + rng.uniform(-2, 2, 2)
         for j, t in enumerate(setup.exposures):
             width = p1 * np.log(t) + p2
-            peak = setup.peak * t / LONGEST_S * (longest / width) ** 2
-            light = peak * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * width**2))
+            peak = setup.peak * t / LONGEST_S * (longest / width) ** 2 * np.exp(effect.get("power", 0.0) * rng.normal())
+            at = (x0, y0) + effect.get("jitter", 0.0) * rng.standard_normal(2)
+            light = peak * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * width**2))
             wave = np.cos(2 * np.pi * (0.8 * x + 0.6 * y) / 9)
             light = light * (1 + effect.get("stripes", 0.0) * wave) + effect.get("pedestal", 0.0)
             electrons = rng.poisson(light / setup.gain) + setup.noise * effect.get("noise", 1.0) * rng.standard_normal(
@@ -71,8 +72,9 @@ def draw(rng: np.random.Generator, setup: Setup, effect: dict[str, float] | None
             )
             signal = np.minimum(setup.gain * electrons, effect.get("clip", np.inf))
             signal = signal + setup.black + effect.get("rows", 0.0) * rng.standard_normal((side, 1))
+            signal[3, 5] += effect.get("hot", 0.0)
             frames.append(Frame(np.clip(np.rint(signal), 0, FULL_SCALE), view_of(side, t)))
-            numbers.append((np.log(peak), np.log(width), x0, y0) + 0.02 * rng.standard_normal(4))
+            numbers.append((np.log(peak), np.log(width), *at) + 0.02 * rng.standard_normal(4))
             site.append(place)
             condition.append(place % setup.angles * len(setup.exposures) + j)
     sensor = SensorModel(setup.gain, setup.noise, black_level_dn=setup.black, full_scale_dn=FULL_SCALE)

@@ -89,7 +89,9 @@ def power_of(field: Field) -> Power:
     modes = _by_ring(twice, ring)
     lags = fft.irfft2(np.abs(fft.rfft2(field.weight)) ** 2, s=(rows, columns))
     mean = modes * field.weight.sum() - field.taken
-    variance = 2 * np.tensordot(kernels, lags, 2) + modes**2 * field.fourth.sum()
+    # What the numbers take is gone from the quadratic form's eigenvalues, in proportion.
+    left = np.divide(mean, mean + field.taken, out=np.zeros_like(mean), where=mean > 0)
+    variance = (2 * np.tensordot(kernels, lags, 2) + modes**2 * field.fourth.sum()) * left
     return Power(value, mean, variance)
 
 
