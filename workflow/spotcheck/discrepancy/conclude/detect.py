@@ -27,19 +27,34 @@ from spotcheck.discrepancy.evidence.numbers import exposures_of, numbers_parts
 from spotcheck.discrepancy.evidence.parts import (
     Part,
     Standing,
+    Words,
     cauchy,
+    evened,
+    excess_part,
+    form_of,
     largest,
     normal,
     sidak,
     standing,
     standing_squares,
-    sum_of_squares,
 )
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 
 # Crops that lie further apart than this [px] share no window of the sensor.
 LARGEST_WINDOW = 2048
+
+
+# Kinds of cells, and which frames share them: from all to single ones.
+CHAINS = {
+    "block": ("all", "site", "frame"),
+    "row": ("all", "frame"),
+    "column": ("all", "frame"),
+    "level": ("all", "condition"),
+    "sector": ("all", "condition"),
+}
+# Sums of squares that are compared with each other: name, cells, and which frames share them.
+SPREADS = (("levels", "level", "all"), ("coarse blocks", "coarse block", "all"), ("frames", "whole", "frame"))
 
 
 class Design(Protocol):
@@ -105,10 +120,9 @@ def look(frames: Sequence[Frame], model: Model, design: Design) -> Looked:
         spectra.taken_power(seen[k], np.where(seen[k].spread > 0, 1.0, 0.0)),
         spectra.taken_power(seen[k], seen[k].relative),
     ))  # fmt: skip
-    powers = [
-        spectra.power_of(spectra.field_of([own], [np.where(own.spread > 0, 1.0, 0.0)], [taken[k][0]]))
-        for k, own in enumerate(seen)
-    ]
+    alone = [spectra.field_of([own], [np.where(own.spread > 0, 1.0, 0.0)], [taken[k][0]])
+             for k, own in enumerate(seen)]  # fmt: skip
+    powers = [spectra.evened(spectra.power_of(own), own) for own in alone]
     fields = []
     for s in np.unique(site):
         own = np.flatnonzero(site == s)
@@ -127,47 +141,47 @@ def _once(keys: Sequence[Hashable], make: Callable) -> list:
 
 
 def cell_parts(looked: Looked, design: Design) -> list[Part | None]:
-    """All parts from sums over cells: of single frames, of sites, of conditions, and of all frames."""
-    cells, count = looked.cells, len(looked.cells)
-    alone, whole = np.arange(count), np.zeros(count, int)
-    site, condition = np.asarray(design.site), np.asarray(design.condition)
-    kinds = {kind: [own[kind] for own in cells] for kind in cells[0]}
+    """All parts from sums over cells: what all frames share, what those of a site or a condition share beyond that, and
+    what is each frame's own."""
+    count = len(looked.cells)
+    keys = {"frame": np.arange(count), "site": np.asarray(design.site), "condition": np.asarray(design.condition),
+            "all": np.zeros(count, int)}  # fmt: skip
+    kinds = {kind: [own[kind] for own in looked.cells] for kind in looked.cells[0]}
     kinds["coarse block"] = [coarser(own) for own in kinds["block"]]
     kinds["whole"] = [pooled([Cells(0 * own.label, own.sums)]) for own in kinds["level"]]
-    out: list[Part | None] = []
 
-    def ask(name: str, kind: str, key: np.ndarray, of: str, law=standing, most: bool = False) -> None:
-        values = np.unique(key)
-        groups = [pooled([kinds[kind][int(k)] for k in np.flatnonzero(key == v)]) for v in values]
-        stands: list[Standing] = [law(own) for own in groups]
+    def stand(kind: str, shared: str, law=standing) -> tuple[list[Standing], Words]:
+        values = np.unique(keys[shared])
+        groups = [pooled([kinds[kind][int(k)] for k in np.flatnonzero(keys[shared] == v)]) for v in values]
 
         def words(group: int, label: tuple[int, int]) -> str:
             place = place_of(kind, label, looked.corner)
-            return place if of == "all" else f"{of} {values[group]}, {place}".removesuffix(", ")
+            return place if shared == "all" else f"{shared} {values[group]}, {place}".removesuffix(", ")
 
-        out.append(sum_of_squares(name, stands, words))
-        if most:
-            out.append(largest(name.replace("mean:", "mean: largest of"), stands, words))
+        return [law(own) for own in groups], words
 
-    ask("mean: blocks of a frame", "block", alone, "frame", most=True)
-    ask("mean: coarse blocks of a frame", "coarse block", alone, "frame", most=True)
-    ask("mean: rows of a frame", "row", alone, "frame")
-    ask("mean: columns of a frame", "column", alone, "frame")
-    ask("mean: levels of a condition", "level", condition, "condition")
-    ask("mean: sectors of a condition", "sector", condition, "condition")
-    if len(np.unique(site)) < count:
-        ask("mean: blocks of a site", "block", site, "site", most=True)
-    if count > 1:
-        ask("mean: blocks of all frames", "block", whole, "all", most=True)
-        ask("mean: rows of all frames", "row", whole, "all")
-        ask("mean: columns of all frames", "column", whole, "all")
-        ask("mean: sectors of all frames", "sector", whole, "all")
-        ask("variance: frames", "whole", alone, "frame", standing_squares)
-    ask("mean: levels of all frames", "level", whole, "all", most=True)
-    ask("variance: levels of all frames", "level", whole, "all", standing_squares)
-    ask("variance: coarse blocks of all frames", "coarse block", whole, "all", standing_squares)
+    out: list[Part | None] = []
+    for kind, chain in CHAINS.items():
+        # What more frames share is asked first, and taken off what fewer share.
+        distinct = [own for j, own in enumerate(chain) if not j or len(np.unique(keys[own])) > len(
+            np.unique(keys[chain[j - 1]]))]  # fmt: skip
+        within = form_of(*stand("coarse block", "all")) if kind == "block" else None
+        if within:
+            out.append(excess_part("mean: coarse blocks, all frames", within))
+        for shared in distinct:
+            stands, words = stand(kind, shared)
+            form = form_of(stands, words)
+            name = f"{kind}s, {'all frames' if shared == 'all' else 'each ' + shared}"
+            out.append(excess_part(f"mean: {name}", form, within))
+            if kind == "block":
+                out.append(largest(f"mean: largest of {name}", stands, words))
+            within = form
     total, variance = (sum(float(own.sums[0, at]) for own in kinds["whole"]) for at in (SQUARE, SQUARE_NORM))
     out.append(normal("variance: all readings", total, variance))
+    for name, kind, shared in SPREADS:
+        out.append(
+            excess_part(f"variance: {name}", evened(form_of(*stand(kind, shared, standing_squares)), total, variance))
+        )
     return out
 
 

@@ -20,6 +20,8 @@ RINGS = np.array([0.03, 0.06, 0.1, 0.16, 0.25, 0.36, 0.5, 0.72])
 # Peaks are sought from this part of the light's own frequency on [cycles per width of the light]: below, the spot's
 # numbers take part, and cosine and sine are no longer alike.
 LOWEST = 0.35
+# Numbers of a frame, of which each takes one degree of freedom.
+TAKEN_NUMBERS = 4
 # Padding of a field before its peak is sought: between two frequencies of this grid a peak loses 3 % at most.
 PADDED = 2
 
@@ -93,6 +95,17 @@ def power_of(field: Field) -> Power:
     left = np.divide(mean, mean + field.taken, out=np.zeros_like(mean), where=mean > 0)
     variance = (2 * np.tensordot(kernels, lags, 2) + modes**2 * field.fourth.sum()) * left
     return Power(value, mean, variance)
+
+
+def evened(power: Power, field: Field) -> Power:
+    """Power of a field of even weight by ring, beside its total: that all readings scatter more is asked elsewhere."""
+    ring, twice, _ = rings_of(*field.pull.shape)
+    size, modes = float(field.weight.sum()), _by_ring(twice, ring)
+    share = modes / field.pull.size
+    total = field.pull.size * float((field.pull**2).sum())
+    left = field.pull.size * (size - TAKEN_NUMBERS)
+    variance = power.variance - share**2 * field.pull.size**2 * (2 * size + float(field.fourth.sum()))
+    return Power(power.value - share * (total - left), power.mean, np.maximum(variance, 0.0))
 
 
 def rings_part(name: str, powers: Sequence[Power]) -> Part | None:

@@ -44,7 +44,7 @@ def standing(cells: Cells) -> Standing:
     label = cells.label[cells.sums[:, NORM] > 0]
     norm = sums[:, NORM]
     kurtosis, taken = sums[:, FOURTH] / norm**2, sums[:, TAKEN:] / np.sqrt(norm)[:, None]
-    good = (kurtosis < MOST_PEAKED) & ((taken**2).sum(axis=1) < MOST_TAKEN)
+    good = kurtosis < MOST_PEAKED
     out = Standing(sums[:, SUM] / np.sqrt(norm), taken, sums[:, THIRD] / norm**1.5, kurtosis, label)
     return Standing(*(own[good] for own in out))
 
@@ -66,14 +66,24 @@ def standing_squares(cells: Cells) -> Standing:
 Words = Callable[[int, tuple[int, int]], str]
 
 
-def sum_of_squares(name: str, groups: Sequence[Standing], words: Words) -> Part | None:
-    """Whether the squares of all cells add up to more than they should; groups are independent of each other.
+class Form(NamedTuple):
+    """Σ z² over cells, its first three cumulants, and the oddest cell: |z| and its words."""
 
-    Σ z² is a quadratic form of nearly normal numbers of covariance C = 1 − FFᵀ: cumulants tr C, 2 tr C² + Σκ₄,
-    8 tr C³ + Σ(12 κ₄ + 10 κ₃²); its law is taken to be Pearson's third of these.
+    total: float
+    first: float
+    second: float
+    third: float
+    worst: tuple[float, str]
+
+
+def form_of(groups: Sequence[Standing], words: Words) -> Form:
+    """Σ z² of all cells; groups are independent of each other.
+
+    It is a quadratic form of nearly normal numbers of covariance C = 1 − FFᵀ: cumulants tr C, 2 tr C² + Σκ₄ and
+    8 tr C³ + Σ(12 κ₄ + 10 κ₃²).
     """
     total = first = second = third = 0.0
-    worst, where = -1.0, ""
+    worst = -1.0, ""
     for at, own in enumerate(groups):
         if not own.z.size:
             continue
@@ -86,21 +96,35 @@ def sum_of_squares(name: str, groups: Sequence[Standing], words: Words) -> Part 
         second += 2 * (count - 2 * one + two) + float(own.kurtosis.sum())
         third += 8 * (count - 3 * one + 3 * two - three) + float((12 * own.kurtosis + 10 * own.skewness**2).sum())
         j = int(np.argmax(np.abs(own.z)))
-        if abs(own.z[j]) > worst:
-            worst, where = float(abs(own.z[j])), words(at, tuple(own.label[j].tolist()))
-    if second <= 0 or first < 0.5:
+        if abs(own.z[j]) > worst[0]:
+            worst = float(abs(own.z[j])), words(at, tuple(own.label[j].tolist()))
+    return Form(total, first, second, third, worst)
+
+
+def excess_part(name: str, form: Form, within: Form | None = None) -> Part | None:
+    """Whether squares add up to more than they should, by Pearson's third law of their cumulants.
+
+    `within` are sums of the same cells over more readings, which another part asks for: they are taken off, so that
+    parts tell different things and their p-values are nearly independent. What projections onto nested spaces leave
+    has the cumulants' differences.
+    """
+    total, first, second, third = (
+        one - (two if within else 0.0) for one, two in zip(form[:4], (within or form)[:4], strict=True)
+    )
+    # Less than half a degree of freedom is rounding, or cells that are the same.
+    if first < 0.5 or second < 0.5:
         return None
     statistic = (total - first) / np.sqrt(second)
-    return Part(name, float(statistic), upper_tail(statistic, third / second**1.5), where)
+    return Part(name, float(statistic), upper_tail(statistic, third / second**1.5), form.worst[1])
 
 
 def largest(name: str, groups: Sequence[Standing], words: Words) -> Part | None:
     """Whether one cell is odder than the oddest of so many should be (Šidák), each by its own skewness."""
     best, count, found = 2.0, 0, None
     for at, own in enumerate(groups):
-        good = np.abs(own.skewness) < MOST_SKEWED
         left = 1 - (own.taken**2).sum(axis=1)
-        z = (own.z / np.sqrt(left))[good]
+        good = (np.abs(own.skewness) < MOST_SKEWED) & (left > 1 - MOST_TAKEN)
+        z = own.z[good] / np.sqrt(left[good])
         if not z.size:
             continue
         count += z.size
@@ -111,6 +135,12 @@ def largest(name: str, groups: Sequence[Standing], words: Words) -> Part | None:
     if found is None:
         return None
     return Part(name, found[0], sidak(best, count), found[1])
+
+
+def evened(form: Form, total: float, variance: float) -> Form:
+    """Sums of squares beside their common excess: what they add up to, `total` of a `variance`, is taken off."""
+    return form._replace(total=form.total - total**2 / variance, first=form.first - 1, second=form.second - 2,
+                         third=form.third - 8)  # fmt: skip
 
 
 def normal(name: str, total: float, variance: float) -> Part | None:
