@@ -157,7 +157,7 @@ def test_squares_beside_what_was_fitted():
 
 def test_squares_within_squares():
     """Six cells in three pairs: what the pairs' sums leave of Σ z² is χ² of 3; beside a common excess, of 5."""
-    cells = Cells(np.array([[j, 0] for j in range(6)]), np.zeros((6, 7)))
+    cells = Cells(np.array([[j, 0] for j in range(6)]), np.zeros((6, 11)))
     cells.sums[:, 1] = cells.sums[:, 5] = [1, 2, 3, 4, 5, 6]
     rng = np.random.default_rng(2)
     p, even = [], []

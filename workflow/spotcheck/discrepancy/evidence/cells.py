@@ -21,6 +21,8 @@ compiled = njit(cache=True, nogil=True, error_model="numpy")
 # Columns of what `gather` sums over a cell: a z, a², a³κ₃, a⁴κ₄; z² − 1 + h, its variance; then Qᵀa.
 SUM, NORM, THIRD, FOURTH, SQUARE, SQUARE_NORM, COUNT, TAKEN = range(8)
 NUMBERS = 4
+# Nodes of light, even in its root, at which third and fourth cumulants are summed: a thousandth of these matters not.
+NODES = 2000
 # Levels of light, even in its root, at which residuals are compared.
 LEVELS = 12
 # Side [px] of the smallest blocks, and how many of them a coarse block has along each side.
@@ -61,7 +63,9 @@ class Readings:
         law = self.ready.law
         root = law.first + law.step * np.arange(law.mean.size)
         # ASSUME: an effect behind the charge changes mean and variance, and hardly the higher cumulants.
-        self.table = np.stack(cumulants_of(model.sensor, root * np.abs(root))[2:])
+        coarse = np.linspace(root[0], root[-1], NODES)
+        higher = cumulants_of(model.sensor, coarse * np.abs(coarse))[2:]
+        self.table = np.stack([np.interp(root, coarse, own) for own in higher])
 
     def of(self, k: int) -> Standard:
         """Standardised readings of frame `k`."""

@@ -19,7 +19,7 @@ compiled = njit(cache=True, nogil=True, error_model="numpy")
 # Bins of light, even in its root, of each of which the oddest pixels are looked at.
 BINS = 24
 # Levels of light at which it is found how rare readings can be.
-NODES = 160
+NODES = 80
 # Above this mean [e-] Poisson's law passes for normal, with its skewness.
 POISSON_E = 3000.0
 # Chances of sums come from a Fourier transform and are good to so much.

@@ -206,6 +206,7 @@ def _mixed(electrons, given):
         for n in range(low, high + 1):
             part, d = weight[n - low] / total, given[0, n] - mean
             out[1, k] += part * (d * d + given[1, n])
-            out[2, k] += part * (d**3 + 3 * d * given[1, n] + given[2, n])
-            out[3, k] += part * (d**4 + 6 * d * d * given[1, n] + 4 * d * given[2, n] + given[3, n])
+            square = d * d
+            out[2, k] += part * (d * (square + 3 * given[1, n]) + given[2, n])
+            out[3, k] += part * (square * (square + 6 * given[1, n]) + 4 * d * given[2, n] + given[3, n])
     return out
