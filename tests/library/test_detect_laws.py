@@ -111,7 +111,7 @@ def test_power_of_rings():
     z = []
     for _ in range(400):
         noise = rng.gamma(4.0, 0.5, a.shape) - 2
-        power = fields.power_of(fields.Field(a * noise, a**2, a**4 * 1.5, np.zeros(len(fields.RINGS) - 1)))
+        power = fields.power_of(fields.Field(a * noise, a**2, a**4 * 1.5, np.zeros(len(fields.RINGS))))
         z.append((power.value - power.mean) / np.sqrt(power.variance))
     assert np.abs(np.mean(z, axis=0)).max() < 4 / 20
     # The squares' own spread: kurtosis up to some 6 in the ring of fewest modes.
@@ -127,7 +127,7 @@ def test_chance_of_a_peak(count):
     a = window()
     p = []
     for _ in range(400):
-        own = [fields.Field(a * rng.standard_normal(a.shape), a**2, 0 * a, np.zeros(7)) for _ in range(count)]
+        own = [fields.Field(a * rng.standard_normal(a.shape), a**2, 0 * a, np.zeros(8)) for _ in range(count)]
         p.append(fields.peak_part("", own).p_value)
     for level in (0.05, 0.2, 0.5):
         assert stats.binomtest(int((np.array(p) < level).sum()), 400, level).pvalue > 1e-3
@@ -157,7 +157,7 @@ def test_squares_beside_what_was_fitted():
 
 def test_squares_within_squares():
     """Six cells in three pairs: what the pairs' sums leave of Σ z² is χ² of 3; beside a common excess, of 5."""
-    cells = Cells(np.array([[j, 0] for j in range(6)]), np.zeros((6, 11)))
+    cells = Cells(np.array([[j, 0] for j in range(6)]), np.zeros((6, 11)), np.zeros((6, 0)))
     cells.sums[:, 1] = cells.sums[:, 5] = [1, 2, 3, 4, 5, 6]
     rng = np.random.default_rng(2)
     p, even = [], []
@@ -174,11 +174,12 @@ def test_squares_within_squares():
 
 def test_pooled_cells_keep_frames_apart():
     """Two frames that share a cell: sums add up, what the numbers of each take stays in its own columns."""
-    one = Cells(np.array([[0, 0], [0, 1]]), np.arange(22.0).reshape(2, 11))
-    two = Cells(np.array([[0, 1]]), np.full((1, 11), 100.0))
+    one = Cells(np.array([[0, 0], [0, 1]]), np.arange(22.0).reshape(2, 11), np.array([[1.0], [2.0]]))
+    two = Cells(np.array([[0, 1]]), np.full((1, 11), 100.0), np.array([[5.0]]))
     both = pooled([one, two])
     np.testing.assert_array_equal(both.sums[1, :7], one.sums[1, :7] + 100)
     np.testing.assert_array_equal(both.sums[1, 7:], [*one.sums[1, 7:], *np.full(4, 100.0)])
+    np.testing.assert_array_equal(both.drawn, [[1], [7]])
     np.testing.assert_array_equal(both.sums[0, 7:], [*one.sums[0, 7:], *np.zeros(4)])
 
 

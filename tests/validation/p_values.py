@@ -1,5 +1,5 @@
 """Are p-values of detection uniform where nothing is odd, and tiny where something is? By brute force, to be run by
-hand: `python -m tests.validation.p_values null 120`, `… single 300`, `… power 3`, `… time`.
+hand: `python -m tests.validation.p_values null 120`, `… single 300`, `… learned 40`, `… power 3`, `… time`.
 
 Rates below 1 % and 5 % with their 95 % intervals (Clopper & Pearson), Kolmogorov's p, the same of every part.
 """
@@ -12,7 +12,9 @@ import numpy as np
 from scipy import stats
 
 from spotcheck.discrepancy.conclude.detect import Detection, detect
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.model import light_shape
 from tests.reference.spot_draws import Setup, any_setup, draw
 
 STRANGE = {
@@ -35,14 +37,15 @@ def law_line(name: str, values) -> str:
     return f"{name:42s} n {len(p):4d}  KS {stats.kstest(p, 'uniform').pvalue:8.2g}  <1 %: {rates[0]}  <5 %: {rates[1]}"
 
 
-def null(sets: int, single: bool, first: int = 0) -> None:
-    """Sets without any effect, each of another camera."""
+def null(sets: int, single: bool, first: int = 0, learned: bool = False) -> None:
+    """Sets without any effect, each of another camera; `learned`: of 24 frames, beside a shape that is learned anew."""
     parts: dict[str, list[float]] = defaultdict(list)
     low = []
     for k in range(first, first + sets):
         rng = np.random.default_rng([k, single])
         setup = any_setup(rng, single)
-        found = detect(*draw(rng, setup))
+        frames, model, groups = draw(rng, setup._replace(repeats=2) if learned else setup)
+        found = detect(frames, shape_of(frames, model) if learned else model, groups)
         parts["ALL, smallest p"].append(found.p_value)
         parts["ALL, Cauchy"].append(found.p_cauchy)
         for own in found.parts:
@@ -52,6 +55,13 @@ def null(sets: int, single: bool, first: int = 0) -> None:
     print(*(law_line(name, parts[name]) for name in sorted(parts, key=str.lower)), sep="\n")
     for p, setup, worst in low:
         print(f"{p:.2g}", setup, worst)
+
+
+def shape_of(frames, model) -> Fitted:
+    """A fit with nodes each 0.3 σ, from numbers that are already near."""
+    numbered = fit_numbers(frames, model).model
+    empty = light_shape.empty(0.3, 5.1)
+    return fit(frames, numbered._replace(baseline=numbered.baseline._replace(learned=empty)), 1.0, workers=1)
 
 
 def power(sets: int) -> None:
@@ -85,4 +95,4 @@ if __name__ == "__main__":
     elif what == "time":
         clock()
     else:
-        null(count, what == "single", begin)
+        null(count, what == "single", begin, what == "learned")

@@ -38,13 +38,19 @@ from spotcheck.discrepancy.evidence.parts import (
     standing,
     standing_squares,
 )
+from spotcheck.discrepancy.evidence.taken import drawn_readings, draws_of
+from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
 from spotcheck.discrepancy.observe.pixels import Frame, Model
+from spotcheck.model.light_shape import LightShape
 
 # Crops that lie further apart than this [px] share no window of the sensor.
 LARGEST_WINDOW = 2048
 
 
+# Draws of the shape's coefficients by which it is told how much noise it takes, and their seed: many nodes share in
+# each sum, so that few do.
+DRAWS, SEED = 8, 1
 # Kinds of cells, and which frames share them: from all to single ones.
 CHAINS = {
     "block": ("all", "site", "frame"),
@@ -91,35 +97,46 @@ class Looked(NamedTuple):
     seen: list[Standard]
 
 
-def detect(frames: Sequence[Frame], model: Model | Numbered, design: Design) -> Detection:
-    """Test frames against a model's baseline; a `Model` has its frames' numbers fitted first."""
-    numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)
-    looked = look(frames, numbered.model, design)
-    found = [
-        *cell_parts(looked, design),
-        *numbers_parts(numbered, exposures_of(frames), np.asarray(design.site)),
-        *field_parts(looked, design),
-        largest_reading(looked.seen, [own.pixels for own in frames], numbered.model.sensor),
-        hot_pixels(looked.seen, [own.pixels for own in frames], numbered.model.sensor) if len(frames) > 1 else None,
-    ]
+def detect(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: Design) -> Detection:
+    """Test frames against a model. A `Model` has its frames' numbers fitted first. Of a `Fitted` what its learned shape
+    takes counts as fitted, and its frames' numbers are not asked: laws on them are another question."""
+    found: list[Part | None] = []
+    if isinstance(model, Fitted):
+        looked = look(frames, model.model, design, draws_of(model, DRAWS, np.random.default_rng(SEED)))
+        sensor = model.model.sensor
+    else:
+        numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)
+        looked, sensor = look(frames, numbered.model, design), numbered.model.sensor
+        found += numbers_parts(numbered, exposures_of(frames), np.asarray(design.site))
+    pixels = [own.pixels for own in frames]
+    found += [*cell_parts(looked, design), *field_parts(looked, design), largest_reading(looked.seen, pixels, sensor)]
+    found.append(hot_pixels(looked.seen, pixels, sensor) if len(frames) > 1 else None)
     parts = sorted((own for own in found if own is not None), key=lambda own: (own.p_value, -abs(own.statistic)))
     values = [own.p_value for own in parts]
     return Detection(sidak(values[0], len(values)), cauchy(values), tuple(parts))
 
 
-def look(frames: Sequence[Frame], model: Model, design: Design) -> Looked:
-    """One pass over all frames."""
+def look(frames: Sequence[Frame], model: Model, design: Design, shapes: Sequence[LightShape] = ()) -> Looked:
+    """One pass over all frames; `shapes` are draws of what a learned shape takes."""
     readings = Readings(frames, model)
     seen = [readings.of(k) for k in range(len(frames))]
     brightest = max(float(own.electrons.max()) for own in seen)
     corner = min(int(own.row.min()) for own in seen), min(int(own.column.min()) for own in seen)
-    cells = [cells_of(own, brightest, corner) for own in seen]
+    peak = np.exp(model.numbers.log_peak)
+
+    def drawn(k: int) -> np.ndarray:
+        return drawn_readings(seen[k], float(peak[k]), shapes) if shapes else np.zeros((0, seen[k].z.size))
+
+    cells = [cells_of(own, brightest, corner, drawn(k)) for k, own in enumerate(seen)]
     site, condition = np.asarray(design.site), np.asarray(design.condition)
+
     # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
-    taken = _once([(int(c), own.shape) for c, own in zip(condition, seen, strict=True)], lambda k: (
-        spectra.taken_power(seen[k], np.where(seen[k].spread > 0, 1.0, 0.0)),
-        spectra.taken_power(seen[k], seen[k].relative),
-    ))  # fmt: skip
+    def lost(k: int) -> tuple[np.ndarray, np.ndarray]:
+        both = np.concatenate([seen[k].taken, drawn(k)])
+        even = np.where(seen[k].spread > 0, 1.0, 0.0)
+        return tuple(spectra.taken_power(both, seen[k].shape, weight) for weight in (even, seen[k].relative))
+
+    taken = _once([(int(c), own.shape) for c, own in zip(condition, seen, strict=True)], lost)
     alone = [spectra.field_of([own], [np.where(own.spread > 0, 1.0, 0.0)], [taken[k][0]])
              for k, own in enumerate(seen)]  # fmt: skip
     powers = [spectra.evened(spectra.power_of(own), own) for own in alone]
@@ -148,7 +165,7 @@ def cell_parts(looked: Looked, design: Design) -> list[Part | None]:
             "all": np.zeros(count, int)}  # fmt: skip
     kinds = {kind: [own[kind] for own in looked.cells] for kind in looked.cells[0]}
     kinds["coarse block"] = [coarser(own) for own in kinds["block"]]
-    kinds["whole"] = [pooled([Cells(0 * own.label, own.sums)]) for own in kinds["level"]]
+    kinds["whole"] = [pooled([own._replace(label=0 * own.label)]) for own in kinds["level"]]
 
     def stand(kind: str, shared: str, law=standing) -> tuple[list[Standing], Words]:
         values = np.unique(keys[shared])

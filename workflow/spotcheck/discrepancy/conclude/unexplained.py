@@ -2,18 +2,17 @@
 
 Mean residuals of blocks have the power of noise and what is unexplained beside it. Noise goes through the fit as well:
 with H the fit's projection of standardised readings, it is left with the covariance (1 − H)². Of the shape's
-coefficients, S = G + λP, so that a mean aᵀz loses aᵀ(2H − H²)a = Var aᵀBx + Var aᵀBx' with x ~ N(0, S⁻¹) and
-x' ~ N(0, S⁻¹λPS⁻¹), which a few draws tell; the frame's own numbers take |Qᵀa|² besides.
+coefficients draws tell how much that is (`evidence/taken.py`); the frame's own numbers take |Qᵀa|² besides.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from spotcheck.discrepancy.conclude.detect import Design
 from spotcheck.discrepancy.evidence.cells import BLOCK, RADII, Readings, Standard
+from spotcheck.discrepancy.evidence.taken import draws_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.observe.pixels import Frame
 from spotcheck.model.light_shape import LightShape
@@ -61,7 +60,7 @@ def unexplained(frames: Sequence[Frame], fitted: Fitted, design: Design, seed: i
     readings = Readings(frames, fitted.model)
     peak = np.exp(fitted.model.numbers.log_peak)
     condition = np.asarray(design.condition)
-    shapes = _draws(fitted, np.random.default_rng(seed))
+    shapes = draws_of(fitted, DRAWS, np.random.default_rng(seed))
     blocks, parts = [], {}
     for k in range(len(frames)):
         seen = readings.of(k)
@@ -120,32 +119,6 @@ def _blocks(seen: Standard, peak: float) -> _Blocks:
                    radius[good], mean(seen.row)[good], mean(seen.column)[good], kept, share)  # fmt: skip
 
 
-def _draws(fitted: Fitted, rng: np.random.Generator) -> list[LightShape]:
-    """Shapes whose variance at any place is what the shape takes of noise there, in pairs x and x'."""
-    learned = fitted.model.baseline.learned
-    assert learned is not None
-    side = len(learned.coefficients)
-    factor = fitted.schur.factor
-    second = np.diff(np.eye(side), 2, axis=0)
-    out = []
-    for _ in range(DRAWS):
-        # Lᵀx = ξ: the factor is banded and lower, its transpose banded and upper.
-        x = linalg.solve_banded((0, len(factor) - 1), _transposed(factor), rng.standard_normal(side * side))
-        bent = second.T @ rng.standard_normal((side - 2, side)) + rng.standard_normal((side, side - 2)) @ second
-        smooth = linalg.cho_solve_banded((factor, True), np.sqrt(fitted.penalty) * bent.ravel())
-        out += [LightShape(learned.step, own.reshape(side, side)) for own in (x, smooth)]
-    return out
-
-
-def _transposed(factor: np.ndarray) -> np.ndarray:
-    """A lower banded matrix [diagonal, column] transposed, as an upper banded one."""
-    out = np.zeros_like(factor)
-    last = len(factor) - 1
-    for gap in range(last + 1):
-        out[last - gap, gap:] = factor[gap, : factor.shape[1] - gap]
-    return out
-
-
 def _taken_by_shape(seen: Standard, blocks: _Blocks, shapes: Sequence[LightShape]) -> float:
     """Σ over blocks of the variance that the shape takes [peak²]."""
     inside = blocks.block >= 0
@@ -156,4 +129,4 @@ def _taken_by_shape(seen: Standard, blocks: _Blocks, shapes: Sequence[LightShape
     for shape in shapes:
         moved = np.bincount(index, share * shape(u, v), len(blocks.mean)) / BLOCK**2
         total += float(moved @ moved)
-    return total / (len(shapes) / 2)
+    return total / len(shapes)

@@ -2,7 +2,7 @@
 
 z = (y − µ)/√V of a reading y has mean 0, variance 1 and cumulants κ₃, κ₄. The frame's own four numbers were fitted:
 with their slopes as orthonormal columns Q [pixel, 4], what is left of z is (1 − QQᵀ) z, and a sum aᵀz has the
-variance aᵀa − |Qᵀa|².
+variance aᵀa − |Qᵀa|². Where a learned shape was fitted too, draws of what it takes stand beside Q (`taken.py`).
 """
 
 from collections.abc import Sequence
@@ -132,17 +132,21 @@ def gather(index, weight, which, z, third, fourth, taken, out):
 
 class Cells(NamedTuple):
     """Sums of one kind over the cells of one frame: `label` [cell, 2] says which cell, `sums` [cell, column] as named
-    above."""
+    above; `drawn` [cell, draw], the same sums of what a learned shape takes in each draw."""
 
     label: np.ndarray
     sums: np.ndarray
+    drawn: np.ndarray
 
 
 KINDS = ("block", "row", "column", "level", "sector")
 
 
-def cells_of(seen: Standard, brightest: float, corner: tuple[int, int]) -> dict[str, Cells]:
-    """The cells of a frame by kind. Levels are counted up to `brightest` [e-], blocks from `corner` (row, column)."""
+def cells_of(
+    seen: Standard, brightest: float, corner: tuple[int, int], drawn: np.ndarray | None = None
+) -> dict[str, Cells]:
+    """The cells of a frame by kind. Levels are counted up to `brightest` [e-], blocks from `corner` (row, column);
+    `drawn` [draw, pixel] is what a learned shape takes."""
     rows, columns = seen.row - corner[0], seen.column - corner[1]
     level = np.sqrt(np.clip(seen.electrons / brightest, 0.0, 1.0))
     turn = np.floor((np.arctan2(seen.v, seen.u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
@@ -161,14 +165,16 @@ def cells_of(seen: Standard, brightest: float, corner: tuple[int, int]) -> dict[
         index.append(first + (one - low[0]) * size[1] + two - low[1])
         spans.append((first, low, size))
         first += size[0] * size[1]
-    out = np.zeros((first, TAKEN + NUMBERS))
+    taken = seen.taken if drawn is None else np.concatenate([seen.taken, drawn])
+    out = np.zeros((first, TAKEN + len(taken)))
     which = np.array([1 if kind == "sector" else 0 for kind in KINDS])
-    gather(np.stack(index), np.stack([seen.offset, seen.relative]), which, seen.z, seen.third, seen.fourth, seen.taken,
-           out)  # fmt: skip
+    weights = np.stack([seen.offset, seen.relative])
+    gather(np.stack(index), weights, which, seen.z, seen.third, seen.fourth, taken, out)
     found = {}
     for kind, (start, low, size) in zip(KINDS, spans, strict=True):
         place = np.stack(np.meshgrid(*(low[d] + np.arange(size[d]) for d in (0, 1)), indexing="ij"), -1).reshape(-1, 2)
-        found[kind] = Cells(place, out[start : start + size[0] * size[1]])
+        own = out[start : start + size[0] * size[1]]
+        found[kind] = Cells(place, own[:, : TAKEN + NUMBERS], own[:, TAKEN + NUMBERS :])
     return found
 
 
@@ -190,19 +196,22 @@ def place_of(kind: str, label: tuple[int, int], corner: tuple[int, int]) -> str:
 
 def coarser(cells: Cells, factor: int = COARSE) -> Cells:
     """Blocks of blocks."""
-    return pooled([Cells(cells.label // factor, cells.sums)])
+    return pooled([cells._replace(label=cells.label // factor)])
 
 
 def pooled(frames: Sequence[Cells]) -> Cells:
-    """Cells of one label added up over frames. What the numbers of each frame take stays apart: 4 columns a frame."""
+    """Cells of one label added up over frames. What the numbers of each frame take stays apart: 4 columns a frame; the
+    shape is the same in all."""
     label, where = np.unique(np.concatenate([own.label for own in frames]), axis=0, return_inverse=True)
     where = where.reshape(-1)
     sums = np.zeros((len(label), TAKEN + NUMBERS * len(frames)))
+    drawn = np.zeros((len(label), frames[0].drawn.shape[1]))
     first = 0
     for k, own in enumerate(frames):
         at = where[first : first + len(own.label)]
         first += len(own.label)
         mine = TAKEN + NUMBERS * k
         np.add.at(sums[:, :TAKEN], at, own.sums[:, :TAKEN])
+        np.add.at(drawn, at, own.drawn)
         np.add.at(sums[:, mine : mine + NUMBERS], at, own.sums[:, TAKEN:])
-    return Cells(label, sums)
+    return Cells(label, sums, drawn)

@@ -20,14 +20,13 @@ RINGS = np.array([0.03, 0.06, 0.1, 0.16, 0.25, 0.36, 0.5, 0.72])
 # Peaks are sought from this part of the light's own frequency on [cycles per width of the light]: below, the spot's
 # numbers take part, and cosine and sine are no longer alike.
 LOWEST = 0.35
-# Numbers of a frame, of which each takes one degree of freedom.
-TAKEN_NUMBERS = 4
 # Padding of a field before its peak is sought: between two frequencies of this grid a peak loses 3 % at most.
 PADDED = 2
 
 
 class Field(NamedTuple):
-    """Sums over frames in one window [row, column]: a z, a² and a⁴κ₄; and power by ring that the numbers take."""
+    """Sums over frames in one window [row, column]: a z, a² and a⁴κ₄; and power by ring that fits take, the last of
+    them in all [ring + 1]."""
 
     pull: np.ndarray
     weight: np.ndarray
@@ -60,11 +59,13 @@ def _by_ring(power: np.ndarray, ring: np.ndarray) -> np.ndarray:
     return np.bincount(ring.ravel(), power.ravel(), len(RINGS))[1:]
 
 
-def taken_power(seen: Standard, weight: np.ndarray) -> np.ndarray:
-    """Power by ring [ring] that a frame's numbers take of the field `weight` z."""
-    ring, twice, _ = rings_of(*seen.shape)
-    fields = (seen.taken * weight).reshape(-1, *seen.shape)
-    return _by_ring((np.abs(fft.rfft2(fields)) ** 2).sum(axis=0) * twice, ring)
+def taken_power(taken: np.ndarray, shape: tuple[int, int], weight: np.ndarray) -> np.ndarray:
+    """Power that fits take of the field `weight` z of a frame, by ring and in all [ring + 1]; `taken` [column, pixel]
+    as of `Standard`, draws beside it."""
+    ring, twice, _ = rings_of(*shape)
+    fields = (taken * weight).reshape(-1, *shape)
+    power = (np.abs(fft.rfft2(fields)) ** 2).sum(axis=0) * twice
+    return np.append(_by_ring(power, ring), power.sum())
 
 
 def field_of(frames: Sequence[Standard], weights: Sequence[np.ndarray], taken: Sequence[np.ndarray]) -> Field:
@@ -80,7 +81,7 @@ def field_of(frames: Sequence[Standard], weights: Sequence[np.ndarray], taken: S
             total[at] += values.reshape(own.shape)
     # The power that a frame's numbers take does not depend on the window but for the rings' number of modes.
     size = out[0].size / frames[0].z.size
-    return Field(out[0], out[1], out[2], sum(taken, np.zeros(len(RINGS) - 1)) * size)
+    return Field(out[0], out[1], out[2], sum(taken, np.zeros(len(RINGS))) * size)
 
 
 def power_of(field: Field) -> Power:
@@ -90,9 +91,9 @@ def power_of(field: Field) -> Power:
     value = _by_ring(np.abs(fft.rfft2(field.pull)) ** 2 * twice, ring)
     modes = _by_ring(twice, ring)
     lags = fft.irfft2(np.abs(fft.rfft2(field.weight)) ** 2, s=(rows, columns))
-    mean = modes * field.weight.sum() - field.taken
+    mean = modes * field.weight.sum() - field.taken[:-1]
     # What the numbers take is gone from the quadratic form's eigenvalues, in proportion.
-    left = np.divide(mean, mean + field.taken, out=np.zeros_like(mean), where=mean > 0)
+    left = np.divide(mean, mean + field.taken[:-1], out=np.zeros_like(mean), where=mean > 0)
     variance = (2 * np.tensordot(kernels, lags, 2) + modes**2 * field.fourth.sum()) * left
     return Power(value, mean, variance)
 
@@ -103,7 +104,7 @@ def evened(power: Power, field: Field) -> Power:
     size, modes = float(field.weight.sum()), _by_ring(twice, ring)
     share = modes / field.pull.size
     total = field.pull.size * float((field.pull**2).sum())
-    left = field.pull.size * (size - TAKEN_NUMBERS)
+    left = field.pull.size * size - float(field.taken[-1])
     variance = power.variance - share**2 * field.pull.size**2 * (2 * size + float(field.fourth.sum()))
     return Power(power.value - share * (total - left), power.mean, np.maximum(variance, 0.0))
 

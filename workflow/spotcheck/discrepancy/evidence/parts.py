@@ -28,11 +28,13 @@ class Part(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """Sums of a group of cells in their own standard errors before anything was fitted [cell], what was taken
-    [cell, number], skewness and excess kurtosis [cell], and the labels [cell, 2]."""
+    """Sums of a group of cells in their own standard errors before anything was fitted [cell]; what was taken by the
+    frames' numbers [cell, number], and of the variance by a learned shape [cell]; skewness and excess kurtosis [cell],
+    and the labels [cell, 2]."""
 
     z: np.ndarray
     taken: np.ndarray
+    drawn: np.ndarray
     skewness: np.ndarray
     kurtosis: np.ndarray
     label: np.ndarray
@@ -40,12 +42,12 @@ class Standing(NamedTuple):
 
 def standing(cells: Cells) -> Standing:
     """The linear sums of cells."""
-    sums = cells.sums[cells.sums[:, NORM] > 0]
-    label = cells.label[cells.sums[:, NORM] > 0]
-    norm = sums[:, NORM]
+    cells = Cells(*(own[cells.sums[:, NORM] > 0] for own in cells))
+    sums, norm = cells.sums, cells.sums[:, NORM]
     kurtosis, taken = sums[:, FOURTH] / norm**2, sums[:, TAKEN:] / np.sqrt(norm)[:, None]
     good = kurtosis < MOST_PEAKED
-    out = Standing(sums[:, SUM] / np.sqrt(norm), taken, sums[:, THIRD] / norm**1.5, kurtosis, label)
+    drawn = (cells.drawn**2).sum(axis=1) / norm
+    out = Standing(sums[:, SUM] / np.sqrt(norm), taken, drawn, sums[:, THIRD] / norm**1.5, kurtosis, cells.label)
     return Standing(*(own[good] for own in out))
 
 
@@ -58,7 +60,8 @@ def standing_squares(cells: Cells) -> Standing:
     peaked = np.maximum(norm / count - 2, 0.0)
     skewness, kurtosis = np.sqrt((8 + peaked) / count), (12 + peaked) / count
     good = kurtosis < MOST_PEAKED
-    out = Standing(sums[:, SQUARE] / np.sqrt(norm), np.zeros((len(sums), 0)), skewness, kurtosis, label)
+    taken, drawn = np.zeros((len(sums), 0)), np.zeros(len(sums))
+    out = Standing(sums[:, SQUARE] / np.sqrt(norm), taken, drawn, skewness, kurtosis, label)
     return Standing(*(own[good] for own in out))
 
 
@@ -80,7 +83,7 @@ def form_of(groups: Sequence[Standing], words: Words) -> Form:
     """Σ z² of all cells; groups are independent of each other.
 
     It is a quadratic form of nearly normal numbers of covariance C = 1 − FFᵀ: cumulants tr C, 2 tr C² + Σκ₄ and
-    8 tr C³ + Σ(12 κ₄ + 10 κ₃²).
+    8 tr C³ + Σ(12 κ₄ + 10 κ₃²). What a learned shape takes is nearly a projection: degrees of freedom, no more.
     """
     total = first = second = third = 0.0
     worst = -1.0, ""
@@ -90,7 +93,7 @@ def form_of(groups: Sequence[Standing], words: Words) -> Form:
         gram = own.taken.T @ own.taken
         one, two = float(np.trace(gram)), float((gram**2).sum())
         three = float((gram @ gram * gram).sum())
-        count = own.z.size
+        count = own.z.size - float(own.drawn.sum())
         total += float(own.z @ own.z)
         first += count - one
         second += 2 * (count - 2 * one + two) + float(own.kurtosis.sum())
@@ -122,7 +125,7 @@ def largest(name: str, groups: Sequence[Standing], words: Words) -> Part | None:
     """Whether one cell is odder than the oddest of so many should be (Šidák), each by its own skewness."""
     best, count, found = 2.0, 0, None
     for at, own in enumerate(groups):
-        left = 1 - (own.taken**2).sum(axis=1)
+        left = 1 - (own.taken**2).sum(axis=1) - own.drawn
         good = (np.abs(own.skewness) < MOST_SKEWED) & (left > 1 - MOST_TAKEN)
         z = own.z[good] / np.sqrt(left[good])
         if not z.size:
