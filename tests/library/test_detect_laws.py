@@ -146,7 +146,7 @@ def test_squares_beside_what_was_fitted():
     for _ in range(1500):
         z = rng.standard_normal(seen.z.size)
         z -= seen.taken.T @ (seen.taken @ z)
-        cells = cells_of(seen._replace(z=z), float(seen.electrons.max()), (0, 0))["level"]
+        cells = cells_of(seen._replace(z=z), float(seen.declared.max()), (0, 0))["level"]
         found = parts.excess_part("", parts.form_of([parts.standing(cells)], lambda group, label: ""))
         statistic.append(found.statistic)
         p.append(found.p_value)

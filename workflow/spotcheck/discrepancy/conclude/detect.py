@@ -120,7 +120,7 @@ def look(frames: Sequence[Frame], model: Model, design: Design, shapes: Sequence
     """One pass over all frames; `shapes` are draws of what a learned shape takes."""
     readings = Readings(frames, model)
     seen = [readings.of(k) for k in range(len(frames))]
-    brightest = max(float(own.electrons.max()) for own in seen)
+    brightest = max(float(own.declared.max()) for own in seen)
     corner = min(int(own.row.min()) for own in seen), min(int(own.column.min()) for own in seen)
     peak = np.exp(model.numbers.log_peak)
 

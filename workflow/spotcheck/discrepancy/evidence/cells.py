@@ -14,7 +14,7 @@ from scipy import linalg
 
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model
 from spotcheck.discrepancy.observe.readings import cumulants_of, look_up
-from spotcheck.model.chain import true_exposure
+from spotcheck.model.chain import Free, light, true_exposure
 
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 
@@ -35,9 +35,10 @@ CERTAIN = 1e-6
 
 
 class Standard(NamedTuple):
-    """Of every pixel of a frame [pixel]: z, √V [DN] (0: masked), cumulants κ₃ and κ₄ of its law; the slopes
-    of z by an offset and by a part of the spot's light; electrons; what the frame's numbers take, Q [4, pixel]; place
-    on the sensor (row, column) and about the spot, u and v [σ]; and rows and columns of the crop."""
+    """Of every pixel of a frame [pixel]: z, √V [DN] (0: masked), cumulants κ₃ and κ₄ of its law; the slopes of z by an
+    offset and by a part of the spot's declared light; that light [e-], and all electrons; what the frame's numbers
+    take, Q [4, pixel]; place on the sensor (row, column) and about the spot, u and v [σ]; and rows and columns of the
+    crop."""
 
     z: np.ndarray
     spread: np.ndarray
@@ -45,6 +46,7 @@ class Standard(NamedTuple):
     fourth: np.ndarray
     offset: np.ndarray
     relative: np.ndarray
+    declared: np.ndarray
     electrons: np.ndarray
     taken: np.ndarray
     row: np.ndarray
@@ -71,7 +73,12 @@ class Readings:
         """Standardised readings of frame `k`."""
         frame, model, law = self.frames[k], self.model, self.ready.law
         seen = self.ready.of(frame, k)
-        spot, beside = self.ready.light(frame, self.ready.numbers_of(k))
+        own = self.ready.numbers_of(k)
+        spot, beside = self.ready.light(frame, own)
+        # A learned shape follows the readings' noise: weights and levels that follow it would, too.
+        view = frame.view._replace(x0=own.x, y0=own.y)
+        plain = model.baseline._replace(learned=None)
+        declared = light(view, plain, Free(np.exp(own.log_peak), np.exp(own.log_width)), model.present)[0].ravel()
         electrons = np.broadcast_to((spot + beside) / model.sensor.gain_dn_per_e, (1, *frame.pixels.shape)).ravel()
         dark = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
         electrons = electrons + np.ravel(dark)
@@ -88,8 +95,8 @@ class Readings:
                        for axis in (frame.view.y, frame.view.x))  # fmt: skip
         return Standard(
             z, np.where(known, np.sqrt(variance), 0.0), higher[0] * weight**3, higher[1] * weight**4, offset,
-            offset * seen.spot.ravel(), electrons, taken, row, column, seen.u.ravel(), seen.v.ravel(),
-            frame.pixels.shape,
+            offset * declared, declared / model.sensor.gain_dn_per_e, electrons, taken, row, column, seen.u.ravel(),
+            seen.v.ravel(), frame.pixels.shape,
         )  # fmt: skip
 
 
@@ -148,7 +155,7 @@ def cells_of(
     """The cells of a frame by kind. Levels are counted up to `brightest` [e-], blocks from `corner` (row, column);
     `drawn` [draw, pixel] is what a learned shape takes."""
     rows, columns = seen.row - corner[0], seen.column - corner[1]
-    level = np.sqrt(np.clip(seen.electrons / brightest, 0.0, 1.0))
+    level = np.sqrt(np.clip(seen.declared / brightest, 0.0, 1.0))
     turn = np.floor((np.arctan2(seen.v, seen.u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
     ring = np.digitize(np.hypot(seen.u, seen.v), RADII)
     labels = {
