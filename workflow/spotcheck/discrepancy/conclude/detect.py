@@ -50,7 +50,7 @@ LARGEST_WINDOW = 2048
 
 # Draws of the shape's coefficients by which it is told how much noise it takes, and their seed: many nodes share in
 # each sum, so that few do.
-DRAWS, SEED = 8, 1
+DRAWS, SEED = 16, 1
 # Kinds of cells, and which frames share them: from all to single ones.
 CHAINS = {
     "block": ("all", "site", "frame"),
@@ -134,7 +134,8 @@ def look(frames: Sequence[Frame], model: Model, design: Design, shapes: Sequence
     def lost(k: int) -> tuple[np.ndarray, np.ndarray]:
         both = np.concatenate([seen[k].taken, drawn(k)])
         even = np.where(seen[k].spread > 0, 1.0, 0.0)
-        return tuple(spectra.taken_power(both, seen[k].shape, weight) for weight in (even, seen[k].relative))
+        shape = seen[k].shape
+        return spectra.taken_power(both, shape, even), spectra.taken_power(both, shape, seen[k].relative)
 
     taken = _once([(int(c), own.shape) for c, own in zip(condition, seen, strict=True)], lost)
     alone = [spectra.field_of([own], [np.where(own.spread > 0, 1.0, 0.0)], [taken[k][0]])

@@ -15,6 +15,9 @@ SMALLEST = 1e-300
 MOST_SKEWED, MOST_PEAKED = 1.0, 8.0
 # A cell that the frames' own numbers take more than this part of says little, and its law less.
 MOST_TAKEN = 0.9
+# Of a learned shape a few draws tell what it takes, to a third or so: where it takes more than this part, what is left
+# is not known.
+MOST_DRAWN = 0.4
 
 
 class Part(NamedTuple):
@@ -45,8 +48,8 @@ def standing(cells: Cells) -> Standing:
     cells = Cells(*(own[cells.sums[:, NORM] > 0] for own in cells))
     sums, norm = cells.sums, cells.sums[:, NORM]
     kurtosis, taken = sums[:, FOURTH] / norm**2, sums[:, TAKEN:] / np.sqrt(norm)[:, None]
-    good = kurtosis < MOST_PEAKED
     drawn = (cells.drawn**2).sum(axis=1) / norm
+    good = (kurtosis < MOST_PEAKED) & (drawn < MOST_DRAWN)
     out = Standing(sums[:, SUM] / np.sqrt(norm), taken, drawn, sums[:, THIRD] / norm**1.5, kurtosis, cells.label)
     return Standing(*(own[good] for own in out))
 
