@@ -65,6 +65,7 @@ def draw(rng: np.random.Generator, setup: Setup, effect: dict[str, float] | None
             peak = setup.peak * t / LONGEST_S * (longest / width) ** 2 * np.exp(effect.get("power", 0.0) * rng.normal())
             at = (x0, y0) + effect.get("jitter", 0.0) * rng.standard_normal(2)
             light = peak * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * width**2))
+            light = light * (1 + effect.get("bump", 0.0) * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / width**2))
             wave = np.cos(2 * np.pi * (0.8 * x + 0.6 * y) / 9)
             light = light * (1 + effect.get("stripes", 0.0) * wave) + effect.get("pedestal", 0.0)
             electrons = rng.poisson(light / setup.gain) + setup.noise * effect.get("noise", 1.0) * rng.standard_normal(

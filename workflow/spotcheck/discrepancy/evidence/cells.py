@@ -165,18 +165,18 @@ def cells_of(
         "level": (np.minimum((level * LEVELS).astype(int), LEVELS - 1), 0 * rows),
         "sector": (ring, turn),
     }
-    index, spans, first = [], [], 0
-    for one, two in labels.values():
+    index, spans, first = np.empty((len(labels), seen.z.size), np.int32), [], 0
+    for k, (one, two) in enumerate(labels.values()):
         low = int(one.min()), int(two.min())
         size = int(one.max()) - low[0] + 1, int(two.max()) - low[1] + 1
-        index.append(first + (one - low[0]) * size[1] + two - low[1])
+        index[k] = first + (one - low[0]) * size[1] + two - low[1]
         spans.append((first, low, size))
         first += size[0] * size[1]
     taken = seen.taken if drawn is None else np.concatenate([seen.taken, drawn])
     out = np.zeros((first, TAKEN + len(taken)))
     which = np.array([1 if kind == "sector" else 0 for kind in KINDS])
     weights = np.stack([seen.offset, seen.relative])
-    gather(np.stack(index), weights, which, seen.z, seen.third, seen.fourth, taken, out)
+    gather(index, weights, which, seen.z, seen.third, seen.fourth, taken, out)
     found = {}
     for kind, (start, low, size) in zip(KINDS, spans, strict=True):
         place = np.stack(np.meshgrid(*(low[d] + np.arange(size[d]) for d in (0, 1)), indexing="ij"), -1).reshape(-1, 2)
@@ -209,8 +209,11 @@ def coarser(cells: Cells, factor: int = COARSE) -> Cells:
 def pooled(frames: Sequence[Cells]) -> Cells:
     """Cells of one label added up over frames. What the numbers of each frame take stays apart: 4 columns a frame; the
     shape is the same in all."""
-    label, where = np.unique(np.concatenate([own.label for own in frames]), axis=0, return_inverse=True)
+    labels = np.concatenate([own.label for own in frames]).astype(np.int64)
+    low, span = labels.min(axis=0), int(np.ptp(labels[:, 1])) + 1
+    place, where = np.unique((labels[:, 0] - low[0]) * span + labels[:, 1] - low[1], return_inverse=True)
     where = where.reshape(-1)
+    label = np.stack([place // span + low[0], place % span + low[1]], axis=1)
     sums = np.zeros((len(label), TAKEN + NUMBERS * len(frames)))
     drawn = np.zeros((len(label), frames[0].drawn.shape[1]))
     first = 0

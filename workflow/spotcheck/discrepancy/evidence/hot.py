@@ -17,7 +17,7 @@ from spotcheck.model.sensor import SensorModel
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 # Bins of light, even in its root, of each of which the oddest pixels are looked at.
-BINS = 24
+BINS = 16
 # Levels of light at which it is found how rare readings can be.
 NODES = 80
 # Above this mean [e-] Poisson's law passes for normal, with its skewness.
