@@ -37,6 +37,7 @@ from spotcheck.discrepancy.evidence.parts import (
     sidak,
     standing,
     standing_squares,
+    well_known,
 )
 from spotcheck.discrepancy.evidence.taken import drawn_readings, draws_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
@@ -183,16 +184,19 @@ def cell_parts(looked: Looked, design: Design) -> list[Part | None]:
         # What more frames share is asked first, and taken off what fewer share.
         distinct = [own for j, own in enumerate(chain) if not j or len(np.unique(keys[own])) > len(
             np.unique(keys[chain[j - 1]]))]  # fmt: skip
-        within = form_of(*stand("coarse block", "all")) if kind == "block" else None
-        if within:
-            out.append(excess_part("mean: coarse blocks, all frames", within))
+        within = None
+        if kind == "block":
+            stands, words = stand("coarse block", "all")
+            within = form_of(stands, words)
+            out.append(excess_part("mean: coarse blocks, all frames", form_of(well_known(stands), words)))
         for shared in distinct:
             stands, words = stand(kind, shared)
             form = form_of(stands, words)
             name = f"{kind}s, {'all frames' if shared == 'all' else 'each ' + shared}"
-            out.append(excess_part(f"mean: {name}", form, within))
+            # Of a difference the shape takes little, since it is the same in all frames.
+            out.append(excess_part(f"mean: {name}", form if within else form_of(well_known(stands), words), within))
             if kind == "block":
-                out.append(largest(f"mean: largest of {name}", stands, words))
+                out.append(largest(f"mean: largest of {name}", well_known(stands), words))
             within = form
     total, variance = (sum(float(own.sums[0, at]) for own in kinds["whole"]) for at in (SQUARE, SQUARE_NORM))
     out.append(normal("variance: all readings", total, variance))

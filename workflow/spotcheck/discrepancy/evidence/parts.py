@@ -49,7 +49,7 @@ def standing(cells: Cells) -> Standing:
     sums, norm = cells.sums, cells.sums[:, NORM]
     kurtosis, taken = sums[:, FOURTH] / norm**2, sums[:, TAKEN:] / np.sqrt(norm)[:, None]
     drawn = (cells.drawn**2).sum(axis=1) / norm
-    good = (kurtosis < MOST_PEAKED) & (drawn < MOST_DRAWN)
+    good = kurtosis < MOST_PEAKED
     out = Standing(sums[:, SUM] / np.sqrt(norm), taken, drawn, sums[:, THIRD] / norm**1.5, kurtosis, cells.label)
     return Standing(*(own[good] for own in out))
 
@@ -70,6 +70,11 @@ def standing_squares(cells: Cells) -> Standing:
 
 # Words for a cell: the number of its group and its label.
 Words = Callable[[int, tuple[int, int]], str]
+
+
+def well_known(groups: Sequence[Standing]) -> list[Standing]:
+    """The cells of which it is known how much a learned shape leaves."""
+    return [Standing(*(column[own.drawn < MOST_DRAWN] for column in own)) for own in groups]
 
 
 class Form(NamedTuple):
