@@ -100,7 +100,11 @@ class Looked(NamedTuple):
 
 def detect(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: Design) -> Detection:
     """Test frames against a model. A `Model` has its frames' numbers fitted first. Of a `Fitted` what its learned shape
-    takes counts as fitted, and its frames' numbers are not asked: laws on them are another question."""
+    takes counts as fitted, and its frames' numbers are not asked: laws on them are another question.
+
+    # ASSUME: a fit of the shape takes as much noise as its information says. Its likelihood is that of normal readings
+    # in mean and variance, so below 0.6 DN of noise it takes more, and p-values beside a shape are too small.
+    """
     found: list[Part | None] = []
     if isinstance(model, Fitted):
         looked = look(frames, model.model, design, draws_of(model, DRAWS, np.random.default_rng(SEED)))

@@ -1,8 +1,8 @@
 """How much is left once the light's shape is learned: by size, since p-values flag structure that no one would miss.
 
 Mean residuals of blocks have the power of noise and what is unexplained beside it. Noise goes through the fit as well:
-with H the fit's projection of standardised readings, it is left with the covariance (1 − H)². Of the shape's
-coefficients draws tell how much that is (`evidence/taken.py`); the frame's own numbers take |Qᵀa|² besides.
+with H the fit's projection of standardised readings, it is left with the covariance (1 − H)². Draws of the shape's
+coefficients tell how much the shape takes (`evidence/taken.py`); the frame's own numbers take |Qᵀa|² besides.
 """
 
 from collections.abc import Sequence
