@@ -312,3 +312,21 @@ def test_detection_beside_a_learned_shape():
     found = detect(frames, learned(frames, model), groups)
     assert found.p_value < 1e-6
     assert {part.name: part for part in found.parts}["mean: rows, each frame"].p_value < 1e-6
+
+
+def test_the_largest_reading_is_no_rarer_than_it_should_be():
+    """300 frames of 40 px in the dark of a fine-grained converter, where readings are few and far between: rates below
+    5, 20 and 50 % are not above what 1 in 1000 right laws would show. They may be below: readings are whole numbers."""
+    sensor, rng = SENSORS[1], np.random.default_rng(12)
+    frames, model, _ = draw(rng, Setup(side=40, gain=0.1, noise=2.0, black=0.0, peak=300, repeats=1, angles=1))
+    seen = Readings(frames, model).of(2)
+    mean = seen.electrons
+    p = []
+    for _ in range(300):
+        signal = sensor.gain_dn_per_e * (rng.poisson(mean) + sensor.read_noise_e * rng.standard_normal(mean.size))
+        y = np.clip(np.rint(signal), 0, 1023)
+        table = cumulants_of(sensor, mean)
+        own = seen._replace(z=(y - table.mean) / np.sqrt(table.variance))
+        p.append(hot.largest_reading([own], [y], sensor).p_value)
+    for level in (0.05, 0.2, 0.5):
+        assert (np.array(p) < level).sum() <= stats.binom.ppf(0.999, 300, level)
