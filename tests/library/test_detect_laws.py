@@ -1,0 +1,332 @@
+"""One p-value from laws of summaries: each law against sums, scipy or draws; uniform where nothing is odd, tiny where
+something is. The frames are drawn by numpy alone (`tests/reference/spot_draws`)."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from spotcheck.discrepancy.conclude.detect import detect
+from spotcheck.discrepancy.conclude.unexplained import unexplained
+from spotcheck.discrepancy.evidence import fields, hot, parts
+from spotcheck.discrepancy.evidence.cells import Cells, Readings, cells_of, place_of, pooled, whitened
+from spotcheck.discrepancy.nuisance.fit import fit
+from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.observe.readings import cumulants_of
+from spotcheck.model import light_shape
+from spotcheck.model.sensor import SensorModel
+from tests.reference.exact_law import reading_law
+from tests.reference.spot_draws import LONGEST_S, Setup, any_setup, draw
+
+SMALL = Setup(side=72, repeats=1, angles=2)
+SENSORS = [
+    SensorModel(0.11, 6.0, black_level_dn=12.0, full_scale_dn=1023),
+    SensorModel(0.1, 2.0, black_level_dn=0.0, full_scale_dn=1023),
+    SensorModel(0.3, 13.0, black_level_dn=1.0, full_scale_dn=255),
+]
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_cumulants_by_sums(sensor):
+    """Against the plain sum over electrons and readings, up to where a converter cuts."""
+    electrons = np.array([-3.0, 0.0, 0.4, 7.0, 90.0, 800.0, 2900.0])
+    found = cumulants_of(sensor, electrons)
+    for k, e in enumerate(electrons):
+        law = reading_law(float(e), sensor)
+        y = np.arange(law.size)
+        mean = y @ law
+        two, three, four = (((y - mean) ** p) @ law for p in (2, 3, 4))
+        want = mean, two, three, four - 3 * two**2
+        # The reference itself leaves electrons out whose chance is below 1e-15 or so.
+        np.testing.assert_allclose([own[k] for own in found], want, rtol=2e-4, atol=1e-6)
+
+
+def test_cumulants_of_bright_light():
+    """Far from both ends: K ν + black; K² (ν + noise²) + 1/12; K³ν; K⁴ν less 1/120 of rounding."""
+    found = cumulants_of(SENSORS[0], np.array([5000.0]))
+    want = 562.0, 0.11**2 * 5036 + 1 / 12, 0.11**3 * 5000, 0.11**4 * 5000 - 1 / 120
+    np.testing.assert_allclose([own[0] for own in found], want, rtol=1e-3, atol=1e-9)
+
+
+@pytest.mark.parametrize("skewness", [-0.9, -0.05, 0.05, 0.4, 0.99])
+def test_tails_of_pearson(skewness):
+    """Against scipy's law, on both sides."""
+    z = np.array([-2.5, -1.0, 0.3, 2.0, 6.0])
+    law = stats.pearson3(skewness)
+    want = np.clip(2 * np.minimum(law.sf(z), law.cdf(z)), 1e-300, 1)
+    np.testing.assert_allclose(parts.two_sided(z, np.full(5, skewness)), want, rtol=1e-6)
+    if skewness > 0:
+        np.testing.assert_allclose([parts.upper_tail(v, skewness) for v in z], law.sf(z), rtol=1e-6)
+
+
+def test_joined():
+    """The smallest of 20: 1 − 0.99²⁰. Cauchy: equal values give themselves, one tiny among 10 ten times itself."""
+    assert parts.sidak(0.01, 20) == pytest.approx(1 - 0.99**20)
+    assert parts.sidak(1e-250, 30) == pytest.approx(3e-249)
+    assert parts.cauchy([0.03] * 7) == pytest.approx(0.03)
+    assert parts.cauchy([1e-9] + [0.5] * 9) == pytest.approx(1e-8, rel=1e-3)
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("electrons", [0.0, 3.0, 700.0])
+def test_chances_of_readings(sensor, electrons):
+    """The tails of single readings, and of the sum of three, against the exact law and its convolution."""
+    law = reading_law(electrons, sensor)
+    numbers = hot._numbers(sensor)
+    middle = int(np.argmax(law))
+    for y in (middle, middle + 1, middle + 7):
+        assert hot.chance_of(y, electrons, *numbers, True) == pytest.approx(law[y:].sum(), rel=1e-8, abs=1e-15)
+        assert hot.chance_of(y, electrons, *numbers, False) == pytest.approx(law[: y + 1].sum(), rel=1e-8, abs=1e-15)
+    three = np.convolve(np.convolve(law, law), law)
+    total = 3 * middle + 4
+    same = np.full(3, electrons)
+    assert hot.chance_of_sum(total, same, sensor, True) == pytest.approx(three[total:].sum(), rel=1e-6, abs=1e-13)
+    assert hot.chance_of_sum(total, same, sensor, False) == pytest.approx(three[: total + 1].sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize("chance", [0.3, 1e-3, 1e-6])
+def test_how_rare_a_reading_can_be(chance):
+    """The largest tail that is no more than a chance, by going through all readings."""
+    sensor = SENSORS[1]
+    for electrons in (0.0, 4.0, 200.0):
+        law = reading_law(electrons, sensor)
+        above, below = np.cumsum(law[::-1])[::-1], np.cumsum(law)
+        for upper, tails in ((True, above), (False, below)):
+            fits = tails[tails <= chance]
+            want = fits.max() if fits.size else 0.0
+            found = hot.reached(chance, electrons, *hot._numbers(sensor), upper)
+            assert found == pytest.approx(want, rel=1e-6, abs=1e-14)
+
+
+def window() -> np.ndarray:
+    """Weights a [row, column] of a field under a spot."""
+    y, x = np.mgrid[:64, :60]
+    return np.exp(-((x - 28) ** 2 + (y - 33) ** 2) / (4 * 6.0**2))
+
+
+def test_power_of_rings():
+    """Mean and variance over 400 fields of white noise under a spot, skewed as of few electrons (κ₃ 1, κ₄ 1.5): each
+    of 7 means within 4 standard errors, each spread within 4 of its own. False alarms: some 1 in 1000."""
+    rng = np.random.default_rng(3)
+    a = window()
+    z = []
+    for _ in range(400):
+        noise = rng.gamma(4.0, 0.5, a.shape) - 2
+        power = fields.power_of(fields.Field(a * noise, a**2, a**4 * 1.5, np.zeros(len(fields.RINGS))))
+        z.append((power.value - power.mean) / np.sqrt(power.variance))
+    assert np.abs(np.mean(z, axis=0)).max() < 4 / 20
+    # The squares' own spread: kurtosis up to some 6 in the ring of fewest modes.
+    assert np.abs(np.std(z, axis=0) - 1).max() < 4 * np.sqrt(8 / 400) / 2
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_chance_of_a_peak(count):
+    """The highest peak of 400 sets of white fields: rates below 5, 20 and 50 %. Of a right law, 3 in 1000 tests fail.
+
+    The chance is that of a peak anywhere, and the fields are looked at on a grid: a few in 100 peaks are missed."""
+    rng = np.random.default_rng(count)
+    a = window()
+    p = []
+    for _ in range(400):
+        own = [fields.Field(a * rng.standard_normal(a.shape), a**2, 0 * a, np.zeros(8)) for _ in range(count)]
+        p.append(fields.peak_part("", own).p_value)
+    for level in (0.05, 0.2, 0.5):
+        assert stats.binomtest(int((np.array(p) < level).sum()), 400, level).pvalue > 1e-3
+
+
+def test_squares_beside_what_was_fitted():
+    """Σ z² of block sums of projected noise: mean and spread as stated over 1500 draws, and p-values uniform
+    (Kolmogorov's p above 0.001)."""
+    rng = np.random.default_rng(5)
+    frames, model, _ = draw(rng, SMALL)
+    numbered = fit_numbers(frames, model)
+    seen = Readings(frames, numbered.model).of(1)
+    # Weights that follow the slopes, so that the numbers take much of the sums.
+    seen = seen._replace(offset=seen.relative, fourth=0 * seen.z, third=0 * seen.z)
+    statistic, p = [], []
+    for _ in range(1500):
+        z = rng.standard_normal(seen.z.size)
+        z -= seen.taken.T @ (seen.taken @ z)
+        cells = cells_of(seen._replace(z=z), float(seen.declared.max()), (0, 0))["level"]
+        found = parts.excess_part("", parts.form_of([parts.standing(cells)], lambda group, label: ""))
+        statistic.append(found.statistic)
+        p.append(found.p_value)
+    assert abs(np.mean(statistic)) < 4 / np.sqrt(1500)
+    assert np.std(statistic) == pytest.approx(1, abs=4 * np.sqrt((3 - 1) / 1500))
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_squares_within_squares():
+    """Six cells in three pairs: what the pairs' sums leave of Σ z² is χ² of 3; beside a common excess, of 5."""
+    cells = Cells(np.array([[j, 0] for j in range(6)]), np.zeros((6, 11)), np.zeros((6, 0)))
+    cells.sums[:, 1] = cells.sums[:, 5] = [1, 2, 3, 4, 5, 6]
+    rng = np.random.default_rng(2)
+    p, even = [], []
+    for _ in range(800):
+        cells.sums[:, 0] = cells.sums[:, 4] = rng.standard_normal(6) * np.sqrt(cells.sums[:, 1])
+        one, pairs = (parts.form_of([parts.standing(own)], lambda group, label: "") for own in (
+            cells, pooled([cells._replace(label=cells.label // 2)])))  # fmt: skip
+        p.append(parts.excess_part("", one, pairs).p_value)
+        even.append(parts.evened(one, cells.sums[:, 4].sum(), 21.0))
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+    assert stats.kstest([own.total for own in even], stats.chi2(5).cdf).pvalue > 1e-3
+    assert even[0][1:4] == (5.0, 10.0, 40.0)
+
+
+def test_pooled_cells_keep_frames_apart():
+    """Two frames that share a cell: sums add up, what the numbers of each take stays in its own columns."""
+    one = Cells(np.array([[0, 0], [0, 1]]), np.arange(22.0).reshape(2, 11), np.array([[1.0], [2.0]]))
+    two = Cells(np.array([[0, 1]]), np.full((1, 11), 100.0), np.array([[5.0]]))
+    both = pooled([one, two])
+    np.testing.assert_array_equal(both.sums[1, :7], one.sums[1, :7] + 100)
+    np.testing.assert_array_equal(both.sums[1, 7:], [*one.sums[1, 7:], *np.full(4, 100.0)])
+    np.testing.assert_array_equal(both.drawn, [[1], [7]])
+    np.testing.assert_array_equal(both.sums[0, 7:], [*one.sums[0, 7:], *np.zeros(4)])
+
+
+def test_slopes_made_orthonormal():
+    """Two that are the same count once."""
+    slopes = np.random.default_rng(1).standard_normal((4, 50))
+    slopes[3] = slopes[0]
+    taken = whitened(slopes)
+    np.testing.assert_allclose(np.linalg.svd(taken)[1], [1, 1, 1, 0], atol=1e-6)
+
+
+def test_numbers_by_their_information():
+    """What is fitted of 96 frames scatters as the information says: χ² of the truth with 4 numbers a frame, within its
+    central 99.9 %."""
+    rng = np.random.default_rng(11)
+    frames, model, groups = draw(rng, Setup(side=60, repeats=8, noise=3.0))
+    fits = fit_numbers(frames, model)
+    centres = np.array([[fits.model.numbers.x[k], fits.model.numbers.y[k]] for k in range(len(frames))])
+    chi2 = freedom = 0.0
+    for site in np.unique(groups.site):
+        own = np.flatnonzero(groups.site == site)
+        inner = [np.linalg.inv(np.linalg.inv(fits.information[k])[2:, 2:]) for k in own]
+        mean = np.linalg.solve(sum(inner), sum(i @ centres[k] for i, k in zip(inner, own, strict=True)))
+        chi2 += sum((centres[k] - mean) @ i @ (centres[k] - mean) for i, k in zip(inner, own, strict=True))
+        freedom += 2 * (len(own) - 1)
+    assert 5e-4 < stats.chi2.sf(chi2, freedom) < 1 - 5e-4
+
+
+def test_uniform_where_nothing_is_odd():
+    """120 cameras, one frame each: Kolmogorov's p above 0.01, as asked (1 of 100 right laws fails), and no more below
+    5 % than 1 in 1000 right laws would show."""
+    p = []
+    for k in range(120):
+        rng = np.random.default_rng([k, 4])
+        p.append(detect(*draw(rng, any_setup(rng, True)._replace(side=60 + k % 30))).p_value)
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+    assert (np.array(p) < 0.05).sum() <= stats.binom.ppf(0.999, 120, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "where"),
+    [
+        ({"pedestal": 0.2}, "mean: levels, all frames", "light of 0.000"),
+        ({"clip": 560.0}, "variance: levels", "1.000 of the brightest"),
+        ({"stripes": 0.02}, "spectrum: peak of all frames", "period 9.0 px"),
+        ({"rows": 0.5}, "mean: rows, each frame", "row"),
+        ({"noise": 1.1}, "variance: all readings", ""),
+        ({"hot": 1.0}, "readings: hot pixels", "row 3, column 5"),
+        ({"power": 0.01}, "numbers: brightness", "frame"),
+        ({"jitter": 0.2}, "numbers: centre", "frame"),
+    ],
+)
+def test_what_is_odd_is_found(effect, name, where):
+    """48 frames: p below 1e-4, and the part that asks for it says so by itself, and where."""
+    found = detect(*draw(np.random.default_rng(8), Setup(side=80), effect))
+    own = {part.name: part for part in found.parts}[name]
+    assert found.p_value < 1e-4
+    assert own.p_value < 1e-6
+    assert where in own.where
+    assert found.parts[0].p_value == min(part.p_value for part in found.parts)
+
+
+def test_nothing_odd_in_its_neighbours():
+    """A brightness that scatters from frame to frame is no matter of pixels: nothing but it is odd."""
+    found = detect(*draw(np.random.default_rng(8), Setup(side=80), {"power": 0.01}))
+    assert found.worst.name == "numbers: brightness"
+    assert found.parts[1].p_value > 1e-3
+
+
+def test_masked_pixels_are_not_asked():
+    """A patch of nonsense, masked: nothing is odd; not masked: it is."""
+    frames, model, groups = draw(np.random.default_rng(21), SMALL)
+    bad = [own._replace(pixels=own.pixels.copy()) for own in frames]
+    for own in bad:
+        own.pixels[10:14, 20:30] = 400.0
+    assert detect(bad, model, groups).p_value < 1e-100
+    for own in bad:
+        own.pixels[10:14, 20:30] = np.nan
+    assert detect(bad, model, groups).p_value > 1e-3
+
+
+def test_brightness_is_free_under_a_free_budget():
+    """Without a law each frame has a brightness of its own, but not a place."""
+    rng = np.random.default_rng(8)
+    frames, model, groups = draw(rng, SMALL, {"power": 0.05, "jitter": 0.3})
+    found = detect(frames, model._replace(baseline=model.baseline._replace(photon_budget="free")), groups)
+    assert {part.name for part in found.parts if part.name.startswith("numbers")} == {"numbers: centre"}
+    assert found.worst.name == "numbers: centre"
+
+
+def test_places_in_words():
+    """What a person reads."""
+    assert place_of("block", (2, 3), (100, 200)) == "8 px about row 120, column 228"
+    assert place_of("column", (7, 0), (100, 200)) == "column 207"
+    assert place_of("sector", (0, 4), (0, 0)) == "within 0.5 σ at 22°"
+
+
+def test_size_of_what_a_learned_shape_leaves():
+    """Without an effect the excess over 5 sets is 0 within its own errors (mean z within 4/√5), though the shape takes
+    a quarter of the blocks' noise; stripes of 6 % with a period of 9 px, of which blocks of 8 px keep little, show."""
+    z = []
+    for k in range(5):
+        frames, model, groups = draw(np.random.default_rng([k, 6]), Setup(side=72, repeats=1, exposures=(LONGEST_S,)))
+        z.append(left(frames, model, groups))
+    assert abs(np.mean([own.z for own in z])) < 4 / np.sqrt(5)
+    assert all(own.taken > 0.15 for own in z)
+    striped = draw(np.random.default_rng(9), Setup(side=72, repeats=1, exposures=(LONGEST_S,)), {"stripes": 0.06})
+    assert left(*striped).z > 8
+    assert left(*striped).size > 3 * max(own.size for own in z)
+
+
+def learned(frames, model):
+    """A fit of the light's shape."""
+    return fit(frames, model._replace(baseline=model.baseline._replace(learned=light_shape.empty(0.4, 4.6))), 1.0)
+
+
+def left(frames, model, groups):
+    """What is left once the shape is learned."""
+    return unexplained(frames, learned(frames, model), groups)
+
+
+def test_detection_beside_a_learned_shape():
+    """A spot a tenth brighter in its middle is odd under the declared shape, not once that is learned; rows then still
+    are. False alarms: 1 in 1000."""
+    setup = Setup(side=72, repeats=1, angles=2)
+    frames, model, groups = draw(np.random.default_rng(31), setup, {"bump": 0.1})
+    assert detect(frames, model, groups).p_value < 1e-6
+    assert detect(frames, learned(frames, model), groups).p_value > 1e-3
+    frames, model, groups = draw(np.random.default_rng(31), setup, {"bump": 0.1, "rows": 0.5})
+    found = detect(frames, learned(frames, model), groups)
+    assert found.p_value < 1e-6
+    assert {part.name: part for part in found.parts}["mean: rows, each frame"].p_value < 1e-6
+
+
+def test_the_largest_reading_is_no_rarer_than_it_should_be():
+    """300 frames of 40 px in the dark of a fine-grained converter, where readings are few and far between: rates below
+    5, 20 and 50 % are not above what 1 in 1000 right laws would show. They may be below: readings are whole numbers."""
+    sensor, rng = SENSORS[1], np.random.default_rng(12)
+    frames, model, _ = draw(rng, Setup(side=40, gain=0.1, noise=2.0, black=0.0, peak=300, repeats=1, angles=1))
+    seen = Readings(frames, model).of(2)
+    mean = seen.electrons
+    p = []
+    for _ in range(300):
+        signal = sensor.gain_dn_per_e * (rng.poisson(mean) + sensor.read_noise_e * rng.standard_normal(mean.size))
+        y = np.clip(np.rint(signal), 0, 1023)
+        table = cumulants_of(sensor, mean)
+        own = seen._replace(z=(y - table.mean) / np.sqrt(table.variance))
+        p.append(hot.largest_reading([own], [y], sensor).p_value)
+    for level in (0.05, 0.2, 0.5):
+        assert (np.array(p) < level).sum() <= stats.binom.ppf(0.999, 300, level)

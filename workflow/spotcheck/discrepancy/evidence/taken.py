@@ -1,0 +1,49 @@
+"""How much of the readings' noise a learned shape takes, by draws of its coefficients.
+
+With H the fit's projection of standardised readings, noise is left with the covariance (1 − H)². In terms of the
+shape's coefficients, S = G + λP, a sum aᵀz loses aᵀ(2H − H²)a = Var aᵀBx + Var aᵀBx', with x ~ N(0, S⁻¹) and
+x' ~ N(0, S⁻¹λPS⁻¹).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg
+
+from spotcheck.discrepancy.evidence.cells import Standard
+from spotcheck.discrepancy.nuisance.fit import Fitted
+from spotcheck.model.light_shape import LightShape
+
+
+def draws_of(fitted: Fitted, count: int, rng: np.random.Generator) -> list[LightShape]:
+    """Shapes x + x' whose variance at any place is what the shape takes of noise there."""
+    learned = fitted.model.baseline.learned
+    assert learned is not None
+    side = len(learned.coefficients)
+    factor = fitted.schur.factor
+    turned = transposed(factor)
+    second = np.diff(np.eye(side), 2, axis=0)
+    out = []
+    for _ in range(count):
+        x = linalg.solve_banded((0, len(factor) - 1), turned, rng.standard_normal(side * side))
+        # P is the sum of squared second differences along both axes.
+        bent = second.T @ rng.standard_normal((side - 2, side)) + rng.standard_normal((side, side - 2)) @ second
+        smooth = linalg.cho_solve_banded((factor, True), np.sqrt(fitted.penalty) * bent.ravel())
+        out.append(LightShape(learned.step, (x + smooth).reshape(side, side)))
+    return out
+
+
+def transposed(factor: np.ndarray) -> np.ndarray:
+    """A lower banded matrix [diagonal, column] transposed, as an upper banded one."""
+    out = np.zeros_like(factor)
+    last = len(factor) - 1
+    for gap in range(last + 1):
+        out[last - gap, gap:] = factor[gap, : factor.shape[1] - gap]
+    return out
+
+
+def drawn_readings(seen: Standard, peak: float, shapes: Sequence[LightShape]) -> np.ndarray:
+    """Changes of z [draw, pixel] that those shapes make, over the root of their number: columns whose squares add up to
+    the variance taken."""
+    unit = seen.offset * peak / np.sqrt(len(shapes))
+    return np.stack([unit * shape(seen.u, seen.v) for shape in shapes])
