@@ -68,9 +68,12 @@ class Design(Protocol):
     """What of a design is asked here: the number of each frame's site and of its condition [frame]."""
 
     @property
-    def site(self) -> np.ndarray: ...
+    def site(self) -> np.ndarray:
+        """Number of each frame's site [frame]."""
+
     @property
-    def condition(self) -> np.ndarray: ...
+    def condition(self) -> np.ndarray:
+        """Number of each frame's condition [frame]."""
 
 
 class Detection(NamedTuple):
