@@ -66,7 +66,8 @@ def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
         readings, light = (
             image[(distance > BEYOND) & np.isfinite(frame.pixels)] for image in (frame.pixels, electrons)
         )
-        level = np.rint(light / step).astype(int)
+        # A learned shape may lie a little below 0 out there.
+        level = np.maximum(np.rint(light / step), 0).astype(int)
         offset = _offset(frame.view, model.present)
         for which in np.unique(level):
             dark.setdefault((int(which), offset), []).append(readings[level == which])

@@ -6,9 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.evidence.noise import Noisy, noises_of
 from spotcheck.discrepancy.evidence.pixels import Score, screen
+from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
-from spotcheck.discrepancy.nuisance.sheet import fit_sheet
+from spotcheck.discrepancy.nuisance.sheet import tilt_of
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 from spotcheck.discrepancy.search.holds import Holding, holding_of
 from spotcheck.model.effect import Context, Effect, Place, Present
@@ -79,11 +81,15 @@ def with_effect(model: Model, own: Present) -> Model:
 def search(
     frames: Sequence[Frame], groups: np.ndarray, start: Fitted, effects: Sequence[Effect], context: Context
 ) -> Outcome:
-    """Find effects of pixels from a fit without any; `groups` [frame] parts frames for the consistency test."""
-    now, refused = start, set[str]()
+    """Find effects of pixels from a fit without any; `groups` [frame] parts frames for the consistency test.
+
+    Noise comes first: with too little of it in the model, every pedestal and every halo looks like more.
+    """
+    stated = start.model.sensor.read_noise_e
+    now, told = _quiet(frames, start)
     rivals: dict[str, dict[str, float]] = {}
+    usable = [effect for effect in effects if not (told and effect.place is Place.NOISE)]
     while len(now.model.present) < criteria.MOST.value:
-        usable = [effect for effect in effects if effect.name not in refused]
         ranked = likeliest(frames, now, list(trials_of(usable, context, now.model)))
         ranked = [trial for trial in ranked if trial.promise >= criteria.GAIN.value][: int(criteria.REFITTED.value)]
         tried = [_refitted(frames, now, trial, context) for trial in ranked]
@@ -93,8 +99,31 @@ def search(
         tried.sort(key=lambda one: one.total)
         name = tried[0].model.present[-1].effect.name
         rivals[name] = {one.model.present[-1].effect.name: one.total - tried[0].total for one in tried[1:]}
-        now = tried[0]
-    return _tested(frames, groups, start, now, rivals, context)
+        now, _ = _quiet(frames, tried[0])
+    outcome = _tested(frames, groups, start, now, rivals, context)
+    if not told:
+        return outcome
+    noisy = noises_of(frames, groups, outcome.after.model, stated, effects, context)
+    named = [_named(one, context) for one in noisy if one.gain >= criteria.GAIN.value]
+    return outcome._replace(found=outcome.found + tuple(one for one in named if one is not None))
+
+
+def _quiet(frames: Sequence[Frame], fitted: Fitted) -> tuple[Fitted, bool]:
+    """A fit under the read noise of its dark pixels, and whether these tell it."""
+    dark = darkness(frames, fitted.model)
+    if dark is None or not np.isfinite(dark.read_noise_stderr):
+        return fitted, False
+    if abs(dark.read_noise_e - fitted.model.sensor.read_noise_e) < dark.read_noise_stderr:
+        return fitted, True
+    sensor = fitted.model.sensor._replace(read_noise_e=dark.read_noise_e)
+    return fit(frames, fitted.model._replace(sensor=sensor), fitted.penalty, fitted.free), True
+
+
+def _named(one: Noisy, context: Context) -> Found | None:
+    """An effect that adds noise, where it is more than nothing and groups of frames agree about it."""
+    holding = Holding(one.q, max(one.groups, 1), one.gain, one.error)
+    matters = one.own.effect.excess(one.own.values[0], context) >= 1
+    return Found(one.own, one.gain, holding, {}) if matters and holding.holds else None
 
 
 def _tested(
@@ -105,7 +134,7 @@ def _tested(
         found = []
         for k, own in enumerate(now.model.present):
             fewer = now.model._replace(present=now.model.present[:k] + now.model.present[k + 1 :])
-            rest = start if not fewer.present else fit(frames, fewer, now.penalty, free_of(fewer, context))
+            rest = fit(frames, fewer, now.penalty, free_of(fewer, context))
             gain = rest.total - now.total
             near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
             found.append(Found(own, gain, holding_of(frames, groups, now, k, gain), near))
@@ -114,13 +143,15 @@ def _tested(
             return Outcome(start, now, tuple(found))
         worst = max(bad, key=lambda k: found[k].holding.excess)
         fewer = now.model._replace(present=now.model.present[:worst] + now.model.present[worst + 1 :])
-        now = start if not fewer.present else fit(frames, fewer, now.penalty, free_of(fewer, context))
+        now = fit(frames, fewer, now.penalty, free_of(fewer, context))
 
 
 def _refitted(frames: Sequence[Frame], now: Fitted, trial: Trial, context: Context) -> Fitted:
     """A fit with an effect more, from where its score points."""
     model = with_effect(now.model, trial.own)
-    return fit_sheet(frames, now._replace(model=model), free_of(model, context))
+    free = free_of(model, context)
+    tilt = tilt_of(frames, now._replace(model=model, free=free))
+    return fit(frames, model, now.penalty, free, tilt=tilt)
 
 
 def _matters(one: Fitted, context: Context) -> bool:

@@ -1,0 +1,75 @@
+"""What dark pixels say of the noise: an effect that adds white noise is told by their histogram alone."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from spotcheck.discrepancy.nuisance.darkness import darkness
+from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
+from spotcheck.model.effect import Context, Effect, Place, Present
+
+
+def strength_of(effect: Effect, stated_e: float, read_noise_e: float, context: Context) -> float:
+    """The strength of an effect at `Place.NOISE` that makes a stated read noise [e-] another one; at the end of its
+    bounds where none does."""
+    low, high = effect.bounds(context)[0]
+
+    def beyond(strength: float) -> float:
+        own = Present(effect, effect.forms[0], (strength,))
+        return float(own.apply(stated_e**2)) - read_noise_e**2
+
+    if beyond(low) * beyond(high) > 0:
+        return float(low if abs(beyond(low)) < abs(beyond(high)) else high)
+    return float(optimize.brentq(beyond, low, high))
+
+
+class Noisy(NamedTuple):
+    """An effect that adds noise, as dark pixels tell it; its strength's standard error; what −2 ln L gains: the square
+    of the read noise's distance from the stated one, in errors; and how groups of frames agree about it: Q, which is χ²
+    of one less than groups, and their number."""
+
+    own: Present
+    error: float
+    gain: float
+    q: float
+    groups: int
+
+
+def noises_of(
+    frames: Sequence[Frame],
+    groups: np.ndarray,
+    model: Model,
+    stated_e: float,
+    effects: Sequence[Effect],
+    context: Context,
+) -> list[Noisy]:
+    """What dark pixels say of every effect at `Place.NOISE`, where the sheet states a read noise of `stated_e` [e-];
+    `groups` [frame] parts frames that must agree."""
+    whole = darkness(frames, model)
+    if whole is None or not np.isfinite(whole.read_noise_stderr):
+        return []
+    told = []
+    for group in np.unique(groups):
+        which = np.flatnonzero(groups == group)
+        part = darkness([frames[int(k)] for k in which], _of(model, which))
+        if part is not None and np.isfinite(part.read_noise_stderr):
+            told.append((part.read_noise_e, part.read_noise_stderr**-2))
+    value, weight = np.array(told).reshape(-1, 2).T
+    q = float(weight @ (value - weight @ value / max(weight.sum(), 1e-300)) ** 2)
+    gain = ((whole.read_noise_e - stated_e) / whole.read_noise_stderr) ** 2
+    out = []
+    for effect in effects:
+        if effect.place is Place.NOISE:
+            strength, more = (
+                strength_of(effect, stated_e, whole.read_noise_e + d, context) for d in (0.0, whole.read_noise_stderr)
+            )
+            own = Present(effect, effect.forms[0], (strength,))
+            out.append(Noisy(own, abs(more - strength), gain, q, len(told)))
+    return out
+
+
+def _of(model: Model, which: np.ndarray) -> Model:
+    """A model of some of its frames."""
+    return model._replace(numbers=Numbers(*(own[which] for own in model.numbers)))
