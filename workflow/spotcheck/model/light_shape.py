@@ -69,17 +69,26 @@ def weights_at(t, out):
 
 
 @compiled
+def splines_at(u, v, step, side, across, along):
+    """Whether any spline of a surface reaches a point, the first row and column of those that may, and their values
+    along both axes."""
+    middle = (side - 1) / 2
+    tu, tv = u / step + middle, v / step + middle
+    if not (-2 < tu < side + 1 and -2 < tv < side + 1):
+        return False, 0, 0
+    return True, weights_at(tv, across), weights_at(tu, along)
+
+
+@compiled
 def evaluate(u, v, step, coefficients, out):
     """s at points u, v [point]."""
     side = coefficients.shape[0]
-    middle = (side - 1) / 2
     across, along = np.empty(4), np.empty(4)
     for k in range(u.size):
         out[k] = 0.0
-        tu, tv = u[k] / step + middle, v[k] / step + middle
-        if not (-2 < tu < side + 1 and -2 < tv < side + 1):
+        reached, i, j = splines_at(u[k], v[k], step, side, across, along)
+        if not reached:
             continue
-        i, j = weights_at(tv, across), weights_at(tu, along)
         for a in range(4):
             if 0 <= i + a < side:
                 for b in range(4):

@@ -6,14 +6,13 @@ make up for is taken off; of the rest, for readings y of mean µ and variance V,
     U = Σ m (y − µ) / V + Σ w ((y − µ)² / V − 1) / 2V,    I = Σ m² / V + Σ w² / 2V².
 """
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of
+from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of, shared
 from spotcheck.discrepancy.nuisance.taken import taken_up
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, told
 from spotcheck.model.light_shape import LightShape
@@ -54,7 +53,7 @@ def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], wor
     def part(which: np.ndarray) -> list[np.ndarray]:
         return _sums(frames, fitted, plain, ready, nudged, lacks, which)
 
-    score, raw, drop, shape, numbers, pull, own = _added(part, len(frames), workers)
+    score, raw, drop, shape, numbers, pull, own = shared(part, len(frames), workers)
     basis = contrasts(len(frames), len(nudged))
     right = fitted.schur.solve(pull[:, 0], basis.T @ own[:, 0])
     out = []
@@ -134,17 +133,10 @@ def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, w
             information[k] = np.bincount(cell, tells.information((mean, variance), (mean, variance)), CELLS)
         return [score, information]
 
-    return _added(part, len(frames), workers)
+    return shared(part, len(frames), workers)
 
 
 def _cells(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Cell of each pixel."""
     turn = np.floor((np.arctan2(v, u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
     return turn + AZIMUTHS * (np.hypot(u, v) > RADIUS)
-
-
-def _added(part: Callable[[np.ndarray], list[np.ndarray]], frames: int, workers: int) -> list[np.ndarray]:
-    """Sums of what several threads make of some frames each."""
-    with ThreadPoolExecutor(workers) as pool:
-        done = list(pool.map(part, np.array_split(np.arange(frames), min(workers, frames))))
-    return [np.sum(own, axis=0) for own in zip(*done, strict=True)]

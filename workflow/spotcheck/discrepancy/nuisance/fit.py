@@ -4,9 +4,9 @@ Fisher's scoring on χ² + Σ ln variance + λ cᵀPc. The shape is common to al
 it shares with the frames' numbers (all brighter, all wider, all moved) is the shape's: the numbers' steps sum to 0.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -117,12 +117,26 @@ def sums_of(
     frames: Sequence[Frame], model: Model, free: Sequence[Free] = (), *, curved: bool, workers: int = 2
 ) -> Sums:
     """All sums under a model; with `curved` false only the deviance and the scores."""
-    ready, nudged = Expectation(frames, model), nudged_of(frames, model, free)
+    ready, others = Expectation(frames, model), nudged_of(frames, model, free)
+
+    def part(which: np.ndarray) -> Sums:
+        return _part(frames, model, ready, others, which, curved)
+
+    return Sums(*shared(part, len(frames), workers))
+
+
+def shared(part: Callable[[np.ndarray], Sequence[Any]], frames: int, workers: int) -> list[Any]:
+    """Sums of what several threads make of some frames each."""
     with ThreadPoolExecutor(workers) as pool:
-        parts = np.array_split(np.arange(len(frames)), workers)
-        jobs = [pool.submit(_part, frames, model, ready, nudged, part, curved) for part in parts]
-        done = [job.result() for job in jobs]
-    return Sums(*(sum(own[1:], own[0]) for own in zip(*done, strict=True)))
+        done = list(pool.map(part, np.array_split(np.arange(frames), min(workers, frames))))
+    return [sum(own[1:], own[0]) for own in zip(*done, strict=True)]
+
+
+def nudged(model: Model, own: Free) -> tuple[Model, float]:
+    """The model with a free parameter a small step off, and that step: away from a bound, or nothing would change."""
+    value = _value(model, own)
+    step = -own.nudge if value + own.nudge > own.high else own.nudge
+    return changed(model, [own], [value + step]), step
 
 
 Nudged = list[tuple[Expectation, float]]
@@ -130,13 +144,8 @@ Nudged = list[tuple[Expectation, float]]
 
 def nudged_of(frames: Sequence[Frame], model: Model, free: Sequence[Free]) -> Nudged:
     """The model with each free parameter a small step off, and that step."""
-    out = []
-    for own in free:
-        value = _value(model, own)
-        # Away from a bound, or the slope would be 0.
-        step = -own.nudge if value + own.nudge > own.high else own.nudge
-        out.append((Expectation(frames, changed(model, [own], [value + step])), step))
-    return out
+    steps = (nudged(model, own) for own in free)
+    return [(Expectation(frames, other), step) for other, step in steps]
 
 
 def changes_of(frame: Frame, k: int, seen: Expected, nudged: Nudged) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from scipy import linalg
 
-from spotcheck.model.light_shape import weights_at
+from spotcheck.model.light_shape import splines_at
 
 # Part of its own information that every number gets on top where a system is solved.
 DAMPING = 1e-9
@@ -23,14 +23,12 @@ compiled = njit(cache=True, nogil=True, error_model="numpy")
 def gather(u, v, step, side, weight, gram):
     """Add Σ w b bᵀ of the splines b at points u, v [point] to `gram` [coefficient, 4, 7]: each with itself and those
     behind it."""
-    middle = (side - 1) / 2
     across, along = np.empty(4), np.empty(4)
     for k in range(u.size):
-        tu, tv = u[k] / step + middle, v[k] / step + middle
         heavy = weight[k]
-        if heavy == 0 or not (-2 < tu < side + 1 and -2 < tv < side + 1):
+        reached, i, j = splines_at(u[k], v[k], step, side, across, along)
+        if heavy == 0 or not reached:
             continue
-        i, j = weights_at(tv, across), weights_at(tu, along)
         for a in range(4):
             if not 0 <= i + a < side:
                 continue
@@ -51,13 +49,11 @@ def gather(u, v, step, side, weight, gram):
 @compiled
 def project(u, v, step, side, values, out):
     """Add Σ values b of the splines b at points u, v [point] to `out` [coefficient, column]; values [column, point]."""
-    middle = (side - 1) / 2
     across, along = np.empty(4), np.empty(4)
     for k in range(u.size):
-        tu, tv = u[k] / step + middle, v[k] / step + middle
-        if not (-2 < tu < side + 1 and -2 < tv < side + 1):
+        reached, i, j = splines_at(u[k], v[k], step, side, across, along)
+        if not reached:
             continue
-        i, j = weights_at(tv, across), weights_at(tu, along)
         for a in range(4):
             if not 0 <= i + a < side:
                 continue

@@ -8,11 +8,11 @@ import numpy as np
 from spotcheck.discrepancy.nuisance.noise_curve import (
     Correlated,
     Gain,
-    NoiseCurve,
     correlated_px,
     gain_from_curve,
     noise_curve,
 )
+from spotcheck.estimate.noise import NoiseCurve
 from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 # The rim of a frame, whose median is its dark level, in parts of its sides: a spot lies within.

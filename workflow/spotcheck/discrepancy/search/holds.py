@@ -13,7 +13,7 @@ import numpy as np
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.pixels import by_cell, screen
-from spotcheck.discrepancy.nuisance.fit import Fitted, Free, changed, values_of
+from spotcheck.discrepancy.nuisance.fit import Fitted, Free, nudged, values_of
 from spotcheck.discrepancy.observe.pixels import Frame
 
 
@@ -45,14 +45,13 @@ def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effe
     others = tuple(own for own in fitted.free if own is not strength)
     beside = _without(fitted, at, others)
     value = values_of(fitted.model, [strength])[0]
-    step = -strength.nudge if value + strength.nudge > strength.high else strength.nudge
-    moved = changed(fitted.model, [strength], [value + step])
+    moved, step = nudged(fitted.model, strength)
     (own,) = screen(frames, beside, [moved])
     score, information = by_cell(frames, beside, moved, own)
-    parts = len(np.unique(groups))
-    u, i = (np.zeros((parts, score.shape[1])) for _ in range(2))
-    np.add.at(u, np.unique(groups, return_inverse=True)[1], score)
-    np.add.at(i, np.unique(groups, return_inverse=True)[1], information)
+    parts, group = np.unique(groups, return_inverse=True)
+    u, i = (np.zeros((len(parts), score.shape[1])) for _ in range(2))
+    np.add.at(u, group, score)
+    np.add.at(i, group, information)
     # A cell that tells next to nothing has no normal score.
     told = i > 1e-4 * i.max()
     q = float((u[told] ** 2 / i[told]).sum() - u[told].sum() ** 2 / i[told].sum())
