@@ -6,7 +6,7 @@ from scipy import stats
 
 from spotcheck.discrepancy.evidence import accounts, components, laws, scatter
 from spotcheck.discrepancy.evidence.components import Component
-from spotcheck.discrepancy.evidence.design import Design, missing, view_of
+from spotcheck.discrepancy.observe.design import Design, missing, view_of
 from spotcheck.discrepancy.evidence.influence import CELLS, FrameNumbers
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Law, spot_state

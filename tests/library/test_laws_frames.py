@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.evidence.design import Design
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.evidence.influence import AZIMUTHS, CELLS, cells_of, influence_of, numbers_of
 from spotcheck.discrepancy.evidence.laws import laws_of
 from spotcheck.discrepancy.nuisance.fit import contrasts, fit, sums_of

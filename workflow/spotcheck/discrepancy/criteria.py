@@ -31,7 +31,7 @@ CHANCE = Criterion(
     "rare even among the thousands of cells and effects that a day of verdicts looks at",
 )
 TIED = Criterion(
-    0.02,
+    0.002,
     "1",
     "an effect is tied with the light's shape where the shape leaves less than this part of its information",
     "what is left then hangs on what the shape's splines cannot resolve",

@@ -165,28 +165,73 @@ def light(view: View, baseline: Baseline, base: Law | Free, present: Sequence[Pr
         shape = np.minimum(shape, spot.top_hat_level(amplitude)) if baseline.top_hat else shape
         return shape if baseline.learned is None else shape + amplitude * baseline.learned(dx / sigma, dy / sigma)
 
-    def blurred(shift_x, shift_y):
-        paths = _at(present, Place.BLUR)
-        if not paths:
-            return sharp(shift_x, shift_y)
-        exposed = view._replace(exposure_s=true_exposure(view, present))
-        total = 0.0
-        # Two smears in a row are every pair of their shifts.
-        for steps in product(*(own.apply(exposed) for own in paths)):
-            dx, dy = (sum(step[axis] for step in steps) for axis in (0, 1))
-            total = total + prod(step[2] for step in steps) * sharp(shift_x + dx, shift_y + dy)
-        return total
-
+    blurred = _blurred(sharp, view, present)
     total = blurred(0.0, 0.0)
     for own in _at(present, Place.ADDED):
         total = total + own.apply(view, blurred, amplitude, sigma)
-    for own in _at(present, Place.MODULATION):
-        total = total * own.apply(view)
+    total = total * modulation(view, present)
     beside = 0.0
     for own in _at(present, Place.PEDESTAL):
         if own.form != "electronic":
             beside = beside + own.apply(view)
     return total, beside
+
+
+def _blurred(sharp, view: View, present: Sequence[Present]):
+    """A displaced spot as a function of its displacement, averaged over its paths."""
+    paths = _at(present, Place.BLUR)
+    if not paths:
+        return sharp
+    exposed = view._replace(exposure_s=true_exposure(view, present))
+    # Two smears in a row are every pair of their shifts.
+    every = list(product(*(own.apply(exposed) for own in paths)))
+
+    def blurred(shift_x, shift_y):
+        total = 0.0
+        for steps in every:
+            dx, dy = (sum(step[axis] for step in steps) for axis in (0, 1))
+            total = total + prod(step[2] for step in steps) * sharp(shift_x + dx, shift_y + dy)
+        return total
+
+    return blurred
+
+
+def modulation(view: View, present: Sequence[Present]):
+    """Factor on the light of the spot."""
+    factor = 1.0
+    for own in _at(present, Place.MODULATION):
+        factor = factor * own.apply(view)
+    return factor
+
+
+class Copies:
+    """A sum of displaced spots, of each dx, dy [px] and its weight: what a spot is to a function that is linear in it."""
+
+    # Arrays leave products with them to this class.
+    __array_ufunc__ = None
+
+    def __init__(self, each: tuple[tuple, ...]):
+        self.each = each
+
+    def __add__(self, other):
+        return Copies(self.each + (other.each if isinstance(other, Copies) else ()))
+
+    def __radd__(self, other):
+        return self
+
+    def __mul__(self, factor):
+        return Copies(tuple((dx, dy, factor * weight) for dx, dy, weight in self.each))
+
+    __rmul__ = __mul__
+
+
+def copies_of(view: View, present: Sequence[Present], amplitude, sigma) -> Copies:
+    """The displaced copies of the spot of which its light is the sum; what is added otherwise is left out."""
+    blurred = _blurred(lambda dx, dy: Copies(((dx, dy, 1.0),)), view, present)
+    total = blurred(0.0, 0.0)
+    for own in _at(present, Place.ADDED):
+        total = total + own.apply(view, blurred, amplitude, sigma)
+    return total
 
 
 def round_again(view: View, dx, dy, present: Sequence[Present]):

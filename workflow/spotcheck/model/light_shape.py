@@ -25,34 +25,27 @@ class LightShape(NamedTuple):
         return self.step * (len(self.coefficients) - 1) / 2
 
     def __call__(self, u, v) -> np.ndarray:
-        """s at u, v (shapes that broadcast); by matrices where u differs along the last axis alone and v along the one
+        """s at u, v (shapes that broadcast), row by row where u differs along the last axis alone and v along the one
         before it, as on a grid of pixels."""
         u, v = np.asarray(u, float), np.asarray(v, float)
         shape = np.broadcast_shapes(u.shape, v.shape)
         if u.ndim == v.ndim == 3 and u.shape[1] == 1 and v.shape[2] == 1:
-            along, across = self.basis(u[:, 0, :]), self.basis(v[:, :, 0])
-            return np.broadcast_to((across @ self.coefficients) @ np.swapaxes(along, -1, -2), shape)
+            views = shape[0]
+            along, across = (np.broadcast_to(own.reshape(len(own), -1), (views, own[0].size)) for own in (u, v))
+            out = np.empty(shape)
+            for k in range(views):
+                evaluate_grid(along[k], across[k], self.step, self.coefficients, out[k])
+            return out
         u, v = (np.ascontiguousarray(np.broadcast_to(own, shape)).ravel() for own in (u, v))
         out = np.empty(u.size)
         evaluate(u, v, self.step, self.coefficients, out)
         return out.reshape(shape)
-
-    def basis(self, u: np.ndarray) -> np.ndarray:
-        """Values [..., node] of the splines of one axis at u."""
-        nodes = self.step * (np.arange(len(self.coefficients)) - (len(self.coefficients) - 1) / 2)
-        return cubic((np.asarray(u)[..., None] - nodes) / self.step)
 
 
 def empty(step: float, reach: float) -> LightShape:
     """A shape that is 0 everywhere, with nodes as far as `reach` [σ] at least."""
     side = 2 * int(np.ceil(reach / step)) + 1
     return LightShape(step, np.zeros((side, side)))
-
-
-def cubic(t: np.ndarray) -> np.ndarray:
-    """The cubic B-spline about 0 with nodes at whole numbers."""
-    t = np.abs(t)
-    return np.where(t < 1, 2 / 3 - t * t * (1 - t / 2), np.maximum(2 - t, 0.0) ** 3 / 6)
 
 
 @compiled
@@ -94,3 +87,40 @@ def evaluate(u, v, step, coefficients, out):
                 for b in range(4):
                     if 0 <= j + b < side:
                         out[k] += across[a] * along[b] * coefficients[i + a, j + b]
+
+
+@compiled
+def splines_along(u, step, side):
+    """First node and the four splines' values [point, 4] of one axis at each of some points; where a spline is none of
+    the surface's, its value is 0 and its node the nearest there is."""
+    first, values = np.zeros(u.size, np.int64), np.zeros((u.size, 4))
+    middle = (side - 1) / 2
+    own = np.empty(4)
+    for k in range(u.size):
+        t = u[k] / step + middle
+        if not -2 < t < side + 1:
+            continue
+        start = weights_at(t, own)
+        first[k] = min(max(start, 0), side - 4)
+        for a in range(4):
+            if 0 <= start + a < side:
+                values[k, start + a - first[k]] = own[a]
+    return first, values
+
+
+@compiled
+def evaluate_grid(u, v, step, coefficients, out):
+    """s on a grid of points u [column], v [row]."""
+    side = coefficients.shape[0]
+    left, along = splines_along(u, step, side)
+    top, across = splines_along(v, step, side)
+    line = np.empty(side)
+    for r in range(v.size):
+        i = top[r]
+        for j in range(side):
+            line[j] = (across[r, 0] * coefficients[i, j] + across[r, 1] * coefficients[i + 1, j]
+                       + across[r, 2] * coefficients[i + 2, j] + across[r, 3] * coefficients[i + 3, j])  # fmt: skip
+        for c in range(u.size):
+            j = left[c]
+            out[r, c] = (along[c, 0] * line[j] + along[c, 1] * line[j + 1]
+                         + along[c, 2] * line[j + 2] + along[c, 3] * line[j + 3])  # fmt: skip

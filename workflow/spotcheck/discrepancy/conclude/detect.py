@@ -6,7 +6,7 @@ The smallest counts, corrected for their number.
 """
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,9 +39,10 @@ from spotcheck.discrepancy.evidence.parts import (
     standing_squares,
     well_known,
 )
-from spotcheck.discrepancy.evidence.taken import drawn_readings, draws_of
+from spotcheck.discrepancy.evidence.taken import drawn_readings, shapes_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 from spotcheck.model.light_shape import LightShape
 
@@ -62,18 +63,6 @@ CHAINS = {
 }
 # Sums of squares that are compared with each other: name, cells, and which frames share them.
 SPREADS = (("levels", "level", "all"), ("coarse blocks", "coarse block", "all"), ("frames", "whole", "frame"))
-
-
-class Design(Protocol):
-    """What of a design is asked here: the number of each frame's site and of its condition [frame]."""
-
-    @property
-    def site(self) -> np.ndarray:
-        """Number of each frame's site [frame]."""
-
-    @property
-    def condition(self) -> np.ndarray:
-        """Number of each frame's condition [frame]."""
 
 
 class Detection(NamedTuple):
@@ -110,7 +99,7 @@ def detect(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: De
     """
     found: list[Part | None] = []
     if isinstance(model, Fitted):
-        looked = look(frames, model.model, design, draws_of(model, DRAWS, np.random.default_rng(SEED)))
+        looked = look(frames, model.model, design, shapes_of(model, DRAWS, np.random.default_rng(SEED)))
         sensor = model.model.sensor
     else:
         numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.discrepancy.conclude.detect import Design
 from spotcheck.discrepancy.evidence.cells import BLOCK, RADII, Readings, Standard
-from spotcheck.discrepancy.evidence.taken import draws_of
+from spotcheck.discrepancy.evidence.taken import shapes_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
 from spotcheck.model.light_shape import LightShape
 
@@ -60,7 +60,7 @@ def unexplained(frames: Sequence[Frame], fitted: Fitted, design: Design, seed: i
     readings = Readings(frames, fitted.model)
     peak = np.exp(fitted.model.numbers.log_peak)
     condition = np.asarray(design.condition)
-    shapes = draws_of(fitted, DRAWS, np.random.default_rng(seed))
+    shapes = shapes_of(fitted, DRAWS, np.random.default_rng(seed))
     blocks, parts = [], {}
     for k in range(len(frames)):
         seen = readings.of(k)

@@ -12,7 +12,7 @@ from scipy import linalg
 
 from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.components import Component, Estimated
-from spotcheck.discrepancy.evidence.design import Design, view_of
+from spotcheck.discrepancy.observe.design import Design, view_of
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.nuisance.fit import Free, changed, free_of, values_of
 from spotcheck.discrepancy.observe.pixels import Model, Numbers

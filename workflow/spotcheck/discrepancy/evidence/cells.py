@@ -74,29 +74,30 @@ class Readings:
         frame, model, law = self.frames[k], self.model, self.ready.law
         seen = self.ready.of(frame, k)
         own = self.ready.numbers_of(k)
-        spot, beside = self.ready.light(frame, own)
         # A learned shape follows the readings' noise: weights and levels that follow it would, too.
         view = frame.view._replace(x0=own.x, y0=own.y)
         plain = model.baseline._replace(learned=None)
         declared = light(view, plain, Free(np.exp(own.log_peak), np.exp(own.log_width)), model.present)[0].ravel()
-        electrons = np.broadcast_to((spot + beside) / model.sensor.gain_dn_per_e, (1, *frame.pixels.shape)).ravel()
+        shape = frame.pixels.shape
         dark = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
-        electrons = electrons + np.ravel(dark)
-        higher = np.empty((2, electrons.size))
+        electrons = np.broadcast_to((seen.spot + seen.beside) / model.sensor.gain_dn_per_e + dark, (1, *shape))[0]
+        higher = np.empty((2, *shape))
         look_up(electrons, law.first, law.step, self.table, higher)
+        electrons, higher = electrons.ravel(), higher.reshape(2, -1)
         variance = seen.variance.ravel()
         known = np.isfinite(frame.pixels).ravel() & (variance > CERTAIN)
         weight = np.where(known, 1 / np.sqrt(np.maximum(variance, CERTAIN)), 0.0)
         z = np.where(known, (frame.pixels - seen.mean).ravel(), 0.0) * weight
         offset = seen.slope.ravel() * weight
-        slopes = self.ready.by_numbers(frame, k, seen) * offset
+        slopes = self.ready.by_numbers(frame, k, seen).reshape(NUMBERS, -1) * offset
         taken = whitened(slopes)
         row, column = (np.rint(np.broadcast_to(axis, (1, *frame.pixels.shape))).astype(np.int64).ravel()
                        for axis in (frame.view.y, frame.view.x))  # fmt: skip
+        u, v = (np.broadcast_to(place, shape).ravel() for place in (seen.u, seen.v))
         return Standard(
             z, np.where(known, np.sqrt(variance), 0.0), higher[0] * weight**3, higher[1] * weight**4, offset,
-            offset * declared, declared / model.sensor.gain_dn_per_e, electrons, taken, row, column, seen.u.ravel(),
-            seen.v.ravel(), frame.pixels.shape,
+            offset * declared, declared / model.sensor.gain_dn_per_e, electrons, taken, row, column, u, v,
+            shape,
         )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of
+from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of, splines_of
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
 
 # Cells: azimuths, and the radii [σ] within which a third and two thirds of a Gaussian's light lie.
@@ -33,7 +33,7 @@ def numbers_of(fitted: Fitted, influence: np.ndarray | None = None, more: np.nda
     frame × number], centres in σ, of what the weights do not know, such as noise that the pixels of a row share."""
     values = np.stack(fitted.model.numbers)
     frames = values.shape[1]
-    basis, steps = contrasts(frames), NUMBERS * (frames - 1)
+    basis, steps = contrasts(fitted.model), NUMBERS * (frames - (fitted.model.baseline.learned is not None))
     covariance = basis @ fitted.covariance[:steps, :steps] @ basis.T
     if more is not None:
         covariance = covariance + basis @ (basis.T @ more @ basis) @ basis.T
@@ -47,26 +47,24 @@ def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
     """Steps of the frames' numbers [frame × number, cell], centres in σ, that each cell of the spot asks for: the
     solution of the normal equations for the scores of its pixels, those of all frames together."""
     model, few = fitted.model, NUMBERS * len(frames)
-    learned = model.baseline.learned
-    assert learned is not None
-    side = len(learned.coefficients)
-    ready, nudged = Expectation(frames, model), nudged_of(frames, model, fitted.free)
+    step, side = splines_of(model)
+    ready = Expectation(frames, model)
+    nudged = nudged_of(frames, ready, fitted.free)
     shape, others = np.zeros((CELLS, side * side, 1)), np.zeros((few + len(nudged), CELLS))
     for k, frame in enumerate(frames):
         seen = ready.of(frame, k)
         tells = told(frame, seen)
-        u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
-        cell = cells_of(u, v)
+        cell = cells_of(seen.u, seen.v)
         parts = [*(ready.by_numbers(frame, k, seen) * tells.light)]
-        parts += [tells.score(*change) for change in changes_of(frame, k, seen, nudged)]
+        parts += [mean * tells.mean + variance * tells.variance
+                  for mean, variance in changes_of(frame, k, seen, nudged)]  # fmt: skip
         rows = [*range(NUMBERS * k, NUMBERS * (k + 1)), *range(few, few + len(nudged))]
         for row, part in zip(rows, parts, strict=True):
-            others[row] += np.bincount(cell, part, CELLS)
+            others[row] += np.bincount(cell.ravel(), part.ravel(), CELLS)
         light = np.exp(model.numbers.log_peak[k]) * tells.light
         for c in range(CELLS):
-            own = cell == c
-            normal.project(u[own], v[own], learned.step, side, light[own][None], shape[c])
-    basis = contrasts(len(frames), len(nudged))
+            normal.project(seen.u, seen.v, step, side, np.where(cell == c, light, 0.0)[None], shape[c])
+    basis = contrasts(model, len(nudged))
     left = basis.T @ others - fitted.schur.absorbed.T @ shape[:, :, 0].T
     return (basis @ np.linalg.solve(fitted.schur.left, left))[:few]
 

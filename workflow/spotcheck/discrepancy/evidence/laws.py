@@ -27,7 +27,7 @@ from spotcheck.discrepancy.evidence.accounts import (
     start_of,
 )
 from spotcheck.discrepancy.evidence.components import Component
-from spotcheck.discrepancy.evidence.design import Design, missing
+from spotcheck.discrepancy.observe.design import Design, missing
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.evidence.scatter import Scatter, scatters_of
 from spotcheck.discrepancy.nuisance.fit import NUMBERS

@@ -12,25 +12,37 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of, shared
-from spotcheck.discrepancy.nuisance.taken import taken_up
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, told
+from spotcheck.discrepancy.nuisance.fit import (
+    NUMBERS,
+    Fitted,
+    changes_of,
+    coefficients_of,
+    contrasts,
+    nudged_of,
+    shared,
+    splines_of,
+)
+from spotcheck.discrepancy.nuisance.taken import lacking, variance_of
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, deviance_of, told
 from spotcheck.model.light_shape import LightShape
 
 # Cells in which an effect has to speak alike: azimuths, and the radius [σ] that parts near from far.
 AZIMUTHS, RADIUS = 8, 1.2
 CELLS = 2 * AZIMUTHS
+# A change is in proportion where −2 ln L drops as it should then, but for this part.
+STRAIGHT = 0.5
 
 
 class Score(NamedTuple):
     """Score and information of a change in its own units; of its information what would be there were the shape known;
-    by what −2 ln L drops if all of the change is made and nothing else; and what makes up for it: coefficients of the
-    shape and steps of the numbers and free parameters."""
+    by what −2 ln L drops if all of the change is made and nothing else, and by what it would if all were linear; and
+    what makes up for the change: coefficients of the shape and steps of the numbers and free parameters."""
 
     score: float
     information: float
     if_known: float
     drop: float
+    linear: float
     shape: np.ndarray
     others: np.ndarray
 
@@ -40,6 +52,19 @@ class Score(NamedTuple):
         return self.score / float(np.sqrt(max(self.information, 1e-300)))
 
     @property
+    def promise(self) -> float:
+        """What −2 ln L would gain with as much of the change as is best; 0 where that is less than none. Where readings
+        do not follow a straight line there is all or nothing."""
+        if not self.straight:
+            return max(self.drop, 0.0)
+        return self.z**2 if self.size > 0 else 0.0
+
+    @property
+    def straight(self) -> bool:
+        """Whether readings follow the change in a straight line."""
+        return abs(self.drop - self.linear) <= STRAIGHT * abs(self.linear)
+
+    @property
     def size(self) -> float:
         """How much of the change there is, to first order."""
         return self.score / max(self.information, 1e-300)
@@ -47,15 +72,15 @@ class Score(NamedTuple):
 
 def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], workers: int = 2) -> list[Score]:
     """Score and information of each other model."""
-    plain, ready = Expectation(frames, fitted.model), [Expectation(frames, other) for other in others]
-    nudged, lacks = nudged_of(frames, fitted.model, fitted.free), taken_up(frames, fitted)
+    ready = Ready(frames, fitted, others)
 
     def part(which: np.ndarray) -> list[np.ndarray]:
-        return _sums(frames, fitted, plain, ready, nudged, lacks, which)
+        return _sums(frames, ready, which)
 
     score, raw, drop, shape, numbers, pull, own = shared(part, len(frames), workers)
-    basis = contrasts(len(frames), len(nudged))
-    right = fitted.schur.solve(pull[:, 0], basis.T @ own[:, 0])
+    basis = contrasts(fitted.model, len(fitted.free))
+    pull[:, 0] -= fitted.penalty * normal.product(normal.roughness(ready.side), coefficients_of(fitted.model))
+    right = fitted.schur.solve(pull[:, 0], basis.T @ own)
     out = []
     for c in range(len(others)):
         x, n = shape[:, c], basis.T @ numbers[:, c]
@@ -63,80 +88,89 @@ def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], wor
         only = normal.solve(fitted.schur.left + fitted.schur.given, n) if n.size else n
         left = raw[c] - x @ inner - n @ step
         own_score = float(score[c] - x @ right[0] - n @ right[1])
-        out.append(Score(own_score, float(left), float(raw[c] - n @ only), float(drop[c]), inner, basis @ step))
+        known, linear = float(raw[c] - n @ only), float(2 * score[c] - raw[c])
+        out.append(Score(own_score, float(left), known, float(drop[c]), linear, inner, basis @ step))
     return out
 
 
-def _sums(
-    frames: Sequence[Frame], fitted: Fitted, plain: Expectation, ready: Sequence[Expectation], nudged, lacks, which
-):
+class Ready:
+    """A fit and other models, made ready for a pass over the frames."""
+
+    def __init__(self, frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model]):
+        self.step, self.side = splines_of(fitted.model)
+        self.peaks = np.exp(fitted.model.numbers.log_peak)
+        self.plain = Expectation(frames, fitted.model)
+        self.others = [Expectation(frames, other, self.plain) for other in others]
+        self.nudged = nudged_of(frames, self.plain, fitted.free)
+        self.variance = variance_of(fitted.schur, self.step, self.side)
+
+    def of(self, frame: Frame, k: int):
+        """What a frame should read and tells, with what its variance's score lacks given back."""
+        seen = self.plain.of(frame, k)
+        tells = told(frame, seen)
+        lacks = lacking(self.variance, float(self.peaks[k]), seen, tells)
+        tells = tells._replace(variance=tells.variance + lacks, light=tells.light + lacks * seen.growth)
+        return seen, tells
+
+
+def _sums(frames: Sequence[Frame], ready: Ready, which: np.ndarray):
     """Of some frames: scores and information [trial], what trials share with the shape [coefficient, trial] and with
     all else that is fitted [number, trial], and the scores of both."""
-    model, count = fitted.model, len(ready)
-    learned = model.baseline.learned
-    assert learned is not None
-    side, few = len(learned.coefficients), NUMBERS * len(frames)
+    count, few, side = len(ready.others), NUMBERS * len(frames), ready.side
     score, raw, drop = np.zeros(count), np.zeros(count), np.zeros(count)
     shape, pull = np.zeros((side * side, count)), np.zeros((side * side, 1))
-    numbers, own = np.zeros((few + len(nudged), count)), np.zeros((few + len(nudged), 1))
+    numbers, own = np.zeros((few + len(ready.nudged), count)), np.zeros(few + len(ready.nudged))
     for k in which:
-        frame = frames[k]
-        seen = plain.of(frame, k)
-        tells = told(frame, seen)
-        changes = []
-        for c, other in enumerate(ready):
-            then = other.of(frame, k)
-            drop[c] += tells.deviance - told(frame, then).deviance
-            changes.append(((then.mean - seen.mean).ravel(), (then.variance - seen.variance).ravel()))
-        score += [tells.score(*change).sum() + lacks[k] @ change[1] for change in changes]
-        raw += [tells.information(change, change).sum() for change in changes]
-        light = np.stack([tells.with_light(*change) for change in changes])
-        slopes = plain.by_numbers(frame, k, seen)
-        at = slice(NUMBERS * k, NUMBERS * (k + 1))
-        pulled = tells.light + lacks[k] * tells.growth
-        numbers[at], own[at, 0] = slopes @ light.T, slopes @ pulled
-        for d, change in enumerate(changes_of(frame, k, seen, nudged)):
-            numbers[few + d] += [tells.information(change, one).sum() for one in changes]
-            own[few + d] += tells.score(*change).sum() + lacks[k] @ change[1]
-        u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
-        peak = np.exp(model.numbers.log_peak[k])
-        normal.project(u, v, learned.step, side, peak * light, shape)
-        normal.project(u, v, learned.step, side, peak * pulled[None], pull)
-    assert learned is not None
-    flat = learned.coefficients.ravel()
-    if 0 in which:
-        pull[:, 0] -= fitted.penalty * normal.product(normal.roughness(side), flat)
+        frame, at = frames[k], slice(NUMBERS * k, NUMBERS * (k + 1))
+        seen, tells = ready.of(frame, k)
+        peak = ready.peaks[k] * seen.factor
+        slopes = ready.plain.by_numbers(frame, k, seen).reshape(NUMBERS, -1)
+        free = changes_of(frame, k, seen, ready.nudged)
+        own[at] = slopes @ tells.light.ravel()
+        own[few:] += [tells.score(*change) for change in free]
+        for u, v, weight in seen.copies:
+            normal.project(u, v, ready.step, side, (weight * peak * tells.light)[None], pull)
+        before, lights = deviance_of(frame, seen), np.empty((count, *frame.pixels.shape))
+        for c, other in enumerate(ready.others):
+            then = other.of(frame, k, seen)
+            drop[c] += before - deviance_of(frame, then)
+            change = then.mean - seen.mean, then.variance - seen.variance
+            score[c] += tells.score(*change)
+            raw[c] += tells.information(change, change)
+            lights[c] = tells.with_light(*change)
+            numbers[few:, c] += [tells.information(change, one) for one in free]
+        numbers[at] = slopes @ lights.reshape(count, -1).T
+        normal.project(seen.u, seen.v, ready.step, side, peak * lights, shape)
     return [score, raw, drop, shape, numbers, pull, own]
 
 
 def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, workers: int = 2):
     """Score and information [frame, cell] of a change, in 8 azimuths, near and far from the spot's centre."""
-    plain, then = Expectation(frames, fitted.model), Expectation(frames, other)
-    nudged, lacks = nudged_of(frames, fitted.model, fitted.free), taken_up(frames, fitted)
-    learned, few = fitted.model.baseline.learned, NUMBERS * len(frames)
-    assert learned is not None
-    surface = LightShape(learned.step, own.shape.reshape(learned.coefficients.shape))
+    ready, few = Ready(frames, fitted, [other]), NUMBERS * len(frames)
+    surface = LightShape(ready.step, own.shape.reshape(ready.side, ready.side))
 
     def part(which: np.ndarray) -> list[np.ndarray]:
         score, information = np.zeros((len(frames), CELLS)), np.zeros((len(frames), CELLS))
         for k in which:
-            seen = plain.of(frames[k], k)
-            tells, after = told(frames[k], seen), then.of(frames[k], k)
-            made_up = np.exp(fitted.model.numbers.log_peak[k]) * surface(seen.u, seen.v).ravel()
-            made_up = made_up + own.others[NUMBERS * k : NUMBERS * (k + 1)] @ plain.by_numbers(frames[k], k, seen)
-            mean = (after.mean - seen.mean).ravel() - tells.slope * made_up
-            variance = (after.variance - seen.variance).ravel() - tells.growth * made_up
-            for size, change in zip(own.others[few:], changes_of(frames[k], k, seen, nudged), strict=True):
+            seen, tells = ready.of(frames[k], k)
+            after = ready.others[0].of(frames[k], k, seen)
+            slopes = ready.plain.by_numbers(frames[k], k, seen)
+            made_up = ready.peaks[k] * seen.factor * surface(seen.u[None], seen.v[None])[0] if ready.side else 0.0
+            made_up = made_up + np.tensordot(own.others[NUMBERS * k : NUMBERS * (k + 1)], slopes, 1)
+            mean = after.mean - seen.mean - tells.slope * made_up
+            variance = after.variance - seen.variance - tells.growth * made_up
+            for size, change in zip(own.others[few:], changes_of(frames[k], k, seen, ready.nudged), strict=True):
                 mean, variance = mean - size * change[0], variance - size * change[1]
-            cell = _cells(seen.u, seen.v).ravel()
-            score[k] = np.bincount(cell, tells.score(mean, variance) + lacks[k] * variance, CELLS)
-            information[k] = np.bincount(cell, tells.information((mean, variance), (mean, variance)), CELLS)
+            cell = cells_of(seen.u, seen.v).ravel()
+            told_here = (mean * tells.mean + variance * tells.variance,
+                         mean**2 * tells.sure + variance**2 * tells.sure_variance)  # fmt: skip
+            score[k], information[k] = (np.bincount(cell, part.ravel(), CELLS) for part in told_here)
         return [score, information]
 
     return shared(part, len(frames), workers)
 
 
-def _cells(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Cell of each pixel."""
+def cells_of(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Cell of each pixel [row, column]."""
     turn = np.floor((np.arctan2(v, u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
     return turn + AZIMUTHS * (np.hypot(u, v) > RADIUS)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import linalg, optimize, stats
 
 from spotcheck.discrepancy.evidence.components import root_of
-from spotcheck.discrepancy.evidence.design import Design
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.model.effect import Effect
 

@@ -12,33 +12,22 @@ from scipy import linalg
 
 from spotcheck.discrepancy.evidence.cells import Standard
 from spotcheck.discrepancy.nuisance.fit import Fitted
+from spotcheck.discrepancy.nuisance.taken import draws_of
 from spotcheck.model.light_shape import LightShape
 
 
-def draws_of(fitted: Fitted, count: int, rng: np.random.Generator) -> list[LightShape]:
+def shapes_of(fitted: Fitted, count: int, rng: np.random.Generator) -> list[LightShape]:
     """Shapes x + x' whose variance at any place is what the shape takes of noise there."""
     learned = fitted.model.baseline.learned
     assert learned is not None
     side = len(learned.coefficients)
-    factor = fitted.schur.factor
-    turned = transposed(factor)
     second = np.diff(np.eye(side), 2, axis=0)
     out = []
-    for _ in range(count):
-        x = linalg.solve_banded((0, len(factor) - 1), turned, rng.standard_normal(side * side))
+    for drawn in draws_of(fitted.schur, side, count, rng):
         # P is the sum of squared second differences along both axes.
         bent = second.T @ rng.standard_normal((side - 2, side)) + rng.standard_normal((side, side - 2)) @ second
-        smooth = linalg.cho_solve_banded((factor, True), np.sqrt(fitted.penalty) * bent.ravel())
-        out.append(LightShape(learned.step, (x + smooth).reshape(side, side)))
-    return out
-
-
-def transposed(factor: np.ndarray) -> np.ndarray:
-    """A lower banded matrix [diagonal, column] transposed, as an upper banded one."""
-    out = np.zeros_like(factor)
-    last = len(factor) - 1
-    for gap in range(last + 1):
-        out[last - gap, gap:] = factor[gap, : factor.shape[1] - gap]
+        smooth = linalg.cho_solve_banded((fitted.schur.factor, True), np.sqrt(fitted.penalty) * bent.ravel())
+        out.append(LightShape(learned.step, drawn + smooth.reshape(side, side)))
     return out
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaln, ndtr, xlogy
 
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, scatters
 from spotcheck.model.chain import View, true_exposure
 from spotcheck.model.effect import Place, Present
 
@@ -76,7 +76,12 @@ def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
     ]
     if sum(own.read.sum() for own in own_histograms) < FEWEST:
         return None
-    return fit_dark(own_histograms, gain, _dead(model.present))
+    found = fit_dark(own_histograms, gain, _dead(model.present))
+    # Offsets of rows scatter dark pixels as read noise does.
+    rows = sum(own.values[0] ** 2 for own in model.present if scatters(own.effect, "row")) / gain**2
+    alone = np.sqrt(max(found.read_noise_e**2 - rows, (LEAST_DN / gain) ** 2))
+    error = found.read_noise_stderr * found.read_noise_e / alone
+    return found._replace(read_noise_e=float(alone), read_noise_stderr=float(error))
 
 
 def _electrons(ready: Expectation, frame: Frame, k: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 Fisher's scoring on χ² + Σ ln variance + λ cᵀPc. The shape is common to all frames, in the coordinates of the spot; what
 it shares with the frames' numbers (all brighter, all wider, all moved) is the shape's: the numbers' steps sum to 0.
+Where the model learns no shape, the declared one stands and all numbers are free.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,15 +10,18 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, told
-from spotcheck.model.effect import Context
+from spotcheck.model.effect import Context, Place
 from spotcheck.model.light_shape import LightShape
 
 NUMBERS = len(Numbers._fields)
 # The dear matrices of the normal equations are made at so many first steps, then at every so many, and kept between.
-RENEWED, AGAIN = 2, 3
+RENEWED, AGAIN = 2, 4
+# So many first steps are led by means alone: far from a fit a large residual asks for more variance, and so for light.
+MEANS = 2
 # A step that gains less than this in −2 ln L ends the fit; one that loses is halved so many times.
 ENOUGH, HALVINGS = 0.5, 4
 # The farthest that a step may change logs of peak and width, and a centre [σ]; of a parameter it is its own size.
@@ -45,15 +49,19 @@ class Free(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Of all pixels under a model: −2 ln L but for constants; G [coefficient, 4, 7], X [coefficient, number] and
-    D [number, number] of the normal equations, and the scores of both parts."""
+    """Of all pixels under a model: −2 ln L but for constants; the scores of shape and of numbers and free parameters;
+    of the latter X [coefficient, parameter], and D with numbers [number, parameter] and among themselves; and of the
+    numbers, where they were asked for, G [coefficient, 4, 7], X [coefficient, number] and D [number, number]."""
 
     deviance: float
+    shape: np.ndarray
+    others: np.ndarray
+    behind: np.ndarray
+    cross: np.ndarray
+    own: np.ndarray
     gram: np.ndarray
     joined: np.ndarray
     dense: np.ndarray
-    shape: np.ndarray
-    others: np.ndarray
 
 
 class Fitted(NamedTuple):
@@ -74,9 +82,11 @@ class Fitted(NamedTuple):
 
 
 def free_of(model: Model, context: Context) -> tuple[Free, ...]:
-    """The parameters of a model's effects that a fit may change."""
+    """The parameters of a model's effects that a fit may change; what scatters is told by its pattern, not by a fit."""
     out = []
     for e, own in enumerate(model.present):
+        if own.effect.place is Place.SCATTER:
+            continue
         starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
         bounds = own.effect.bounds(context)
         for p, parameter in enumerate(own.effect.parameters):
@@ -114,13 +124,20 @@ def _value(model: Model, own: Free) -> float:
 
 
 def sums_of(
-    frames: Sequence[Frame], model: Model, free: Sequence[Free] = (), *, curved: bool, workers: int = 2
+    frames: Sequence[Frame],
+    model: Model,
+    free: Sequence[Free] = (),
+    *,
+    curved: bool,
+    by_variance: bool = True,
+    workers: int = 2,
 ) -> Sums:
-    """All sums under a model; with `curved` false only the deviance and the scores."""
-    ready, others = Expectation(frames, model), nudged_of(frames, model, free)
+    """All sums under a model; `curved`: those of shape and numbers too; without `by_variance` means alone tell."""
+    ready = Expectation(frames, model)
+    others = nudged_of(frames, ready, free)
 
     def part(which: np.ndarray) -> Sums:
-        return _part(frames, model, ready, others, which, curved)
+        return _part(frames, model, ready, others, which, curved, by_variance)
 
     return Sums(*shared(part, len(frames), workers))
 
@@ -142,72 +159,83 @@ def nudged(model: Model, own: Free) -> tuple[Model, float]:
 Nudged = list[tuple[Expectation, float]]
 
 
-def nudged_of(frames: Sequence[Frame], model: Model, free: Sequence[Free]) -> Nudged:
-    """The model with each free parameter a small step off, and that step."""
+def nudged_of(frames: Sequence[Frame], ready: Expectation, free: Sequence[Free]) -> Nudged:
+    """A model with each free parameter a small step off, and that step."""
+    model = ready.model
     steps = (nudged(model, own) for own in free)
-    return [(Expectation(frames, other), step) for other, step in steps]
+    return [(Expectation(frames, other, ready), step) for other, step in steps]
 
 
 def changes_of(frame: Frame, k: int, seen: Expected, nudged: Nudged) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Slopes of mean and variance [pixel] by each free parameter."""
-    then = [(other.of(frame, k), step) for other, step in nudged]
-    return [((o.mean - seen.mean).ravel() / step, (o.variance - seen.variance).ravel() / step) for o, step in then]
+    """Slopes of mean and variance [row, column] by each free parameter."""
+    then = [(other.of(frame, k, seen), step) for other, step in nudged]
+    return [((o.mean - seen.mean) / step, (o.variance - seen.variance) / step) for o, step in then]
 
 
 def _part(
-    frames: Sequence[Frame], model: Model, ready: Expectation, nudged: Nudged, which: np.ndarray, curved: bool
+    frames: Sequence[Frame],
+    model: Model,
+    ready: Expectation,
+    nudged: Nudged,
+    which: np.ndarray,
+    curved: bool,
+    by_variance: bool,
 ) -> Sums:
     """The sums of some frames."""
-    learned = model.baseline.learned
-    assert learned is not None
-    side, few, last = len(learned.coefficients), NUMBERS * len(frames), NUMBERS * len(frames) + len(nudged)
+    (step, side), few, more = splines_of(model), NUMBERS * len(frames), len(nudged)
     size = side * side
-    gram, joined = np.zeros((size, 4, 7)), np.zeros((size, last if curved else 0))
-    dense, shape, others = np.zeros((last, last)), np.zeros((size, 1)), np.zeros(last)
+    shape, others = np.zeros((size, 1)), np.zeros(few + more)
+    behind, cross, own = np.zeros((size, more)), np.zeros((few, more)), np.zeros((more, more))
+    gram, joined, dense = (np.zeros((size, 4, 7)), np.zeros((size, few)), np.zeros((few, few))) if curved else np.zeros((3, 0))
     deviance = 0.0
-    behind = np.zeros((size, len(nudged)))
     for k in which:
         frame = frames[k]
         seen = ready.of(frame, k)
-        tells = told(frame, seen)
+        tells = told(frame, seen, by_variance=by_variance)
         deviance += tells.deviance
-        own, peak = slice(NUMBERS * k, NUMBERS * (k + 1)), np.exp(model.numbers.log_peak[k])
+        at, factor = slice(NUMBERS * k, NUMBERS * (k + 1)), np.exp(model.numbers.log_peak[k]) * seen.factor
         slopes = ready.by_numbers(frame, k, seen)
-        u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
-        others[own] = slopes @ tells.light
-        normal.project(u, v, learned.step, side, (peak * tells.light)[None], shape)
-        changes = changes_of(frame, k, seen, nudged)
-        for c, (mean, variance) in enumerate(changes):
-            others[few + c] += tells.score(mean, variance).sum()
+        flat = slopes.reshape(NUMBERS, -1)
+        others[at] = flat @ tells.light.ravel()
+        # The score is that of all copies of the spot; in the matrices, which only lead there, the first stands for all.
+        for u, v, weight in seen.copies:
+            normal.project(u, v, step, side, (weight * factor * tells.light)[None], shape)
         if curved:
-            normal.gather(u, v, learned.step, side, peak**2 * tells.sure_light, gram)
-            block = np.zeros((size, NUMBERS))
-            normal.project(u, v, learned.step, side, slopes * (peak * tells.sure_light), block)
-            joined[:, own] = block
-            dense[own, own] = (slopes * tells.sure_light) @ slopes.T
-            lights = [tells.with_light(*change) for change in changes]
-            for c, light in enumerate(lights):
-                dense[own, few + c] = dense[few + c, own] = slopes @ light
-                for d in range(c + 1):
-                    shared = tells.information(changes[c], changes[d]).sum()
-                    dense[few + c, few + d] += shared
-                    dense[few + d, few + c] = dense[few + c, few + d]
-            if lights:
-                normal.project(u, v, learned.step, side, peak * np.stack(lights), behind)
-    if curved:
-        joined[:, few:] = behind
-    return Sums(deviance, gram, joined, dense, shape, others)
+            normal.gather(seen.u, seen.v, step, side, factor**2 * tells.sure_light, gram)
+            block, sure = np.zeros((size, NUMBERS)), slopes * tells.sure_light
+            normal.project(seen.u, seen.v, step, side, factor * sure, block)
+            joined[:, at] = block
+            dense[at, at] = sure.reshape(NUMBERS, -1) @ flat.T
+        if nudged:
+            changes = changes_of(frame, k, seen, nudged)
+            others[few:] += [tells.score(*change) for change in changes]
+            lights = np.stack([tells.with_light(*change) for change in changes])
+            normal.project(seen.u, seen.v, step, side, factor * lights, behind)
+            cross[at] = flat @ lights.reshape(more, -1).T
+            own += [[tells.information(one, two) for two in changes] for one in changes]
+    return Sums(deviance, shape[:, 0], others, behind, cross, own, gram, joined, dense)
 
 
-def contrasts(frames: int, more: int = 0) -> np.ndarray:
-    """Orthonormal steps of all frames' numbers [number, step] that sum to 0 over the frames; `more` numbers behind them
-    are free."""
-    apart = np.linalg.svd(np.eye(frames) - 1 / frames)[0][:, : frames - 1]
-    both = np.kron(apart, np.eye(NUMBERS))
-    out = np.zeros((NUMBERS * frames + more, both.shape[1] + more))
-    out[: len(both), : both.shape[1]] = both
-    out[len(both) :, both.shape[1] :] = np.eye(more)
-    return out
+def splines_of(model: Model) -> tuple[float, int]:
+    """Step [σ] of the learned shape's splines and how many lie along each axis: none where no shape is learned."""
+    learned = model.baseline.learned
+    return (learned.step, len(learned.coefficients)) if learned is not None else (1.0, 0)
+
+
+def coefficients_of(model: Model) -> np.ndarray:
+    """Coefficients of the learned shape, one behind the other."""
+    learned = model.baseline.learned
+    return np.zeros(0) if learned is None else learned.coefficients.ravel()
+
+
+def contrasts(model: Model, more: int = 0) -> np.ndarray:
+    """Orthonormal steps of all frames' numbers [number, step], which sum to 0 over the frames where a shape is learned;
+    `more` numbers behind them are free."""
+    frames = len(model.numbers.x)
+    apart = np.eye(frames)
+    if model.baseline.learned is not None:
+        apart = np.linalg.svd(apart - 1 / frames)[0][:, : frames - 1]
+    return linalg.block_diag(np.kron(apart, np.eye(NUMBERS)), np.eye(more))
 
 
 def fit(
@@ -218,56 +246,59 @@ def fit(
     steps: int = 8,
     workers: int = 2,
     tilt: np.ndarray | float = 0.0,
+    near: Fitted | None = None,
 ) -> Fitted:
     """Fit shape, numbers and free parameters from a start; `tilt` [parameter] is added to the parameters' scores: see
-    `sheet.taken_up`."""
-    learned = model.baseline.learned
-    assert learned is not None
-    side = len(learned.coefficients)
-    rough = penalty * normal.roughness(side)
-    basis = contrasts(len(frames), len(free))
-    known = np.array([own.precision for own in free])
-    centre, behind = np.array([own.centre for own in free]), np.arange(NUMBERS * len(frames), len(basis))
-
-    def matrices(sums: Sums, held: float = 0.0) -> normal.Schur:
-        band, dense = normal.banded(sums.gram, side) + rough, sums.dense.copy()
-        band[0] += held * np.median(band[0])
-        dense[behind, behind] += known
-        return normal.schur(band, sums.joined @ basis, basis.T @ dense @ basis)
-
-    solved: normal.Schur | None = None
-    best, total, taken = model, np.inf, 0
-    shape = numbers = np.zeros(0)
-    halved = 0
+    `sheet.tilt_of`. A fit that lies `near`, of the same frames, lends its matrices of shape and numbers."""
+    rough = penalty * normal.roughness(splines_of(model)[1])
+    known, centre = (np.array([getattr(own, name) for own in free]) for name in ("precision", "centre"))
+    basis = contrasts(model)
+    apart, few = basis.shape[1], NUMBERS * len(frames)
+    lent = near.schur.first(apart) if near is not None else None
+    best, total, taken, halved = model, np.inf, 0, 0
+    shape, others = np.zeros(0), np.zeros(0)
     for taken in range(1, steps + 2):
-        renewed = taken <= RENEWED or taken % AGAIN == 0
-        sums = sums_of(frames, model, free, curved=renewed, workers=workers)
-        assert model.baseline.learned is not None
-        flat = model.baseline.learned.coefficients.ravel()
-        bent = normal.product(rough, flat)
-        off = centre - values_of(model, free)
-        now = sums.deviance + float(flat @ bent) + float(known @ off**2) + 2 * float(np.sum(tilt * off))
-        sums.others[behind] += known * off + tilt
-        if not now <= total and halved < HALVINGS:
+        renewed = lent is None or (near is None and taken <= RENEWED) or taken % AGAIN == 0
+        rough_way = taken <= MEANS
+        sums = sums_of(frames, model, free, curved=renewed, by_variance=not rough_way, workers=workers)
+        bent, off = normal.product(rough, coefficients_of(model)), centre - values_of(model, free)
+        prior = float(known @ off**2) + 2 * float(np.sum(tilt * off))
+        now = sums.deviance + float(coefficients_of(model) @ bent) + prior
+        if not now <= total and halved < HALVINGS and taken > MEANS + 1:
             halved += 1
-            shape, numbers = shape / 2, numbers / 2
-            model = stepped(best, shape, numbers, free)
+            shape, others = shape / 2, others / 2
+            model = stepped(best, shape, others, free)
             continue
-        if renewed or solved is None:
-            solved = matrices(sums, HELD)
-        done = total - now < ENOUGH or taken > steps
-        if now <= total:
+        if renewed:
+            lent = _reduced(sums, rough, basis, HELD)
+        done = (total - now < ENOUGH and taken > MEANS + 1) or taken > steps
+        if now <= total or taken <= MEANS + 1:
             best, total = model, now
         if done:
             break
-        change, moved = solved.solve(sums.shape[:, 0] - bent, basis.T @ sums.others)
-        shape, numbers = change, basis @ moved
-        part = min(bold(numbers, free), FARTHEST_SHAPE / max(np.abs(change).max(), FARTHEST_SHAPE))
-        shape, numbers, halved = part * shape, part * numbers, 0
-        model = stepped(best, shape, numbers, free)
+        score = np.concatenate([basis.T @ sums.others[:few], sums.others[few:] + known * off + tilt])
+        shape, moved = _bordered(lent, sums, basis, known).solve(sums.shape - bent, score)
+        others = np.concatenate([basis @ moved[:apart], moved[apart:]])
+        part = min(bold(others, free), FARTHEST_SHAPE / np.abs(shape).max(initial=FARTHEST_SHAPE))
+        shape, others, halved = part * shape, part * others, 0
+        model = stepped(best, shape, others, free)
     # Scores and errors need the matrices of the model that was found, or what shape takes exceeds what there is.
-    sums = sums_of(frames, best, free, curved=True, workers=workers)
-    return Fitted(best, tuple(free), total, matrices(sums), penalty, taken)
+    sums = sums_of(frames, best, free, curved=near is None, workers=workers)
+    schur = _bordered(_reduced(sums, rough, basis) if near is None else lent, sums, basis, known)
+    return Fitted(best, tuple(free), total, schur, penalty, taken)
+
+
+def _reduced(sums: Sums, rough: np.ndarray, basis: np.ndarray, held: float = 0.0) -> normal.Schur:
+    """Shape and numbers; `held`: so much of the median coefficient's information on top."""
+    band = normal.banded(sums.gram, round(len(sums.gram) ** 0.5)) + rough
+    if held and band.size:
+        band[0] += held * np.median(band[0])
+    return normal.schur(band, sums.joined @ basis, basis.T @ sums.dense @ basis)
+
+
+def _bordered(lent: normal.Schur, sums: Sums, basis: np.ndarray, known: np.ndarray) -> normal.Schur:
+    """The same with the free parameters behind."""
+    return lent.bordered(sums.behind, basis.T @ sums.cross, sums.own + np.diag(known))
 
 
 def bold(numbers: np.ndarray, free: Sequence[Free]) -> float:
@@ -279,12 +310,12 @@ def bold(numbers: np.ndarray, free: Sequence[Free]) -> float:
 
 def stepped(model: Model, shape: np.ndarray, numbers: np.ndarray, free: Sequence[Free]) -> Model:
     """A model after a step of the shape's coefficients, of the frames' numbers (centres in σ) and of parameters."""
-    learned = model.baseline.learned
-    assert learned is not None
     own, last = model.numbers, NUMBERS * len(model.numbers.x)
     step = numbers[:last].reshape(-1, NUMBERS).T
     width = np.exp(own.log_width)
     moved = Numbers(own.log_peak + step[0], own.log_width + step[1], own.x + width * step[2], own.y + width * step[3])
-    grown = LightShape(learned.step, learned.coefficients + shape.reshape(learned.coefficients.shape))
-    model = model._replace(baseline=model.baseline._replace(learned=grown), numbers=moved)
+    learned = model.baseline.learned
+    if learned is not None:
+        learned = LightShape(learned.step, learned.coefficients + shape.reshape(learned.coefficients.shape))
+    model = model._replace(baseline=model.baseline._replace(learned=learned), numbers=moved)
     return changed(model, free, values_of(model, free) + numbers[last:])

@@ -36,10 +36,10 @@ def fit_numbers(frames: Sequence[Frame], model: Model) -> Numbered:
         ready.model = model._replace(numbers=numbers)
         for _ in range(STEPS):
             seen = ready.of(frame, k)
-            known = np.isfinite(frame.pixels).ravel()
-            spread = np.sqrt(seen.variance.ravel())
-            slopes = ready.by_numbers(frame, k, seen) * (seen.slope.ravel() / spread) * known
-            z = np.where(known, (frame.pixels - seen.mean).ravel() / spread, 0.0)
+            known = np.isfinite(frame.pixels)
+            spread = np.sqrt(seen.variance)
+            slopes = (ready.by_numbers(frame, k, seen) * (seen.slope / spread) * known).reshape(len(numbers), -1)
+            z = np.where(known, (frame.pixels - seen.mean) / spread, 0.0).ravel()
             own, score = slopes @ slopes.T, slopes @ z
             width = float(np.exp(numbers.log_width[k]))
             information[k] = own / np.outer([1, 1, width, width], [1, 1, width, width])

@@ -15,10 +15,11 @@ from spotcheck.discrepancy.nuisance.fit import (
     changes_of,
     fit,
     nudged_of,
+    splines_of,
     values_of,
 )
-from spotcheck.discrepancy.nuisance.taken import taken_up
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame
+from spotcheck.discrepancy.nuisance.taken import lacking, variance_of
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
 from spotcheck.model.sensor import SensorModel
 
 # Lowest read noise [e-] whose step is a part of itself, and the step of a black level [DN].
@@ -74,11 +75,14 @@ def fit_sheet(frames: Sequence[Frame], fitted: Fitted, free: Sequence[Free], wor
 
 def tilt_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
     """What the score of each free parameter lacks for what the shape takes up of the noise."""
-    ready, nudged = Expectation(frames, fitted.model), nudged_of(frames, fitted.model, fitted.free)
-    lacks = taken_up(frames, fitted)
-    out = np.zeros(len(fitted.free))
+    ready = Expectation(frames, fitted.model)
+    nudged = nudged_of(frames, ready, fitted.free)
+    variance = variance_of(fitted.schur, *splines_of(fitted.model))
+    out, peaks = np.zeros(len(fitted.free)), np.exp(fitted.model.numbers.log_peak)
     for k, frame in enumerate(frames):
-        out += [lacks[k] @ change[1] for change in changes_of(frame, k, ready.of(frame, k), nudged)]
+        seen = ready.of(frame, k)
+        lacks = lacking(variance, float(peaks[k]), seen, told(frame, seen))
+        out += [np.vdot(lacks, change[1]) for change in changes_of(frame, k, seen, nudged)]
     return out
 
 

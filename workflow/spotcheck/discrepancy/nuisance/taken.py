@@ -1,46 +1,52 @@
-"""What the shape takes up of the noise: residuals scatter less than readings do, most where few frames tell the shape.
+"""What a learned shape takes up of the noise: residuals scatter less than readings do, most where few frames tell the
+shape.
 
-Readings of variance V, projected on the shape by H, leave residuals of variance V (1 − h), h the diagonal of H. The
-likelihood takes that for less noise; restricted likelihood (REML, Patterson & Thompson 1971) gives it back: a change w
-of the variance gains the score ½ Σ w h / V.
+Readings of variance V, projected on the shape by H, leave residuals of variance V (1 − h), h the diagonal of H: the
+variance of the fitted reading over that of the reading. Draws of the coefficients tell it.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 from scipy import linalg
 
-from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.nuisance.fit import Fitted
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
+from spotcheck.discrepancy.nuisance.normal import Schur
+from spotcheck.discrepancy.observe.pixels import Expected, Told
 from spotcheck.model.light_shape import LightShape
 
-# Draws by which h is told: the trace of H scatters by √(2 tr H) in one.
-DRAWS = 2
+# Draws by which the shape's variance is told: to a third at a place, which sums over thousands of places make good.
+DRAWS = 16
+# Points between two nodes along each axis at which it is told.
+BETWEEN = 2
 
 
-def taken_up(frames: Sequence[Frame], fitted: Fitted) -> list[np.ndarray]:
-    """½ h / V of each pixel [frame][pixel], which the score of a variance lacks: by random signs (Hutchinson 1989), so
-    that sums over many pixels are right; the same at each call."""
-    model, learned = fitted.model, fitted.model.baseline.learned
-    assert learned is not None
-    side = len(learned.coefficients)
-    ready = Expectation(frames, model)
-    rng = np.random.default_rng(0)
-    places, shares = [], []
-    drawn = np.zeros((side * side, DRAWS))
-    for k, frame in enumerate(frames):
-        seen = ready.of(frame, k)
-        tells = told(frame, seen)
-        u, v = (np.ascontiguousarray(part).ravel() for part in (seen.u, seen.v))
-        share = np.exp(model.numbers.log_peak[k]) * tells.slope * np.sqrt(tells.sure)
-        signs = share * rng.choice((-1.0, 1.0), (DRAWS, share.size))
-        normal.project(u, v, learned.step, side, signs, drawn)
-        places.append((seen.u, seen.v))
-        shares.append((signs, tells.sure))
-    back = linalg.cho_solve_banded((fitted.schur.factor, True), drawn)
-    surfaces = [LightShape(learned.step, own.reshape(side, side)) for own in back.T]
-    return [
-        sum(sign * surface(*place).ravel() for sign, surface in zip(signs, surfaces, strict=True)) * sure / (2 * DRAWS)
-        for place, (signs, sure) in zip(places, shares, strict=True)
-    ]
+def draws_of(schur: Schur, side: int, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Coefficients [draw, row, column] ~ N(0, S⁻¹), S the shape's information with its penalty."""
+    turned = transposed(schur.factor)
+    drawn = linalg.solve_banded((0, len(turned) - 1), turned, rng.standard_normal((side * side, count)))
+    return drawn.T.reshape(count, side, side)
+
+
+def transposed(factor: np.ndarray) -> np.ndarray:
+    """A lower banded matrix [diagonal, column] transposed, as an upper banded one."""
+    out = np.zeros_like(factor)
+    last = len(factor) - 1
+    for gap in range(last + 1):
+        out[last - gap, gap:] = factor[gap, : factor.shape[1] - gap]
+    return out
+
+
+def variance_of(schur: Schur, step: float, side: int) -> LightShape | None:
+    """Variance of the learned shape [squared peaks] over the spot, the same at each call; None where none is learned."""
+    if not side:
+        return None
+    drawn = draws_of(schur, side, DRAWS, np.random.default_rng(0))
+    at = step * ((np.arange(BETWEEN * side) + 0.5) / BETWEEN - side / 2)
+    square = np.mean([LightShape(step, own)(at[None, None], at[None, :, None])[0] ** 2 for own in drawn], axis=0)
+    return LightShape(step, square.reshape(side, BETWEEN, side, BETWEEN).mean(axis=(1, 3)))
+
+
+def lacking(variance: LightShape | None, peak: float, seen: Expected, tells: Told) -> np.ndarray:
+    """½ h / V [row, column] of a frame, which the score of its variance lacks: likelihood takes what the shape took for
+    less noise, restricted likelihood (REML, Patterson & Thompson 1971) gives it back."""
+    if variance is None:
+        return np.zeros_like(tells.sure)
+    return np.maximum(variance(seen.u[None], seen.v[None])[0], 0.0) * (peak * seen.factor * tells.slope * tells.sure) ** 2 / 2

@@ -5,14 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.discrepancy.observe.readings import look_up, reading_law
+from spotcheck.discrepancy.observe.readings import compiled, look_up, reading_law, through_field
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import Free, View, light, round_again, true_exposure
-from spotcheck.model.effect import Place, Present
+from spotcheck.model.chain import Free, View, copies_of, light, modulation, round_again, true_exposure
+from spotcheck.model.effect import Effect, Place, Present
 from spotcheck.model.sensor import SensorModel
 
 # No model is surer of a reading than this [DN²]: where a clip leaves no noise, one odd pixel would decide all.
 LEAST_VARIANCE = 0.01
+# Places of effects on which the light at a pixel depends.
+LIGHT = frozenset(Place) - {Place.CHARGE, Place.WELL, Place.NOISE, Place.RESPONSE, Place.DIGITAL, Place.SCATTER}
 # Relative steps of width and place [σ] by which their slopes are taken.
 NUDGE = 1e-4
 
@@ -45,28 +47,43 @@ class Model(NamedTuple):
 
 class Expected(NamedTuple):
     """Of every pixel [row, column]: mean [DN] and variance [DN²], and the slopes of both by the light [1, DN]; light of
-    the spot [DN]; and its place u, v in the spot's own coordinates [σ]."""
+    the spot and beside it [DN]; its place u, v in the spot's own coordinates [σ]: [1, column] and [row, 1], or all of
+    [row, column] where the spot is turned; places and weights (u, v, weight) of all copies of the spot of which its
+    light is the sum; and the factor on that [1]."""
 
     mean: np.ndarray
     variance: np.ndarray
     slope: np.ndarray
     growth: np.ndarray
     spot: np.ndarray
+    beside: np.ndarray
     u: np.ndarray
     v: np.ndarray
+    copies: tuple[tuple[np.ndarray, np.ndarray, float], ...]
+    factor: np.ndarray | float
 
 
 class Expectation:
-    """A model made ready: the law of a reading is a table, made once for all frames."""
+    """A model made ready: the law of a reading is a table, made once for all frames. Where another model, `like`, has
+    the same light, what was found of that is taken over."""
 
-    def __init__(self, frames: Sequence[Frame], model: Model):
+    def __init__(self, frames: Sequence[Frame], model: Model, like: "Expectation | None" = None):
         self.model = model
-        gain = model.sensor.gain_dn_per_e
         brightest = float(np.exp(np.max(model.numbers.log_peak))) if len(frames) else 1.0
-        highest = 4 * max(brightest, min(model.sensor.full_scale_dn, 65535.0)) / gain
-        behind = [own for own in model.present if own.effect.place is not Place.CHARGE and not _is_uneven(own)]
-        self.law = reading_law(model.sensor, behind, frames[0].view, highest)
-        self.table = np.stack(self.law[2:])
+        highest = 4 * max(brightest, min(model.sensor.full_scale_dn, 65535.0)) / model.sensor.gain_dn_per_e
+        behind = [own for own in model.present if own.effect.place not in LIGHT or own.form == "electronic"]
+        behind = [own for own in behind if own.effect.place is not Place.CHARGE and not _is_uneven(own)]
+        self.behind = model.sensor, highest, behind
+        self.same_light = like is not None and _same_light(like.model, model)
+        if like is not None and like.behind == self.behind:
+            self.table, self.law = like.table, like.law
+        else:
+            contrast = sum(own.values[0] ** 2 for own in model.present if scatters(own.effect, "field")) ** 0.5
+            plain = reading_law(model.sensor, behind, frames[0].view, highest)
+            self.law = through_field(plain, contrast, model.sensor.gain_dn_per_e)
+            # Of rows that scatter the chain gives the variance within a row.
+            rows = sum(own.values[0] ** 2 for own in model.present if scatters(own.effect, "row"))
+            self.table = np.stack([self.law.mean, self.law.variance + rows, self.law.slope, self.law.growth])
 
     def numbers_of(self, k: int) -> Numbers:
         """A frame's own numbers as the chain takes them, each [1, 1, 1]."""
@@ -78,11 +95,20 @@ class Expectation:
         view = frame.view._replace(x0=own.x, y0=own.y)
         return light(view, self.model.baseline, base, self.model.present)
 
-    def of(self, frame: Frame, k: int) -> Expected:
-        """What every pixel of frame `k` should read."""
-        model, own = self.model, self.numbers_of(k)
+    def of(self, frame: Frame, k: int, like: Expected | None = None) -> Expected:
+        """What every pixel of frame `k` should read; `like` is what the model of the same light expects."""
+        model, own, shape = self.model, self.numbers_of(k), frame.pixels.shape
         view = frame.view._replace(x0=own.x, y0=own.y)
-        spot, beside = self.light(frame, own)
+        if like is not None and self.same_light:
+            spot, beside, u, v, copies, factor = (like.spot[None], *like[5:])
+        else:
+            spot, beside = self.light(frame, own)
+            u, v = self._place(view, own, 0.0, 0.0)
+            every = copies_of(view, model.present, np.exp(own.log_peak), np.exp(own.log_width)).each
+            plain = len(every) == 1
+            copies = ((u, v, 1.0),) if plain else tuple((*self._place(view, own, *c[:2]), float(c[2])) for c in every)
+            factor = modulation(view, model.present)
+            factor = factor if np.ndim(factor) == 0 else factor[0]
         electrons = (spot + beside) / model.sensor.gain_dn_per_e
         electrons = electrons + model.sensor.dark_current_e_per_s * true_exposure(view, model.present)
         charge = electrons
@@ -92,20 +118,20 @@ class Expectation:
             elif _is_uneven(effect):
                 # ASSUME: an uneven black level lies where the sensor is linear, so that it counts as charge.
                 charge = charge + effect.apply(view) / model.sensor.gain_dn_per_e
-        shape = frame.pixels.shape
-        out = np.empty((4, frame.pixels.size))
-        look_up(np.ascontiguousarray(charge, float).ravel(), self.law.first, self.law.step, self.table, out)
+        out = np.empty((4, *shape))
+        look_up(np.broadcast_to(charge, (1, *shape))[0], self.law.first, self.law.step, self.table, out)
         if charge is not electrons:
             # What was moved there brings no shot noise of its own.
-            out[1] -= out[2] ** 2 * model.sensor.gain_dn_per_e**2 * (charge - electrons).ravel()
-        mean, variance, slope, growth = out.reshape(4, *shape)
-        dx, dy = round_again(view, view.x - own.x, view.y - own.y, model.present)
-        width = np.exp(own.log_width)
-        u, v = (np.broadcast_to(d / width, (1, *shape))[0] for d in (dx, dy))
-        return Expected(mean, variance, slope, growth, np.broadcast_to(spot, (1, *shape))[0], u, v)
+            out[1] -= out[2] ** 2 * model.sensor.gain_dn_per_e**2 * (charge - electrons)[0]
+        return Expected(*out, np.broadcast_to(spot, (1, *shape))[0], beside, u, v, copies, factor)
+
+    def _place(self, view: View, own: Numbers, shift_x, shift_y) -> list[np.ndarray]:
+        """Places of a frame's pixels about its spot, displaced by so many px, in the spot's own coordinates [σ]."""
+        turned = round_again(view, view.x - own.x - shift_x, view.y - own.y - shift_y, self.model.present)
+        return [d[0] / np.exp(own.log_width[0]) for d in turned]
 
     def by_numbers(self, frame: Frame, k: int, seen: Expected) -> np.ndarray:
-        """Slopes [4, pixel] of the light by the frame's numbers: logs of peak and width, centre in σ."""
+        """Slopes [4, row, column] of the light by the frame's numbers: logs of peak and width, centre in σ."""
         own = self.numbers_of(k)
         width = np.exp(own.log_width)
         moved = (
@@ -114,7 +140,12 @@ class Expectation:
             own._replace(y=own.y + NUDGE * width),
         )
         steps = [(self.light(frame, numbers)[0][0] - seen.spot) / NUDGE for numbers in moved]
-        return np.stack([seen.spot, *steps]).reshape(4, -1)
+        return np.stack([seen.spot, *steps])
+
+
+def scatters(effect: Effect, of: str) -> bool:
+    """Whether an effect is a random field, row, centre or gain."""
+    return effect.scatter is not None and effect.scatter.of == of
 
 
 def _is_uneven(own: Present) -> bool:
@@ -122,8 +153,15 @@ def _is_uneven(own: Present) -> bool:
     return own.effect.place is Place.PEDESTAL and own.form == "electronic" and not own.effect.uniform
 
 
+def _same_light(one: Model, other: Model) -> bool:
+    """Whether two models, of which one was made from the other, have the same light."""
+    lights = [[own for own in model.present if own.effect.place in LIGHT and own.form != "electronic"]
+              for model in (one, other)]  # fmt: skip
+    return one.baseline is other.baseline and one.numbers is other.numbers and lights[0] == lights[1]
+
+
 class Told(NamedTuple):
-    """What the readings of a frame tell [pixel]. A change of mean and variance by (m, w) has the score m·`mean` +
+    """What the readings of a frame tell [row, column]. A change of mean and variance by (m, w) has the score m·`mean` +
     w·`variance` and, with another, the information m m'·`sure` + w w'·`sure_variance`; all are 0 where a pixel is
     masked. `light` and `sure_light` are both for the light; −2 ln L but for constants is `deviance`."""
 
@@ -137,28 +175,60 @@ class Told(NamedTuple):
     growth: np.ndarray
     deviance: float
 
-    def score(self, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-        """Score of each pixel for changes of mean and variance [..., pixel]."""
-        return mean * self.mean + variance * self.variance
+    def score(self, mean: np.ndarray, variance: np.ndarray) -> float:
+        """Score of changes of mean and variance."""
+        return float(np.vdot(mean, self.mean) + np.vdot(variance, self.variance))
 
-    def information(self, one: tuple[np.ndarray, np.ndarray], two: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """Information that two changes share, of each pixel."""
-        return one[0] * two[0] * self.sure + one[1] * two[1] * self.sure_variance
+    def information(self, one: tuple[np.ndarray, np.ndarray], two: tuple[np.ndarray, np.ndarray]) -> float:
+        """Information that two changes share."""
+        return float(np.vdot(one[0] * two[0], self.sure) + np.vdot(one[1] * two[1], self.sure_variance))
 
     def with_light(self, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-        """Information that changes [..., pixel] share with the light."""
+        """Information that a change shares with the light of each pixel."""
         return mean * (self.slope * self.sure) + variance * (self.growth * self.sure_variance)
 
 
-def told(frame: Frame, seen: Expected) -> Told:
-    """What a frame tells about what was expected: the likelihood of normal readings, in mean and in variance."""
-    known = np.isfinite(frame.pixels).ravel()
-    weight = np.where(known, 1 / np.maximum(seen.variance.ravel(), LEAST_VARIANCE), 0.0)
-    residual = np.where(known, (frame.pixels - seen.mean).ravel(), 0.0)
-    mean = residual * weight
-    variance = np.where(known, (residual * mean - 1) * weight / 2, 0.0)
-    sure_variance = weight * weight / 2
-    slope, growth = seen.slope.ravel(), seen.growth.ravel()
-    deviance = float(residual @ mean - np.sum(np.log(weight[known])))
-    return Told(mean, variance, weight, sure_variance, slope * mean + growth * variance,
-                slope * slope * weight + growth * growth * sure_variance, slope, growth, deviance)  # fmt: skip
+def told(frame: Frame, seen: Expected, *, by_variance: bool = True) -> Told:
+    """What a frame tells about what was expected: the likelihood of normal readings, in mean and in variance, or in the
+    mean alone (quasi-likelihood: McCullagh & Nelder, Generalized Linear Models, 2nd ed., ch. 9)."""
+    out = np.empty((6, *frame.pixels.shape))
+    deviance = _told(frame.pixels, seen.mean, seen.variance, seen.slope, seen.growth, by_variance, out)
+    return Told(*out, seen.slope, seen.growth, deviance)
+
+
+def deviance_of(frame: Frame, seen: Expected) -> float:
+    """−2 ln L of a frame but for constants."""
+    return float(_deviance(frame.pixels, seen.mean, seen.variance))
+
+
+@compiled
+def _told(pixels, mean, variance, slope, growth, by_variance, out):
+    deviance = 0.0
+    for r in range(pixels.shape[0]):
+        for c in range(pixels.shape[1]):
+            if np.isnan(pixels[r, c]):
+                out[:, r, c] = 0.0
+                continue
+            own = max(variance[r, c], LEAST_VARIANCE)
+            weight = 1 / own
+            rest = pixels[r, c] - mean[r, c]
+            one = rest * weight
+            two = (rest * one - 1) * weight / 2 if by_variance else 0.0
+            sure = weight * weight / 2 if by_variance else 0.0
+            s, g = slope[r, c], growth[r, c]
+            out[0, r, c], out[1, r, c], out[2, r, c], out[3, r, c] = one, two, weight, sure
+            out[4, r, c] = s * one + g * two
+            out[5, r, c] = s * s * weight + g * g * sure
+            deviance += rest * one + np.log(own)
+    return deviance
+
+
+@compiled
+def _deviance(pixels, mean, variance):
+    deviance = 0.0
+    for r in range(pixels.shape[0]):
+        for c in range(pixels.shape[1]):
+            if not np.isnan(pixels[r, c]):
+                own = max(variance[r, c], LEAST_VARIANCE)
+                deviance += (pixels[r, c] - mean[r, c]) ** 2 / own + np.log(own)
+    return deviance

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from spotcheck.model.chain import View, behind_charge
+from spotcheck.model.chain import View, behind_charge, grain_law
 from spotcheck.model.effect import Place, Present
 from spotcheck.model.sensor import SensorModel
 
@@ -64,6 +64,22 @@ def reading_law(sensor: SensorModel, present: Sequence[Present], view: View, hig
     return ReadingLaw(float(first), float(root[1] - root[0]), *out, *slopes)
 
 
+def through_field(law: ReadingLaw, contrast: float, gain: float) -> ReadingLaw:
+    """The law of a reading whose light a field of that contrast multiplies."""
+    if contrast <= 0:
+        return law
+    factors, weights = grain_law(contrast)
+    root = law.first + law.step * np.arange(law.mean.size)
+    means, variances = (
+        np.stack([np.interp(root * np.sqrt(f), root, own) for f in factors]) for own in (law.mean, law.variance)
+    )
+    mean = weights @ means
+    variance = weights @ variances + weights @ (means - mean) ** 2
+    light = gain * root * np.abs(root)
+    slopes = np.gradient(mean, light), np.gradient(variance, light)
+    return ReadingLaw(law.first, law.step, mean, variance, *slopes)
+
+
 def _moments(mean, variance, third, view: View, present: Sequence[Present], sensor: SensorModel):
     """The chain's moments of readings whose charge has these."""
     mean, variance, third = (v.reshape(1, 1, -1) for v in (mean, variance, third))
@@ -101,15 +117,16 @@ def _averaged(electrons, mean, variance):
 
 @compiled
 def look_up(electrons, first, step, table, out):
-    """Columns of a table [column, node] at mean electrons [pixel], into `out` [column, pixel]."""
+    """Columns of a table [column, node] at mean electrons [row, column of pixels], into `out` [column, row, column]."""
     last = table.shape[1] - 2
-    for k in range(electrons.size):
-        e = electrons[k]
-        place = ((np.sqrt(e) if e >= 0 else -np.sqrt(-e)) - first) / step
-        i = min(max(int(place), 0), last)
-        part = min(max(place - i, 0.0), 1.0)
-        for c in range(table.shape[0]):
-            out[c, k] = table[c, i] + part * (table[c, i + 1] - table[c, i])
+    for r in range(electrons.shape[0]):
+        for k in range(electrons.shape[1]):
+            e = electrons[r, k]
+            place = ((np.sqrt(e) if e >= 0 else -np.sqrt(-e)) - first) / step
+            i = min(max(int(place), 0), last)
+            part = min(max(place - i, 0.0), 1.0)
+            for c in range(table.shape[0]):
+                out[c, r, k] = table[c, i] + part * (table[c, i + 1] - table[c, i])
 
 
 class Cumulants(NamedTuple):

@@ -1,36 +1,30 @@
 """The search: effects are added one by one, the likeliest refitted, until none gains more."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.noise import Noisy, noises_of
-from spotcheck.discrepancy.evidence.pixels import Score, screen
 from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
-from spotcheck.discrepancy.nuisance.sheet import tilt_of
-from spotcheck.discrepancy.observe.pixels import Frame, Model
-from spotcheck.discrepancy.search.holds import Holding, holding_of
+from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.pixels import Frame
+from spotcheck.discrepancy.search.candidates import Candidate, Tied, ranked, with_effect
+from spotcheck.discrepancy.search.holds import Holding, holding_of, pattern_of
 from spotcheck.model.effect import Context, Effect, Place, Present
 
-# Places whose effects change single pixels' readings; others change frames' numbers, or scatter.
-OF_PIXELS = frozenset(Place) - {Place.EXPOSURE, Place.WIDTH, Place.BRIGHTNESS, Place.SCATTER}
+
+# Steps of the fit of what was chosen: far from the truth brightness, width and shape are slow to part.
+MOST_STEPS = 24
 
 
-class Trial(NamedTuple):
-    """An effect at a start, and its score there."""
+class State(NamedTuple):
+    """Frames, with the waves of stripes that were found, and a fit."""
 
-    own: Present
-    score: Score
-
-    @property
-    def promise(self) -> float:
-        """What −2 ln L would gain, to first order; 0 for an effect that would have to be negative."""
-        # Of a level there is all or nothing: where frames fit worse with it than without, it lies elsewhere.
-        elsewhere = np.isinf(self.own.effect.neutral) and self.score.drop < 0
-        return 0.0 if elsewhere or self.score.size < 0 else self.score.z**2
+    frames: tuple[Frame, ...]
+    fitted: Fitted
 
 
 class Found(NamedTuple):
@@ -44,117 +38,115 @@ class Found(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The fit without and with what was found, and what was found."""
+    """Frames, the fit without and with what was found, what was found, and what is tied with the light's shape."""
 
+    frames: tuple[Frame, ...]
     before: Fitted
     after: Fitted
     found: tuple[Found, ...]
-
-
-def trials_of(effects: Sequence[Effect], context: Context, model: Model) -> Iterator[Present]:
-    """Every form and start of the effects that a model does not have."""
-    taken = {own.effect.name for own in model.present}
-    for effect in effects:
-        if effect.place in OF_PIXELS and not effect.spectral and effect.name not in taken:
-            for form in effect.forms:
-                for start in effect.starts(context):
-                    yield Present(effect, form, tuple(map(float, start)))
-
-
-def likeliest(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) -> list[Trial]:
-    """The best trial of each effect that is not tied with the shape, the most promising first."""
-    others = [with_effect(fitted.model, own) for own in trials]
-    best: dict[str, Trial] = {}
-    for own, score in zip(trials, screen(frames, fitted, others), strict=True):
-        trial = Trial(own, score)
-        tied = score.information < criteria.TIED.value * score.if_known
-        if not tied and trial.promise > best.get(own.effect.name, trial).promise * (own.effect.name in best):
-            best[own.effect.name] = trial
-    return sorted(best.values(), key=lambda trial: -trial.promise)
-
-
-def with_effect(model: Model, own: Present) -> Model:
-    """A model with an effect more."""
-    return model._replace(present=(*model.present, own))
+    tied: tuple[Tied, ...]
 
 
 def search(
-    frames: Sequence[Frame], groups: np.ndarray, start: Fitted, effects: Sequence[Effect], context: Context
+    frames: Sequence[Frame], design: Design, start: Fitted, effects: Sequence[Effect], context: Context
 ) -> Outcome:
-    """Find effects of pixels from a fit without any; `groups` [frame] parts frames for the consistency test.
+    """Find effects of pixels from a fit without any.
 
     Noise comes first: with too little of it in the model, every pedestal and every halo looks like more.
     """
     stated = start.model.sensor.read_noise_e
-    now, told = _quiet(frames, start)
-    rivals: dict[str, dict[str, float]] = {}
-    usable = [effect for effect in effects if not (told and effect.place is Place.NOISE)]
-    while len(now.model.present) < criteria.MOST.value:
-        ranked = likeliest(frames, now, list(trials_of(usable, context, now.model)))
-        ranked = [trial for trial in ranked if trial.promise >= criteria.GAIN.value][: int(criteria.REFITTED.value)]
-        tried = [_refitted(frames, now, trial, context) for trial in ranked]
-        tried = [one for one in tried if now.total - one.total >= criteria.GAIN.value and _matters(one, context)]
-        if not tried:
+    fitted, told = quiet(frames, start)
+    now, rivals, tied = State(tuple(frames), fitted), dict[str, dict[str, float]](), list[Tied]()
+    while len(now.fitted.model.present) < criteria.MOST.value:
+        found = ranked(now.frames, design, now.fitted, effects, context)
+        tied = tied or found.tied
+        best = _best(now, found.candidates, context)
+        if best is None:
             break
-        tried.sort(key=lambda one: one.total)
-        name = tried[0].model.present[-1].effect.name
-        rivals[name] = {one.model.present[-1].effect.name: one.total - tried[0].total for one in tried[1:]}
-        now, _ = _quiet(frames, tried[0])
-    outcome = _tested(frames, groups, start, now, rivals, context)
-    if not told:
-        return outcome
-    noisy = noises_of(frames, groups, outcome.after.model, stated, effects, context)
-    named = [_named(one, context) for one in noisy if one.gain >= criteria.GAIN.value]
-    return outcome._replace(found=outcome.found + tuple(one for one in named if one is not None))
+        now, near = best
+        rivals[now.fitted.model.present[-1].effect.name] = near
+        now = now._replace(fitted=quiet(now.frames, now.fitted, anew=True)[0])
+    now, kept = _tested(now, design, rivals, context)
+    if told:
+        noisy = noises_of(now.frames, groups_of(design), now.fitted.model, stated, effects, context)
+        kept += [one for one in (_named(own, context) for own in noisy) if one is not None]
+    return Outcome(now.frames, start, now.fitted, tuple(kept), tuple(tied))
 
 
-def _quiet(frames: Sequence[Frame], fitted: Fitted) -> tuple[Fitted, bool]:
-    """A fit under the read noise of its dark pixels, and whether these tell it."""
+def groups_of(design: Design) -> np.ndarray:
+    """What parts frames that must agree about an effect: their exposure, or where all have one their angle."""
+    return design.exposure_s if design.exposures.size > 1 else design.angle_deg
+
+
+def _best(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, float]] | None:
+    """The state with the candidate that gains most when fitted, of so many that gain and matter; and by what others
+    fall behind."""
+    tried: list[tuple[float, str, State]] = []
+    for own in candidates:
+        state = added(now, own, context)
+        gain = now.fitted.total - state.fitted.total if own.of_means else own.promise
+        present = state.fitted.model.present[-1]
+        if gain >= criteria.GAIN.value and present.effect.excess(present.values[0], context) >= 1:
+            tried.append((gain, present.effect.name, state))
+        if len(tried) >= criteria.REFITTED.value:
+            break
+    if not tried:
+        return None
+    tried.sort(key=lambda one: -one[0])
+    first = tried[0]
+    near: dict[str, float] = {}
+    for gain, name, _ in tried[1:]:
+        if name != first[1]:
+            near[name] = min(near.get(name, np.inf), first[0] - gain)
+    return first[2], near
+
+
+def added(now: State, own: Candidate, context: Context) -> State:
+    """A state with an effect more, fitted from where its score points."""
+    frames = own.frames or now.frames
+    model = with_effect(now.fitted.model, own.own)
+    return State(frames, fit(frames, model, now.fitted.penalty, free_of(model, context), near=now.fitted))
+
+
+def without(now: State, k: int, context: Context) -> State:
+    """A state without the effect of a number, fitted again."""
+    present = now.fitted.model.present
+    model = now.fitted.model._replace(present=present[:k] + present[k + 1 :])
+    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free_of(model, context)))
+
+
+def quiet(frames: Sequence[Frame], fitted: Fitted, *, anew: bool = False) -> tuple[Fitted, bool]:
+    """A fit under the read noise of its dark pixels, and whether these tell it; `anew`: fitted again in any case."""
     dark = darkness(frames, fitted.model)
-    if dark is None or not np.isfinite(dark.read_noise_stderr):
-        return fitted, False
-    if abs(dark.read_noise_e - fitted.model.sensor.read_noise_e) < dark.read_noise_stderr:
-        return fitted, True
-    sensor = fitted.model.sensor._replace(read_noise_e=dark.read_noise_e)
-    return fit(frames, fitted.model._replace(sensor=sensor), fitted.penalty, fitted.free), True
+    told = dark is not None and bool(np.isfinite(dark.read_noise_stderr))
+    sensor = fitted.model.sensor
+    if told and abs(dark.read_noise_e - sensor.read_noise_e) >= dark.read_noise_stderr:
+        sensor, anew = sensor._replace(read_noise_e=dark.read_noise_e), True
+    model = fitted.model._replace(sensor=sensor)
+    return (fit(frames, model, fitted.penalty, fitted.free, steps=MOST_STEPS) if anew else fitted), told
 
 
 def _named(one: Noisy, context: Context) -> Found | None:
     """An effect that adds noise, where it is more than nothing and groups of frames agree about it."""
     holding = Holding(one.q, max(one.groups, 1), one.gain, one.error)
-    matters = one.own.effect.excess(one.own.values[0], context) >= 1
+    matters = one.gain >= criteria.GAIN.value and one.own.effect.excess(one.own.values[0], context) >= 1
     return Found(one.own, one.gain, holding, {}) if matters and holding.holds else None
 
 
-def _tested(
-    frames, groups, start: Fitted, now: Fitted, rivals: dict[str, dict[str, float]], context: Context
-) -> Outcome:
-    """What is left of a search's effects when those that do not hold everywhere are dropped, the worst first."""
+def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], context: Context):
+    """A state without the effects that do not hold everywhere, dropped the worst first; and those that do."""
     while True:
         found = []
-        for k, own in enumerate(now.model.present):
-            fewer = now.model._replace(present=now.model.present[:k] + now.model.present[k + 1 :])
-            rest = fit(frames, fewer, now.penalty, free_of(fewer, context))
-            gain = rest.total - now.total
+        for k, own in enumerate(now.fitted.model.present):
+            rest = without(now, k, context)
+            if own.effect.place is Place.SCATTER:
+                gain, holding = pattern_of(now.frames, design, rest.fitted, own, context)
+            else:
+                gain = rest.fitted.total - now.fitted.total
+                holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
             near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
-            found.append(Found(own, gain, holding_of(frames, groups, now, k, gain), near))
+            found.append(Found(own, gain, holding, near))
         bad = [k for k, one in enumerate(found) if not one.holding.holds or one.gain < criteria.GAIN.value]
         if not bad:
-            return Outcome(start, now, tuple(found))
-        worst = max(bad, key=lambda k: found[k].holding.excess)
-        fewer = now.model._replace(present=now.model.present[:worst] + now.model.present[worst + 1 :])
-        now = fit(frames, fewer, now.penalty, free_of(fewer, context))
-
-
-def _refitted(frames: Sequence[Frame], now: Fitted, trial: Trial, context: Context) -> Fitted:
-    """A fit with an effect more, from where its score points."""
-    model = with_effect(now.model, trial.own)
-    free = free_of(model, context)
-    tilt = tilt_of(frames, now._replace(model=model, free=free))
-    return fit(frames, model, now.penalty, free, tilt=tilt)
-
-
-def _matters(one: Fitted, context: Context) -> bool:
-    """Whether the effect that was added last is more than what a user would call nothing."""
-    own = one.model.present[-1]
-    return own.effect.excess(own.values[0], context) >= 1
+            return now, found
+        now = without(now, max(bad, key=lambda k: found[k].holding.excess), context)

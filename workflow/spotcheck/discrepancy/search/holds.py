@@ -12,9 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.evidence.pixels import by_cell, screen
+from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
+from spotcheck.discrepancy.evidence.pixels import Ready, by_cell, screen
 from spotcheck.discrepancy.nuisance.fit import Fitted, Free, nudged, values_of
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
+from spotcheck.model.effect import Context, Present
 
 
 class Holding(NamedTuple):
@@ -35,6 +38,17 @@ class Holding(NamedTuple):
         """Whether the effect speaks alike everywhere."""
         by_chance = criteria.CHANCE.value * np.sqrt(2 * max(self.cells - 1, 1))
         return self.q - (self.cells - 1) <= max(by_chance, criteria.ROUNDED.value * self.z2)
+
+
+def pattern_of(
+    frames: Sequence[Frame], design: Design, beside: Fitted, own: Present, context: Context
+) -> tuple[float, Holding]:
+    """What a pattern gains beside a fit without it, and whether all cells of the spot tell the same."""
+    sites, rows = gathered(frames, design, Ready(frames, beside, []))
+    for found in patterns_of(sites, rows, [own.effect], context):
+        told = found.told
+        return told.gain, Holding(told.q, told.cells, min(told.gain, (told.value / told.error) ** 2), found.error)
+    return 0.0, Holding(0.0, 1, 0.0, np.inf)
 
 
 def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int, gain: float) -> Holding:

@@ -9,13 +9,18 @@ from spotcheck.model.effect import Effect
 
 
 class Design(NamedTuple):
-    """Of every frame [frame]: its site (a number from 0 on), fibre angle [deg], exposure [s], and place in the order of
-    acquisition (0 to 1); NaN where not known."""
+    """Of every frame [frame]: its site and its condition (numbers from 0 on), fibre angle [deg], exposure [s], and place
+    in the order of acquisition (0 to 1); NaN where not known."""
 
     site: np.ndarray
+    condition: np.ndarray
     angle_deg: np.ndarray
     exposure_s: np.ndarray
     order: np.ndarray
+
+    def take(self, frames: np.ndarray) -> "Design":
+        """The design of some of the frames."""
+        return Design(*(own[frames] for own in self))
 
     @property
     def exposures(self) -> np.ndarray:

@@ -1,0 +1,97 @@
+"""Stripes: the highest peak in the spectrum of what frames of a site share, and where its phase stays."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+from scipy.optimize import minimize
+
+from spotcheck.discrepancy.evidence.patterns import Site
+
+# Periods of more than so many σ are the shape's and the numbers'.
+LONGEST = 2.0
+# The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps of
+# the grid the peak itself is wide.
+RING, WIDE = 1.3, 4
+# Phases of sites are one where their sum is this part of what it would be if all were equal.
+COHERENT = 0.7
+
+
+class Stripes(NamedTuple):
+    """Period [px] and direction [deg] across the stripes; the complex amplitude of every site, with its phase counted
+    from the sensor's corner, and how well each is told; and what −2 ln L gains by them, to first order, beyond the
+    highest of as many peaks of noise."""
+
+    period: float
+    direction: float
+    amplitude: np.ndarray
+    weight: np.ndarray
+    gain: float
+
+
+def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
+    """The strongest stripes of any phase: the power of all sites adds up, so that a phase anew at each does not matter.
+
+    Of the places of a site only what is left beside a plane counts, which its brightness and displacement would be.
+    """
+    shape = np.max([own.pull.shape for own in sites], axis=0)
+    padded = [fft.next_fast_len(int(n), real=True) for n in shape]
+    ky, kx = fft.fftfreq(padded[0])[:, None], fft.rfftfreq(padded[1])[None, :]
+    power = np.zeros((padded[0], padded[1] // 2 + 1))
+    for own in sites:
+        power += np.abs(fft.rfft2(own.pull, s=padded)) ** 2 * 2 / max(float(own.weight.sum()), 1e-300)
+    radius = np.hypot(ky, kx)
+    sought = (radius > 1 / (LONGEST * sigma_px)) & (radius < 0.5)
+    if not sought.any():
+        return None
+    power[~sought] = 0
+    j, i = np.unravel_index(int(np.argmax(power)), power.shape)
+    start = np.array([kx[0, i], ky[j, 0]])
+
+    def minus(k: np.ndarray) -> float:
+        return -float(sum(abs(a) ** 2 * w / 2 for a, w in (_amplitude(own, k) for own in sites)))
+
+    simplex = start + 0.5 / np.array(padded[::-1]) * np.array([[0, 0], [1, 0], [0, 1]])
+    best = minimize(minus, start, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-7, "fatol": 1e-3})
+    amplitude, weight = (np.array(own) for own in zip(*(_amplitude(own, best.x) for own in sites), strict=True))
+    period, direction = 1 / float(np.hypot(*best.x)), float(np.degrees(np.arctan2(best.x[1], best.x[0])))
+    # Two numbers of each site, and as many places to look at (Laurent & Massart 2000, lemma 1, of χ²).
+    places = np.log(np.count_nonzero(sought))
+    chance = 2 * len(sites) + 2 * places + 2 * np.sqrt(2 * len(sites) * places)
+    # Grains and rows have power of their own all about.
+    steps = np.hypot((ky - ky[j, 0]) * padded[0], (kx - kx[0, i]) * padded[1])
+    about = sought & (radius < RING / period) & (radius > 1 / (RING * period)) & (steps > WIDE)
+    beside = float(np.median(power[about])) / (2 * len(sites)) if about.any() else 1.0
+    return Stripes(period, direction, amplitude, weight, max(-float(best.fun) / max(beside, 1.0) - chance, 0.0))
+
+
+def _amplitude(own: Site, k: np.ndarray) -> tuple[complex, float]:
+    """Complex amplitude a of the field Re(a e^(2πi k·r)) of a site, and Σ of its weights."""
+    rows, columns = own.pull.shape
+    along = np.exp(-2j * np.pi * k[0] * (own.corner[1] + np.arange(columns)))
+    across = np.exp(-2j * np.pi * k[1] * (own.corner[0] + np.arange(rows)))
+    total = max(float(own.weight.sum()), 1e-300)
+    return 2 * complex(across @ (own.pull @ along)) / total, total
+
+
+class Phase(NamedTuple):
+    """How stripes lie: in which form, their depth and phase [deg], and the part of the sites' amplitudes that agrees."""
+
+    form: str
+    depth: float
+    phase: float
+    agrees: float
+
+
+def phases(found: Stripes, centre: np.ndarray) -> list[Phase]:
+    """Whether stripes stay on the sensor, with the spot (centre x, y [site, 2]), or neither: each site its own."""
+    angle = np.deg2rad(found.direction)
+    turn = 2 * np.pi * (centre @ [np.cos(angle), np.sin(angle)]) / found.period
+    out = []
+    for form, own in (("sensor", found.amplitude), ("spot", found.amplitude * np.exp(1j * turn))):
+        mean = np.average(own, weights=found.weight)
+        agrees = abs(mean) / max(float(np.average(np.abs(own), weights=found.weight)), 1e-300)
+        out.append(Phase(form, float(abs(mean)), float(np.degrees(np.angle(mean))) % 360, float(agrees)))
+    depth = float(np.sqrt(np.average(np.abs(found.amplitude) ** 2, weights=found.weight)))
+    return [own for own in out if own.agrees > COHERENT] or [Phase("site", depth, 0.0, 1.0)]

@@ -1,0 +1,167 @@
+"""Everything that may be missing, ranked by what it promises to first order: effects of pixels, patterns, stripes."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
+from spotcheck.discrepancy.evidence.pixels import Ready, Score, screen
+from spotcheck.discrepancy.evidence.stripes import Stripes, phases, stripes_of
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit
+from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
+from spotcheck.model.effect import Context, Effect, Place, Present
+
+# Places whose effects change single pixels' readings; others change frames' numbers, or scatter.
+OF_PIXELS = frozenset(Place) - {Place.EXPOSURE, Place.WIDTH, Place.BRIGHTNESS, Place.NOISE, Place.SCATTER}
+# Frames on which starts and forms are compared, and how many effects are then looked at on all frames.
+SOME, LOOKED_AT = 12, 8
+
+
+class Candidate(NamedTuple):
+    """An effect at a start; what −2 ln L would gain with it, to first order; whether it changes means, so that its
+    gain is told by a fit; and the frames with the waves of its stripes, where it is one that has them."""
+
+    own: Present
+    promise: float
+    of_means: bool = True
+    frames: tuple[Frame, ...] = ()
+
+
+class Tied(NamedTuple):
+    """An effect of which the light's shape takes all but a part of the information."""
+
+    effect: Effect
+    part: float
+
+
+class Ranked(NamedTuple):
+    """Candidates, the most promising first, and effects that are tied with the light's shape."""
+
+    candidates: list[Candidate]
+    tied: list[Tied]
+
+
+def ranked(
+    frames: Sequence[Frame], design: Design, fitted: Fitted, effects: Sequence[Effect], context: Context
+) -> Ranked:
+    """What may be missing in a fit."""
+    taken = {own.effect.name for own in fitted.model.present}
+    usable = [effect for effect in effects if effect.name not in taken]
+    trials, tied = likeliest(frames, design, fitted, usable, context)
+    ready = Ready(frames, fitted, [])
+    sites, rows = gathered(frames, design, ready)
+    trials += [Candidate(own.own, own.told.gain, False) for own in patterns_of(sites, rows, usable, context)]
+    found = stripes_of(sites, context.sigma_px)
+    if found is not None and found.gain > 0:
+        for effect in usable:
+            if effect.spectral:
+                trials += _striped(frames, design, fitted.model, effect, found)
+    trials = [own for own in trials if own.promise >= criteria.GAIN.value]
+    return Ranked(sorted(trials, key=lambda own: -own.promise), tied)
+
+
+def _striped(
+    frames: Sequence[Frame], design: Design, model: Model, effect: Effect, found: Stripes
+) -> Iterator[Candidate]:
+    """Stripes in the forms in which they may lie, each with its waves in the frames' views."""
+    sites = np.unique(design.site)
+    centre = np.array([[own[design.site == s].mean() for own in (model.numbers.x, model.numbers.y)] for s in sites])
+    angle = np.deg2rad(found.direction)
+    turn = 2 * np.pi * (centre @ [np.cos(angle), np.sin(angle)]) / found.period
+    about = found.amplitude * np.exp(1j * turn)
+    for own in phases(found, centre):
+        if own.form in effect.forms:
+            waves = about[np.searchsorted(sites, design.site)]
+            views = [frame.view._replace(wave_cos=np.full((1, 1, 1), w.real), wave_sin=np.full((1, 1, 1), -w.imag))
+                     for frame, w in zip(frames, waves, strict=True)]  # fmt: skip
+            with_waves = tuple(frame._replace(view=view) for frame, view in zip(frames, views, strict=True))
+            values = (own.depth, found.period, found.direction, own.phase)
+            yield Candidate(Present(effect, own.form, values), found.gain * own.agrees**2, True, with_waves)
+
+
+def likeliest(
+    frames: Sequence[Frame], design: Design, fitted: Fitted, effects: Sequence[Effect], context: Context
+) -> tuple[list[Candidate], list[Tied]]:
+    """The best start of each effect of pixels, and those that are tied with the shape: starts and forms are compared on
+    some frames, the likeliest effects on all."""
+    starts = [
+        Present(effect, form, tuple(map(float, start)))
+        for effect in effects
+        if effect.place in OF_PIXELS and not effect.spectral
+        for form in effect.forms
+        for start in effect.starts(context)
+    ]
+    if not starts:
+        return [], []
+    few = some_of(design)
+    small, some = at_frames(frames, fitted, few), [frames[k] for k in few]
+    best: dict[str, tuple[float, Present]] = {}
+    for own, score in zip(starts, scores(some, small, starts), strict=True):
+        if score.promise > best.get(own.effect.name, (-1.0, own))[0]:
+            best[own.effect.name] = score.promise, own
+    tied = tied_of(some, small, [own for _, own in best.values()])
+    hidden = {own.effect.name for own in tied}
+    order = sorted((one for name, one in best.items() if name not in hidden), key=lambda one: -one[0])
+    looked = [own for _, own in order[:LOOKED_AT]]
+    out = []
+    for own, score in zip(looked, scores(frames, fitted, looked), strict=True):
+        asked = asked_for(own, score, context)
+        if not np.isfinite(own.effect.neutral) or asked.effect.excess(asked.values[0], context) >= 0.5:
+            out.append(Candidate(asked, score.promise))
+    return out, tied
+
+
+def tied_of(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) -> list[Tied]:
+    """Effects of which a free shape takes all but a small part of the information: under the declared shape, which
+    splines follow exactly; a learned one has structure as fine as they are."""
+    learned = fitted.model.baseline.learned
+    if learned is None:
+        return []
+    declared = learned._replace(coefficients=0 * learned.coefficients)
+    model = fitted.model._replace(baseline=fitted.model.baseline._replace(learned=declared))
+    plain = fit(frames, model, fitted.penalty, fitted.free, steps=0)
+    parts = [score.information / max(score.if_known, 1e-300) for score in scores(frames, plain, trials)]
+    return [Tied(own.effect, p) for own, p in zip(trials, parts, strict=True) if p < criteria.TIED.value]
+
+
+def asked_for(own: Present, score: Score, context: Context) -> Present:
+    """An effect as strong as its score asks for, where readings follow a straight line."""
+    neutral = own.effect.neutral
+    if not np.isfinite(neutral) or not score.straight:
+        return own
+    low, high = own.effect.bounds(context)[0]
+    strength = float(np.clip(neutral + score.size * (own.values[0] - neutral), low, high))
+    return own._replace(values=(strength, *own.values[1:]))
+
+
+def some_of(design: Design) -> np.ndarray:
+    """A few frames: of each condition one, in turn of each site."""
+    order = np.lexsort((np.arange(len(design.site)), _nth(design.condition)))
+    return np.sort(order[: max(SOME, 1)])
+
+
+def _nth(labels: np.ndarray) -> np.ndarray:
+    """How many have the same label before each."""
+    out, seen = np.zeros(len(labels), int), dict[int, int]()
+    for k, own in enumerate(labels.tolist()):
+        out[k] = seen[own] = seen.get(own, -1) + 1
+    return out
+
+
+def at_frames(frames: Sequence[Frame], fitted: Fitted, which: np.ndarray) -> Fitted:
+    """A fit as it stands, on some of its frames alone."""
+    numbers = Numbers(*(own[which] for own in fitted.model.numbers))
+    return fit([frames[k] for k in which], fitted.model._replace(numbers=numbers), fitted.penalty, fitted.free, steps=0)
+
+
+def scores(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) -> list[Score]:
+    """Scores of effects added to a model."""
+    return screen(frames, fitted, [with_effect(fitted.model, own) for own in trials])
+
+
+def with_effect(model: Model, own: Present) -> Model:
+    """A model with an effect more."""
+    return model._replace(present=(*model.present, own))
