@@ -42,6 +42,12 @@ REFITTED = Criterion(
     "how many of the likeliest effects are fitted at each step of a search",
     "first-order scores rank the true effect among the first three in all sets that were looked at",
 )
+HOPELESS = Criterion(
+    0.05,
+    "1",
+    "an effect is not fitted that promises less than this part of what another has gained",
+    "first-order scores at starts that are off fall short of what a fit gains, by no more than ten times",
+)
 RIVAL = Criterion(
     10.0,
     "−2 ln L",

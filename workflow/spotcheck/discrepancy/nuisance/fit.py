@@ -256,6 +256,7 @@ def fit(
     apart, few = basis.shape[1], NUMBERS * len(frames)
     lent = near.schur.first(apart) if near is not None else None
     best, total, taken, halved = model, np.inf, 0, 0
+    lowest: tuple[float, Model] = np.inf, model
     shape, others = np.zeros(0), np.zeros(0)
     for taken in range(1, steps + 2):
         renewed = lent is None or (near is None and taken <= RENEWED) or taken % AGAIN == 0
@@ -264,6 +265,7 @@ def fit(
         bent, off = normal.product(rough, coefficients_of(model)), centre - values_of(model, free)
         prior = float(known @ off**2) + 2 * float(np.sum(tilt * off))
         now = sums.deviance + float(coefficients_of(model) @ bent) + prior
+        lowest = (now, model) if now < lowest[0] else lowest
         if not now <= total and halved < HALVINGS and taken > MEANS + 1:
             halved += 1
             shape, others = shape / 2, others / 2
@@ -282,6 +284,7 @@ def fit(
         part = min(bold(others, free), FARTHEST_SHAPE / np.abs(shape).max(initial=FARTHEST_SHAPE))
         shape, others, halved = part * shape, part * others, 0
         model = stepped(best, shape, others, free)
+    total, best = lowest
     # Scores and errors need the matrices of the model that was found, or what shape takes exceeds what there is.
     sums = sums_of(frames, best, free, curved=near is None, workers=workers)
     schur = _bordered(_reduced(sums, rough, basis) if near is None else lent, sums, basis, known)

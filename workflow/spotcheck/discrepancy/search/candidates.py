@@ -45,12 +45,18 @@ class Ranked(NamedTuple):
 
 
 def ranked(
-    frames: Sequence[Frame], design: Design, fitted: Fitted, effects: Sequence[Effect], context: Context
+    frames: Sequence[Frame],
+    design: Design,
+    fitted: Fitted,
+    effects: Sequence[Effect],
+    context: Context,
+    hints: Sequence[Present] = (),
 ) -> Ranked:
-    """What may be missing in a fit."""
+    """What may be missing in a fit; `hints` are starts besides those that effects have."""
     taken = {own.effect.name for own in fitted.model.present}
     usable = [effect for effect in effects if effect.name not in taken]
-    trials, tied = likeliest(frames, design, fitted, usable, context)
+    starts = [*starts_of(usable, context), *(own for own in hints if own.effect.name not in taken)]
+    trials, tied = likeliest(frames, design, fitted, starts, context)
     ready = Ready(frames, fitted, [])
     sites, rows = gathered(frames, design, ready)
     trials += [Candidate(own.own, own.told.gain, False) for own in patterns_of(sites, rows, usable, context)]
@@ -82,18 +88,23 @@ def _striped(
             yield Candidate(Present(effect, own.form, values), found.gain * own.agrees**2, True, with_waves)
 
 
-def likeliest(
-    frames: Sequence[Frame], design: Design, fitted: Fitted, effects: Sequence[Effect], context: Context
-) -> tuple[list[Candidate], list[Tied]]:
-    """The best start of each effect of pixels, and those that are tied with the shape: starts and forms are compared on
-    some frames, the likeliest effects on all."""
-    starts = [
+def starts_of(effects: Sequence[Effect], context: Context) -> list[Present]:
+    """Every form and start of effects of pixels."""
+    return [
         Present(effect, form, tuple(map(float, start)))
         for effect in effects
         if effect.place in OF_PIXELS and not effect.spectral
         for form in effect.forms
         for start in effect.starts(context)
     ]
+
+
+def likeliest(
+    frames: Sequence[Frame], design: Design, fitted: Fitted, starts: Sequence[Present], context: Context
+) -> tuple[list[Candidate], list[Tied]]:
+    """The best start of each effect of pixels, and those that are tied with the shape: starts and forms are compared on
+    some frames, the likeliest effects on all."""
+    starts = [own for own in starts if own.effect.place in OF_PIXELS and not own.effect.spectral]
     if not starts:
         return [], []
     few = some_of(design)

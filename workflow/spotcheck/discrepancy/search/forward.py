@@ -1,6 +1,6 @@
 """The search: effects are added one by one, the likeliest refitted, until none gains more."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -48,19 +48,29 @@ class Outcome(NamedTuple):
 
 
 def search(
-    frames: Sequence[Frame], design: Design, start: Fitted, effects: Sequence[Effect], context: Context
-) -> Outcome:
-    """Find effects of pixels from a fit without any.
+    frames: Sequence[Frame],
+    design: Design,
+    start: Fitted,
+    effects: Sequence[Effect],
+    context: Context,
+    least: Callable[[State], float] = lambda state: 0.0,
+    hints: list[Present] | None = None,
+) -> Outcome | None:
+    """Find effects of pixels from a fit without any. None, where no effect gains as much as is the `least` for a state.
+    `hints` are starts besides those that effects have; what is fitted is added to them.
 
     Noise comes first: with too little of it in the model, every pedestal and every halo looks like more.
     """
-    stated = start.model.sensor.read_noise_e
+    stated, hints = start.model.sensor.read_noise_e, [] if hints is None else hints
     fitted, told = quiet(frames, start)
     now, rivals, tied = State(tuple(frames), fitted), dict[str, dict[str, float]](), list[Tied]()
     while len(now.fitted.model.present) < criteria.MOST.value:
-        found = ranked(now.frames, design, now.fitted, effects, context)
+        wanted = least(now)
+        found = ranked(now.frames, design, now.fitted, effects, context, hints)
         tied = tied or found.tied
-        best = _best(now, found.candidates, context)
+        best = _best(now, [own for own in found.candidates if own.promise >= wanted], context, hints)
+        if best is None and wanted > criteria.GAIN.value:
+            return None
         if best is None:
             break
         now, near = best
@@ -78,14 +88,19 @@ def groups_of(design: Design) -> np.ndarray:
     return design.exposure_s if design.exposures.size > 1 else design.angle_deg
 
 
-def _best(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, float]] | None:
+def _best(
+    now: State, candidates: Sequence[Candidate], context: Context, hints: list[Present]
+) -> tuple[State, dict[str, float]] | None:
     """The state with the candidate that gains most when fitted, of so many that gain and matter; and by what others
     fall behind."""
     tried: list[tuple[float, str, State]] = []
     for own in candidates:
+        if tried and own.promise < criteria.HOPELESS.value * max(gain for gain, _, _ in tried):
+            break
         state = added(now, own, context)
         gain = now.fitted.total - state.fitted.total if own.of_means else own.promise
         present = state.fitted.model.present[-1]
+        hints.append(present)
         if gain >= criteria.GAIN.value and present.effect.excess(present.values[0], context) >= 1:
             tried.append((gain, present.effect.name, state))
         if len(tried) >= criteria.REFITTED.value:

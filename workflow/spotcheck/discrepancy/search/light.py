@@ -1,0 +1,104 @@
+"""Which light: the declared shape, where a few effects beside it explain the frames, or else one that is learned.
+
+Where the declared shape is right, effects of its own kind (an ellipse, a halo) and weak ones can be told; beside a
+learned shape only what no static shape could be.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from spotcheck.discrepancy.evidence.pixels import Ready
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, shared
+from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, deviance_of
+from spotcheck.discrepancy.search.forward import Outcome, State, quiet, search
+from spotcheck.model import light_shape
+from spotcheck.model.effect import Context, Effect, Place, Present
+
+# Nodes of the learned shape [σ], how far they reach, and the price of its second differences [1/peak²]: three times as
+# coarse, splines leave effects that are not there; beyond the reach a Gaussian has 2e-6 of its peak.
+STEP, REACH, PENALTY = 0.12, 5.1, 1.0
+# A shape is asked for where it gains this many standard deviations more than noise would.
+ASKED = 5.0
+# An effect that is to stand in the place of a shape must gain this part of what the shape would.
+PART = 0.5
+
+
+def find(
+    frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context
+) -> tuple[Outcome, Fitted]:
+    """The search under the light that is right, from a model that declares its shape; and the fit beside a learned
+    shape without any effect."""
+    learned = quiet(frames, with_shape(frames, model))[0]
+    declared = fit(frames, model, PENALTY)
+
+    def least(state: State) -> float:
+        more = asked(state, design, learned)
+        if more <= 0 and state.fitted.model.present:
+            more = asked(state, design, with_shape(state.frames, state.fitted.model, context))
+        return PART * more
+
+    hints = list[Present]()
+    found = search(frames, design, declared, effects, context, least, hints)
+    if found is not None:
+        state = State(found.frames, found.after)
+        if asked(state, design, with_shape(found.frames, found.after.model, context)) <= 0:
+            return found, learned
+    found = search(frames, design, learned, effects, context, hints=hints)
+    assert found is not None
+    return found, learned
+
+
+def with_shape(frames: Sequence[Frame], model: Model, context: Context | None = None) -> Fitted:
+    """A fit of a model beside a shape that is learned."""
+    model = model._replace(baseline=model.baseline._replace(learned=light_shape.empty(STEP, REACH)))
+    return fit(frames, model, PENALTY, free_of(model, context) if context else ())
+
+
+def asked(declared: State, design: Design, learned: Fitted) -> float:
+    """What −2 ln L gains by a learned shape beyond what it would by noise: less than 0 where none is asked for."""
+    freedom = freedom_of(declared.frames, learned)
+    gain = declared.fitted.total - learned.total - freedom - ASKED * np.sqrt(2 * freedom)
+    scatters = any(own.effect.place is Place.SCATTER for own in declared.fitted.model.present)
+    if gain <= 0 or not scatters or len(np.unique(design.site)) < 2:
+        return float(gain)
+    # What pixels share is taken up by a shape as well: it must foretell other sites.
+    return min(float(gain), foretold(declared, design))
+
+
+def foretold(declared: State, design: Design) -> float:
+    """What −2 ln L of every other site gains by a shape that is learned from the rest."""
+    model = declared.fitted.model
+    own = np.isin(design.site, np.unique(design.site)[::2])
+    told, others = (
+        ([declared.frames[k] for k in which], model._replace(numbers=Numbers(*(n[which] for n in model.numbers))))
+        for which in (np.flatnonzero(own), np.flatnonzero(~own))
+    )
+    learned = with_shape(*told).model.baseline.learned
+    shaped = others[1]._replace(baseline=model.baseline._replace(learned=learned))
+    return deviance(*others) - deviance(others[0], shaped)
+
+
+def deviance(frames: Sequence[Frame], model: Model) -> float:
+    """−2 ln L of frames but for constants, each with its own numbers under a shape that stands."""
+    model = fit_numbers(frames, model).model
+    ready = Expectation(frames, model)
+    return sum(deviance_of(frame, ready.of(frame, k)) for k, frame in enumerate(frames))
+
+
+def freedom_of(frames: Sequence[Frame], fitted: Fitted) -> float:
+    """Degrees of freedom of a learned shape: the trace of its projection."""
+    ready = Ready(frames, fitted, [])
+
+    def part(which: np.ndarray) -> list[np.ndarray]:
+        total = 0.0
+        for k in which:
+            seen, tells = ready.of(frames[k], k)
+            assert ready.variance is not None
+            light = ready.peaks[k] * seen.factor * seen.slope
+            total += float(np.sum(light**2 * tells.sure * ready.variance(seen.u[None], seen.v[None])[0]))
+        return [np.array(total)]
+
+    return float(shared(part, len(frames), 2)[0])
