@@ -20,8 +20,9 @@ from spotcheck.model.light_shape import LightShape
 NUMBERS = len(Numbers._fields)
 # The dear matrices of the normal equations are made at so many first steps, then at every so many, and kept between.
 RENEWED, AGAIN = 2, 4
-# So many first steps are led by means alone: far from a fit a large residual asks for more variance, and so for light.
-MEANS = 2
+# While χ² is so many times the number of readings, so many steps at most are led by means alone: far from a fit a large
+# residual asks for more variance, and so for more light.
+FAR, MEANS = 1.5, 6
 # A step that gains less than this in −2 ln L ends the fit; one that loses is halved so many times.
 ENOUGH, HALVINGS = 0.5, 4
 # The farthest that a step may change logs of peak and width, and a centre [σ]; of a parameter it is its own size.
@@ -49,11 +50,12 @@ class Free(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Of all pixels under a model: −2 ln L but for constants; the scores of shape and of numbers and free parameters;
+    """Of all pixels under a model: −2 ln L but for constants, and χ² over the readings' number; the scores of shape and of numbers and free parameters;
     of the latter X [coefficient, parameter], and D with numbers [number, parameter] and among themselves; and of the
     numbers, where they were asked for, G [coefficient, 4, 7], X [coefficient, number] and D [number, number]."""
 
     deviance: float
+    chi2: float
     shape: np.ndarray
     others: np.ndarray
     behind: np.ndarray
@@ -139,7 +141,8 @@ def sums_of(
     def part(which: np.ndarray) -> Sums:
         return _part(frames, model, ready, others, which, curved, by_variance)
 
-    return Sums(*shared(part, len(frames), workers))
+    sums = Sums(*shared(part, len(frames), workers))
+    return sums._replace(chi2=sums.chi2 / sum(np.count_nonzero(np.isfinite(own.pixels)) for own in frames))
 
 
 def shared(part: Callable[[np.ndarray], Sequence[Any]], frames: int, workers: int) -> list[Any]:
@@ -187,12 +190,13 @@ def _part(
     shape, others = np.zeros((size, 1)), np.zeros(few + more)
     behind, cross, own = np.zeros((size, more)), np.zeros((few, more)), np.zeros((more, more))
     gram, joined, dense = (np.zeros((size, 4, 7)), np.zeros((size, few)), np.zeros((few, few))) if curved else np.zeros((3, 0))
-    deviance = 0.0
+    deviance = chi2 = 0.0
     for k in which:
         frame = frames[k]
         seen = ready.of(frame, k)
         tells = told(frame, seen, by_variance=by_variance)
         deviance += tells.deviance
+        chi2 += tells.chi2
         at, factor = slice(NUMBERS * k, NUMBERS * (k + 1)), np.exp(model.numbers.log_peak[k]) * seen.factor
         slopes = ready.by_numbers(frame, k, seen)
         flat = slopes.reshape(NUMBERS, -1)
@@ -213,7 +217,7 @@ def _part(
             normal.project(seen.u, seen.v, step, side, factor * lights, behind)
             cross[at] = flat @ lights.reshape(more, -1).T
             own += [[tells.information(one, two) for two in changes] for one in changes]
-    return Sums(deviance, shape[:, 0], others, behind, cross, own, gram, joined, dense)
+    return Sums(deviance, chi2, shape[:, 0], others, behind, cross, own, gram, joined, dense)
 
 
 def splines_of(model: Model) -> tuple[float, int]:
@@ -258,24 +262,27 @@ def fit(
     best, total, taken, halved = model, np.inf, 0, 0
     lowest: tuple[float, Model] = np.inf, model
     shape, others = np.zeros(0), np.zeros(0)
+    far = False
     for taken in range(1, steps + 2):
         renewed = lent is None or (near is None and taken <= RENEWED) or taken % AGAIN == 0
-        rough_way = taken <= MEANS
-        sums = sums_of(frames, model, free, curved=renewed, by_variance=not rough_way, workers=workers)
+        sums = sums_of(frames, model, free, curved=renewed, by_variance=not far, workers=workers)
+        if taken == 1 and sums.chi2 > FAR:
+            sums = sums_of(frames, model, free, curved=renewed, by_variance=False, workers=workers)
         bent, off = normal.product(rough, coefficients_of(model)), centre - values_of(model, free)
         prior = float(known @ off**2) + 2 * float(np.sum(tilt * off))
         now = sums.deviance + float(coefficients_of(model) @ bent) + prior
         lowest = (now, model) if now < lowest[0] else lowest
-        if not now <= total and halved < HALVINGS and taken > MEANS + 1:
+        if not now <= total and halved < HALVINGS and not far:
             halved += 1
             shape, others = shape / 2, others / 2
             model = stepped(best, shape, others, free)
             continue
         if renewed:
             lent = _reduced(sums, rough, basis, HELD)
-        done = (total - now < ENOUGH and taken > MEANS + 1) or taken > steps
-        if now <= total or taken <= MEANS + 1:
+        done = (total - now < ENOUGH and not far) or taken > steps
+        if now <= total or far:
             best, total = model, now
+        far = sums.chi2 > FAR and taken < MEANS
         if done:
             break
         score = np.concatenate([basis.T @ sums.others[:few], sums.others[few:] + known * off + tilt])

@@ -163,7 +163,7 @@ def _same_light(one: Model, other: Model) -> bool:
 class Told(NamedTuple):
     """What the readings of a frame tell [row, column]. A change of mean and variance by (m, w) has the score m·`mean` +
     w·`variance` and, with another, the information m m'·`sure` + w w'·`sure_variance`; all are 0 where a pixel is
-    masked. `light` and `sure_light` are both for the light; −2 ln L but for constants is `deviance`."""
+    masked. `light` and `sure_light` are both for the light; −2 ln L but for constants is `deviance`, a part of it χ²."""
 
     mean: np.ndarray
     variance: np.ndarray
@@ -174,6 +174,7 @@ class Told(NamedTuple):
     slope: np.ndarray
     growth: np.ndarray
     deviance: float
+    chi2: float
 
     def score(self, mean: np.ndarray, variance: np.ndarray) -> float:
         """Score of changes of mean and variance."""
@@ -192,8 +193,8 @@ def told(frame: Frame, seen: Expected, *, by_variance: bool = True) -> Told:
     """What a frame tells about what was expected: the likelihood of normal readings, in mean and in variance, or in the
     mean alone (quasi-likelihood: McCullagh & Nelder, Generalized Linear Models, 2nd ed., ch. 9)."""
     out = np.empty((6, *frame.pixels.shape))
-    deviance = _told(frame.pixels, seen.mean, seen.variance, seen.slope, seen.growth, by_variance, out)
-    return Told(*out, seen.slope, seen.growth, deviance)
+    deviance, chi2 = _told(frame.pixels, seen.mean, seen.variance, seen.slope, seen.growth, by_variance, out)
+    return Told(*out, seen.slope, seen.growth, deviance, chi2)
 
 
 def deviance_of(frame: Frame, seen: Expected) -> float:
@@ -203,7 +204,7 @@ def deviance_of(frame: Frame, seen: Expected) -> float:
 
 @compiled
 def _told(pixels, mean, variance, slope, growth, by_variance, out):
-    deviance = 0.0
+    deviance = chi2 = 0.0
     for r in range(pixels.shape[0]):
         for c in range(pixels.shape[1]):
             if np.isnan(pixels[r, c]):
@@ -219,8 +220,9 @@ def _told(pixels, mean, variance, slope, growth, by_variance, out):
             out[0, r, c], out[1, r, c], out[2, r, c], out[3, r, c] = one, two, weight, sure
             out[4, r, c] = s * one + g * two
             out[5, r, c] = s * s * weight + g * g * sure
+            chi2 += rest * one
             deviance += rest * one + np.log(own)
-    return deviance
+    return deviance, chi2
 
 
 @compiled

@@ -45,18 +45,12 @@ class Ranked(NamedTuple):
 
 
 def ranked(
-    frames: Sequence[Frame],
-    design: Design,
-    fitted: Fitted,
-    effects: Sequence[Effect],
-    context: Context,
-    hints: Sequence[Present] = (),
+    frames: Sequence[Frame], design: Design, fitted: Fitted, effects: Sequence[Effect], context: Context
 ) -> Ranked:
-    """What may be missing in a fit; `hints` are starts besides those that effects have."""
+    """What may be missing in a fit."""
     taken = {own.effect.name for own in fitted.model.present}
     usable = [effect for effect in effects if effect.name not in taken]
-    starts = [*starts_of(usable, context), *(own for own in hints if own.effect.name not in taken)]
-    trials, tied = likeliest(frames, design, fitted, starts, context)
+    trials, tied = likeliest(frames, design, fitted, starts_of(usable, context), context)
     ready = Ready(frames, fitted, [])
     sites, rows = gathered(frames, design, ready)
     trials += [Candidate(own.own, own.told.gain, False) for own in patterns_of(sites, rows, usable, context)]
@@ -104,7 +98,6 @@ def likeliest(
 ) -> tuple[list[Candidate], list[Tied]]:
     """The best start of each effect of pixels, and those that are tied with the shape: starts and forms are compared on
     some frames, the likeliest effects on all."""
-    starts = [own for own in starts if own.effect.place in OF_PIXELS and not own.effect.spectral]
     if not starts:
         return [], []
     few = some_of(design)

@@ -47,40 +47,50 @@ class Outcome(NamedTuple):
     tied: tuple[Tied, ...]
 
 
-def search(
-    frames: Sequence[Frame],
+class Grown(NamedTuple):
+    """A state to which effects were added; by name of each, what others fell behind by; what is tied with the light's
+    shape; and whether nothing more is to be found, or the search was given up."""
+
+    state: State
+    rivals: dict[str, dict[str, float]]
+    tied: list[Tied]
+    finished: bool
+
+
+def grow(
+    start: State,
     design: Design,
-    start: Fitted,
     effects: Sequence[Effect],
     context: Context,
     least: Callable[[State], float] = lambda state: 0.0,
-    hints: list[Present] | None = None,
-) -> Outcome | None:
-    """Find effects of pixels from a fit without any. None, where no effect gains as much as is the `least` for a state.
-    `hints` are starts besides those that effects have; what is fitted is added to them.
+) -> Grown:
+    """Add effects of pixels one by one; given up where none gains as much as is the `least` for a state.
 
     Noise comes first: with too little of it in the model, every pedestal and every halo looks like more.
     """
-    stated, hints = start.model.sensor.read_noise_e, [] if hints is None else hints
-    fitted, told = quiet(frames, start)
-    now, rivals, tied = State(tuple(frames), fitted), dict[str, dict[str, float]](), list[Tied]()
+    now, rivals, tied = start._replace(fitted=quiet(start.frames, start.fitted)[0]), dict[str, dict[str, float]](), None
     while len(now.fitted.model.present) < criteria.MOST.value:
         wanted = least(now)
-        found = ranked(now.frames, design, now.fitted, effects, context, hints)
-        tied = tied or found.tied
-        best = _best(now, [own for own in found.candidates if own.promise >= wanted], context, hints)
-        if best is None and wanted > criteria.GAIN.value:
-            return None
+        found = ranked(now.frames, design, now.fitted, effects, context)
+        tied = found.tied if tied is None else tied
+        best = _best(now, [own for own in found.candidates if own.promise >= wanted], context)
         if best is None:
-            break
+            return Grown(now, rivals, tied, wanted <= criteria.GAIN.value)
         now, near = best
         rivals[now.fitted.model.present[-1].effect.name] = near
         now = now._replace(fitted=quiet(now.frames, now.fitted, anew=True)[0])
-    now, kept = _tested(now, design, rivals, context)
-    if told:
-        noisy = noises_of(now.frames, groups_of(design), now.fitted.model, stated, effects, context)
-        kept += [one for one in (_named(own, context) for own in noisy) if one is not None]
-    return Outcome(now.frames, start, now.fitted, tuple(kept), tuple(tied))
+    return Grown(now, rivals, tied or [], finished=True)
+
+
+def outcome_of(
+    grown: Grown, before: Fitted, design: Design, effects: Sequence[Effect], context: Context, stated_e: float
+) -> Outcome:
+    """What holds everywhere of what was added, and effects that add noise, where the sheet states a read noise of so
+    many e-."""
+    now, kept = _tested(grown.state, design, grown.rivals, context)
+    noisy = noises_of(now.frames, groups_of(design), now.fitted.model, stated_e, effects, context)
+    kept += [one for one in (_named(own, context) for own in noisy) if one is not None]
+    return Outcome(now.frames, before, now.fitted, tuple(kept), tuple(grown.tied))
 
 
 def groups_of(design: Design) -> np.ndarray:
@@ -88,9 +98,7 @@ def groups_of(design: Design) -> np.ndarray:
     return design.exposure_s if design.exposures.size > 1 else design.angle_deg
 
 
-def _best(
-    now: State, candidates: Sequence[Candidate], context: Context, hints: list[Present]
-) -> tuple[State, dict[str, float]] | None:
+def _best(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, float]] | None:
     """The state with the candidate that gains most when fitted, of so many that gain and matter; and by what others
     fall behind."""
     tried: list[tuple[float, str, State]] = []
@@ -100,7 +108,6 @@ def _best(
         state = added(now, own, context)
         gain = now.fitted.total - state.fitted.total if own.of_means else own.promise
         present = state.fitted.model.present[-1]
-        hints.append(present)
         if gain >= criteria.GAIN.value and present.effect.excess(present.values[0], context) >= 1:
             tried.append((gain, present.effect.name, state))
         if len(tried) >= criteria.REFITTED.value:

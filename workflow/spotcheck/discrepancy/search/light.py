@@ -13,9 +13,9 @@ from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, shared
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, deviance_of
-from spotcheck.discrepancy.search.forward import Outcome, State, quiet, search
+from spotcheck.discrepancy.search.forward import MOST_STEPS, Outcome, State, grow, outcome_of, quiet
 from spotcheck.model import light_shape
-from spotcheck.model.effect import Context, Effect, Place, Present
+from spotcheck.model.effect import Context, Effect, Place
 
 # Nodes of the learned shape [σ], how far they reach, and the price of its second differences [1/peak²]: three times as
 # coarse, splines leave effects that are not there; beyond the reach a Gaussian has 2e-6 of its peak.
@@ -40,21 +40,21 @@ def find(
             more = asked(state, design, with_shape(state.frames, state.fitted.model, context))
         return PART * more
 
-    hints = list[Present]()
-    found = search(frames, design, declared, effects, context, least, hints)
-    if found is not None:
-        state = State(found.frames, found.after)
-        if asked(state, design, with_shape(found.frames, found.after.model, context)) <= 0:
-            return found, learned
-    found = search(frames, design, learned, effects, context, hints=hints)
-    assert found is not None
-    return found, learned
+    stated = model.sensor.read_noise_e
+    grown = grow(State(tuple(frames), declared), design, effects, context, least)
+    state = grown.state
+    beside = with_shape(state.frames, state.fitted.model, context)
+    if grown.finished and asked(state, design, beside) <= 0:
+        return outcome_of(grown, declared, design, effects, context, stated), learned
+    # What is as strong as a shape stays, until it is tested beside one.
+    grown = grow(State(state.frames, beside), design, effects, context)
+    return outcome_of(grown, learned, design, effects, context, stated), learned
 
 
 def with_shape(frames: Sequence[Frame], model: Model, context: Context | None = None) -> Fitted:
     """A fit of a model beside a shape that is learned."""
     model = model._replace(baseline=model.baseline._replace(learned=light_shape.empty(STEP, REACH)))
-    return fit(frames, model, PENALTY, free_of(model, context) if context else ())
+    return fit(frames, model, PENALTY, free_of(model, context) if context else (), steps=MOST_STEPS)
 
 
 def asked(declared: State, design: Design, learned: Fitted) -> float:

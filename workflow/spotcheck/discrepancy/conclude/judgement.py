@@ -1,0 +1,93 @@
+"""All that is concluded of a set of frames, as pages, files and pictures take it."""
+
+from typing import NamedTuple
+
+from spotcheck.discrepancy.conclude.detect import Detection
+from spotcheck.discrepancy.conclude.unexplained import Unexplained
+from spotcheck.discrepancy.nuisance.sheet import Against
+from spotcheck.discrepancy.search.forward import Found
+from spotcheck.model.light_shape import LightShape
+
+
+class Light(NamedTuple):
+    """What the learned shape has beside the declared one.
+
+    - `power`: the part of the light that lies elsewhere than declared, half the absolute difference over all light,
+      with its standard `error`, noise taken off.
+    - `orders`: which part of that has each azimuthal order, from 0 on.
+    - `axes`: second-moment widths along major and minor axis, over σ_g of the declared shape, and the direction of the
+      major one [deg].
+    - `lowest`: the least value of the whole shape, in peaks; below 0 by more than noise there is no such light.
+    - `shape`: the surface itself.
+    """
+
+    power: float
+    error: float
+    orders: tuple[float, ...]
+    axes: tuple[float, float, float]
+    lowest: float
+    shape: LightShape
+
+
+class Limit(NamedTuple):
+    """What is not known of an effect that was not found: how large its strength may still be (95 %; None: not told), in
+    its unit, and why it was not found."""
+
+    effect: str
+    parameter: str
+    value: float | None
+    unit: str
+    why: str
+
+
+class Gap(NamedTuple):
+    """How far the frames are from the model, on frames that had no part in choosing it: the root mean square of
+    residuals over their noise `before` and `after` effects and shape were added, and of noise alone (1); both in DN;
+    the part of the excess that is `closed`, and of it what the light's shape closes (`by_light`) and each effect beyond
+    (`by_effect`); what −2 ln L of these frames gains; and which frames they are."""
+
+    before: float
+    after: float
+    noise_floor: float
+    rms_dn_before: float
+    rms_dn_after: float
+    closed: float
+    by_light: float
+    by_effect: dict[str, float]
+    gain: float
+    on: str
+
+
+class Shift(NamedTuple):
+    """p1 and p2 [px] under the declared model and under the extended one with its standard error; None: no law."""
+
+    before: tuple[float, float] | None
+    after: tuple[float, float] | None
+    errors: tuple[float, float] | None
+
+
+class Where(NamedTuple):
+    """A place at which the frames disagree with the declared model most: in words, and its z."""
+
+    words: str
+    z: float
+
+
+class Judgement(NamedTuple):
+    """The whole judgement; where nothing could be tested, `why_not` says why and all else is empty.
+
+    `found`: effects, the one that closes most first. `beyond`: names of found effects of which frames that had no part
+    in the search were not told better. `light`: None where the declared shape stands.
+    """
+
+    why_not: str
+    detection: Detection | None
+    found: tuple[Found, ...]
+    beyond: tuple[str, ...]
+    light: Light | None
+    sheet: tuple[Against, ...]
+    unexplained: Unexplained | None
+    gap: Gap | None
+    shift: Shift
+    limits: tuple[Limit, ...]
+    where: tuple[Where, ...]
