@@ -14,14 +14,14 @@ from tests.validation.generators.light.bound import Reference, Snr
 from tests.validation.generators.second.case import Case, Effect
 from tests.validation.generators.second.optics import spread
 
-# Of an effect's strength s (see second/effects.py) the least that is put in: a size below which a user would call it
-# nothing, however well it is told. DN, fractions or px as s is.
+# Of an effect's strength s (see second/effects.py) the least that is put in: twice a size that a user would call
+# nothing, however well it is told, or more. DN, fractions or px as s is.
 LEAST = {
-    "saturation": 0.01, "nonlinearity": 0.003, "black_clipping": 0.3, "dark_offset": 0.3, "background_gradient": 0.3,
-    "super_gaussian": 0.005, "scatter_halo": 0.003, "fibre_anisotropy": 0.005, "beam_ellipticity": 0.005,
-    "angle_reflectance": 0.005, "photon_budget": 0.005, "shutter_offset": 0.01, "spread_law": 0.05, "motion_blur": 2.5,
-    "interference_fringes": 0.003, "ghost_reflection": 0.003, "speckle": 0.02, "excess_read_noise": 0.03,
-    "power_fluctuation": 0.003, "laser_drift": 0.005, "pointing_jitter": 0.15, "fixed_pattern": 0.003,
+    "saturation": 0.01, "nonlinearity": 0.01, "black_clipping": 0.3, "dark_offset": 0.3, "background_gradient": 0.3,
+    "super_gaussian": 0.02, "scatter_halo": 0.004, "fibre_anisotropy": 0.01, "beam_ellipticity": 0.01,
+    "angle_reflectance": 0.01, "photon_budget": 0.02, "shutter_offset": 0.01, "spread_law": 0.05, "motion_blur": 2.5,
+    "interference_fringes": 0.006, "ghost_reflection": 0.004, "speckle": 0.02, "excess_read_noise": 0.06,
+    "power_fluctuation": 0.006, "laser_drift": 0.01, "pointing_jitter": 0.2, "fixed_pattern": 0.004,
     "row_noise": 0.2, "smear": 0.004, "outside:flicker_rows": 0.2, "outside:two_tap": 0.3, "outside:offset_wander": 0.3,
     "outside:image_lag": 0.003, "outside:second_spot_sometimes": 1.0, "outside:converter_steps": 1.0,
 }  # fmt: skip

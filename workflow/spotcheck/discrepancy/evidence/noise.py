@@ -1,4 +1,5 @@
-"""What dark pixels say of the noise: an effect that adds white noise is told by their histogram alone."""
+"""What dark pixels say of noise and level: effects that add white noise, or the same to every reading, are told by their
+histogram alone."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,6 +9,7 @@ from scipy import optimize
 
 from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
+from spotcheck.model.chain import View
 from spotcheck.model.effect import Context, Effect, Place, Present
 
 
@@ -73,3 +75,26 @@ def noises_of(
 def _of(model: Model, which: np.ndarray) -> Model:
     """A model of some of its frames."""
     return model._replace(numbers=Numbers(*(own[which] for own in model.numbers)))
+
+
+def levels_of(effects: Sequence[Effect], shift_dn: float, view: View, context: Context) -> list[Present]:
+    """Effects that add the same to every reading, or take it off, as strong as a shift of the black level by so many DN
+    needs."""
+    out = []
+    for effect in effects:
+        for form in effect.forms:
+            one = Present(effect, form, (1.0, *effect.starts(context)[0][1:])) if moves_level(effect, form) else None
+            if one is None:
+                continue
+            by_one = float(np.mean(one.apply(view))) if effect.place is Place.PEDESTAL else -float(one.apply())
+            low, high = effect.bounds(context)[0]
+            if low <= shift_dn / by_one <= high:
+                out.append(one._replace(values=(shift_dn / by_one, *one.values[1:])))
+    return out
+
+
+def moves_level(effect: Effect, form: str) -> bool:
+    """Whether an effect in a form does what another black level would."""
+    return (effect.place is Place.PEDESTAL and effect.uniform) or (
+        effect.place is Place.DIGITAL and form == "subtracted"
+    )

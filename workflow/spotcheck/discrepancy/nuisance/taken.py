@@ -49,4 +49,6 @@ def lacking(variance: LightShape | None, peak: float, seen: Expected, tells: Tol
     less noise, restricted likelihood (REML, Patterson & Thompson 1971) gives it back."""
     if variance is None:
         return np.zeros_like(tells.sure)
-    return np.maximum(variance(seen.u[None], seen.v[None])[0], 0.0) * (peak * seen.factor * tells.slope * tells.sure) ** 2 / 2
+    own = np.maximum(variance(seen.u[None], seen.v[None])[0], 0.0)
+    # Where a cell of the surface lies half beyond the pixels, its mean is not that of the pixels: h is 1 at most.
+    return np.minimum(own * (peak * seen.factor * tells.slope) ** 2 * tells.sure, 1.0) * tells.sure / 2

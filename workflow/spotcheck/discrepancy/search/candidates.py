@@ -104,8 +104,9 @@ def likeliest(
     small, some = at_frames(frames, fitted, few), [frames[k] for k in few]
     best: dict[str, tuple[float, Present]] = {}
     for own, score in zip(starts, scores(some, small, starts), strict=True):
-        if score.promise > best.get(own.effect.name, (-1.0, own))[0]:
-            best[own.effect.name] = score.promise, own
+        promise = promised(own, score)
+        if promise > best.get(own.effect.name, (-1.0, own))[0]:
+            best[own.effect.name] = promise, own
     tied = tied_of(some, small, [own for _, own in best.values()])
     hidden = {own.effect.name for own in tied}
     order = sorted((one for name, one in best.items() if name not in hidden), key=lambda one: -one[0])
@@ -114,7 +115,7 @@ def likeliest(
     for own, score in zip(looked, scores(frames, fitted, looked), strict=True):
         asked = asked_for(own, score, context)
         if not np.isfinite(own.effect.neutral) or asked.effect.excess(asked.values[0], context) >= 0.5:
-            out.append(Candidate(asked, score.promise))
+            out.append(Candidate(asked, promised(own, score)))
     return out, tied
 
 
@@ -129,6 +130,11 @@ def tied_of(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) 
     plain = fit(frames, model, fitted.penalty, fitted.free, steps=0)
     parts = [score.information / max(score.if_known, 1e-300) for score in scores(frames, plain, trials)]
     return [Tied(own.effect, p) for own, p in zip(trials, parts, strict=True) if p < criteria.TIED.value]
+
+
+def promised(own: Present, score: Score) -> float:
+    """What −2 ln L would gain: of a level all or nothing, of all else as much as is best."""
+    return score.promise if np.isfinite(own.effect.neutral) else max(score.drop, 0.0)
 
 
 def asked_for(own: Present, score: Score, context: Context) -> Present:
@@ -163,7 +169,7 @@ def at_frames(frames: Sequence[Frame], fitted: Fitted, which: np.ndarray) -> Fit
 
 def scores(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) -> list[Score]:
     """Scores of effects added to a model."""
-    return screen(frames, fitted, [with_effect(fitted.model, own) for own in trials])
+    return screen(frames, fitted, [with_effect(fitted.model, own) for own in trials]) if trials else []
 
 
 def with_effect(model: Model, own: Present) -> Model:

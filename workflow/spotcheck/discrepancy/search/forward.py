@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.evidence.noise import Noisy, noises_of
+from spotcheck.discrepancy.evidence.noise import Noisy, levels_of, moves_level, noises_of
 from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
 from spotcheck.discrepancy.observe.design import Design
@@ -62,24 +62,49 @@ def grow(
     design: Design,
     effects: Sequence[Effect],
     context: Context,
+    black_dn: float,
     least: Callable[[State], float] = lambda state: 0.0,
 ) -> Grown:
-    """Add effects of pixels one by one; given up where none gains as much as is the `least` for a state.
+    """Add effects of pixels one by one, where the sheet states a black level of so many DN; given up where none gains
+    as much as is the `least` for a state.
 
-    Noise comes first: with too little of it in the model, every pedestal and every halo looks like more.
+    Noise and level of dark pixels come first: with too little noise in the model, every pedestal and every halo looks
+    like more, and beside a wrong level nothing else can be told. What moves the level is asked last.
     """
-    now, rivals, tied = start._replace(fitted=quiet(start.frames, start.fitted)[0]), dict[str, dict[str, float]](), None
-    while len(now.fitted.model.present) < criteria.MOST.value:
+    rivals, tied = dict[str, dict[str, float]](), list[Tied]()
+    now, told = quiet(start, level=True)
+    usable = [e for e in effects if not (told and any(moves_level(e, form) for form in e.forms))]
+    for first in range(int(criteria.MOST.value)):
         wanted = least(now)
-        found = ranked(now.frames, design, now.fitted, effects, context)
-        tied = found.tied if tied is None else tied
+        found = ranked(now.frames, design, now.fitted, usable, context)
+        tied = tied if first else found.tied
         best = _best(now, [own for own in found.candidates if own.promise >= wanted], context)
         if best is None:
-            return Grown(now, rivals, tied, wanted <= criteria.GAIN.value)
+            return Grown(levelled(now, black_dn, effects, context), rivals, tied, wanted <= criteria.GAIN.value)
         now, near = best
         rivals[now.fitted.model.present[-1].effect.name] = near
-        now = now._replace(fitted=quiet(now.frames, now.fitted, anew=True)[0])
-    return Grown(now, rivals, tied or [], finished=True)
+        now, _ = quiet(now, level=told, anew=True)
+    return Grown(levelled(now, black_dn, effects, context), rivals, tied, finished=True)
+
+
+def levelled(now: State, stated_dn: float, effects: Sequence[Effect], context: Context) -> State:
+    """A state in which the black level is the stated one again, and what moves it an effect, where it is more than
+    nothing."""
+    dark, sensor = darkness(now.frames, now.fitted.model), now.fitted.model.sensor
+    shift = sensor.black_level_dn - stated_dn
+    if dark is None or shift == 0:
+        return now
+    model = now.fitted.model._replace(sensor=sensor._replace(black_level_dn=stated_dn))
+    tried = [now._replace(fitted=fit(now.frames, model, now.fitted.penalty, now.fitted.free))]
+    taken = {own.effect.name for own in model.present}
+    usable = [effect for effect in effects if effect.name not in taken]
+    if (shift / dark.black_level_stderr) ** 2 >= criteria.GAIN.value:
+        for own in levels_of(usable, shift, now.frames[0].view, context):
+            if own.effect.excess(own.values[0], context) >= 1:
+                other = with_effect(model, own)
+                fitted = fit(now.frames, other, now.fitted.penalty, free_of(other, context), steps=MOST_STEPS)
+                tried.append(quiet(now._replace(fitted=fitted), level=False)[0])
+    return min(tried, key=lambda own: own.fitted.total)
 
 
 def outcome_of(
@@ -134,18 +159,24 @@ def without(now: State, k: int, context: Context) -> State:
     """A state without the effect of a number, fitted again."""
     present = now.fitted.model.present
     model = now.fitted.model._replace(present=present[:k] + present[k + 1 :])
-    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free_of(model, context)))
+    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free_of(model, context), steps=MOST_STEPS))
 
 
-def quiet(frames: Sequence[Frame], fitted: Fitted, *, anew: bool = False) -> tuple[Fitted, bool]:
-    """A fit under the read noise of its dark pixels, and whether these tell it; `anew`: fitted again in any case."""
-    dark = darkness(frames, fitted.model)
-    told = dark is not None and bool(np.isfinite(dark.read_noise_stderr))
-    sensor = fitted.model.sensor
-    if told and abs(dark.read_noise_e - sensor.read_noise_e) >= dark.read_noise_stderr:
-        sensor, anew = sensor._replace(read_noise_e=dark.read_noise_e), True
-    model = fitted.model._replace(sensor=sensor)
-    return (fit(frames, model, fitted.penalty, fitted.free, steps=MOST_STEPS) if anew else fitted), told
+def quiet(now: State, *, level: bool, anew: bool = False) -> tuple[State, bool]:
+    """A state under the read noise of its dark pixels, and with `level` their black level, and whether these are told;
+    `anew`: fitted again in any case."""
+    dark, model = darkness(now.frames, now.fitted.model), now.fitted.model
+    sensor, told = model.sensor, False
+    if dark is not None and np.isfinite(dark.read_noise_stderr):
+        told = True
+        if abs(dark.read_noise_e - sensor.read_noise_e) >= dark.read_noise_stderr:
+            sensor, anew = sensor._replace(read_noise_e=dark.read_noise_e), True
+        if level and abs(dark.black_level_dn - sensor.black_level_dn) >= dark.black_level_stderr:
+            sensor, anew = sensor._replace(black_level_dn=dark.black_level_dn), True
+    if not anew:
+        return now, told
+    model = model._replace(sensor=sensor)
+    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, now.fitted.free, steps=MOST_STEPS)), told
 
 
 def _named(one: Noisy, context: Context) -> Found | None:
@@ -168,7 +199,7 @@ def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], con
                 holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
             near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
             found.append(Found(own, gain, holding, near))
-        bad = [k for k, one in enumerate(found) if not one.holding.holds or one.gain < criteria.GAIN.value]
+        bad = [k for k, one in enumerate(found) if not one.holding.holds or one.holding.z2 < criteria.GAIN.value]
         if not bad:
             return now, found
         now = without(now, max(bad, key=lambda k: found[k].holding.excess), context)

@@ -13,13 +13,16 @@ from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, shared
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, deviance_of
+from spotcheck.discrepancy.search.candidates import at_frames, some_of, tied_of
 from spotcheck.discrepancy.search.forward import MOST_STEPS, Outcome, State, grow, outcome_of, quiet
 from spotcheck.model import light_shape
 from spotcheck.model.effect import Context, Effect, Place
 
-# Nodes of the learned shape [σ], how far they reach, and the price of its second differences [1/peak²]: three times as
-# coarse, splines leave effects that are not there; beyond the reach a Gaussian has 2e-6 of its peak.
-STEP, REACH, PENALTY = 0.12, 5.1, 1.0
+# Distance of the nodes of a learned shape [σ]: twice as coarse, splines leave effects that are not there. Of one frame
+# alone a shape so fine would be its stripes and grains.
+STEP, STEP_OF_ONE = 0.12, 0.3
+# How far the nodes reach [σ], where a Gaussian has 2e-6 of its peak, and the price of second differences [1/peak²].
+REACH, PENALTY = 5.1, 1.0
 # A shape is asked for where it gains this many standard deviations more than noise would.
 ASKED = 5.0
 # An effect that is to stand in the place of a shape must gain this part of what the shape would.
@@ -31,8 +34,8 @@ def find(
 ) -> tuple[Outcome, Fitted]:
     """The search under the light that is right, from a model that declares its shape; and the fit beside a learned
     shape without any effect."""
-    learned = quiet(frames, with_shape(frames, model))[0]
-    declared = fit(frames, model, PENALTY)
+    learned = quiet(State(tuple(frames), with_shape(frames, model)), level=True)[0].fitted
+    declared = fit(frames, model._replace(sensor=learned.model.sensor), PENALTY)
 
     def least(state: State) -> float:
         more = asked(state, design, learned)
@@ -40,20 +43,36 @@ def find(
             more = asked(state, design, with_shape(state.frames, state.fitted.model, context))
         return PART * more
 
-    stated = model.sensor.read_noise_e
-    grown = grow(State(tuple(frames), declared), design, effects, context, least)
+    stated = model.sensor
+    grown = grow(State(tuple(frames), declared), design, effects, context, stated.black_level_dn, least)
     state = grown.state
     beside = with_shape(state.frames, state.fitted.model, context)
     if grown.finished and asked(state, design, beside) <= 0:
-        return outcome_of(grown, declared, design, effects, context, stated), learned
-    # What is as strong as a shape stays, until it is tested beside one.
-    grown = grow(State(state.frames, beside), design, effects, context)
-    return outcome_of(grown, learned, design, effects, context, stated), learned
+        return outcome_of(grown, declared, design, effects, context, stated.read_noise_e), learned
+    state = without_tied(State(state.frames, beside), design, context)
+    grown = grow(state, design, effects, context, stated.black_level_dn)
+    return outcome_of(grown, learned, design, effects, context, stated.read_noise_e), learned
+
+
+def without_tied(now: State, design: Design, context: Context) -> State:
+    """A state beside a learned shape without the effects that such a shape can be: what else is as strong as a shape
+    stays, until it is tested."""
+    few, model = some_of(design), now.fitted.model
+    if not model.present:
+        return now
+    small = at_frames(now.frames, now.fitted._replace(free=()), few)
+    bare = small._replace(model=small.model._replace(present=()))
+    tied = {own.effect.name for own in tied_of([now.frames[k] for k in few], bare, model.present)}
+    kept = tuple(own for own in model.present if own.effect.name not in tied)
+    if len(kept) == len(model.present):
+        return now
+    return now._replace(fitted=with_shape(now.frames, model._replace(present=kept), context))
 
 
 def with_shape(frames: Sequence[Frame], model: Model, context: Context | None = None) -> Fitted:
     """A fit of a model beside a shape that is learned."""
-    model = model._replace(baseline=model.baseline._replace(learned=light_shape.empty(STEP, REACH)))
+    shape = light_shape.empty(STEP if len(frames) > 1 else STEP_OF_ONE, REACH)
+    model = model._replace(baseline=model.baseline._replace(learned=shape))
     return fit(frames, model, PENALTY, free_of(model, context) if context else (), steps=MOST_STEPS)
 
 

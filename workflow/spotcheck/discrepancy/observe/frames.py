@@ -1,0 +1,110 @@
+"""Frames with their views, and every frame's brightness, width and centre to begin with."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.pixels import Frame, Numbers
+from spotcheck.discrepancy.observe.shots import Shot, design_of
+from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.model.baseline import Baseline
+from spotcheck.model.chain import Free, View, bounds_context
+from spotcheck.model.effect import Context
+from spotcheck.model.sensor import SensorModel
+
+# A spot wider than this part of its crop cannot be told from a background.
+WIDEST = 0.7
+# From this part of readings at full scale on it is the clip that keeps a likelihood from its root.
+CLIPPED = 0.01
+# The brightest readings, beyond which some odd pixel may lie.
+ODD = 20
+
+
+class Setting(NamedTuple):
+    """What the instrument fixes: the declared baseline, the sensor with the standard errors of its gain [DN/e-], read
+    noise [e-] and black level [DN], and rows and columns of a frame."""
+
+    baseline: Baseline
+    sensor: SensorModel
+    stderr: tuple[float, float, float]
+    rows: int
+    columns: int
+
+
+class Observed(NamedTuple):
+    """Frames with their design, where each spot's fit begins, and what bounds and starts of effects depend on."""
+
+    frames: list[Frame]
+    design: Design
+    numbers: Numbers
+    context: Context
+
+
+def observed(shots: Sequence[Shot], setting: Setting) -> Observed | str:
+    """Frames ready to be fitted, or why there are none."""
+    design = design_of(shots)
+    longest = float(design.exposures.max(initial=0.0)) or 1.0
+    frames = []
+    for k, shot in enumerate(shots):
+        pixels = np.asarray(shot.pixels(), float)
+        rows, columns = pixels.shape
+        one = np.ones((1, 1, 1))
+        exposure = design.exposure_s[k] if np.isfinite(design.exposure_s[k]) else longest
+        angle = np.deg2rad(design.angle_deg[k] if np.isfinite(design.angle_deg[k]) else 0.0)
+        view = View(
+            x=(shot.left + np.arange(float(columns)))[None, None, :],
+            y=(shot.top + np.arange(float(rows)))[None, :, None],
+            x0=0 * one, y0=0 * one, exposure_s=exposure * one, angle=angle * one, order=design.order[k] * one,
+            wave_cos=0 * one, wave_sin=0 * one, longest_s=longest, reference_s=design.reference_s,
+            frame_x=(setting.columns - 1) / 2, frame_y=(setting.rows - 1) / 2, frame_rows=float(setting.rows),
+            rows_each=1.0,
+        )  # fmt: skip
+        frames.append(Frame(pixels, view))
+    numbers = first_numbers(frames, design, setting)
+    if isinstance(numbers, str):
+        return numbers
+    return Observed(frames, design, numbers, context_of(frames, design, numbers, setting))
+
+
+def first_numbers(frames: Sequence[Frame], design: Design, setting: Setting) -> Numbers | str:
+    """A round spot for every frame, each fitted alone: by the sensor's law, or by least squares where that has no root
+    though hardly a reading is at full scale. A frame without a fit takes what its condition, or else all, have."""
+    found = np.full((len(frames), 4), np.nan)
+    for k, frame in enumerate(frames):
+        clipped = np.mean(frame.pixels >= setting.sensor.full_scale_dn) >= CLIPPED
+        for way in ("likelihood",) if clipped else ("likelihood", "equal"):
+            own = fit_spots(frame.pixels[None], setting.sensor, weighting=way, top_hat=setting.baseline.top_hat,
+                            circular=True)  # fmt: skip
+            if own.flags[0] == 0:
+                found[k] = own.value[0, :4]
+                break
+    side = np.array([frame.pixels.shape for frame in frames], float)
+    known = np.isfinite(found).all(axis=1) & (found[:, 3] < WIDEST * side.min(axis=1))
+    known &= (np.abs(found[:, [2, 1]] - side / 2) < side / 2).all(axis=1)
+    if not known.any():
+        wide = bool((found[:, 3] >= WIDEST * side.min(axis=1)).any())
+        return "no spot could be fitted in any frame" + (": it is as wide as its crop" if wide else "")
+    for k in np.flatnonzero(~known):
+        like = known & (design.condition == design.condition[k])
+        like = like if like.any() else known
+        found[k, [0, 3]] = np.median(found[like][:, [0, 3]], axis=0)
+        same = known & (design.site == design.site[k])
+        found[k, 1:3] = np.median(found[same][:, 1:3], axis=0) if same.any() else side[k, ::-1] / 2 - 0.5
+    left, top = (np.array([float(axis.min()) for axis in own]) for own in
+                 ([f.view.x for f in frames], [f.view.y for f in frames]))  # fmt: skip
+    peak = np.maximum(found[:, 0], 1e-3)
+    return Numbers(np.log(peak), np.log(found[:, 3]), found[:, 1] + left, found[:, 2] + top)
+
+
+def context_of(frames: Sequence[Frame], design: Design, numbers: Numbers, setting: Setting) -> Context:
+    """What bounds and starts depend on: the brightest light is that of the brightest readings."""
+    exposures = design.exposures
+    shortest, longest = float(exposures.min(initial=np.inf)), float(exposures.max(initial=0.0)) or 1.0
+    base = Free(np.exp(numbers.log_peak), np.exp(numbers.log_width))
+    own = bounds_context(base, setting.baseline, setting.sensor, float(frames[0].pixels.shape[0]),
+                         min(shortest, longest), longest, design.reference_s)  # fmt: skip
+    top = max(float(np.sort(f.pixels[np.isfinite(f.pixels)])[-ODD:][0]) for f in frames)
+    # The first start of a level lies at 0.97 of the peak: it is to be the brightest reading itself.
+    return own._replace(peak_dn=max(top - setting.sensor.black_level_dn, 1.0) / 0.97)
