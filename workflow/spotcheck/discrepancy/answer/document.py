@@ -150,7 +150,7 @@ def evidence_block(
     name: str, gain: float, z: float, holding: Holding | None, rivals: Mapping[str, float]
 ) -> dict[str, Any]:
     """What speaks for a name, and its weight among its rivals, all as likely before the frames are seen."""
-    weight = weights_of(name, rivals)
+    weight, nearest = weights_of(name, rivals), sorted(rivals, key=lambda own: rivals[own])
     consistency = None
     if holding is not None:
         consistency = {"q": number(holding.q), "cells": int(holding.cells), "excess": number(holding.excess),
@@ -160,9 +160,7 @@ def evidence_block(
         "z": number(z),
         "consistency": consistency,
         "weight": weight[name],
-        "rivals": [
-            {"name": own, "behind": float(rivals[own]), "weight": weight[own]} for own in sorted(rivals, key=rivals.get)
-        ],
+        "rivals": [{"name": own, "behind": float(rivals[own]), "weight": weight[own]} for own in nearest],
     }
 
 

@@ -1,23 +1,28 @@
 """The verdict as a person would say it, in at most three lines: is there a disagreement, what is it, and how sure."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.answer.document import LIGHT
+from spotcheck.discrepancy.answer.document import LIGHT, NOT_FORETOLD
+from spotcheck.discrepancy.answer.words import (
+    condition_text,
+    digits_of,
+    list_text,
+    percent_text,
+    probability_text,
+    value_text,
+)
 from spotcheck.model.effects import vocabulary
 
-UNITS = {"1": "", "deg": "°", "degree": "°"}
-PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: ""}
 SHEET_WORDS = {"gain_dn_per_e": "the gain", "read_noise_e": "the read noise", "black_level_dn": "the black level"}
-# Smaller p-values are not read as numbers.
-SMALL_P = 1e-4
 # So many effects are told in whole sentences, the others by name and strength.
 IN_FULL = 2
 # Below this part over the noise floor the mean images had no gap to speak of.
 NO_GAP = 0.02
+# Likelier by less than this is not worth a word.
+LIKELIER = 1.5
 # p1 or p2 is told where effects move it by so many of its errors.
 MOVED = 3.0
 
@@ -30,63 +35,12 @@ def sentence(document: dict[str, Any]) -> str:
     elif status == "consistent":
         lines = [_agreed(document), _as_fitted(document), _not_proven(document)]
     elif status == "unknown":
-        lines = [_opening(document), *_unknown(document)]
+        lines = [_opening(document), _unknown(document), _shown(document)]
     else:
-        tied = status == "ambiguous"
-        sure = _advised(document) if tied else _sure(document)
-        lines = [_opening(document), _effects(document), _joined(_closed(document), _left(document), sure,
-                                                                 "" if tied else _moved(document))]  # fmt: skip
+        lines = [_opening(document), _effects(document), _joined(_closed(document), _advised(document),
+                                                                 _moved(document))]  # fmt: skip
     lines[0] = _joined(_contradicted(document), lines[0])
     return "\n".join(line for line in lines if line)
-
-
-# Numbers in words
-
-
-def value_text(value: float | None, stderr: float | None, unit: str) -> str:
-    """Value ± standard error with two digits of the error, and the unit: `0.0240 ± 0.0011`, `−3.1 ± 0.4 µs`."""
-    if value is None or not np.isfinite(value):
-        return "no value"
-    unit = UNITS.get(unit, unit)
-    if unit == "s" and value:
-        power = int(np.clip(3 * np.floor(np.log10(abs(value)) / 3), -9, 0))
-        value, stderr = value / 10.0**power, None if stderr is None else stderr / 10.0**power
-        unit = PREFIXES[power] + "s"
-    tail = unit if unit in ("", "°") else f" {unit}"
-    if stderr is None or not np.isfinite(stderr) or stderr <= 0:
-        text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
-    else:
-        digits = int(np.clip(1 - np.floor(np.log10(stderr)), -9, 9))
-        shown = max(digits, 0)
-        text = f"{round(value, digits):.{shown}f} ± {round(stderr, digits):.{shown}f}"
-    return f"{text}{tail}".replace("-", "−")
-
-
-def condition_text(condition: Mapping[str, Any]) -> str:
-    """A measurement in words: `an exposure of 1.8 ms and 45°`."""
-    words = []
-    for name, value in condition.items():
-        if name == "exposure_s":
-            words.append(f"an exposure of {value_text(value, None, 's')}")
-        elif name == "angle_deg" and value is not None:
-            words.append(f"{value:.4g}°")
-        elif name != "blocked" and value is not None:
-            words.append(f"{name} {value:.4g}")
-    return _list(words) + (" with the beam blocked" if condition.get("blocked") else "")
-
-
-def percent_text(part: float) -> str:
-    """A part in percent with two digits, three from 90 % on; what is not quite all is never called all."""
-    percent = 100 * min(part, 1.0)
-    if 90 <= percent < 100:
-        # 99.97 % is 99.9 %: rounded down.
-        return f"{np.floor(10 * percent) / 10:.3g} %"
-    return "100 %" if percent >= 100 else f"{percent:.2g} %".replace("-", "−")
-
-
-def probability_text(p: float) -> str:
-    """A p-value, as far as one reads it."""
-    return f"p = {p:.2g}" if p >= SMALL_P else "p < 0.0001"
 
 
 # First line: is there a disagreement
@@ -97,167 +51,187 @@ def _contradicted(document: dict[str, Any]) -> str:
     rows = [own for own in document["sheet"] if own["contradicts"]]
     told = [
         f"{SHEET_WORDS.get(own['name'], own['name'])} is {value_text(own['found'], own['stderr'], own['unit'])},"
-        f" not {value_text(own['stated'], own['stated_stderr'], own['unit'])}"
+        f" where it states {value_text(own['stated'], own['stated_stderr'], own['unit'])}"
         for own in rows
     ]
-    return f"The frames contradict the data sheet: {_list(told)}." if rows else ""
+    return f"The frames contradict the data sheet: {list_text(told)}." if rows else ""
 
 
 def _opening(document: dict[str, Any]) -> str:
     """That model and measurement disagree, and by how much."""
     detection, tolerance = document["detection"], document["unexplained"]["tolerance"]
     p, percent = detection["p_value"], detection["rms_residual_percent_of_peak"]
-    odds = f" ({probability_text(p)})" if p is not None else ""
+    odds = f"{probability_text(p)}" if p is not None else ""
     if p is not None and p >= detection["alpha"]:
         if document["effects"]:
-            return f"Taken as a whole, model and measurement look alike ({probability_text(p)}), but not everywhere."
-        return f"No single test finds a disagreement ({probability_text(p)}), but more is left than noise brings."
+            return f"Taken as a whole, model and measurement look alike ({odds}), but not everywhere."
+        return f"No single test finds a disagreement ({odds}), but more is left than noise brings."
+    odds_alone = f" ({odds})" if odds else ""
     if percent is None:
-        return f"Model and measurement disagree{odds}."
+        return f"Model and measurement disagree{odds_alone}."
     if percent < 100 * tolerance:
-        return f"Model and measurement disagree, though hardly in the mean image{odds}."
-    return f"Model and measurement disagree: the mean image is off by {percent:.2g} % of the spot's peak{odds}."
+        return f"Model and measurement disagree, though hardly in the mean image{odds_alone}."
+    more = f", {odds}" if odds else ""
+    return f"Model and measurement disagree by {percent_text(percent / 100)} of the spot's peak (rms{more})."
 
 
 def _agreed(document: dict[str, Any]) -> str:
     p = document["detection"]["p_value"]
     odds = f" ({probability_text(p)})" if p is not None else ""
-    return f"Model and measurement agree: they differ by no more than noise does{odds}."
+    who = "Otherwise model" if _contradicted(document) else "Model"
+    return f"{who} and measurement agree: they differ by no more than noise does{odds}."
 
 
 def _untested(document: dict[str, Any]) -> str:
     whole = [own["why"] for own in document["not_assessed"] if own["effect"] == "all"]
-    return f"Nothing could be tested: {_list(whole, '; ') or 'no test was possible'}."
+    return f"Nothing could be tested: {list_text(whole, '; ') or 'no test was possible'}."
 
 
 # Second line: what it is
 
 
 def _effects(document: dict[str, Any]) -> str:
-    """Every effect: the first in whole sentences, the others by name and strength."""
-    effects = document["effects"]
-    parts = [_effect(own, document) for own in effects[:IN_FULL]]
-    for own in effects[IN_FULL:]:
-        others = "".join(f" or {name}" for name in own["candidates"][1:])
-        parts.append(f"{_short(own)}{others}")
-    text = parts[0] if len(parts) == 1 else f"{parts[0]}; beside it {_list(parts[1:])}"
-    if len(parts) > IN_FULL:
-        text = f"{parts[0]}; beside it {parts[1]}; and {_list(parts[2:])}"
-    return f"{text[0].upper()}{text[1:]}."
+    """Every effect: the first in whole sentences, further ones by name and strength, and those that have rivals."""
+    alone = [own for own in document["effects"] if len(own["candidates"]) == 1]
+    tied = [own for own in document["effects"] if len(own["candidates"]) > 1]
+    told = []
+    if alone:
+        told.append("; besides, ".join(_effect(own, document) for own in alone[:IN_FULL]))
+    if alone[IN_FULL:]:
+        told.append(f"also found: {list_text([_short(own) for own in alone[IN_FULL:]])}")
+    told += [_either(own, document) for own in tied]
+    return " ".join(f"{text[0].upper()}{text[1:]}." for text in told)
 
 
 def _effect(own: dict[str, Any], document: dict[str, Any]) -> str:
-    """What an effect does, with its name and values, and what may stand in its place."""
-    first = _light(document) if own["name"] == LIGHT else f"{_does(own['name'])} ({_named(own)})"
-    if len(own["candidates"]) == 1:
-        return first
+    """What an effect does, with its name and values."""
+    return _light(document) if own["name"] == LIGHT else f"{_does(own['name'])} ({_with_values(own)})"
+
+
+def _either(own: dict[str, Any], document: dict[str, Any]) -> str:
+    """An effect and those that may stand in its place."""
     others = [f"{_does(name)} ({name})" for name in own["candidates"][1:]]
-    weight, next_best = own["evidence"]["weight"], max(rival["weight"] for rival in own["evidence"]["rivals"])
-    times = weight / max(next_best, 1e-300)
-    likelier = f"the first is {times:.2g} times as likely" if times >= 1.5 else "none is likelier"
-    return f"either {first}, or {_list(others, ', or ')}: these frames cannot tell which, {likelier}"
+    times = own["evidence"]["weight"] / max(rival["weight"] for rival in own["evidence"]["rivals"])
+    likelier = f"; the first is {times:.{0 if times >= 10 else 1}f} times as likely" if times >= LIKELIER else ""
+    return f"either {_effect(own, document)}, or {list_text(others, ', or ')}: these frames cannot tell which{likelier}"
 
 
 def _light(document: dict[str, Any]) -> str:
     light = document["light"]
-    error = None if light["stderr"] is None else 100 * light["stderr"]
+    power = value_text(100 * light["power"], None if light["stderr"] is None else 100 * light["stderr"], "%")
     words = f", {light['words']}" if light["words"] else ""
-    return f"the light is not a Gaussian: {value_text(100 * light['power'], error, '%')} of its power lies elsewhere{words}"
+    return f"the light is not a Gaussian: {power} of its power lies elsewhere{words}"
 
 
 def _does(name: str) -> str:
     """What an effect does, in the words of the vocabulary."""
     known = vocabulary().get(name)
-    if known is not None:
-        return known.sentence
-    return "the light is not a Gaussian" if name == LIGHT else name
+    return known.sentence if known else "the light is not a Gaussian" if name == LIGHT else name
 
 
-def _named(own: dict[str, Any]) -> str:
+def _with_values(own: dict[str, Any]) -> str:
     values = [f"{key} {value_text(p['value'], p['stderr'], p['unit'])}" for key, p in own["parameters"].items()]
     return ", ".join([own["name"], *values])
 
 
 def _short(own: dict[str, Any]) -> str:
-    strength = dict(list(own["parameters"].items())[:1])
-    return _named(own | {"parameters": strength}).replace(", ", " (", 1) + (")" if strength else "")
+    """An effect by name and strength."""
+    key, strength = next(iter(own["parameters"].items()))
+    return f"{own['name']} ({key} {value_text(strength['value'], strength['stderr'], strength['unit'])})"
 
 
-def _unknown(document: dict[str, Any]) -> list[str]:
-    """That nothing is named, where the frames are oddest, and what is left."""
-    what = "No effect of the vocabulary explains it: something else is at work"
-    known = any(own["before"] is not None for own in document["baseline_shift"].values())
-    what += ", and p1 and p2 may be off because of it." if known else "."
+def _unknown(document: dict[str, Any]) -> str:
+    """That nothing is named."""
+    failed = [own["effect"] for own in document["limits"] if own["why"] == NOT_FORETOLD]
+    what = (
+        f"{list_text(failed)} seemed to explain it, but not on unseen frames"
+        if failed
+        else ("No effect of the vocabulary explains it")
+    )
+    law = any(own["before"] is not None for own in document["baseline_shift"].values())
+    return f"{what}: something else is at work{', and p1 and p2 may be off' if law else ''}."
+
+
+def _shown(document: dict[str, Any]) -> str:
+    """Where the frames are oddest, and what is left."""
     where = f"It shows most in {document['where'][0]['words']}." if document["where"] else ""
-    return [what, _joined(where, _left(document))]
+    left = _left(document)
+    return _joined(where, f"{left[0].upper()}{left[1:]} is unexplained." if left else "")
 
 
 # Third line: how sure, and how much of the gap is closed
 
 
 def _closed(document: dict[str, Any]) -> str:
-    """The part of the gap that closes on frames that had no part in it."""
-    gap, effects = document["gap"], document["effects"]
-    if gap["before"] is None or gap["on"] is None:
-        return "It was not checked on frames of its own."
-    floor = gap["noise_floor"]
-    if gap["closed"] is None or (floor is not None and gap["before"] < floor * (1 + NO_GAP)):
-        return "It shows in the scatter: the mean images fitted already."
-    share, on = percent_text(gap["closed"]), gap["on"]
-    if gap["closed"] <= 0:
-        return f"It closes no gap on {on}."
-    if document["status"] == "ambiguous":
-        return f"Either way {share} of the gap closes on {on}."
-    if len(effects) == 1:
-        who = "A learned shape" if effects[0]["name"] == LIGHT else "Added to the model, it"
-        return f"{who} closes {share} of the gap on {on}."
+    """The part of the gap that closes on frames that had no part in it, what is left, and that nothing does better."""
+    gap, effects, tied = document["gap"], document["effects"], document["status"] == "ambiguous"
+    one, floor = len(effects) == 1, gap["noise_floor"]
+    only_light = one and effects[0]["name"] == LIGHT
     light = next((own["gap_closed"] for own in effects if own["name"] == LIGHT), None)
-    own = f", the light's shape alone {percent_text(light)}" if light is not None else ""
-    return f"Together they close {share} of the gap on {on}{own}."
+    if gap["before"] is None:
+        text = "It was not tried on unseen frames" if one else "They were not tried on unseen frames"
+    elif gap["closed"] is None or (floor is not None and gap["before"] < floor * (1 + NO_GAP)):
+        text = f"{'It shows' if one else 'They show'} in the noise or the scatter, not in the mean images"
+    elif gap["closed"] <= 0:
+        text = f"On {gap['on']} no gap closes"
+    else:
+        who = "Either one closes" if tied and one else "Added to the model, it closes" if one else "Together they close"
+        who = "A learned shape closes" if only_light else who
+        text = f"{who} {percent_text(min(gap['closed'], 1.0))} of the gap on {gap['on']}"
+        text += f" (the light's shape alone {percent_text(light)})" if light is not None and not one else ""
+        left = _left(document)
+        if left:
+            text += f" and leave{'s' if one else ''} {left}{' unexplained' if _remains(document) else ''}"
+    if tied:
+        return f"{text}."
+    return f"{text}; {'nothing else was found' if only_light else 'no other effect does as well'}."
+
+
+def _remains(document: dict[str, Any]) -> bool:
+    """Whether more is left than the tolerance; `document.more_remains` by the numbers that stand in the document."""
+    left = document["unexplained"]
+    return left["size"] is not None and left["size"] ** 2 - _doubt(left) > left["tolerance"] ** 2
+
+
+def _doubt(left: dict[str, Any]) -> float:
+    return criteria.STATED.value * ((left["size"] + left["error"]) ** 2 - left["size"] ** 2)
 
 
 def _left(document: dict[str, Any]) -> str:
-    """What is left in the mean image, or how much may be."""
+    """How much of the peak is left in the mean image, or may be; "" where that is not known."""
     left = document["unexplained"]
-    size, error, tolerance = left["size"], left["error"], left["tolerance"]
-    if size is None or error is None:
+    if left["size"] is None:
         return ""
-    doubt = criteria.STATED.value * ((size + error) ** 2 - size**2)
-    if size**2 - doubt > tolerance**2:
-        return f"No effect explains the {value_text(100 * size, 100 * error, '%')} of the peak that are left."
-    return f"In the mean image less than {percent_text(max(np.sqrt(size**2 + doubt), tolerance))} of the peak is left."
-
-
-def _sure(document: dict[str, Any]) -> str:
-    if [own["name"] for own in document["effects"]] == [LIGHT]:
-        return "Nothing else is needed beside it."
-    return "No other effect explains these frames as well."
+    if _remains(document):
+        return f"{percent_text(left['size'])} of the peak"
+    most = max(float(np.sqrt(left["size"] ** 2 + _doubt(left))), left["tolerance"])
+    return f"less than {percent_text(most)} of the peak"
 
 
 def _advised(document: dict[str, Any]) -> str:
     """Measurements that would tell rivals apart."""
-    told = [
-        f"{own['frames']} frame{'s' if own['frames'] > 1 else ''} at {condition_text(own['condition'])} would tell"
-        f" {own['separates'][0]} from {own['separates'][1]}"
-        for own in document["advice"]
-    ]
-    text = _list(told, "; ")
-    return f"{text[0].upper()}{text[1:]}." if told else "No next measurement was found that would tell them apart."
+    pairs = sum(len(own["candidates"]) - 1 for own in document["effects"])
+    if not pairs:
+        return ""
+    told = []
+    for own in document["advice"]:
+        which = "which" if pairs == 1 else f"{own['separates'][0]} from {own['separates'][1]}"
+        frames = "1 frame" if own["frames"] == 1 else f"{own['frames']} frames"
+        told.append(f"{frames} at {condition_text(own['condition'])} would tell {which}")
+    return f"{list_text(told, '; ')}." if told else "No next measurement was found that would tell."
 
 
 def _moved(document: dict[str, Any]) -> str:
-    """p1 and p2 where the effects moved them."""
-    moved = []
+    """p1 and p2 where certain effects moved them."""
+    moved: list[str] = []
     for name, own in document["baseline_shift"].items():
         before, after, error = own["before"], own["after"], own["stderr"]
         if before is None or after is None or not error or abs(after - before) <= MOVED * error:
             continue
-        digits = int(np.clip(1 - np.floor(np.log10(error)), 0, 6))
-        moved.append(
-            f"{name} goes from {before:.{digits}f}".replace("-", "−") + f" to {value_text(after, error, own['unit'])}"
-        )
+        first = f"{before:.{max(digits_of(error), 0)}f}".replace("-", "−")
+        moved.append(f"{name}{'' if moved else ' goes'} from {first} to {value_text(after, error, own['unit'])}")
     whom = "it" if len(document["effects"]) == 1 else "them"
-    return f"With {whom} {_list(moved)}." if moved else ""
+    return f"With {whom} {', '.join(moved)}." if moved and document["status"] != "ambiguous" else ""
 
 
 # Where nothing is added
@@ -269,7 +243,7 @@ def _as_fitted(document: dict[str, Any]) -> str:
         for name, own in document["baseline_shift"].items()
         if own["before"] is not None
     ]
-    return f"As fitted, {_list(values)}." if values else ""
+    return f"As fitted, {list_text(values)}." if values else ""
 
 
 def _not_proven(document: dict[str, Any]) -> str:
@@ -279,10 +253,3 @@ def _not_proven(document: dict[str, Any]) -> str:
 
 def _joined(*parts: str) -> str:
     return " ".join(part for part in parts if part)
-
-
-def _list(words: Sequence[str], mark: str = "") -> str:
-    """`a`, `a and b`, `a, b and c`; with a mark joined by it."""
-    if mark or len(words) < 2:
-        return mark.join(words)
-    return f"{', '.join(words[:-1])} and {words[-1]}"
