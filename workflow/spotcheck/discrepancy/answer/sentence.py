@@ -54,7 +54,7 @@ def _contradicted(document: dict[str, Any]) -> str:
         f" where it states {value_text(own['stated'], own['stated_stderr'], own['unit'])}"
         for own in rows
     ]
-    return f"The frames contradict the data sheet: {list_text(told)}." if rows else ""
+    return f"The frames contradict the data sheet: {list_text(told, '; ')}." if rows else ""
 
 
 def _opening(document: dict[str, Any]) -> str:
@@ -112,7 +112,8 @@ def _either(own: dict[str, Any], document: dict[str, Any]) -> str:
     """An effect and those that may stand in its place."""
     others = [f"{_does(name)} ({name})" for name in own["candidates"][1:]]
     times = own["evidence"]["weight"] / max(rival["weight"] for rival in own["evidence"]["rivals"])
-    likelier = f"; the first is {times:.{0 if times >= 10 else 1}f} times as likely" if times >= LIKELIER else ""
+    shown = f"{times:.2g}" if times < 99.5 else f"{times:.0f}"
+    likelier = f"; the first is {shown} times as likely" if times >= LIKELIER else ""
     return f"either {_effect(own, document)}, or {list_text(others, ', or ')}: these frames cannot tell which{likelier}"
 
 
@@ -175,7 +176,7 @@ def _closed(document: dict[str, Any]) -> str:
     elif gap["closed"] <= 0:
         text = f"On {gap['on']} no gap closes"
     else:
-        who = "Either one closes" if tied and one else "Added to the model, it closes" if one else "Together they close"
+        who = "The first closes" if tied and one else "Added to the model, it closes" if one else "Together they close"
         who = "A learned shape closes" if only_light else who
         text = f"{who} {percent_text(min(gap['closed'], 1.0))} of the gap on {gap['on']}"
         text += f" (the light's shape alone {percent_text(light)})" if light is not None and not one else ""
