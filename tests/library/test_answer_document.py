@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,17 +11,23 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.answer.document import LIGHT, NOT_FORETOLD, document, weights_of
 from spotcheck.discrepancy.answer.sentence import sentence
 from spotcheck.discrepancy.answer.written import breach_of_verdict, rounded, write_verdict
+from spotcheck.discrepancy.conclude.judgement import TIED_WITH_SHAPE, Limit
 from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.schema import read_schema
 from spotcheck.store import ContractError
 from tests.library.conftest import ROOT
 from tests.library.judgements import BEND, CLIP, GHOST, JUDGEMENTS, closed, detected, found, judged, learned, left, off
+from tests.library.test_docs import code, nested, section, table
 from tests.validation.generators.light import score
+
+WORDS = "6 % of its power lies elsewhere, most of it in four lobes"
+# Keys of every number; of p1 and p2 as of any parameter.
+SAID_ELSEWHERE = {"unit", "stderr"}
 
 
 def whole(kind: str) -> dict:
     """A verdict with its sentence."""
-    own = document(JUDGEMENTS[kind][1], "small", light_words="most of it in four lobes")
+    own = document(JUDGEMENTS[kind][1], "small", light_words=WORDS)
     return own | {"sentence": sentence(own)}
 
 
@@ -254,11 +261,37 @@ def test_the_table_reads_it():
     assert score.wrong(record("tied", "scatter_halo")) == set()
     assert score.pulls(record("two", "nonlinearity"))["nonlinearity.q"] == pytest.approx((0.112 - 0.11) / 0.00112)
     assert score.says_tied(record("light", "beam_ellipticity", light="real"))
-    assert score.says_tied(record("not foretold", "nonlinearity"))
+    own = record("stranger", "smear")
+    own["verdict"]["limits"] = [Limit("smear", "fraction", None, "1", TIED_WITH_SHAPE)._asdict()]
+    assert score.says_tied(own) and not score.says_tied(record("agreed", "smear"))
     assert not score.says_tied(record("one", "saturation"))
     assert score.wrong(record("light", light="real")) == set() and score.wrong(record("light")) == {LIGHT}
     figures = score.of_nulls([record("agreed")], [])
     assert [own.value for own in figures if own.name.startswith("null sets: false")] == [0.0]
+
+
+PAGE = ROOT / "workflow" / "docs" / "verdict2.md"
+
+
+def test_the_page_tells_every_key():
+    """In the schema's order, with all keys below it; a row for each status."""
+    schema = read_schema("verdict2")
+    rows = {code(row[0]): row[1] for row in table(section(PAGE, "## verdict.json"), "key")}
+    assert list(rows) == list(schema["properties"])
+    for name, own in schema["properties"].items():
+        assert nested(own) - SAID_ELSEWHERE <= set(re.findall(r"`([a-z_0-9]+)`", rows[name])), name
+    statuses = table(section(PAGE, "## What each status means"), "status")
+    assert [code(row[0]) for row in statuses] == schema["properties"]["status"]["enum"]
+
+
+def test_the_page_has_the_numbers_that_decide():
+    for name, value, _ in table(section(PAGE, "### The formula that decides"), "number"):
+        assert float(value) == getattr(criteria, code(name)).value
+
+
+def test_the_page_shows_a_sentence_of_ours():
+    quoted = [line[2:] for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("> ")]
+    assert "\n".join(quoted) == whole("light and one")["sentence"]
 
 
 def test_the_room_imports_no_file_beside_the_rooms():

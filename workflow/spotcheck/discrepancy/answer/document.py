@@ -37,7 +37,7 @@ def document(
     """verdict.json without its sentence; what is not known is None.
 
     `alpha`: rate of false alarms of detection. `tolerance`: what may be left without mattering [peak, rms].
-    `light_words`: where the light lies that the declared shape does not have ("most of it in four lobes").
+    `light_words`: what a person is told of a learned shape ("6 % of its power lies elsewhere, most in four lobes").
     """
     effects = effects_of(judgement)
     status = status_of(judgement, effects, alpha, tolerance)
@@ -134,7 +134,7 @@ def effect_row(own: Found, judgement: Judgement, closed: float | None) -> dict[s
 def light_row(light: Light, closed: float | None) -> dict[str, Any]:
     """The learned shape as an effect: how much of the light lies elsewhere, and in which azimuthal order most of it."""
     z = light.power / light.error if light.error > 0 else np.nan
-    order = float(np.argmax(light.orders)) if light.orders else None
+    order = float(np.argmax(light.orders)) if any(light.orders) else None
     return {
         "name": LIGHT,
         "candidates": [LIGHT],

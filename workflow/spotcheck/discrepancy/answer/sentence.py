@@ -105,7 +105,8 @@ def _effects(document: dict[str, Any]) -> str:
 
 def _effect(own: dict[str, Any], document: dict[str, Any]) -> str:
     """What an effect does, with its name and values."""
-    return _light(document) if own["name"] == LIGHT else f"{_does(own['name'])} ({_with_values(own)})"
+    light = document["light"] if own["name"] == LIGHT else None
+    return _light(light) if light else f"{_does(own['name'])} ({_with_values(own)})"
 
 
 def _either(own: dict[str, Any], document: dict[str, Any]) -> str:
@@ -117,11 +118,11 @@ def _either(own: dict[str, Any], document: dict[str, Any]) -> str:
     return f"either {_effect(own, document)}, or {list_text(others, ', or ')}: these frames cannot tell which{likelier}"
 
 
-def _light(document: dict[str, Any]) -> str:
-    light = document["light"]
-    power = value_text(100 * light["power"], None if light["stderr"] is None else 100 * light["stderr"], "%")
-    words = f", {light['words']}" if light["words"] else ""
-    return f"the light is not a Gaussian: {power} of its power lies elsewhere{words}"
+def _light(light: dict[str, Any]) -> str:
+    """The learned shape, in its own words where it has some."""
+    error = None if light["stderr"] is None else 100 * light["stderr"]
+    words = light["words"] or f"{value_text(100 * light['power'], error, '%')} of its power lies elsewhere"
+    return f"the light is not a Gaussian: {words}"
 
 
 def _does(name: str) -> str:

@@ -45,7 +45,7 @@ def rounded(value: Any) -> Any:
 def breach_of_verdict(verdict: dict[str, Any]) -> str | None:
     """What breaks the contract, in one sentence; None where nothing does."""
     schema = read_schema(SCHEMA)
-    schema["$defs"]["effect"] = {"enum": [*vocabulary(), LIGHT]}
+    schema["$defs"]["effect"] = {"enum": sorted({*vocabulary(), LIGHT})}
     error = best_match(Draft202012Validator(schema).iter_errors(verdict))
     if error is not None:
         return f"{'.'.join(str(part) for part in error.absolute_path) or 'the whole'}: {error.message}"

@@ -12,6 +12,9 @@ from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.model.light_shape import LightShape
 
+# Why an effect was not found that the light's shape mimics: what scores verdicts looks for these words.
+TIED_WITH_SHAPE = "tied with the light's shape"
+
 
 class Light(NamedTuple):
     """What the learned shape has beside the declared one.
@@ -37,7 +40,7 @@ class Light(NamedTuple):
 
 class Limit(NamedTuple):
     """What is not known of an effect that was not found: how large its strength may still be (95 %; None: not told), in
-    its unit, and why it was not found."""
+    its unit, and why it was not found (`TIED_WITH_SHAPE` among others)."""
 
     effect: str
     parameter: str
