@@ -16,6 +16,8 @@ from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
 
 NO_LAW = Shift(None, None, None)
+# What is told of the light.
+WORDS = "6 % of its power lies elsewhere, most of it in four lobes"
 PEDESTAL = "a uniform pedestal lies under the frame: ambient light, or a higher black level"
 
 

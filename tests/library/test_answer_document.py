@@ -2,7 +2,6 @@
 
 import ast
 import json
-import re
 
 import numpy as np
 import pytest
@@ -16,13 +15,21 @@ from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.schema import read_schema
 from spotcheck.store import ContractError
 from tests.library.conftest import ROOT
-from tests.library.judgements import BEND, CLIP, GHOST, JUDGEMENTS, closed, detected, found, judged, learned, left, off
-from tests.library.test_docs import code, nested, section, table
+from tests.library.judgements import (
+    BEND,
+    CLIP,
+    GHOST,
+    JUDGEMENTS,
+    WORDS,
+    closed,
+    detected,
+    found,
+    judged,
+    learned,
+    left,
+    off,
+)
 from tests.validation.generators.light import score
-
-WORDS = "6 % of its power lies elsewhere, most of it in four lobes"
-# Keys of every number; of p1 and p2 as of any parameter.
-SAID_ELSEWHERE = {"unit", "stderr"}
 
 
 def whole(kind: str) -> dict:
@@ -268,30 +275,6 @@ def test_the_table_reads_it():
     assert score.wrong(record("light", light="real")) == set() and score.wrong(record("light")) == {LIGHT}
     figures = score.of_nulls([record("agreed")], [])
     assert [own.value for own in figures if own.name.startswith("null sets: false")] == [0.0]
-
-
-PAGE = ROOT / "workflow" / "docs" / "verdict2.md"
-
-
-def test_the_page_tells_every_key():
-    """In the schema's order, with all keys below it; a row for each status."""
-    schema = read_schema("verdict2")
-    rows = {code(row[0]): row[1] for row in table(section(PAGE, "## verdict.json"), "key")}
-    assert list(rows) == list(schema["properties"])
-    for name, own in schema["properties"].items():
-        assert nested(own) - SAID_ELSEWHERE <= set(re.findall(r"`([a-z_0-9]+)`", rows[name])), name
-    statuses = table(section(PAGE, "## What each status means"), "status")
-    assert [code(row[0]) for row in statuses] == schema["properties"]["status"]["enum"]
-
-
-def test_the_page_has_the_numbers_that_decide():
-    for name, value, _ in table(section(PAGE, "### The formula that decides"), "number"):
-        assert float(value) == getattr(criteria, code(name)).value
-
-
-def test_the_page_shows_a_sentence_of_ours():
-    quoted = [line[2:] for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("> ")]
-    assert "\n".join(quoted) == whole("light and one")["sentence"]
 
 
 def test_the_room_imports_no_file_beside_the_rooms():
