@@ -77,6 +77,11 @@ def test_what_is_tied_or_was_not_reached_is_counted_elsewhere():
                          ([entry("smear", "beam_profile")], None)):  # fmt: skip
         assert score.says_tied(record(ONE, [tied], said, limits=limits))
     assert not score.says_tied(record(ONE, [tied], [entry("smear")], limits=[{"effect": "saturation"}]))
+    not_there = [
+        {"effect": "smear", "value": 0.001, "why": "not there"},
+        {"effect": "saturation", "why": "light's shape"},
+    ]
+    assert not score.says_tied(record(ONE, [tied], limits=not_there))
     assert not score.says_tied(record(ONE, [tied]) | {"verdict": None})
 
 

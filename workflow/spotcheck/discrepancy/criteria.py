@@ -55,3 +55,22 @@ RIVAL = Criterion(
     "odds of 150 to 1 between two effects that are as likely before the frames are seen",
 )
 MOST = Criterion(6, "effects", "a search ends when it has found so many", "more have never been told apart")
+ALPHA = Criterion(
+    0.01,
+    "1",
+    "frames disagree with the declared model where the p-value of detection is less than this",
+    "one false alarm in a hundred sets of frames is what a user puts up with",
+)
+LEFT = Criterion(
+    0.002,
+    "peaks, rms of block means",
+    "what is left beside all that is named matters where it is more than this",
+    "half a code where an 8-bit camera is used to its full scale",
+)
+STATED = Criterion(
+    3.0,
+    "standard errors",
+    "the data sheet is contradicted where a number moves by so many of its stated errors; and by so many of its own the"
+    " power of what is left must exceed the tolerance, or it is not said to",
+    "within three errors a sheet is as good as it says",
+)

@@ -26,6 +26,8 @@ MUST = {
 # A Kolmogorov–Smirnov test that says less than this finds p-values not to be uniform.
 UNIFORM = 0.01
 ALPHA = 0.01
+# What `limits` says of an effect that the light's shape mimics; others have a limit because they are not there.
+SHAPE_WORDS = "light's shape"
 # Errors within which a rise is met, and a parameter is covered.
 THREE, COVER = 3.0, 1.96
 # Directions come again after so many degrees.
@@ -76,13 +78,13 @@ def exact(record: Record) -> bool:
 
 
 def says_tied(record: Record) -> bool:
-    """The verdict says that the first effect cannot be told from the light's shape: it is in `limits`, or the shape is
+    """The verdict says that the first effect cannot be told from the light's shape: `limits` says so, or the shape is
     named, alone or as a rival."""
     if not record["verdict"]:
         return False
     name = hidden(record)[0]["name"]
     limits = record["verdict"].get("limits") or []
-    if any(own.get("effect") == name for own in limits if isinstance(own, dict)):
+    if any(own.get("effect") == name and SHAPE_WORDS in own.get("why", "") for own in limits):
         return True
     return any(
         entry["name"] == "beam_profile" or ("beam_profile" in entry["candidates"] and name in entry["candidates"])

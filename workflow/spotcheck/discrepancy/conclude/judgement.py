@@ -1,12 +1,19 @@
 """All that is concluded of a set of frames, as pages, files and pictures take it."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
+
+import numpy as np
 
 from spotcheck.discrepancy.conclude.detect import Detection
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.model.light_shape import LightShape
+
+# Why an effect was not found that the light's shape mimics: what scores verdicts looks for these words.
+TIED_WITH_SHAPE = "tied with the light's shape"
 
 
 class Light(NamedTuple):
@@ -19,6 +26,7 @@ class Light(NamedTuple):
       major one [deg].
     - `lowest`: the least value of the whole shape, in peaks; below 0 by more than noise there is no such light.
     - `shape`: the surface itself.
+    - `gain`: what −2 ln L gains by it; NaN: not reckoned.
     """
 
     power: float
@@ -27,11 +35,12 @@ class Light(NamedTuple):
     axes: tuple[float, float, float]
     lowest: float
     shape: LightShape
+    gain: float = np.nan
 
 
 class Limit(NamedTuple):
     """What is not known of an effect that was not found: how large its strength may still be (95 %; None: not told), in
-    its unit, and why it was not found."""
+    its unit, and why it was not found (`TIED_WITH_SHAPE` among others)."""
 
     effect: str
     parameter: str
@@ -73,11 +82,28 @@ class Where(NamedTuple):
     z: float
 
 
+class Advice(NamedTuple):
+    """A measurement that would tell two effects apart: its `condition` (`exposure_s`, `angle_deg`, `blocked`), the two
+    by name, and how many frames of it."""
+
+    condition: Mapping[str, float | bool]
+    separates: tuple[str, str]
+    frames: int
+
+
 class Judgement(NamedTuple):
     """The whole judgement; where nothing could be tested, `why_not` says why and all else is empty.
 
-    `found`: effects, the one that closes most first. `beyond`: names of found effects of which frames that had no part
-    in the search were not told better. `light`: None where the declared shape stands.
+    - `found`: effects, the one that closes most first.
+    - `beyond`: names of found effects of which frames that had no part in the search were not told better.
+    - `light`: None where the declared shape stands.
+    - `errors`: standard errors of all parameters of a found effect, by its name; NaN where one has none. Of effects
+      that are missing here the strength's alone is known, from `Found`.
+    - `off`: how far the mean image is from the declared model, as rms in peaks, noise taken off; None: unknown.
+    - `rest`: the test of what is left beside all that was added; None: not asked.
+    - `advice`: where effects tie, what to measure next.
+    - `not_assessed`: effects that this design cannot show, and why.
+    - `black_level_dn`: of the sensor, by which a strength that readings show as a whole number is rounded [DN].
     """
 
     why_not: str
@@ -91,3 +117,9 @@ class Judgement(NamedTuple):
     shift: Shift
     limits: tuple[Limit, ...]
     where: tuple[Where, ...]
+    errors: Mapping[str, tuple[float, ...]] = MappingProxyType({})
+    off: float | None = None
+    rest: Detection | None = None
+    advice: tuple[Advice, ...] = ()
+    not_assessed: tuple[tuple[str, str], ...] = ()
+    black_level_dn: float = 0.0

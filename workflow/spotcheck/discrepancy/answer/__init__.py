@@ -1,0 +1,1 @@
+"""The answer: verdict.json and its sentence."""
