@@ -65,7 +65,8 @@ def test_an_ellipse():
     assert own.power == pytest.approx(0.04 / np.pi, rel=0.01)
     assert own.orders[2] > 0.999 and own.lowest == pytest.approx(0, abs=1e-6)
     assert described(own) == (
-        "1.3 % of the light lies elsewhere than a Gaussian's, most of it in a spot 1.04 times as long as wide, along 30°"
+        "1.3 % of the light lies elsewhere than a Gaussian's,"
+        " most of it in a spot 1.04 times as long as wide, along 30°"
     )
 
 
@@ -138,8 +139,8 @@ def mode(m: int, n: int, width: float, turn: float) -> np.ndarray:
 
 
 def test_modes():
-    """Weights, width and direction of a sum of three modes come back to 2 %, and are told; a width that is 1 % off is made up
-    for by higher modes to 1e-10."""
+    """Weights, width and direction of a sum of three modes come back to 2 %, and are told: higher modes make up
+    for a width that is 1 % off, to 1e-10."""
     width, turn, weights = 0.85, 20.0, {(0, 0): 0.75, (1, 0): 0.2, (0, 2): 0.05}
     whole = sum(part * mode(*own, width, turn) for own, part in weights.items())
     fit = known(whole / whole.max())

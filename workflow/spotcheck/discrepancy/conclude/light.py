@@ -1,8 +1,8 @@
 """What the light is, once its shape is learned: how much of it lies elsewhere than declared, and where.
 
-A learned shape S shares with the frames' numbers what makes all frames brighter, wider or moved. So the declared shape B
-is first brought to the brightness A, width w and centre (a, b) that minimise ∫(S − A B)²; then s = S/A − B is orthogonal
-to B, ∂B/∂x, ∂B/∂y and ∂B/∂σ, and lengths are in the σ of that B. S has noise of the fit in it: draws of its
+A learned shape S shares with the frames' numbers what makes all frames brighter, wider or moved. So the declared shape
+B is first brought to the brightness A, width w and centre (a, b) that minimise ∫(S − A B)²; then s = S/A − B is
+orthogonal to B, ∂B/∂x, ∂B/∂y and ∂B/∂σ, and lengths are in the σ of that B. S has noise of the fit in it: draws of its
 coefficients, brought to the same gauge, tell errors, and what noise adds to a size.
 """
 
@@ -43,7 +43,7 @@ LOBES = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
 
 
 class Gauge(NamedTuple):
-    """Brightness A [1], width w [σ] and centre (a, b) [σ] at which the declared shape comes nearest to the whole one."""
+    """Brightness A [1], width w [σ] and centre (a, b) [σ] at which the declared shape is nearest to the whole one."""
 
     bright: float
     wide: float
