@@ -6,7 +6,8 @@ orthogonal to B, ∂B/∂x, ∂B/∂y and ∂B/∂σ, and lengths are in the σ 
 coefficients, brought to the same gauge, tell errors, and what noise adds to a size.
 """
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import linalg, ndimage, optimize
@@ -15,10 +16,10 @@ from spotcheck.discrepancy.conclude.judgement import Light
 from spotcheck.discrepancy.conclude.modes import Modes
 from spotcheck.discrepancy.nuisance.fit import Fitted, splines_of
 from spotcheck.discrepancy.nuisance.taken import draws_of
-from spotcheck.discrepancy.observe.pixels import Model
+from spotcheck.discrepancy.observe.pixels import Model, Numbers
 from spotcheck.model import chain
 from spotcheck.model.chain import Free, View
-from spotcheck.model.effect import Place
+from spotcheck.model.effect import Effect, Place, Present
 from spotcheck.model.light_shape import LightShape
 
 # Rings [σ] and directions by which integrals are taken: half a step of the finest splines that are learned, and as fine
@@ -99,6 +100,41 @@ def _pattern(light: Light) -> str:
             return f"most of it in a spot {major / minor:.3g} times as long as wide, along {direction:.0f}°"
     where = {0: "rings about the centre", 1: "one side"}.get(order, f"{LOBES[order]} lobes")
     return f"most of it {'to' if order == 1 else 'in'} {where}"
+
+
+def present_of(light: Light, effects: Iterable[Effect]) -> Present | None:
+    """The effect that stands for a light in a model, where one of `effects` does."""
+    effect = next((own for own in effects if own.place is Place.SHAPE), None)
+    values = (float(np.clip(light.power, 0.0, 1.0)), float(np.argmax(light.orders)))
+    return None if effect is None else Present(effect, effect.forms[0], values)
+
+
+def attributes_of(light: Light) -> dict[str, Any]:
+    """What describes a light in its file."""
+    major, minor, direction = light.axes
+    return {
+        "described": described(light),
+        "power": light.power,
+        "power_stderr": light.error,
+        "orders": np.array(light.orders),
+        "major_over_sigma": major,
+        "minor_over_sigma": minor,
+        "direction_deg": direction,
+        "lowest": light.lowest,
+    }
+
+
+def in_gauge(model: Model) -> Model:
+    """A model in the gauge of its shape: the same light, as a verdict gives it.
+
+    # ASSUME: A and w are so near to 1, and (a, b) to 0, that effects which go with a spot's peak, width or stretched
+    # coordinates need no other values.
+    """
+    gauge, own = gauge_of(model), model.numbers
+    width = np.exp(own.log_width)
+    numbers = Numbers(own.log_peak + np.log(gauge.bright), own.log_width + np.log(gauge.wide),
+                      own.x + gauge.x * width, own.y + gauge.y * width)  # fmt: skip
+    return model._replace(baseline=model.baseline._replace(learned=gauged(model, gauge)), numbers=numbers)
 
 
 def gauge_of(model: Model) -> Gauge:

@@ -84,8 +84,8 @@ class Fitted(NamedTuple):
 
 
 def free_of(model: Model, context: Context) -> tuple[Free, ...]:
-    """The parameters of a model's effects that a fit may change; what scatters is told by its pattern, not by a fit, and
-    a shape is learned."""
+    """The parameters of a model's effects that a fit may change: what scatters is told by its pattern, and a shape is
+    learned."""
     out = []
     for e, own in enumerate(model.present):
         if own.effect.place in (Place.SCATTER, Place.SHAPE):
