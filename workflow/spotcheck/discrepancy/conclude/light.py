@@ -40,6 +40,8 @@ BELOW = 6.0
 SURE = 3.0
 # Part of the power that one order must have to be most of it.
 MOST = 0.5
+# How far below 0 the shape must fall for a person to be told [peaks]: at a kink splines themselves fall by 0.0015.
+FALLS = 0.005
 LOBES = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
 
 
@@ -82,7 +84,7 @@ def described(light: Light, modes: Modes | None = None, declared: str = "a Gauss
     if modes is not None:
         parts = [f"{100 * part:.2g} % TEM{m}{n}" for (m, n), part in modes.parts.items()]
         said += f", as if it were {' and '.join(', '.join(parts).rsplit(', ', 1))}"
-    if light.lowest < 0:
+    if light.lowest < -FALLS:
         said += f"; the learned shape falls to {100 * light.lowest:.2g} % of its peak, as no light does".replace(
             "-", "−"
         )
