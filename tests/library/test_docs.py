@@ -219,6 +219,7 @@ MISTAKES = {
     "a value out of range": instrument("sensor: {bit_depth: 17}"),
     "a colour image": image(np.zeros((40, 50, 3), np.uint8)),
     "a crop that is too large": image(np.zeros((30, 40), np.uint16)),
+    "a profile that is not there": instrument("light: {profile: light.nc}"),
     "a wrong bit depth": image(np.full((40, 50), 1024, np.uint16), "crop_px: 24\nsensor: {bit_depth: 10}"),
 }
 

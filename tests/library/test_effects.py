@@ -60,13 +60,14 @@ CONTRACT = {
     "fixed_pattern": {"prnu": "1", "hot_pixels": "1"},
     "row_noise": {"rms": "DN"},
     "smear": {"fraction": "1"},
+    "beam_profile": {"power": "1", "order": "1"},
 }
 every_effect = pytest.mark.parametrize("name", CONTRACT)
 every_context = pytest.mark.parametrize("context", CONTEXTS.values(), ids=CONTEXTS)
 
 
 def test_the_vocabulary_is_the_contracts():
-    """24 names, in the contract's order, numbered from 1."""
+    """25 names, in the contract's order, numbered from 1."""
     assert list(vocabulary()) == list(CONTRACT)
     assert [effect.number for effect in vocabulary().values()] == list(range(1, len(CONTRACT) + 1))
     assert all(name == effect.name for name, effect in vocabulary().items())
@@ -93,7 +94,10 @@ def test_an_effect_is_well_formed(name):
     assert all(set(idle) <= names for idle in effect.idle.values())
     assert set(effect.replaces) <= set(Law._fields)
     assert (effect.scatter is None) == (effect.place is not Place.SCATTER)
-    assert callable(effect.function)
+    # A shape is learned: it has neither function nor start.
+    learned = effect.place is Place.SHAPE
+    assert (effect.function is None) == learned
+    assert effect.spectral or bool(list(effect.starts(EXAMPLE))) != learned
 
 
 @every_context
@@ -153,7 +157,7 @@ def test_effects_that_never_vanish_say_so():
     """Saturation goes away as its level rises; a power law never is the logarithm."""
     missing = set(CONTRACT) - {case.name for case in NEUTRAL}
     drawn_only = {name for name, effect in vocabulary().items() if effect.scatter}
-    assert missing - drawn_only == {"saturation", "background_gradient", "spread_law"}
+    assert missing - drawn_only == {"saturation", "background_gradient", "spread_law", "beam_profile"}
     assert np.isinf(vocabulary()["saturation"].neutral) and np.isnan(vocabulary()["spread_law"].neutral)
     far = all_moments([of("saturation", "sharp", level=1e9, knee=0.1)])
     for got, want in zip(far, all_moments([]), strict=True):
@@ -219,7 +223,7 @@ def test_the_new_effect_is_gone_again():
 
 def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch):
     """Without any list that names it; in its place by number."""
-    written(tmp_path, "vignetting", page.MEAN.replace('name="vig', 'number=25,\n    name="vig'))
+    written(tmp_path, "vignetting", page.MEAN.replace('name="vig', 'number=26,\n    name="vig'))
     monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
     effects.built_in.cache_clear()
     importlib.invalidate_caches()
@@ -256,7 +260,7 @@ def test_no_effect_is_named_outside_its_file():
 def test_a_new_effect_is_on_the_page(vignetting):
     """With its parameter, its bounds and its place."""
     text = page.page(vocabulary().values())
-    own = text[text.index("## 25. vignetting\n") : text.index("## Adding an effect")]
+    own = text[text.index("## 26. vignetting\n") : text.index("## Adding an effect")]
     assert "The light falls off from the frame's centre." in own
     assert "| `a` | 1 | 0 | 1 | vanishes at 0 |" in own
     assert "| modulation | multiplies all light so far | interference_fringes, vignetting |" in text
@@ -266,7 +270,7 @@ def test_the_page_is_up_to_date(tmp_path, capsys):
     """workflow/docs/effects.md is what `spotcheck effects` writes."""
     main(["effects", "--output", str(tmp_path / "effects.md")])
     assert (tmp_path / "effects.md").read_text(encoding="utf-8") == EFFECTS_PAGE.read_text(encoding="utf-8")
-    assert "24 effects" in capsys.readouterr().out
+    assert "25 effects" in capsys.readouterr().out
 
 
 def test_the_page_says_it_all():

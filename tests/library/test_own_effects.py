@@ -379,7 +379,15 @@ def test_the_page_with_an_effect_of_ones_own(tmp_path, capsys):
     main(["effects", "--output", str(out), "--effects", str(path), "--without", "smear"])
     text = out.read_text(encoding="utf-8")
     assert f"{len(built_in())} effects" in capsys.readouterr().out
-    assert "\n## 25. mode_hopping\n\nThe laser jumps" in text and "variance component gain." in text
+    assert "\n## 26. mode_hopping\n\nThe laser jumps" in text and "variance component gain." in text
     assert "## 24." not in text
     main(["effects", "--output", str(out)])
     assert dict(vocabulary()) == built_in() and "mode_hopping\n\nThe" not in out.read_text(encoding="utf-8")
+
+
+def test_a_shape_is_learned_not_fitted(tmp_path):
+    """An effect at that place has neither a function nor a start."""
+    text = (Path(effects.__file__).parent / "beam_profile.py").read_text(encoding="utf-8").replace("number=25,", "")
+    own = written(tmp_path, "own", text.replace("beam_profile", "dust").replace("lambda c: []", "lambda c: [(0.1, 3)]"))
+    with pytest.raises(InputError, match="learned, not fitted; leave the function out"):
+        read_effect(own)

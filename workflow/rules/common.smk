@@ -11,6 +11,7 @@ from spotcheck.cli import COMMANDS, vocabulary
 from spotcheck.crops import check_dataset
 from spotcheck.errors import InputError
 from spotcheck.model import effects
+from spotcheck.model.baseline import of_instrument
 from spotcheck.schema import breach_of
 from spotcheck.simulation import STACK
 from spotcheck.provenance import code_digest, file_digest, notebook_modules
@@ -27,6 +28,8 @@ def opened(name):
     # A folder with rig.yaml holds a plan for the virtual rig, which makes the frames.
     if not has_rig(found):
         check_dataset(found)
+    # A profile of the light that cannot be read is said now.
+    of_instrument(found.instrument, found.exposures)
     return found
 
 
@@ -108,9 +111,10 @@ def manifest(wildcards):
 
 
 def instrument(wildcards):
-    """Its data sheet, if there is one."""
+    """Its data sheet, if there is one, and the profile of the light that it names."""
     path = Path(dataset_folder(wildcards), "instrument.yaml")
-    return [str(path)] if path.exists() else []
+    profile = DATASETS[wildcards.dataset].instrument.light.profile
+    return [str(own) for own in (path, profile) if own and Path(own).exists()]
 
 
 def frames(wildcards):

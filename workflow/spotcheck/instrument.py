@@ -88,6 +88,13 @@ class ModelChoice:
 
 
 @dataclass(frozen=True)
+class Light:
+    """Section `light`: the file of a shape that was learned before; once read, its absolute path."""
+
+    profile: str | None = None
+
+
+@dataclass(frozen=True)
 class Instrument:
     """The content of instrument.yaml with its defaults."""
 
@@ -100,6 +107,7 @@ class Instrument:
     laser: Laser = field(default_factory=Laser)
     material: Material = field(default_factory=Material)
     model: ModelChoice = field(default_factory=ModelChoice)
+    light: Light = field(default_factory=Light)
     given: frozenset[str] = frozenset()
 
     def source(self, key: str) -> str:
@@ -114,7 +122,14 @@ class Instrument:
         return (self.laser.fwhm_x_m + self.laser.fwhm_y_m) / 2 / math.sqrt(8 * math.log(2))
 
 
-SECTIONS = {"sensor": Sensor, "optics": Optics, "laser": Laser, "material": Material, "model": ModelChoice}
+SECTIONS = {
+    "sensor": Sensor,
+    "optics": Optics,
+    "laser": Laser,
+    "material": Material,
+    "model": ModelChoice,
+    "light": Light,
+}
 
 
 def read_instrument(path: Path) -> Instrument:
@@ -129,6 +144,7 @@ def read_instrument(path: Path) -> Instrument:
     given = {
         f"{name}.{key}" if key else name for name, own in content.items() for key in (own if name in SECTIONS else [""])
     }
+    _find_profile(path, content.get("light", {}))
     sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
     content = _whole(content)
     content["conditions"] = tuple(content.get("conditions", ()))
@@ -142,6 +158,22 @@ def read_instrument(path: Path) -> Instrument:
                 f"{path.name}: key conditions names {condition!r}; it must be a word of letters, digits and underscores"
             )
     return Instrument(**content, **sections, given=frozenset(given))
+
+
+def _find_profile(path: Path, light: dict[str, Any]) -> None:
+    """Put the profile's own path in the place of that from the dataset's folder. Raises `InputError`."""
+    if "profile" not in light:
+        return
+    name = light["profile"]
+    if re.search("[{}\0]", name):
+        raise InputError(f"{path.name}: key light.profile is {name!r}; it must be a path without braces")
+    file = path.parent / name
+    if not name or not file.is_file():
+        raise InputError(
+            f"{path.name}: key light.profile names {name!r}, which is not there; it must be the path of a light.nc,"
+            " relative to the dataset folder"
+        )
+    light["profile"] = str(file.resolve())
 
 
 def _whole(section: dict[str, Any]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ The folder keeps the dataset contract, so that simulated frames pass the very st
 """
 
 import csv
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -28,6 +29,7 @@ from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.chain import Free, Law, View
 from spotcheck.model.exposed import Chance, expose
 from spotcheck.model.extended import Extended, Site, check_bounds, context_of, site_of
+from spotcheck.model.light_file import LIGHT
 from spotcheck.model.sensor import SensorModel
 from spotcheck.model.simulate import frame_generators, frames
 
@@ -159,6 +161,8 @@ def simulate_extended(
     model file's; raises `InputError` for a model that does not fit the instrument or the design.
     """
     baseline = of_instrument(dataset.instrument, dataset.exposures)
+    if model.light is not None:
+        baseline = baseline._replace(learned=model.light)
     if not dataset.exposures:
         # As in the verdict: without exposures nobody knows what a dark current per second brings.
         sensor = sensor._replace(dark_current_e_per_s=0.0)
@@ -173,6 +177,9 @@ def simulate_extended(
     effects = " ".join(own.effect.name for own in model.present) or "none"
     given = {"noise": "drawn", "seed": seed, "effects": effects, "window_left_px": left, "window_top_px": top}
     _write(dataset, drawn, EXTENDED_VARIABLES, folder, path, given, code, inputs)
+    profile = dataset.instrument.light.profile
+    if profile is not None:
+        shutil.copyfile(profile, folder / LIGHT)
     write_contract(dataset, folder, _simulated_instrument(dataset, sensor))
 
 
@@ -289,6 +296,8 @@ def _simulated_instrument(dataset: Dataset, sensor: SensorModel) -> dict[str, An
     sections = {"sensor": own}
     for name in ("optics", "laser", "material", "model"):
         sections[name] = {key: value for key, value in asdict(getattr(given, name)).items() if value is not None}
+    if given.light.profile is not None:
+        sections["light"] = {"profile": LIGHT}
     return {"order_known": given.order_known} | {name: section for name, section in sections.items() if section}
 
 

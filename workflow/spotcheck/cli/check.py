@@ -5,6 +5,7 @@ import argparse
 from spotcheck import dataset
 from spotcheck.crops import check_dataset
 from spotcheck.manifest import KINDS
+from spotcheck.model.baseline import of_instrument
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,5 +17,6 @@ def run(args: argparse.Namespace) -> None:
     """Say how many frames of which kind there are, or raise `InputError`."""
     found = dataset.load(args.dataset)
     probe = check_dataset(found)
+    of_instrument(found.instrument, found.exposures)
     kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in KINDS)
     print(f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order")

@@ -9,6 +9,7 @@ from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.sensor import model_of
 from spotcheck.model.extended import read_model
+from spotcheck.model.light_file import LIGHT
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,6 +61,7 @@ def _extended(args: argparse.Namespace, found: dataset.Dataset) -> None:
         raise InputError("simulate: --model holds all parameters; give either it, or --calibration and --fits")
     path = Path(args.model)
     model = read_model(path)
+    light = [] if model.light is None else [path.with_name(LIGHT)]
     with store.read(args.sensor) as sensor:
         own = model_of(sensor)
     if own is None:
@@ -73,5 +75,5 @@ def _extended(args: argparse.Namespace, found: dataset.Dataset) -> None:
         name=path.name,
         seed=args.seed,
         code=provenance.code_digest(__name__),
-        inputs=[args.model, args.sensor, *args.effects],
+        inputs=[args.model, args.sensor, *light, *args.effects],
     )

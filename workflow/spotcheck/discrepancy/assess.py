@@ -5,7 +5,7 @@ import numpy as np
 from spotcheck.discrepancy.explain import Account, is_component
 from spotcheck.discrepancy.look import Look
 from spotcheck.discrepancy.refit import basis, promised
-from spotcheck.model.effect import Effect
+from spotcheck.model.effect import Effect, Place
 from spotcheck.model.effects import vocabulary
 
 # Its statistic.
@@ -33,6 +33,9 @@ def assessable(look: Look) -> tuple[list[Effect], dict[str, str]]:
     }
     out, why = [], {}
     for effect in vocabulary().values():
+        # This search takes the light's shape as declared.
+        if effect.place is Place.SHAPE:
+            continue
         missing = next((reasons[need] for need in effect.needs if reasons[need]), "")
         if missing:
             why[effect.name] = missing

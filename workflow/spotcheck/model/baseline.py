@@ -11,6 +11,7 @@ import numpy as np
 from spotcheck import optics
 from spotcheck.instrument import Instrument
 from spotcheck.model import propagation, spot
+from spotcheck.model.light_file import read_light
 from spotcheck.model.light_shape import LightShape
 
 # A step of the derivative by complex step: its square vanishes beside 1 in double precision, so the result is exact.
@@ -59,7 +60,8 @@ class Baseline(NamedTuple):
         return self.shape(x, y, amplitude, x0, y0, self.sigma(exposure_s, p1, p2))
 
     def shape(self, x, y, amplitude, x0, y0, sigma):
-        """Light [DN] of one spot of a given peak [DN] and σ_g [px], top hat included: all that `free` needs."""
+        """Light [DN] of one spot of a given peak [DN] and σ_g [px], top hat included: all that `free` needs. It is the
+        paper's model, without what is known of the light's shape beyond it, which `chain.light` has."""
         light = spot.circular_gaussian(x, y, amplitude, x0, y0, sigma)
         return spot.top_hat(light, amplitude) if self.top_hat else light
 
@@ -69,7 +71,8 @@ class Baseline(NamedTuple):
 
 
 def of_instrument(instrument: Instrument, exposures_s) -> Baseline:
-    """Baseline of an instrument; without optics, laser or pixel pitch the laser's own width counts as 0 px."""
+    """Baseline of an instrument; without optics, laser or pixel pitch the laser's own width counts as 0 px. Raises
+    `InputError` where the light's profile cannot be read."""
     lens, sigma = instrument.optics, instrument.laser_sigma_m
     laser_px = 0.0
     if lens.focal_length_m and lens.working_distance_m and sigma and instrument.sensor.pixel_pitch_m:
@@ -77,7 +80,9 @@ def of_instrument(instrument: Instrument, exposures_s) -> Baseline:
         laser_px = propagation.laser_sigma_px(scale, sigma, instrument.sensor.pixel_pitch_m)
     # Without exposures no law links the frames, whatever the instrument file says.
     budget = instrument.model.photon_budget if len(exposures_s) else "free"
-    return Baseline(laser_px, budget, instrument.model.top_hat, max(exposures_s, default=1.0))
+    profile = instrument.light.profile
+    learned = None if profile is None else read_light(profile)
+    return Baseline(laser_px, budget, instrument.model.top_hat, max(exposures_s, default=1.0), learned)
 
 
 def jacobian(function, parameters) -> np.ndarray:

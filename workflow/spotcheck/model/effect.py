@@ -21,6 +21,7 @@ class Place(Enum):
     BRIGHTNESS = "brightness"  # (view) → factor on the spot's light
     METRIC = "metric"  # (view, dx, dy [px]) → dx, dy of an equivalent round spot
     PROFILE = "profile"  # (view, ρ²/2) → exponent of the shape, exp(−…)
+    SHAPE = "shape"  # no function: the surface that the baseline has beside the declared shape (`LightShape`)
     BLUR = "blur"  # (view) → shifts dx, dy [px] and weights, over which the spot is averaged
     ADDED = "added"  # (view, spot, amplitude, σ_g) → light; spot(dx, dy) is the spot displaced by so many px
     MODULATION = "modulation"  # (view) → factor on all light so far
@@ -101,10 +102,10 @@ class Effect(NamedTuple):
     What it is:
 
     - `name`, a word; `sentence`, what a person is told, from a small letter on and without a full stop.
-    - `place` in the chain; `function`, as the place says.
+    - `place` in the chain; `function`, as the place says (none at `Place.SHAPE`, whose parameters only describe).
     - `parameters`, the strength first. A verdict reports those that are not `inner`, with their units; of an effect
       that scatters, as many as its component tells (`COMPONENTS`).
-    - `starts`: where its fit begins, values of all parameters.
+    - `starts`: where its fit begins, values of all parameters; none where a shape is learned instead.
     - `number`: its place in the vocabulary, from 1; 0: behind all others. Random draws depend on it.
     - `forms` among which the data choose; `idle`, the parameters that a form does not have or that the means do not
       tell; `rounded`, the forms whose strength [DN] shows in readings as a whole number.

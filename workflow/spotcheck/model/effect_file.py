@@ -172,6 +172,10 @@ def _of_scatter(effect: Effect) -> Iterator[str]:
 
 
 def _of_functions(effect: Effect) -> Iterator[str]:
+    if effect.place is Place.SHAPE:
+        if effect.function is not None or list(effect.starts(EXAMPLE)):
+            yield "function and starts: a shape is learned, not fitted; leave the function out and let starts give none"
+        return
     if not callable(effect.function):
         yield "function is missing; it must do what the place says"
         return

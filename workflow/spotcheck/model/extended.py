@@ -1,7 +1,7 @@
 """model.yaml: the extended model in one file, which `spotcheck simulate` runs as it is.
 
 It holds the baseline's numbers, the effects that a verdict added, and where the spots lie. What the instrument fixes
-(photon budget, top hat, sensor) stays in instrument.yaml.
+(photon budget, top hat, sensor) stays in instrument.yaml; a shape of the light that was learned is in light.nc beside.
 """
 
 import json
@@ -15,8 +15,10 @@ from spotcheck.errors import InputError
 from spotcheck.manifest import Frame, number_in
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law, bounds_context
-from spotcheck.model.effect import Context, Effect, Parameter, Present
+from spotcheck.model.effect import Context, Effect, Parameter, Place, Present
 from spotcheck.model.effects import vocabulary
+from spotcheck.model.light_file import LIGHT, read_light
+from spotcheck.model.light_shape import LightShape
 from spotcheck.model.sensor import SensorModel
 from spotcheck.schema import breach_of, read_keys
 
@@ -46,7 +48,7 @@ class Spot(NamedTuple):
 class Extended(NamedTuple):
     """The extended model: the baseline's law (None: each spot has its own peak and width), the exposure [s] at which
     the law's peak is given and that at which the spread law keeps the width, rows and columns of the sensor's frame,
-    the effects in order, and the spots."""
+    the effects in order, the spots, and the light's learned shape (None: the instrument's)."""
 
     law: Law | None
     longest_s: float
@@ -55,6 +57,7 @@ class Extended(NamedTuple):
     columns: int
     present: tuple[Present, ...]
     spots: Mapping[Site, Spot]
+    light: LightShape | None = None
 
 
 def site_of(frame: Frame, conditions: Sequence[str], lawful: bool) -> Site:
@@ -124,6 +127,8 @@ def _lines(model: Extended, dataset: str, status: str) -> Iterator[str]:
     yield f"status: {status}"
     yield f"frame: {{rows_px: {model.rows}, columns_px: {model.columns}}}"
     yield f"exposure: {{longest_s: {model.longest_s:.9g}, reference_s: {model.reference_s:.9g}}}"
+    if model.light is not None:
+        yield f"light: {LIGHT}"
     if model.law is not None:
         yield "law:"
         yield f"  p1_px: {model.law.p1:.9g}"
@@ -181,6 +186,7 @@ def read_model(path: Path) -> Extended:
     names = [own.effect.name for own in present]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path.name}: effect {twice[0]} stands twice; keep one of them")
+    light = _light(path, content.get("light"), present)
     frame, exposure = content["frame"], content["exposure"]
     return Extended(
         None if law is None else Law(float(law["p1_px"]), float(law["p2_px"]), float(law["peak_dn"])),
@@ -190,7 +196,24 @@ def read_model(path: Path) -> Extended:
         int(frame["columns_px"]),
         present,
         spots,
+        light,
     )
+
+
+def _light(path: Path, file: str | None, present: Sequence[Present]) -> LightShape | None:
+    """The learned shape: that of a file, where an effect stands for it."""
+    learned = [own.effect.name for own in present if own.effect.place is Place.SHAPE]
+    if learned and file is None:
+        raise InputError(
+            f"{path.name}: key light is missing; {learned[0]} needs the file of its shape, such as {LIGHT}"
+        )
+    if file is None:
+        return None
+    if not learned:
+        raise InputError(
+            f"{path.name}: key light names {file}, but no effect stands for its shape; add one, or drop it"
+        )
+    return read_light(path.parent / file)
 
 
 def _spot(own: dict[str, Any]) -> tuple[Site, Spot]:

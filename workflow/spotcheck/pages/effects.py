@@ -14,6 +14,7 @@ PLACES = {
     Place.BRIGHTNESS: "multiplies the spot's light",
     Place.METRIC: "squeezes the coordinates of the shape",
     Place.PROFILE: "changes the exponent of the shape",
+    Place.SHAPE: "adds a surface that is learned from frames, after the top hat",
     Place.BLUR: "averages shifted spots, after the top hat",
     Place.ADDED: "adds light to the blurred spot",
     Place.MODULATION: "multiplies all light so far",

@@ -84,10 +84,11 @@ class Fitted(NamedTuple):
 
 
 def free_of(model: Model, context: Context) -> tuple[Free, ...]:
-    """The parameters of a model's effects that a fit may change; what scatters is told by its pattern, not by a fit."""
+    """The parameters of a model's effects that a fit may change: what scatters is told by its pattern, and a shape is
+    learned."""
     out = []
     for e, own in enumerate(model.present):
-        if own.effect.place is Place.SCATTER:
+        if own.effect.place in (Place.SCATTER, Place.SHAPE):
             continue
         starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
         bounds = own.effect.bounds(context)

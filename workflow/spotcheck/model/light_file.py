@@ -1,0 +1,68 @@
+"""light.nc: a learned shape of the light, as a verdict writes it beside model.yaml and an instrument may name one."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from spotcheck import store
+from spotcheck.errors import InputError
+from spotcheck.model.light_shape import LightShape
+
+# The name of the file beside model.yaml.
+LIGHT = "light.nc"
+# Points along each axis of the map, which is there to be looked at: finer than a screen shows.
+POINTS = 201
+# Splines of four pieces need as many nodes.
+FEWEST = 4
+
+
+def written_light(
+    shape: LightShape,
+    path: str | Path,
+    *,
+    title: str,
+    dataset: str,
+    code: str,
+    inputs: Sequence[str | Path] = (),
+    attributes: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a shape to a netCDF file: step and coefficients, a map of s(u, v), and `attributes` that describe it."""
+    step, side = float(shape.step), len(shape.coefficients)
+    nodes = step * (np.arange(side) - (side - 1) / 2)
+    at = np.linspace(-shape.reach, shape.reach, POINTS)
+    ds = xr.Dataset(attrs={"title": title, "dataset": dataset} | dict(attributes or {}))
+    for name, places, text in (
+        ("node_v", nodes, "node below the spot's centre, over sigma_g"),
+        ("node_u", nodes, "node to the right of the spot's centre, over sigma_g"),
+        ("v", at, "place below the spot's centre, over sigma_g"),
+        ("u", at, "place to the right of the spot's centre, over sigma_g"),
+    ):
+        ds[name] = (name, places, {"units": "1", "long_name": text})
+    text = "coefficients of cubic B-splines of the light beside the declared shape, over that one's peak"
+    ds["coefficients"] = (("node_v", "node_u"), shape.coefficients, {"units": "1", "long_name": text})
+    ds["step"] = ((), step, {"units": "1", "long_name": "distance of nodes, over sigma_g"})
+    text = "light beside the declared shape, over that one's peak"
+    ds["s"] = (("v", "u"), shape(at[None, :], at[:, None]).astype("f4"), {"units": "1", "long_name": text})
+    store.write(ds, path, code=code, inputs=inputs)
+
+
+def read_light(path: str | Path) -> LightShape:
+    """The shape of a file. Raises `InputError` where there is none, or none that can be used."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path.name}: is no file; name a light.nc, as a verdict writes it")
+    try:
+        with store.read(path) as ds:
+            step, coefficients = float(ds["step"]), np.array(ds["coefficients"].values, float)
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"{path.name}: holds no shape of a light; name a light.nc, as a verdict writes it") from None
+    square = coefficients.ndim == 2 and coefficients.shape[0] == coefficients.shape[1] >= FEWEST
+    if not (square and np.isfinite(coefficients).all() and np.isfinite(step) and step > 0):
+        raise InputError(
+            f"{path.name}: step and coefficients make no shape; they must be numbers, the step above 0 and as many rows"
+            " as columns"
+        )
+    return LightShape(step, coefficients)
