@@ -54,7 +54,9 @@ class Pattern(NamedTuple):
     told: Variance
 
 
-def patterns_of(sites: Sequence["Site"], rows: Places, effects: Sequence[Effect], context: Context) -> Iterator[Pattern]:
+def patterns_of(
+    sites: Sequence["Site"], rows: Places, effects: Sequence[Effect], context: Context
+) -> Iterator[Pattern]:
     """What sums over frames (`gathered`) tell of effects that scatter pixels or rows, beside a fit without them."""
     kinds = {(e.scatter.of, e.scatter.shared): e for e in effects if e.scatter and e.scatter.of in ("field", "row")}
     sensor = variance_of(shared_by_sensor(sites))
@@ -116,7 +118,9 @@ def _corner(frame: Frame) -> tuple[int, int]:
 
 def _rows(lines, design: Design) -> Places:
     """Rows of all frames, beside what frames of one condition have in common at the same distance from the spot."""
-    which, row, pull, weight = (np.concatenate([np.broadcast_to(own[j], own[1].shape) for own in lines]) for j in range(4))
+    which, row, pull, weight = (
+        np.concatenate([np.broadcast_to(own[j], own[1].shape) for own in lines]) for j in range(4)
+    )
     _, group = np.unique(np.stack([design.condition[which], row.astype(int)]), axis=1, return_inverse=True)
     group = group.ravel()
     count = np.bincount(group)[group]

@@ -53,7 +53,9 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
         return -float(sum(abs(a) ** 2 * w / 2 for a, w in (_amplitude(own, k) for own in sites)))
 
     simplex = start + 0.5 / np.array(padded[::-1]) * np.array([[0, 0], [1, 0], [0, 1]])
-    best = minimize(minus, start, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-7, "fatol": 1e-3})
+    best = minimize(
+        minus, start, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-7, "fatol": 1e-3}
+    )
     amplitude, weight = (np.array(own) for own in zip(*(_amplitude(own, best.x) for own in sites), strict=True))
     period, direction = 1 / float(np.hypot(*best.x)), float(np.degrees(np.arctan2(best.x[1], best.x[0])))
     # Two numbers of each site, and as many places to look at (Laurent & Massart 2000, lemma 1, of χ²).

@@ -190,7 +190,9 @@ def _part(
     size = side * side
     shape, others = np.zeros((size, 1)), np.zeros(few + more)
     behind, cross, own = np.zeros((size, more)), np.zeros((few, more)), np.zeros((more, more))
-    gram, joined, dense = (np.zeros((size, 4, 7)), np.zeros((size, few)), np.zeros((few, few))) if curved else np.zeros((3, 0))
+    gram, joined, dense = (
+        (np.zeros((size, 4, 7)), np.zeros((size, few)), np.zeros((few, few))) if curved else np.zeros((3, 0))
+    )
     deviance = chi2 = 0.0
     for k in which:
         frame = frames[k]
