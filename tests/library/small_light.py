@@ -3,6 +3,7 @@
 import numpy as np
 
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
 from spotcheck.model import light_shape
 from spotcheck.model.baseline import Baseline
@@ -55,6 +56,13 @@ def started(images: np.ndarray, known: np.ndarray) -> tuple[list[Frame], Model]:
     )
     baseline = Baseline(0.0, "free", False, 9e-4, light_shape.empty(STEP, REACH))
     return frames, Model(baseline, SENSOR, (), numbers)
+
+
+def designed(known: np.ndarray) -> Design:
+    """The design of frames that `drawn` drew: each site at all exposures, all of one angle."""
+    frames, each = len(known), len(EXPOSURES)
+    which = np.arange(frames)
+    return Design(which // each, which % each, np.zeros(frames), known[:, 0], np.linspace(0, 1, frames))
 
 
 def fitted(seed: int, **kinds: float) -> tuple[list[Frame], Fitted, np.ndarray]:

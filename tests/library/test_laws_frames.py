@@ -47,7 +47,8 @@ def drawn(seed: int, late=0.0, power=0.0, jitter=0.0) -> tuple[list[Frame], Desi
             rows.append((site, ANGLES[site % len(ANGLES)], t))
             numbers.append((np.log(peak), np.log(sigma), x0, y0))
     site, angle, exposure = (np.array(own) for own in zip(*rows, strict=True))
-    return frames, Design(site, angle, exposure, np.linspace(0, 1, len(frames))), np.array(numbers).T
+    condition = np.unique(np.stack([angle, exposure]), axis=1, return_inverse=True)[1].ravel()
+    return frames, Design(site, condition, angle, exposure, np.linspace(0, 1, len(frames))), np.array(numbers).T
 
 
 def view(exposure_s: float) -> View:
@@ -124,8 +125,8 @@ def test_cells_together_make_the_step_of_the_fit():
     """The influence of all cells is the step that the scores of all pixels ask for."""
     frames, _, own, influence = fitted(1, late=0.0, power=0.0, jitter=0.0)
     sums = sums_of(frames, own.model, curved=False)
-    basis = contrasts(len(frames))
-    _, step = own.schur.solve(sums.shape[:, 0], basis.T @ sums.others)
+    basis = contrasts(own.model)
+    _, step = own.schur.solve(sums.shape, basis.T @ sums.others)
     np.testing.assert_allclose(influence.sum(1), basis @ step, atol=1e-9)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.model.light_shape import LightShape
+from tests.library.splines import matrix as design
 
 
 def dense_of(band: np.ndarray) -> np.ndarray:
@@ -16,20 +16,14 @@ def dense_of(band: np.ndarray) -> np.ndarray:
     return out
 
 
-def design(side: int, step: float, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Values [point, coefficient] of all splines."""
-    own = LightShape(step, np.zeros((side, side)))
-    return np.einsum("pi,pj->pij", own.basis(v), own.basis(u)).reshape(len(u), -1)
-
-
 def test_sums_are_those_of_dense_matrices():
     rng, side, step = np.random.default_rng(1), 9, 0.5
     u, v = rng.uniform(-3.5, 3.5, (2, 400))
     weight, values = rng.uniform(0, 2, 400), rng.normal(size=(3, 400))
-    matrix = design(side, step, u, v)
+    matrix = design(u, v, step, side)
     gram, out = np.zeros((side * side, 4, 7)), np.zeros((side * side, 3))
-    normal.gather(u, v, step, side, weight, gram)
-    normal.project(u, v, step, side, values, out)
+    normal.gather(u[None], v[None], step, side, weight[None], gram)
+    normal.project(u[None], v[None], step, side, values[:, None], out)
     np.testing.assert_allclose(dense_of(normal.banded(gram, side)), (matrix.T * weight) @ matrix, atol=1e-12)
     np.testing.assert_allclose(out, matrix.T @ values.T, atol=1e-12)
 
@@ -48,7 +42,7 @@ def test_both_parts_of_the_solution():
     rng, side = np.random.default_rng(3), 7
     gram = np.zeros((side * side, 4, 7))
     u, v = rng.uniform(-2, 2, (2, 300))
-    normal.gather(u, v, 0.5, side, np.ones(300), gram)
+    normal.gather(u[None], v[None], 0.5, side, np.ones((1, 300)), gram)
     band = normal.banded(gram, side) + normal.roughness(side)
     inner, size = dense_of(band), side * side
     joined, dense = rng.normal(size=(size, 4)), 50 * np.eye(4)

@@ -42,7 +42,7 @@ def test_numbers_scatter_by_their_errors():
             ],
             axis=1,
         ).ravel()
-        apart = contrasts(len(frames)).T @ off
+        apart = contrasts(fit.model).T @ off
         square += float(apart @ fit.schur.left @ apart)
         count += NUMBERS * (len(frames) - 1)
     assert stats.chi2.ppf(5e-5, count) < square < stats.chi2.isf(5e-5, count)

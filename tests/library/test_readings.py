@@ -18,9 +18,9 @@ VIEW = View(ONE, ONE, ONE, ONE, ONE, ONE, ONE, ONE, ONE, 1.0, 1.0, 0.0, 0.0, 1.0
 def moments(sensor: SensorModel, electrons, present=()) -> np.ndarray:
     """Mean and variance of readings, from the table."""
     law = reading_law(sensor, present, VIEW, 4e4)
-    out = np.empty((4, len(electrons)))
-    look_up(np.asarray(electrons, float), law.first, law.step, np.stack(law[2:]), out)
-    return out
+    out = np.empty((4, 1, len(electrons)))
+    look_up(np.asarray(electrons, float)[None], law.first, law.step, np.stack(law[2:]), out)
+    return out[:, 0]
 
 
 def summed(sensor: SensorModel, electrons: float, read_e: float, level: float = np.inf) -> tuple[float, float]:
