@@ -6,8 +6,8 @@ from scipy import stats
 
 from spotcheck.discrepancy.evidence import accounts, components, laws, scatter
 from spotcheck.discrepancy.evidence.components import Component
-from spotcheck.discrepancy.observe.design import Design, missing, view_of
 from spotcheck.discrepancy.evidence.influence import CELLS, FrameNumbers
+from spotcheck.discrepancy.observe.design import Design, missing, view_of
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Law, spot_state
 from spotcheck.model.effect import Present

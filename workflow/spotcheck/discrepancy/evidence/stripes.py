@@ -7,12 +7,12 @@ import numpy as np
 from scipy import fft
 from scipy.optimize import minimize
 
-from spotcheck.discrepancy.evidence.patterns import Site
+from spotcheck.discrepancy.evidence.windows import Site
 
 # Periods of more than so many σ are the shape's and the numbers'.
 LONGEST = 2.0
-# The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps of
-# the grid the peak itself is wide.
+# The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps
+# of the grid the peak itself is wide.
 RING, WIDE = 1.3, 4
 # Phases of sites are one where their sum is this part of what it would be if all were equal.
 COHERENT = 0.7
@@ -53,7 +53,9 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
         return -float(sum(abs(a) ** 2 * w / 2 for a, w in (_amplitude(own, k) for own in sites)))
 
     simplex = start + 0.5 / np.array(padded[::-1]) * np.array([[0, 0], [1, 0], [0, 1]])
-    best = minimize(minus, start, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-7, "fatol": 1e-3})
+    best = minimize(
+        minus, start, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-7, "fatol": 1e-3}
+    )
     amplitude, weight = (np.array(own) for own in zip(*(_amplitude(own, best.x) for own in sites), strict=True))
     period, direction = 1 / float(np.hypot(*best.x)), float(np.degrees(np.arctan2(best.x[1], best.x[0])))
     # Two numbers of each site, and as many places to look at (Laurent & Massart 2000, lemma 1, of χ²).
@@ -76,7 +78,8 @@ def _amplitude(own: Site, k: np.ndarray) -> tuple[complex, float]:
 
 
 class Phase(NamedTuple):
-    """How stripes lie: in which form, their depth and phase [deg], and the part of the sites' amplitudes that agrees."""
+    """How stripes lie: in which form, their depth and phase [deg], and the part of the sites' amplitudes that
+    agrees."""
 
     form: str
     depth: float

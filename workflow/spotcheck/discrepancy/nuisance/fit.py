@@ -50,9 +50,10 @@ class Free(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Of all pixels under a model: −2 ln L but for constants, and χ² over the readings' number; the scores of shape and of numbers and free parameters;
-    of the latter X [coefficient, parameter], and D with numbers [number, parameter] and among themselves; and of the
-    numbers, where they were asked for, G [coefficient, 4, 7], X [coefficient, number] and D [number, number]."""
+    """Of all pixels under a model: −2 ln L but for constants, and χ² over the readings' number; the scores of shape and
+    of numbers and free parameters; of the latter X [coefficient, parameter], and D with numbers [number, parameter] and
+    among themselves; and of the numbers, where they were asked for, G [coefficient, 4, 7], X [coefficient, number] and
+    D [number, number]."""
 
     deviance: float
     chi2: float
@@ -189,7 +190,9 @@ def _part(
     size = side * side
     shape, others = np.zeros((size, 1)), np.zeros(few + more)
     behind, cross, own = np.zeros((size, more)), np.zeros((few, more)), np.zeros((more, more))
-    gram, joined, dense = (np.zeros((size, 4, 7)), np.zeros((size, few)), np.zeros((few, few))) if curved else np.zeros((3, 0))
+    gram, joined, dense = (
+        (np.zeros((size, 4, 7)), np.zeros((size, few)), np.zeros((few, few))) if curved else np.zeros((3, 0))
+    )
     deviance = chi2 = 0.0
     for k in which:
         frame = frames[k]

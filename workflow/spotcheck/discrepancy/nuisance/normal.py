@@ -23,7 +23,8 @@ compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 def gather(u, v, step: float, side: int, weight: np.ndarray, gram: np.ndarray):
     """Add Σ w b bᵀ of the splines b at the pixels of a frame to `gram` [coefficient, 4, 7]: each with itself and those
-    behind it. u, v are of shapes that broadcast to that of the weights [row, column]. Without splines there is nothing."""
+    behind it. u, v are of shapes that broadcast to that of the weights [row, column]. Without splines there is
+    nothing."""
     if not side:
         return
     if _is_grid(u, v):
@@ -33,8 +34,8 @@ def gather(u, v, step: float, side: int, weight: np.ndarray, gram: np.ndarray):
 
 
 def project(u, v, step: float, side: int, values: np.ndarray, out: np.ndarray):
-    """Add Σ values b of the splines b at the pixels of a frame to `out` [coefficient, n]; values [n, row, column], u and
-    v of shapes that broadcast to that of a frame."""
+    """Add Σ values b of the splines b at the pixels of a frame to `out` [coefficient, n]; values [n, row, column], u
+    and v of shapes that broadcast to that of a frame."""
     if not side:
         return
     if _is_grid(u, v):

@@ -35,7 +35,8 @@ def transposed(factor: np.ndarray) -> np.ndarray:
 
 
 def variance_of(schur: Schur, step: float, side: int) -> LightShape | None:
-    """Variance of the learned shape [squared peaks] over the spot, the same at each call; None where none is learned."""
+    """Variance of the learned shape [squared peaks] over the spot, the same at each call; None where none is
+    learned."""
     if not side:
         return None
     drawn = draws_of(schur, side, DRAWS, np.random.default_rng(0))
@@ -49,4 +50,5 @@ def lacking(variance: LightShape | None, peak: float, seen: Expected, tells: Tol
     less noise, restricted likelihood (REML, Patterson & Thompson 1971) gives it back."""
     if variance is None:
         return np.zeros_like(tells.sure)
-    return np.maximum(variance(seen.u[None], seen.v[None])[0], 0.0) * (peak * seen.factor * tells.slope * tells.sure) ** 2 / 2
+    by_shape = np.maximum(variance(seen.u[None], seen.v[None])[0], 0.0)
+    return by_shape * (peak * seen.factor * tells.slope * tells.sure) ** 2 / 2

@@ -163,7 +163,8 @@ def _same_light(one: Model, other: Model) -> bool:
 class Told(NamedTuple):
     """What the readings of a frame tell [row, column]. A change of mean and variance by (m, w) has the score m·`mean` +
     w·`variance` and, with another, the information m m'·`sure` + w w'·`sure_variance`; all are 0 where a pixel is
-    masked. `light` and `sure_light` are both for the light; −2 ln L but for constants is `deviance`, a part of it χ²."""
+    masked. `light` and `sure_light` are both for the light; −2 ln L but for constants is `deviance`, a part of it
+    χ²."""
 
     mean: np.ndarray
     variance: np.ndarray
