@@ -280,7 +280,7 @@ def fit(
             shape, others = shape / 2, others / 2
             model = stepped(best, shape, others, free)
             continue
-        if renewed:
+        if lent is None or renewed:
             lent = _reduced(sums, rough, basis, HELD)
         done = (total - now < ENOUGH and not far) or taken > steps
         if now <= total or far:
@@ -297,7 +297,9 @@ def fit(
     total, best = lowest
     # Scores and errors need the matrices of the model that was found, or what shape takes exceeds what there is.
     sums = sums_of(frames, best, free, curved=near is None, workers=workers)
-    schur = _bordered(_reduced(sums, rough, basis) if near is None else lent, sums, basis, known)
+    if lent is None or near is None:
+        lent = _reduced(sums, rough, basis)
+    schur = _bordered(lent, sums, basis, known)
     return Fitted(best, tuple(free), total, schur, penalty, taken)
 
 

@@ -30,7 +30,8 @@ def gather(u, v, step: float, side: int, weight: np.ndarray, gram: np.ndarray):
     if _is_grid(u, v):
         gather_grid(u[0], v[:, 0], step, side, weight, gram)
     else:
-        gather_points(*_flat(u, v, weight.shape), step, side, weight.ravel(), gram)
+        u, v = _flat(u, v, weight.shape)
+        gather_points(u, v, step, side, weight.ravel(), gram)
 
 
 def project(u, v, step: float, side: int, values: np.ndarray, out: np.ndarray):
@@ -41,7 +42,8 @@ def project(u, v, step: float, side: int, values: np.ndarray, out: np.ndarray):
     if _is_grid(u, v):
         project_grid(u[0], v[:, 0], step, side, values, out)
     else:
-        project_points(*_flat(u, v, values.shape[1:]), step, side, values.reshape(len(values), -1), out)
+        u, v = _flat(u, v, values.shape[1:])
+        project_points(u, v, step, side, values.reshape(len(values), -1), out)
 
 
 def _is_grid(u, v) -> bool:
