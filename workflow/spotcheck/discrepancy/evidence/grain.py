@@ -55,17 +55,19 @@ def neighbours(grain: float) -> float:
     return float(np.exp(-((steps / max(grain, FINEST)) ** 2)).sum() ** 2)
 
 
-def drawn_field(rng: np.random.Generator, shape: tuple[int, int], grain: float) -> np.ndarray:
-    """A normal field [row, column] of variance 1 and a grain [px]; below the finest each pixel is its own."""
+def drawn_field(rng: np.random.Generator, shape: tuple[int, ...], grain: float) -> np.ndarray:
+    """A normal field [row, column] of variance 1 and a grain [px]; of grain 0 each pixel is its own."""
     white = rng.standard_normal(shape)
-    if grain <= FINEST:
+    if grain <= 0:
         return white
-    ky, kx = fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :]
-    # Noise smoothed with s correlates as exp(−d²/4 s²).
-    kernel = np.exp(-((np.pi * grain) ** 2) * (kx * kx + ky * ky))
-    twice = np.where((kx == 0) | (2 * kx == 1), 1.0, 2.0)
-    power = float(np.sum(twice * kernel**2)) / (shape[0] * shape[1])
-    return fft.irfft2(fft.rfft2(white) * kernel, s=shape) / np.sqrt(power)
+    across, along = (power_of(frequency, grain) for frequency in (fft.fftfreq(shape[0]), fft.rfftfreq(shape[1])))
+    return fft.irfft2(fft.rfft2(white) * np.sqrt(across[:, None] * along), s=shape)
+
+
+def power_of(frequency: np.ndarray, grain: float) -> np.ndarray:
+    """Power of a field along one axis: the transform of exp(−d²/2 grain²), folded back as sampling does."""
+    folded = frequency[:, None] + np.arange(-3, 4)
+    return np.sqrt(2 * np.pi) * grain * np.exp(-2 * (np.pi * grain * folded) ** 2).sum(axis=1)
 
 
 class Drawn:

@@ -68,11 +68,10 @@ def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], 
     """What sums over frames (`gathered`) tell of effects that scatter pixels or rows, beside a fit without them."""
     kinds = {(e.scatter.of, e.scatter.shared): e for e in effects if e.scatter and e.scatter.of in ("field", "row")}
     sensor = variance_of(shared_by_sensor(sites))
+    known = sensor.value if sensor is not None else 0.0
     found = {
         ("field", "sensor"): sensor,
-        ("field", "site"): variance_of(
-            shared_by_sites(sites), sensor.value if sensor else 0.0, neighbours(sites[0].grain)
-        ),
+        ("field", "site"): variance_of(shared_by_sites(sites), known, neighbours(sites[0].grain)),
         ("row", "frame"): variance_of(rows),
     }
     for kind, told in found.items():
