@@ -24,6 +24,11 @@ def beam(u, v):
     return np.exp(-r2 / 2) * (1 + 0.03 * (u**3 - 3 * u * v * v) * np.exp(-r2 / 8))
 
 
+def gaussian(u, v):
+    """The declared beam, of peak 1."""
+    return np.exp(-(u * u + v * v) / 2)
+
+
 def field(rng: np.random.Generator, grain: float) -> np.ndarray:
     """A normal field [row, column] of mean 0 and variance 1, which correlates as exp(−d²/2 grain²)."""
     ky, kx = np.fft.fftfreq(SIDE)[:, None], np.fft.fftfreq(SIDE)[None, :]

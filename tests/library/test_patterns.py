@@ -11,18 +11,13 @@ from spotcheck.discrepancy.evidence.patterns import Variance, gathered, patterns
 from spotcheck.discrepancy.evidence.pixels import Ready
 from spotcheck.discrepancy.evidence.windows import LAGS, products
 from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.observe.pixels import Frame
 from spotcheck.model.effects import vocabulary
-from tests.library.small_light import CONTEXT, PENALTY, beam, designed, drawn, started
+from tests.library.small_light import CONTEXT, PENALTY, beam, designed, drawn, gaussian, started
 
 SEEDS = range(6)
 # Six sites of three exposures; spots up to 3 px off, so that pixels of the sensor do not stay on one place of the shape.
 SITES, SPREAD = 6, 3.0
 RATE = 1e-3
-
-
-def gaussian(u, v):
-    return np.exp(-(u * u + v * v) / 2)
 
 
 @cache
@@ -73,7 +68,9 @@ def test_products_of_pixels():
     """By loops over pixels."""
     image = np.random.default_rng(2).standard_normal((18, 16))
     want = [
-        sum(image[r, c] * image[r + down, c + right] for r in range(18 - down) for c in range(16) if 0 <= c + right < 16)
+        sum(
+            image[r, c] * image[r + down, c + right] for r in range(18 - down) for c in range(16) if 0 <= c + right < 16
+        )
         for down, right in LAGS
     ]
     np.testing.assert_allclose(products(image), want, atol=1e-12)
@@ -126,3 +123,18 @@ def test_sizes_and_no_leaks(kinds, kind, size, name, learned):
         assert list(found(seed, learned=learned, **kinds)) == ([name] if name else [])
     if pulls:
         assert abs(np.mean(pulls)) < stats.norm.isf(RATE / 2) / np.sqrt(len(pulls)) + slack
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_field_of_sites_that_have_one_frame(learned):
+    """Twelve sites of one exposure, four sets: contrast 0.1 and grain 1.5 px within 3.3 errors of the mean of four (1e-3)
+    and 2 %, and nothing without a field."""
+    values = []
+    for seed in range(4):
+        own = found(seed, learned=learned, sites=12, exposures=1, speckle=(0.1, 1.5))
+        assert list(own) == ["speckle"]
+        values.append((*own["speckle"].own.values, own["speckle"].error))
+        assert not found(seed, learned=learned, sites=12, exposures=1)
+    contrast, size, error = np.transpose(values)
+    assert abs(contrast.mean() - 0.1) < 3.3 * error.mean() / 2 + 0.002
+    assert abs(size.mean() - 1.5) < 3.3 * size.std(ddof=1) / 2 + 0.03
