@@ -59,8 +59,8 @@ def test_both_parts_of_the_solution():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_rows_of_a_grid_add_up_as_its_points_do(seed):
-    """Pixels on a grid, some of them masked, and of its rows and columns a few beyond the last node; both from sums that
-    are not 0 to begin with."""
+    """Pixels on a grid, some of them masked, and of its rows and columns a few beyond the last node; both from sums
+    that are not 0 to begin with."""
     rng, side, step = np.random.default_rng(seed), 7, 0.6
     u, v = np.sort(rng.uniform(-2.5, 2.5, (1, 31))), np.sort(rng.uniform(-2.3, 2.3, (27, 1)), axis=0)
     v[:3, 0], v[-2:, 0], u[0, -4:] = (-9.0, -3.1, -2.95), (3.0, 44.0), (2.99, 3.0, 3.2, 8.0)

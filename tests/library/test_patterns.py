@@ -15,7 +15,8 @@ from spotcheck.model.effects import vocabulary
 from tests.library.small_light import CONTEXT, PENALTY, beam, designed, drawn, gaussian, started
 
 SEEDS = range(6)
-# Six sites of three exposures; spots up to 3 px off, so that pixels of the sensor do not stay on one place of the shape.
+# Six sites of three exposures; spots up to 3 px off, so that pixels of the sensor do not stay on one place of the
+# shape.
 SITES, SPREAD = 6, 3.0
 RATE = 1e-3
 
@@ -127,8 +128,8 @@ def test_sizes_and_no_leaks(kinds, kind, size, name, learned):
 
 @pytest.mark.parametrize("learned", [False, True])
 def test_a_field_of_sites_that_have_one_frame(learned):
-    """Twelve sites of one exposure, four sets: contrast 0.1 and grain 1.5 px within 3.3 errors of the mean of four (1e-3)
-    and 2 %, and nothing without a field."""
+    """Twelve sites of one exposure, four sets: contrast 0.1 and grain 1.5 px within 3.3 errors of the mean of four
+    (1e-3) and 2 %, and nothing without a field."""
     values = []
     for seed in range(4):
         own = found(seed, learned=learned, sites=12, exposures=1, speckle=(0.1, 1.5))

@@ -51,8 +51,8 @@ def test_stripes_are_found_and_where_they_stay(stay, learned):
 @pytest.mark.parametrize("learned", [False, True])
 @pytest.mark.parametrize("kinds", [{}, {"speckle": (0.1, 1.5)}])
 def test_no_stripes_where_there_are_none(kinds, learned):
-    """Twelve sets: of noise none at all (the bound that takes chance off is passed once in 1e3 or less); of speckle none
-    that gains as much as an effect must, 25."""
+    """Twelve sets: of noise none at all (the bound that takes chance off is passed once in 1e3 or less); of speckle
+    none that gains as much as an effect must, 25."""
     for seed in range(12):
         found, _ = sought(seed, learned=learned, **kinds)
         assert found is None or found.gain < (25.0 if kinds else 1e-9), (seed, found)
