@@ -3,6 +3,7 @@
 import numpy as np
 
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
 from spotcheck.model import light_shape
 from spotcheck.model.baseline import Baseline
@@ -23,18 +24,54 @@ def beam(u, v):
     return np.exp(-r2 / 2) * (1 + 0.03 * (u**3 - 3 * u * v * v) * np.exp(-r2 / 8))
 
 
-def drawn(seed: int, sites: int = 4, pedestal=0.0, clip=np.inf, read=NOISE):
-    """Frames [frame, row, column], and of each exposure, peak, width and centre; `pedestal` [DN] of light, a `clip`
-    [DN] of the signal with its noise."""
-    rng = np.random.default_rng(seed)
+def gaussian(u, v):
+    """The declared beam, of peak 1."""
+    return np.exp(-(u * u + v * v) / 2)
+
+
+def field(rng: np.random.Generator, grain: float) -> np.ndarray:
+    """A normal field [row, column] of mean 0 and variance 1, which correlates as exp(−d²/2 grain²)."""
+    ky, kx = np.fft.fftfreq(SIDE)[:, None], np.fft.fftfreq(SIDE)[None, :]
+    # Noise smoothed with s correlates as exp(−d²/4 s²).
+    kernel = np.exp(-((np.pi * grain) ** 2) * (kx * kx + ky * ky))
+    smooth = np.fft.ifft2(np.fft.fft2(rng.standard_normal((SIDE, SIDE))) * kernel).real
+    return smooth / np.sqrt(np.mean(kernel**2))
+
+
+def waves(x, y, stripes, turn: float) -> np.ndarray:
+    """Factor [row, column] of stripes (depth, period [px], direction [deg]) at places, their phase `turn` [rad]."""
+    depth, period, direction = stripes
+    angle = np.deg2rad(direction)
+    return 1 + depth * np.cos(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / period + turn)
+
+
+def drawn(
+    seed: int, sites: int = 4, pedestal=0.0, clip=np.inf, read=NOISE, shape=beam, speckle=(0.0, 1.0), prnu=0.0,
+    rows=0.0, stripes=(0.0, 9.0, 30.0), stay="sensor", spread=1.0,
+):  # fmt: skip
+    """Frames [frame, row, column], and of each exposure, peak, width and centre (up to `spread` px from the middle).
+
+    `pedestal` [DN] of light, a `clip` [DN] of the signal with its noise, the light's `shape` (u, v [σ]); `speckle`, a
+    field of each site (contrast, grain [px]); `prnu` of the sensor's pixels; offsets of rows [DN rms] anew in each
+    frame; `stripes` (depth, period [px], direction [deg]) that stay on the "sensor", with the "spot", or have a phase
+    of their own at each "site".
+    """
+    rng, others = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     y, x = np.mgrid[:SIDE, :SIDE].astype(float)
     frames, known = [], []
+    gains = 1 + prnu * others.standard_normal(x.shape)
     for _ in range(sites):
-        x0, y0 = SIDE / 2 + rng.uniform(-1, 1, 2)
+        x0, y0 = SIDE / 2 + spread * rng.uniform(-1, 1, 2)
+        factor = gains * (1 + speckle[0] * field(others, speckle[1])) if speckle[0] else gains
+        turn = others.uniform(0, 2 * np.pi) if stay == "site" else 1.0
+        off = (x0, y0) if stay == "spot" else (0.0, 0.0)
+        factor = factor * waves(x - off[0], y - off[1], stripes, turn)
         for t, width, peak in zip(EXPOSURES, WIDTHS, PEAKS, strict=True):
             peak = peak * rng.uniform(0.95, 1.05)
-            electrons = rng.poisson((peak * beam((x - x0) / width, (y - y0) / width) + pedestal) / GAIN)
+            light = peak * shape((x - x0) / width, (y - y0) / width) * factor
+            electrons = rng.poisson((np.maximum(light, 0.0) + pedestal) / GAIN)
             signal = np.minimum(GAIN * (electrons + read * rng.standard_normal(x.shape)), clip) + BLACK
+            signal = signal + rows * others.standard_normal((SIDE, 1))
             frames.append(np.clip(np.rint(signal), 0, FULL))
             known.append((t, peak, width, x0, y0))
     return np.array(frames), np.array(known)
@@ -55,6 +92,13 @@ def started(images: np.ndarray, known: np.ndarray) -> tuple[list[Frame], Model]:
     )
     baseline = Baseline(0.0, "free", False, 9e-4, light_shape.empty(STEP, REACH))
     return frames, Model(baseline, SENSOR, (), numbers)
+
+
+def designed(known: np.ndarray) -> Design:
+    """The design of frames that `drawn` drew: each site at all exposures, all of one angle."""
+    frames, each = len(known), len(EXPOSURES)
+    which = np.arange(frames)
+    return Design(which // each, which % each, np.zeros(frames), known[:, 0], np.linspace(0, 1, frames))
 
 
 def fitted(seed: int, **kinds: float) -> tuple[list[Frame], Fitted, np.ndarray]:

@@ -66,6 +66,28 @@ def test_pixels_of_unlike_light_share_the_sensor():
     assert abs(joint.read_noise_e - 6) < 4 * joint.read_noise_stderr < 4 * alone.read_noise_stderr
 
 
+def test_rows_of_the_model_are_no_read_noise():
+    """Rows of 0.8 DN in the model are taken off what dark pixels scatter by; left out of it, they are read noise of
+    √(6² + (0.8/0.11)²) e-. Four errors each of the histogram and of what 640 rows scatter by: 6e-5."""
+    rng, side = np.random.default_rng(8), 160
+    sensor, one = SensorModel(0.11, 6.0, black_level_dn=12.0, full_scale_dn=1023), np.zeros((1, 1, 1))
+    x, y = np.arange(side, dtype=float)[None, None], np.arange(side, dtype=float)[None, :, None]
+    view = View(x, y, one, one, one + 1, one, one, one, one, 1.0, 1.0, 80.0, 80.0, float(side), 1.0)
+    light = 600 * np.exp(-((x - 80) ** 2 + (y - 80) ** 2)[0] / (2 * 9.0**2))
+    numbers = Numbers(*(np.full(4, v) for v in (np.log(600), np.log(9.0), 80.0, 80.0)))
+    frames = []
+    for _ in range(4):
+        electrons = rng.poisson(light / 0.11) + 6 * rng.standard_normal(light.shape)
+        signal = 12 + 0.11 * electrons + 0.8 * rng.standard_normal((side, 1))
+        frames.append(Frame(np.clip(np.rint(signal), 0, 1023), view))
+    rows = Present(vocabulary()["row_noise"], "", (0.8,))
+    for present, want in (((rows,), 6.0), ((), np.hypot(6, 0.8 / 0.11))):
+        model = Model(Baseline(0.0, "free", False, 1.0, light_shape.empty(0.3, 5.1)), sensor, present, numbers)
+        own = darkness(frames, model)
+        scatter = 4 * np.sqrt(2 / (4 * side)) * (0.8 / 0.11) ** 2 / (2 * want)
+        assert own is not None and abs(own.read_noise_e - want) < 4 * own.read_noise_stderr + scatter
+
+
 @pytest.mark.parametrize("pedestal", ["", "light", "electronic"])
 def test_of_frames_with_a_spot(pedestal):
     """Spots and masked pixels are passed by; a pedestal of the model is no black level. Four errors: 6e-5 each."""

@@ -6,8 +6,8 @@ from scipy import stats
 
 from spotcheck.discrepancy.evidence import accounts, components, laws, scatter
 from spotcheck.discrepancy.evidence.components import Component
-from spotcheck.discrepancy.observe.design import Design, missing, view_of
 from spotcheck.discrepancy.evidence.influence import CELLS, FrameNumbers
+from spotcheck.discrepancy.observe.design import Design, missing, view_of
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Law, spot_state
 from spotcheck.model.effect import Present
@@ -26,7 +26,8 @@ def design(repeats: int = 2, exposures=(1e-4, 3e-4, 9e-4)) -> Design:
     """Sites at four angles, each seen at all exposures."""
     sites = np.repeat(np.arange(4 * repeats), len(exposures))
     angle = np.array([0.0, 45.0, 90.0, 135.0])[sites % 4]
-    return Design(sites, angle, np.tile(exposures, 4 * repeats), np.linspace(0, 1, len(sites)))
+    condition = np.arange(len(sites)) % (4 * len(exposures))
+    return Design(sites, condition, angle, np.tile(exposures, 4 * repeats), np.linspace(0, 1, len(sites)))
 
 
 def effect(name: str, *values: float, form: str | None = None) -> Present:

@@ -5,13 +5,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.evidence.influence import AZIMUTHS, CELLS, cells_of, influence_of, numbers_of
 from spotcheck.discrepancy.evidence.laws import laws_of
 from spotcheck.discrepancy.nuisance.fit import contrasts, fit, sums_of
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import View
+from spotcheck.model.effect import Present
+from spotcheck.model.effects import vocabulary
 from spotcheck.model.light_shape import empty
 from spotcheck.model.sensor import SensorModel
 
@@ -47,7 +49,8 @@ def drawn(seed: int, late=0.0, power=0.0, jitter=0.0) -> tuple[list[Frame], Desi
             rows.append((site, ANGLES[site % len(ANGLES)], t))
             numbers.append((np.log(peak), np.log(sigma), x0, y0))
     site, angle, exposure = (np.array(own) for own in zip(*rows, strict=True))
-    return frames, Design(site, angle, exposure, np.linspace(0, 1, len(frames))), np.array(numbers).T
+    condition = np.unique(np.stack([angle, exposure]), axis=1, return_inverse=True)[1].ravel()
+    return frames, Design(site, condition, angle, exposure, np.linspace(0, 1, len(frames))), np.array(numbers).T
 
 
 def view(exposure_s: float) -> View:
@@ -120,12 +123,20 @@ def test_cells():
     np.testing.assert_allclose(np.bincount(cell // AZIMUTHS) / len(u), 1 / 3, atol=0.005)
 
 
-def test_cells_together_make_the_step_of_the_fit():
-    """The influence of all cells is the step that the scores of all pixels ask for."""
-    frames, _, own, influence = fitted(1, late=0.0, power=0.0, jitter=0.0)
+@pytest.mark.parametrize(
+    "present",
+    [(), (("ghost_reflection", "", (0.1, 6.0, -4.0)), ("interference_fringes", "spot", (0.1, 9.0, 30.0, 0.0)))],
+)
+def test_cells_together_make_the_step_of_the_fit(present):
+    """The influence of all cells is the step that the scores of all pixels ask for, also of a spot with a ghost under
+    stripes."""
+    frames, _, own, _ = fitted(1, late=0.0, power=0.0, jitter=0.0)
+    present = tuple(Present(vocabulary()[name], form, values) for name, form, values in present)
+    own = fit(frames, own.model._replace(present=present), own.penalty, steps=0)
+    influence = influence_of(frames, own)
     sums = sums_of(frames, own.model, curved=False)
-    basis = contrasts(len(frames))
-    _, step = own.schur.solve(sums.shape[:, 0], basis.T @ sums.others)
+    basis = contrasts(own.model)
+    _, step = own.schur.solve(sums.shape, basis.T @ sums.others)
     np.testing.assert_allclose(influence.sum(1), basis @ step, atol=1e-9)
 
 

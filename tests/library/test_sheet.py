@@ -12,6 +12,7 @@ from spotcheck.model import light_shape
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import View
 from spotcheck.model.sensor import SensorModel
+from tests.library import splines
 
 TRUTH = SensorModel(0.11, 6.0, black_level_dn=12.0, full_scale_dn=1023)
 SIDE, COUNT, WIDTH, PEAK = 120, 4, 9.0, 600.0
@@ -79,8 +80,8 @@ def test_what_the_shape_takes_up(monkeypatch):
     found = sheet.tilt_of(frames, fitted)
     seen = Expectation(frames, fitted.model).of(frames[0], 0)
     learned = fitted.model.baseline.learned
-    across, along = learned.basis(seen.v.ravel()), learned.basis(seen.u.ravel())
-    matrix = np.einsum("pi,pj->pij", across, along).reshape(seen.u.size, -1)
+    u, v = (own.ravel() for own in np.broadcast_arrays(seen.u, seen.v))
+    matrix = splines.matrix(u, v, learned.step, len(learned.coefficients))
     matrix *= np.exp(fitted.model.numbers.log_peak[0]) * seen.slope.ravel()[:, None]
     variance = seen.variance.ravel()
     gram = np.array([linalg.cho_solve_banded((fitted.schur.factor, True), row) for row in matrix])

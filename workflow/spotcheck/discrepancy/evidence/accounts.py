@@ -12,9 +12,9 @@ from scipy import linalg
 
 from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.components import Component, Estimated
-from spotcheck.discrepancy.observe.design import Design, view_of
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.nuisance.fit import Free, changed, free_of, values_of
+from spotcheck.discrepancy.observe.design import Design, view_of
 from spotcheck.discrepancy.observe.pixels import Model, Numbers
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Law, View, bounds_context, spot_state

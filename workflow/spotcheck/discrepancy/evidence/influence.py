@@ -61,9 +61,11 @@ def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
         rows = [*range(NUMBERS * k, NUMBERS * (k + 1)), *range(few, few + len(nudged))]
         for row, part in zip(rows, parts, strict=True):
             others[row] += np.bincount(cell.ravel(), part.ravel(), CELLS)
-        light = np.exp(model.numbers.log_peak[k]) * tells.light
+        light = np.exp(model.numbers.log_peak[k]) * seen.factor * tells.light
         for c in range(CELLS):
-            normal.project(seen.u, seen.v, step, side, np.where(cell == c, light, 0.0)[None], shape[c])
+            own = np.where(cell == c, light, 0.0)[None]
+            for u, v, weight in seen.copies:
+                normal.project(u, v, step, side, weight * own, shape[c])
     basis = contrasts(model, len(nudged))
     left = basis.T @ others - fitted.schur.absorbed.T @ shape[:, :, 0].T
     return (basis @ np.linalg.solve(fitted.schur.left, left))[:few]

@@ -27,10 +27,10 @@ from spotcheck.discrepancy.evidence.accounts import (
     start_of,
 )
 from spotcheck.discrepancy.evidence.components import Component
-from spotcheck.discrepancy.observe.design import Design, missing
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.evidence.scatter import Scatter, scatters_of
 from spotcheck.discrepancy.nuisance.fit import NUMBERS
+from spotcheck.discrepancy.observe.design import Design, missing
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, Present
 from spotcheck.model.effects import vocabulary

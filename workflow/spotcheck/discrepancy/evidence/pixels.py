@@ -97,6 +97,7 @@ class Ready:
     """A fit and other models, made ready for a pass over the frames."""
 
     def __init__(self, frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model]):
+        self.fitted = fitted
         self.step, self.side = splines_of(fitted.model)
         self.peaks = np.exp(fitted.model.numbers.log_peak)
         self.plain = Expectation(frames, fitted.model)

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import linalg, optimize, stats
 
 from spotcheck.discrepancy.evidence.components import root_of
-from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
+from spotcheck.discrepancy.observe.design import Design
 from spotcheck.model.effect import Effect
 
 # Which of a frame's numbers scatter, by component: along each axis with the same variance.

@@ -7,12 +7,12 @@ import numpy as np
 from scipy import fft
 from scipy.optimize import minimize
 
-from spotcheck.discrepancy.evidence.patterns import Site
+from spotcheck.discrepancy.evidence.windows import Site
 
 # Periods of more than so many σ are the shape's and the numbers'.
 LONGEST = 2.0
-# The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps of
-# the grid the peak itself is wide.
+# The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps
+# of the grid the peak itself is wide.
 RING, WIDE = 1.3, 4
 # Phases of sites are one where their sum is this part of what it would be if all were equal.
 COHERENT = 0.7
@@ -50,6 +50,9 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     start = np.array([kx[0, i], ky[j, 0]])
 
     def minus(k: np.ndarray) -> float:
+        # A step of the grid holds a peak; what lies beyond is another's flank.
+        if np.any(np.abs(k - start) * padded[::-1] > 1):
+            return 0.0
         return -float(sum(abs(a) ** 2 * w / 2 for a, w in (_amplitude(own, k) for own in sites)))
 
     simplex = start + 0.5 / np.array(padded[::-1]) * np.array([[0, 0], [1, 0], [0, 1]])
@@ -63,7 +66,7 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     chance = 2 * len(sites) + 2 * places + 2 * np.sqrt(2 * len(sites) * places)
     # Grains and rows have power of their own all about.
     steps = np.hypot((ky - ky[j, 0]) * padded[0], (kx - kx[0, i]) * padded[1])
-    about = sought & (radius < RING / period) & (radius > 1 / (RING * period)) & (steps > WIDE)
+    about = sought & (radius < RING * radius[j, i]) & (radius > radius[j, i] / RING) & (steps > WIDE)
     beside = float(np.median(power[about])) / (2 * len(sites)) if about.any() else 1.0
     return Stripes(period, direction, amplitude, weight, max(-float(best.fun) / max(beside, 1.0) - chance, 0.0))
 
@@ -78,7 +81,8 @@ def _amplitude(own: Site, k: np.ndarray) -> tuple[complex, float]:
 
 
 class Phase(NamedTuple):
-    """How stripes lie: in which form, their depth and phase [deg], and the part of the sites' amplitudes that agrees."""
+    """How stripes lie: in which form, their depth and phase [deg], and the part of the sites' amplitudes that
+    agrees."""
 
     form: str
     depth: float

@@ -50,9 +50,10 @@ class Free(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Of all pixels under a model: −2 ln L but for constants, and χ² over the readings' number; the scores of shape and of numbers and free parameters;
-    of the latter X [coefficient, parameter], and D with numbers [number, parameter] and among themselves; and of the
-    numbers, where they were asked for, G [coefficient, 4, 7], X [coefficient, number] and D [number, number]."""
+    """Of all pixels under a model: −2 ln L but for constants, and χ² over the readings' number; the scores of shape and
+    of numbers and free parameters; of the latter X [coefficient, parameter], and D with numbers [number, parameter] and
+    among themselves; and of the numbers, where they were asked for, G [coefficient, 4, 7], X [coefficient, number] and
+    D [number, number]."""
 
     deviance: float
     chi2: float
@@ -280,7 +281,7 @@ def fit(
             shape, others = shape / 2, others / 2
             model = stepped(best, shape, others, free)
             continue
-        if renewed:
+        if lent is None or renewed:
             lent = _reduced(sums, rough, basis, HELD)
         done = (total - now < ENOUGH and not far) or taken > steps
         if now <= total or far:
@@ -297,7 +298,9 @@ def fit(
     total, best = lowest
     # Scores and errors need the matrices of the model that was found, or what shape takes exceeds what there is.
     sums = sums_of(frames, best, free, curved=near is None, workers=workers)
-    schur = _bordered(_reduced(sums, rough, basis) if near is None else lent, sums, basis, known)
+    if lent is None or near is None:
+        lent = _reduced(sums, rough, basis)
+    schur = _bordered(lent, sums, basis, known)
     return Fitted(best, tuple(free), total, schur, penalty, taken)
 
 

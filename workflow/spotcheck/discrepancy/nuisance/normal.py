@@ -23,24 +23,27 @@ compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 def gather(u, v, step: float, side: int, weight: np.ndarray, gram: np.ndarray):
     """Add Σ w b bᵀ of the splines b at the pixels of a frame to `gram` [coefficient, 4, 7]: each with itself and those
-    behind it. u, v are of shapes that broadcast to that of the weights [row, column]. Without splines there is nothing."""
+    behind it. u, v are of shapes that broadcast to that of the weights [row, column]. Without splines there is
+    nothing."""
     if not side:
         return
     if _is_grid(u, v):
         gather_grid(u[0], v[:, 0], step, side, weight, gram)
     else:
-        gather_points(*_flat(u, v, weight.shape), step, side, weight.ravel(), gram)
+        u, v = _flat(u, v, weight.shape)
+        gather_points(u, v, step, side, weight.ravel(), gram)
 
 
 def project(u, v, step: float, side: int, values: np.ndarray, out: np.ndarray):
-    """Add Σ values b of the splines b at the pixels of a frame to `out` [coefficient, n]; values [n, row, column], u and
-    v of shapes that broadcast to that of a frame."""
+    """Add Σ values b of the splines b at the pixels of a frame to `out` [coefficient, n]; values [n, row, column], u
+    and v of shapes that broadcast to that of a frame."""
     if not side:
         return
     if _is_grid(u, v):
         project_grid(u[0], v[:, 0], step, side, values, out)
     else:
-        project_points(*_flat(u, v, values.shape[1:]), step, side, values.reshape(len(values), -1), out)
+        u, v = _flat(u, v, values.shape[1:])
+        project_points(u, v, step, side, values.reshape(len(values), -1), out)
 
 
 def _is_grid(u, v) -> bool:
@@ -227,8 +230,10 @@ class Schur(NamedTuple):
 def solve(information: np.ndarray, score: np.ndarray) -> np.ndarray:
     """Steps of numbers; one of which nothing is told, or two that share all, do not stop the others."""
     own = np.diag(information)
-    damped = information + np.diag(np.where(own > 0, DAMPING * own, 1.0))
-    return linalg.solve(damped, score, assume_a="sym")
+    # In their own errors, since some numbers are told a million times as well as others.
+    unit = np.where(own > 0, 1 / np.sqrt(np.where(own > 0, own, 1.0)), 1.0)
+    damped = information * np.outer(unit, unit) + np.diag(np.where(own > 0, DAMPING, 1.0))
+    return unit * linalg.solve(damped, unit * score, assume_a="sym")
 
 
 def schur(band: np.ndarray, joined: np.ndarray, dense: np.ndarray) -> Schur:

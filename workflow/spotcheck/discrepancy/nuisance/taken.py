@@ -5,6 +5,8 @@ Readings of variance V, projected on the shape by H, leave residuals of variance
 variance of the fitted reading over that of the reading. Draws of the coefficients tell it.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy import linalg
 
@@ -14,8 +16,8 @@ from spotcheck.model.light_shape import LightShape
 
 # Draws by which the shape's variance is told: to a third at a place, which sums over thousands of places make good.
 DRAWS = 16
-# Points between two nodes along each axis at which it is told.
-BETWEEN = 2
+# Points in a cell along each axis at which it is told, and cells beyond the last node: so far a spline reaches.
+BETWEEN, BEYOND = 2, 2
 
 
 def draws_of(schur: Schur, side: int, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -34,21 +36,37 @@ def transposed(factor: np.ndarray) -> np.ndarray:
     return out
 
 
-def variance_of(schur: Schur, step: float, side: int) -> LightShape | None:
-    """Variance of the learned shape [squared peaks] over the spot, the same at each call; None where none is learned."""
+class OverCells(NamedTuple):
+    """A variance over the spot: means over square cells about the nodes [row, column], of a side of `step` [σ]."""
+
+    step: float
+    means: np.ndarray
+
+    def __call__(self, u, v) -> np.ndarray:
+        """At u, v [σ] of shapes that broadcast; 0 beyond all cells."""
+        side = len(self.means)
+        row, column = (np.floor(np.asarray(own) / self.step + side / 2).astype(int) for own in (v, u))
+        inside = (row >= 0) & (row < side) & (column >= 0) & (column < side)
+        return np.where(inside, self.means[np.clip(row, 0, side - 1), np.clip(column, 0, side - 1)], 0.0)
+
+
+def variance_of(schur: Schur, step: float, side: int) -> OverCells | None:
+    """Variance of the learned shape [squared peaks] over the spot, the same at each call; None where none is
+    learned."""
     if not side:
         return None
     drawn = draws_of(schur, side, DRAWS, np.random.default_rng(0))
-    at = step * ((np.arange(BETWEEN * side) + 0.5) / BETWEEN - side / 2)
+    cells = side + 2 * BEYOND
+    at = step * ((np.arange(BETWEEN * cells) + 0.5) / BETWEEN - cells / 2)
     square = np.mean([LightShape(step, own)(at[None, None], at[None, :, None])[0] ** 2 for own in drawn], axis=0)
-    return LightShape(step, square.reshape(side, BETWEEN, side, BETWEEN).mean(axis=(1, 3)))
+    return OverCells(step, square.reshape(cells, BETWEEN, cells, BETWEEN).mean(axis=(1, 3)))
 
 
-def lacking(variance: LightShape | None, peak: float, seen: Expected, tells: Told) -> np.ndarray:
+def lacking(variance: OverCells | None, peak: float, seen: Expected, tells: Told) -> np.ndarray:
     """½ h / V [row, column] of a frame, which the score of its variance lacks: likelihood takes what the shape took for
     less noise, restricted likelihood (REML, Patterson & Thompson 1971) gives it back."""
     if variance is None:
         return np.zeros_like(tells.sure)
-    own = np.maximum(variance(seen.u[None], seen.v[None])[0], 0.0)
     # Where a cell of the surface lies half beyond the pixels, its mean is not that of the pixels: h is 1 at most.
-    return np.minimum(own * (peak * seen.factor * tells.slope) ** 2 * tells.sure, 1.0) * tells.sure / 2
+    h = variance(seen.u, seen.v) * (peak * seen.factor * tells.slope) ** 2 * tells.sure
+    return np.minimum(h, 1.0) * tells.sure / 2

@@ -9,8 +9,8 @@ from spotcheck.model.effect import Effect
 
 
 class Design(NamedTuple):
-    """Of every frame [frame]: its site and its condition (numbers from 0 on), fibre angle [deg], exposure [s], and place
-    in the order of acquisition (0 to 1); NaN where not known."""
+    """Of every frame [frame]: its site and its condition (numbers from 0 on), fibre angle [deg], exposure [s], and
+    place in the order of acquisition (0 to 1); NaN where not known."""
 
     site: np.ndarray
     condition: np.ndarray

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.discrepancy.observe.readings import compiled, look_up, reading_law, through_field
+from spotcheck.discrepancy.observe.readings import ReadingLaw, compiled, look_up, reading_law, through_field
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, View, copies_of, light, modulation, round_again, true_exposure
 from spotcheck.model.effect import Effect, Place, Present
@@ -75,6 +75,8 @@ class Expectation:
         behind = [own for own in behind if own.effect.place is not Place.CHARGE and not _is_uneven(own)]
         self.behind = model.sensor, highest, behind
         self.same_light = like is not None and _same_light(like.model, model)
+        self.law: ReadingLaw
+        self.table: np.ndarray
         if like is not None and like.behind == self.behind:
             self.table, self.law = like.table, like.law
         else:
@@ -105,8 +107,9 @@ class Expectation:
             spot, beside = self.light(frame, own)
             u, v = self._place(view, own, 0.0, 0.0)
             every = copies_of(view, model.present, np.exp(own.log_peak), np.exp(own.log_width)).each
-            plain = len(every) == 1
-            copies = ((u, v, 1.0),) if plain else tuple((*self._place(view, own, *c[:2]), float(c[2])) for c in every)
+            copies = ((u, v, 1.0),)
+            if len(every) > 1:
+                copies = tuple((*self._place(view, own, dx, dy), float(weight)) for dx, dy, weight in every)
             factor = modulation(view, model.present)
             factor = factor if np.ndim(factor) == 0 else factor[0]
         electrons = (spot + beside) / model.sensor.gain_dn_per_e
@@ -123,12 +126,15 @@ class Expectation:
         if charge is not electrons:
             # What was moved there brings no shot noise of its own.
             out[1] -= out[2] ** 2 * model.sensor.gain_dn_per_e**2 * (charge - electrons)[0]
-        return Expected(*out, np.broadcast_to(spot, (1, *shape))[0], beside, u, v, copies, factor)
+        mean, variance, slope, growth = out
+        spot = np.broadcast_to(spot, (1, *shape))[0]
+        return Expected(mean, variance, slope, growth, spot, beside, u, v, copies, factor)
 
-    def _place(self, view: View, own: Numbers, shift_x, shift_y) -> list[np.ndarray]:
+    def _place(self, view: View, own: Numbers, shift_x, shift_y) -> tuple[np.ndarray, np.ndarray]:
         """Places of a frame's pixels about its spot, displaced by so many px, in the spot's own coordinates [σ]."""
-        turned = round_again(view, view.x - own.x - shift_x, view.y - own.y - shift_y, self.model.present)
-        return [d[0] / np.exp(own.log_width[0]) for d in turned]
+        dx, dy = round_again(view, view.x - own.x - shift_x, view.y - own.y - shift_y, self.model.present)
+        width = np.exp(own.log_width[0])
+        return dx[0] / width, dy[0] / width
 
     def by_numbers(self, frame: Frame, k: int, seen: Expected) -> np.ndarray:
         """Slopes [4, row, column] of the light by the frame's numbers: logs of peak and width, centre in σ."""
@@ -163,7 +169,8 @@ def _same_light(one: Model, other: Model) -> bool:
 class Told(NamedTuple):
     """What the readings of a frame tell [row, column]. A change of mean and variance by (m, w) has the score m·`mean` +
     w·`variance` and, with another, the information m m'·`sure` + w w'·`sure_variance`; all are 0 where a pixel is
-    masked. `light` and `sure_light` are both for the light; −2 ln L but for constants is `deviance`, a part of it χ²."""
+    masked. `light` and `sure_light` are both for the light; −2 ln L but for constants is `deviance`, a part of it
+    χ²."""
 
     mean: np.ndarray
     variance: np.ndarray
@@ -194,7 +201,9 @@ def told(frame: Frame, seen: Expected, *, by_variance: bool = True) -> Told:
     mean alone (quasi-likelihood: McCullagh & Nelder, Generalized Linear Models, 2nd ed., ch. 9)."""
     out = np.empty((6, *frame.pixels.shape))
     deviance, chi2 = _told(frame.pixels, seen.mean, seen.variance, seen.slope, seen.growth, by_variance, out)
-    return Told(*out, seen.slope, seen.growth, deviance, chi2)
+    mean, variance, sure, sure_variance, light, sure_light = out
+    slopes = seen.slope, seen.growth
+    return Told(mean, variance, sure, sure_variance, light, sure_light, *slopes, deviance, chi2)
 
 
 def deviance_of(frame: Frame, seen: Expected) -> float:

@@ -1,0 +1,52 @@
+"""The copies of the spot of which its light is the sum."""
+
+import numpy as np
+import pytest
+
+from spotcheck.discrepancy.observe.pixels import Expectation
+from spotcheck.model.baseline import Baseline
+from spotcheck.model.chain import Free, View, copies_of, light
+from spotcheck.model.effect import Present
+from spotcheck.model.effects import vocabulary
+from spotcheck.model.light_shape import LightShape
+from tests.library.small_light import drawn, started
+
+GHOST = ("ghost_reflection", "", (0.07, 9.0, -5.0))
+BLUR = ("motion_blur", "", (9e3, 20.0))
+STRIPES = ("interference_fringes", "sensor", (0.1, 9.0, 30.0, 0.0))
+ELLIPSE = ("beam_ellipticity", "", (1.2, 30.0))
+SHAPE = LightShape(0.4, np.random.default_rng(1).normal(0, 0.1, (25, 25)))
+
+
+def effects(*kinds) -> tuple[Present, ...]:
+    return tuple(Present(vocabulary()[name], form, values) for name, form, values in kinds)
+
+
+@pytest.mark.parametrize(("kinds", "count"), [((), 1), ((GHOST,), 2), ((BLUR,), 12), ((GHOST, BLUR), 24)])
+def test_light_is_the_sum_of_its_copies(kinds, count):
+    """Each a spot of its own, drawn where it was moved to."""
+    one = np.ones((1, 1, 1))
+    x, y = np.arange(60.0)[None, None], np.arange(50.0)[None, :, None]
+    view = View(x, y, 28 * one, 23 * one, 9e-4 * one, one, one, 0 * one, 0 * one, 9e-4, 9e-4, 0.0, 0.0, 50.0, 1.0)
+    baseline, base = Baseline(0.0, "free", False, 9e-4, SHAPE), Free(300 * one, 5 * one)
+    copies = copies_of(view, effects(*kinds), 300 * one, 5 * one).each
+    assert len(copies) == count
+    moved = [view._replace(x0=view.x0 + dx, y0=view.y0 + dy) for dx, dy, _ in copies]
+    want = sum(weight * light(own, baseline, base, ())[0] for own, (_, _, weight) in zip(moved, copies, strict=True))
+    np.testing.assert_allclose(light(view, baseline, base, effects(*kinds))[0], want, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("kinds", [(), (GHOST,), (GHOST, STRIPES), (BLUR, GHOST, STRIPES), (ELLIPSE, GHOST)])
+def test_a_learned_shape_lies_at_the_places_of_the_copies(kinds):
+    """What the splines' coefficients change of the light, as the sum over copies that the scores take."""
+    images, known = drawn(1, sites=1)
+    frames, model = started(images, known)
+    model = model._replace(present=effects(*kinds))
+    shaped = model._replace(baseline=model.baseline._replace(learned=SHAPE))
+    k = 1
+    seen, plain = (Expectation(frames, own).of(frames[k], k) for own in (shaped, model))
+    peak = np.exp(model.numbers.log_peak[k]) * seen.factor
+    places = (np.broadcast_arrays(u, v) for u, v, _ in seen.copies)
+    want = sum(peak * copy[2] * SHAPE(*at) for at, copy in zip(places, seen.copies, strict=True))
+    assert np.abs(want).max() > 10
+    np.testing.assert_allclose(seen.spot - plain.spot, want, atol=1e-9)
