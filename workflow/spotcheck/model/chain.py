@@ -205,7 +205,7 @@ def modulation(view: View, present: Sequence[Present]):
 
 
 class Copies:
-    """A sum of displaced spots, of each dx, dy [px] and its weight: what a spot is to a function that is linear in it."""
+    """A sum of displaced spots, of each dx, dy [px] and its weight: what a spot is to a function linear in it."""
 
     # Arrays leave products with them to this class.
     __array_ufunc__ = None

@@ -1,5 +1,5 @@
-"""What dark pixels say of noise and level: effects that add white noise, or the same to every reading, are told by their
-histogram alone."""
+"""What dark pixels say of noise and level: effects that add white noise, or the same to every reading, are told by
+their histogram alone."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -86,7 +86,7 @@ def first_numbers(frames: Sequence[Frame], design: Design, setting: Setting) -> 
     if not known.any():
         wide = bool((found[:, 3] >= WIDEST * side.min(axis=1)).any())
         return "no spot could be fitted in any frame" + (": it is as wide as its crop" if wide else "")
-    for k in np.flatnonzero(~known):
+    for k in map(int, np.flatnonzero(~known)):
         like = known & (design.condition == design.condition[k])
         like = like if like.any() else known
         found[k, [0, 3]] = np.median(found[like][:, [0, 3]], axis=0)

@@ -15,7 +15,6 @@ from spotcheck.discrepancy.search.candidates import Candidate, Tied, ranked, wit
 from spotcheck.discrepancy.search.holds import Holding, holding_of, pattern_of
 from spotcheck.model.effect import Context, Effect, Place, Present
 
-
 # Steps of the fit of what was chosen: far from the truth brightness, width and shape are slow to part.
 MOST_STEPS = 24
 
