@@ -51,7 +51,8 @@ class Limit(NamedTuple):
 
 class Gap(NamedTuple):
     """How far the frames are from the model, on frames that had no part in choosing it: the root mean square of
-    residuals over their noise `before` and `after` effects and shape were added, and of noise alone (1); both in DN;
+    residuals over the declared model's noise `before` and `after` effects and shape were added, and of noise alone (1
+    where the found model has no noise of its own); both in DN;
     the part of the excess that is `closed`, and of it what the light's shape closes (`by_light`) and each effect beyond
     (`by_effect`); what −2 ln L of these frames gains; and which frames they are."""
 

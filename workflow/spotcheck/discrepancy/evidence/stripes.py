@@ -8,6 +8,8 @@ from scipy import fft
 from scipy.optimize import minimize
 
 from spotcheck.discrepancy.evidence.windows import Site
+from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.pixels import Frame, Numbers
 
 # Periods of more than so many σ are the shape's and the numbers'.
 LONGEST = 2.0
@@ -101,3 +103,21 @@ def phases(found: Stripes, centre: np.ndarray) -> list[Phase]:
         out.append(Phase(form, float(abs(mean)), float(np.degrees(np.angle(mean))) % 360, float(agrees)))
     depth = float(np.sqrt(np.average(np.abs(found.amplitude) ** 2, weights=found.weight)))
     return [own for own in out if own.agrees > COHERENT] or [Phase("site", depth, 0.0, 1.0)]
+
+
+def waved(
+    frames: Sequence[Frame], design: Design, numbers: Numbers, sites: Sequence[Site], period: float, direction: float
+) -> tuple[Frame, ...]:
+    """Frames with the waves of stripes in their views: of each site the amplitudes that its own sums tell, cosine and
+    sine about the spot."""
+    angle = np.deg2rad(direction)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    which = np.searchsorted(np.unique(design.site), design.site)
+    found = np.array([_amplitude(own, along / period)[0] for own in sites])
+    turn = 2 * np.pi * (np.stack([numbers.x, numbers.y], 1) @ along) / period
+    waves = found[which] * np.exp(1j * turn)
+    one = np.ones((1, 1, 1))
+    return tuple(
+        frame._replace(view=frame.view._replace(wave_cos=w.real * one, wave_sin=-w.imag * one))
+        for frame, w in zip(frames, waves, strict=True)
+    )

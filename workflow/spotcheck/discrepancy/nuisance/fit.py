@@ -94,8 +94,9 @@ def free_of(model: Model, context: Context) -> tuple[Free, ...]:
         starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
         bounds = own.effect.bounds(context)
         for p, parameter in enumerate(own.effect.parameters):
-            # A strength that means do not tell, noise does.
-            if p == 0 or parameter.name not in own.effect.idle.get(own.form, ()):
+            # A strength that means do not tell, noise does where it is one of noise.
+            told = own.effect.place is Place.NOISE or parameter.name not in own.effect.idle.get(own.form, ())
+            if told:
                 scale = max(abs(own.values[p]), float(np.median(starts[:, p])), 1e-12)
                 scale = 1.0 if parameter.unit == "deg" else scale
                 out.append(Free(e, p, float(bounds[p, 0]), float(bounds[p, 1]), NUDGE * scale))

@@ -8,7 +8,8 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
 from spotcheck.discrepancy.evidence.pixels import Ready, Score, screen
-from spotcheck.discrepancy.evidence.stripes import Stripes, phases, stripes_of
+from spotcheck.discrepancy.evidence.stripes import Stripes, phases, stripes_of, waved
+from spotcheck.discrepancy.evidence.windows import Site
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
@@ -58,26 +59,26 @@ def ranked(
     if found is not None and found.gain > 0:
         for effect in usable:
             if effect.spectral:
-                trials += _striped(frames, design, fitted.model, effect, found)
+                trials += _striped(frames, design, fitted.model.numbers, sites, effect, found)
     trials = [own for own in trials if own.promise >= criteria.GAIN.value]
     return Ranked(sorted(trials, key=lambda own: -own.promise), tied)
 
 
 def _striped(
-    frames: Sequence[Frame], design: Design, model: Model, effect: Effect, found: Stripes
+    frames: Sequence[Frame],
+    design: Design,
+    numbers: Numbers,
+    sites: Sequence[Site],
+    effect: Effect,
+    found: Stripes,
 ) -> Iterator[Candidate]:
     """Stripes in the forms in which they may lie, each with its waves in the frames' views."""
-    sites = np.unique(design.site)
-    centre = np.array([[own[design.site == s].mean() for own in (model.numbers.x, model.numbers.y)] for s in sites])
-    angle = np.deg2rad(found.direction)
-    turn = 2 * np.pi * (centre @ [np.cos(angle), np.sin(angle)]) / found.period
-    about = found.amplitude * np.exp(1j * turn)
+    with_waves = waved(frames, design, numbers, sites, found.period, found.direction)
+    centre = np.array(
+        [[own[design.site == s].mean() for own in (numbers.x, numbers.y)] for s in np.unique(design.site)]
+    )
     for own in phases(found, centre):
         if own.form in effect.forms:
-            waves = about[np.searchsorted(sites, design.site)]
-            views = [frame.view._replace(wave_cos=np.full((1, 1, 1), w.real), wave_sin=np.full((1, 1, 1), -w.imag))
-                     for frame, w in zip(frames, waves, strict=True)]  # fmt: skip
-            with_waves = tuple(frame._replace(view=view) for frame, view in zip(frames, views, strict=True))
             values = (own.depth, found.period, found.direction, own.phase)
             yield Candidate(Present(effect, own.form, values), found.gain * own.agrees**2, True, with_waves)
 

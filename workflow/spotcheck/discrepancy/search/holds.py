@@ -14,7 +14,7 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
 from spotcheck.discrepancy.evidence.pixels import Ready, by_cell, screen
-from spotcheck.discrepancy.nuisance.fit import Fitted, Free, nudged, values_of
+from spotcheck.discrepancy.nuisance.fit import Fitted, nudged
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
 from spotcheck.model.effect import Context, Present
@@ -54,12 +54,15 @@ def pattern_of(
 def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int, gain: float) -> Holding:
     """Test the effect of a number in a fitted model; `groups` [frame] parts frames, by exposure or by site. `gain` is
     what −2 ln L loses without it."""
-    strength = next(own for own in fitted.free if own.effect == effect and own.parameter == 0)
-    at = fitted.free.index(strength)
-    others = tuple(own for own in fitted.free if own is not strength)
-    beside = _without(fitted, at, others)
-    value = values_of(fitted.model, [strength])[0]
-    moved, step = nudged(fitted.model, strength)
+    strength = next((own for own in fitted.free if own.effect == effect and own.parameter == 0), None)
+    every, value = fitted.model.present, fitted.model.present[effect].values[0]
+    if strength is None:
+        # What no strength moves is moved by all of the effect.
+        beside, step = fitted, value
+        moved = fitted.model._replace(present=every[:effect] + every[effect + 1 :])
+    else:
+        beside = _without(fitted, fitted.free.index(strength))
+        moved, step = nudged(fitted.model, strength)
     (own,) = screen(frames, beside, [moved])
     score, information = by_cell(frames, beside, moved, own)
     parts, group = np.unique(groups, return_inverse=True)
@@ -75,8 +78,9 @@ def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effe
     return Holding(q, int(told.sum()), float(min(gain, wald)), float(error))
 
 
-def _without(fitted: Fitted, at: int, others: tuple[Free, ...]) -> Fitted:
+def _without(fitted: Fitted, at: int) -> Fitted:
     """The same fit, with the parameter at a place held: its rows and columns leave the dense part."""
+    others = fitted.free[:at] + fitted.free[at + 1 :]
     left, absorbed = fitted.schur.left, fitted.schur.absorbed
     place = left.shape[0] - len(fitted.free) + at
     keep = np.delete(np.arange(left.shape[0]), place)

@@ -1,12 +1,13 @@
 """The search among laws of exposure, angle and order, and scatter from frame to frame: on the frames' numbers."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.influence import influence_of, numbers_of
-from spotcheck.discrepancy.evidence.laws import Trial, laws_of
+from spotcheck.discrepancy.evidence.laws import Laws, Trial, laws_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
@@ -14,6 +15,13 @@ from spotcheck.discrepancy.search.forward import Found
 from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Context, Effect, Present
+
+
+class Lawful(NamedTuple):
+    """Effects that were found on the frames' numbers, and what these say beside them."""
+
+    found: tuple[Found, ...]
+    told: Laws
 
 
 def search_laws(
@@ -24,12 +32,12 @@ def search_laws(
     crop_px: float,
     effects: Sequence[Effect],
     context: Context,
-) -> list[Found]:
+) -> Lawful:
     """Effects that act on brightness, width and place of whole frames, from a fit in which these are free; `baseline`
     has the laws that are declared."""
     numbers = numbers_of(fitted, influence_of(frames, fitted))
     found: list[Found] = []
-    while len(found) < criteria.MOST.value:
+    while True:
         present = tuple(own.own for own in found)
         told = laws_of(numbers, design, baseline, fitted.model.sensor, crop_px, present, effects)
         of_centre = [
@@ -38,14 +46,13 @@ def search_laws(
             if not any(s.effect.name == own.present.effect.name for own in told.trials)
         ]
         trials = [own for own in (*told.trials, *of_centre) if _counts(own, context)]
-        if not trials:
-            break
+        if not trials or len(found) == criteria.MOST.value:
+            return Lawful(tuple(found), told)
         best = min(trials, key=lambda own: (np.isnan(own.alone), own.alone, -own.gain))
         near = {own.present.effect.name: float(own.alone - best.alone) for own in trials
                 if own is not best and own.alone - best.alone < criteria.RIVAL.value}  # fmt: skip
         holding = Holding(0.0, 1, float(best.z**2), best.error)
         found.append(Found(best.present, float(best.gain), holding, near))
-    return found
 
 
 def _counts(own: Trial, context: Context) -> bool:

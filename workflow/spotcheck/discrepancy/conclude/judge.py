@@ -1,0 +1,105 @@
+"""The whole way of a set of spot frames: from shots to all that is concluded."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from spotcheck.discrepancy.conclude.detect import detect
+from spotcheck.discrepancy.conclude.judgement import Judgement, Shift, Where
+from spotcheck.discrepancy.conclude.light import light_of
+from spotcheck.discrepancy.conclude.limits import limits_of
+from spotcheck.discrepancy.conclude.unexplained import unexplained
+from spotcheck.discrepancy.conclude.unseen import Unseen, unseen
+from spotcheck.discrepancy.evidence.influence import numbers_of
+from spotcheck.discrepancy.evidence.laws import Laws, laws_of
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit
+from spotcheck.discrepancy.observe.design import missing
+from spotcheck.discrepancy.observe.frames import Observed, Setting, observed
+from spotcheck.discrepancy.observe.pixels import Model
+from spotcheck.discrepancy.observe.shots import Shot, parted
+from spotcheck.discrepancy.search.forward import Outcome
+from spotcheck.discrepancy.search.laws import search_laws
+from spotcheck.discrepancy.search.light import PENALTY, find
+from spotcheck.model.effect import NEEDS, Effect, Place
+
+NOTHING = Shift(None, None, None)
+
+
+def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) -> Judgement:
+    """Everything that is concluded of some frames; those that are kept unseen are opened last."""
+    if not shots:
+        return _untested("there is no usable spot frame")
+    own, out = parted(shots)
+    seen = observed([shots[k] for k in own], setting)
+    if isinstance(seen, str):
+        return _untested(seen)
+    lawful = setting.baseline.photon_budget != "free"
+    why = {e.name: missing(e, seen.design, law=lawful) for e in effects if e.place is not Place.SHAPE}
+    usable = [e for e in effects if why.get(e.name) == ""]
+    frames, design, context = seen.frames, seen.design, seen.context
+    model = Model(setting.baseline, setting.sensor, (), seen.numbers)
+    declared = fit(frames, model, PENALTY)
+    outcome, _ = find(frames, design, model, usable, context)
+    laws = search_laws(outcome.frames, design, outcome.after, setting.baseline, context.crop_px, usable, context)
+    compared = _compared([shots[k] for k in out], seen, setting, declared.model, outcome)
+    every = {own.own.effect.name: own for own in (*outcome.found, *laws.found)}
+    beyond = tuple(name for name, gain in compared.gains.items() if name in every and gain <= 0)
+    detection = detect(frames, model, design)
+    return Judgement(
+        why_not="",
+        detection=detection,
+        found=tuple(sorted(every.values(), key=lambda one: -compared.gap.by_effect.get(one.own.effect.name, 0.0))),
+        beyond=beyond,
+        light=light_of(outcome.after) if outcome.after.model.baseline.learned is not None else None,
+        sheet=(),
+        unexplained=unexplained(outcome.frames, outcome.after, design),
+        gap=compared.gap,
+        shift=_shift(declared, laws.told, seen, setting) if lawful else NOTHING,
+        limits=limits_of(outcome, laws.told, design, usable, context),
+        where=tuple(Where(f"{part.name}: {part.where}", part.statistic) for part in detection.parts[:3]),
+        errors=errors_of(outcome.after),
+        not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
+        black_level_dn=setting.sensor.black_level_dn,
+    )
+
+
+def _untested(why: str) -> Judgement:
+    return Judgement(why, None, (), (), None, (), None, None, NOTHING, (), ())
+
+
+def _compared(out: Sequence[Shot], seen: Observed, setting: Setting, before: Model, outcome: Outcome) -> Unseen:
+    """The gap on frames that were kept unseen; where there are none, on those that were seen."""
+    kept = observed(out, setting) if out else ""
+    if isinstance(kept, str):
+        numbers = outcome.after.model.numbers
+        return unseen(outcome.frames, seen.design, numbers, before, outcome.after, "the frames themselves")
+    return unseen(kept.frames, kept.design, kept.numbers, before, outcome.after, "unseen repeats")
+
+
+def errors_of(fitted: Fitted) -> dict[str, tuple[float, ...]]:
+    """Standard errors of the parameters of a fit's effects, NaN where one is not fitted."""
+    errors = np.sqrt(np.diag(fitted.covariance)[len(fitted.schur.left) - len(fitted.free) :])
+    out = {own.effect.name: [np.nan] * len(own.values) for own in fitted.model.present}
+    for free, error in zip(fitted.free, errors, strict=True):
+        if free.effect >= 0:
+            out[fitted.model.present[free.effect].effect.name][free.parameter] = float(error)
+    return {name: tuple(own) for name, own in out.items()}
+
+
+def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting) -> Shift:
+    """p1 and p2 under the declared shape, and beside all that was found."""
+    numbers = numbers_of(declared)
+    before = laws_of(numbers, seen.design, setting.baseline, setting.sensor, seen.context.crop_px, effects=())
+    if before.base is None or after.base is None:
+        return NOTHING
+    first, last = before.base.law, after.base.law
+    slopes = after.base.slopes
+    covariance = np.linalg.pinv(slopes.T @ after.base.found.weights.inverse @ slopes)
+    # Parameters are p1 and the width at the reference exposure t: p2 is that less p1 ln t.
+    turn = np.zeros((2, len(covariance)))
+    held = after.base.mean.law_free
+    for row, (p1, width) in enumerate(((1.0, 0.0), (-np.log(seen.design.reference_s), 1.0))):
+        for column, place in enumerate(held):
+            turn[row, column] = (p1, width)[place]
+    errors = np.sqrt(np.diag(turn @ covariance @ turn.T))
+    return Shift((first.p1, first.p2), (last.p1, last.p2), (float(errors[0]), float(errors[1])))

@@ -1,0 +1,111 @@
+"""Frames that had no part in the search: how far they are from the model before and after, and who closes the gap.
+
+Each unseen frame has its own brightness, width and centre fitted under every model, as those that were seen had: what
+is compared is shape and effects. The likelihood of readings counts noise and scatter as well as means.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.discrepancy.conclude.judgement import Gap
+from spotcheck.discrepancy.evidence.stripes import waved
+from spotcheck.discrepancy.evidence.windows import windows_of
+from spotcheck.discrepancy.nuisance.fit import Fitted
+from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, deviance_of, told
+from spotcheck.model.effect import Present
+
+
+class Distance(NamedTuple):
+    """How far frames are from a model: −2 ln L but for constants, and mean squares of residuals in DN² and over the
+    noise of the declared model."""
+
+    deviance: float
+    square_dn: float
+    square: float
+
+
+class Unseen(NamedTuple):
+    """The gap, and by name what −2 ln L of unseen frames loses without each effect."""
+
+    gap: Gap
+    gains: dict[str, float]
+
+
+def unseen(frames: Sequence[Frame], design: Design, numbers: Numbers, before: Model, after: Fitted, on: str) -> Unseen:
+    """Compare the declared model `before` and the one that was found `after` on frames that start from `numbers`."""
+    final = after.model._replace(numbers=numbers)
+    frames = _with_waves(frames, design, final)
+    noise = _variances(frames, before._replace(numbers=numbers))
+    # Where the found model has more noise than the declared one, or less, so have its frames.
+    floor = sum(float(np.sum(one / two)) for one, two in zip(_variances(frames, final), noise, strict=True))
+    floor /= sum(one.size for one in noise)
+    end = distance(frames, final, noise)
+    start = distance(frames, before._replace(numbers=numbers), noise)
+    shaped = start
+    if final.baseline.learned is not None:
+        shaped = distance(frames, final._replace(present=()), noise)
+    excess = max(start.square - floor, 1e-12)
+    fewer = {own.effect.name: distance(frames, without(final, own), noise) for own in final.present}
+    parts = {name: (one.square - end.square) / excess for name, one in fewer.items()}
+    gap = Gap(
+        before=float(np.sqrt(start.square)),
+        after=float(np.sqrt(end.square)),
+        noise_floor=float(np.sqrt(floor)),
+        rms_dn_before=float(np.sqrt(start.square_dn)),
+        rms_dn_after=float(np.sqrt(end.square_dn)),
+        closed=float((start.square - end.square) / excess),
+        by_light=float((start.square - shaped.square) / excess),
+        by_effect=parts,
+        gain=start.deviance - end.deviance,
+        on=on,
+    )
+    return Unseen(gap, {name: one.deviance - end.deviance for name, one in fewer.items()})
+
+
+def without(model: Model, own: Present) -> Model:
+    """A model without one of its effects."""
+    return model._replace(present=tuple(other for other in model.present if other is not own))
+
+
+def distance(frames: Sequence[Frame], model: Model, noise: Sequence[np.ndarray]) -> Distance:
+    """How far frames are from a model, each with its own numbers; `noise` [frame][row, column] in DN²."""
+    model = fit_numbers(frames, model).model
+    ready = Expectation(frames, model)
+    deviance = square_dn = square = 0.0
+    count = 0
+    for k, frame in enumerate(frames):
+        seen = ready.of(frame, k)
+        known = np.isfinite(frame.pixels)
+        rest = (frame.pixels - seen.mean)[known]
+        deviance += deviance_of(frame, seen)
+        square_dn += float(rest @ rest)
+        square += float(rest @ (rest / noise[k][known]))
+        count += rest.size
+    return Distance(deviance, square_dn / max(count, 1), square / max(count, 1))
+
+
+def _variances(frames: Sequence[Frame], model: Model) -> list[np.ndarray]:
+    """Noise of every reading under a model [DN²], a random field's scatter in it."""
+    model = fit_numbers(frames, model).model
+    ready = Expectation(frames, model)
+    return [ready.of(frame, k).variance for k, frame in enumerate(frames)]
+
+
+def _with_waves(frames: Sequence[Frame], design: Design, model: Model) -> list[Frame]:
+    """Frames with the phases of stripes that are anew at each site: these are no part of the model."""
+    own = next((p for p in model.present if p.effect.spectral and p.form == "site"), None)
+    if own is None:
+        return list(frames)
+    named = own.named()
+    fitted = fit_numbers(frames, without(model, own)).model
+    ready, sites = Expectation(frames, fitted), []
+    for window, which in windows_of(frames, design):
+        for k in which:
+            seen = ready.of(frames[k], k)
+            window.add(frames[k], seen, told(frames[k], seen))
+        sites.append(window.site())
+    return list(waved(frames, design, fitted.numbers, sites, named["period"], named["direction"]))
