@@ -13,12 +13,13 @@ from spotcheck.discrepancy.evidence.parts import SMALLEST
 from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.discrepancy.search.holds import Holding
-from spotcheck.model.effect import COMPONENTS, Present
+from spotcheck.model.effect import COMPONENTS, Place, Present
+from spotcheck.model.effects import built_in
 from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 VERSION = 2
-# What a learned shape is called among effects.
-LIGHT = "beam_profile"
+# What a learned shape is called among effects, whatever a run's vocabulary is.
+LIGHT = next(effect.name for effect in built_in().values() if effect.place is Place.SHAPE)
 # Units of the sheet's numbers.
 SHEET_UNITS = {"gain_dn_per_e": "DN/e-", "read_noise_e": "e-", "black_level_dn": "DN"}
 NOT_FORETOLD = "found in the frames that were searched, but frames kept apart are not told better with it"

@@ -29,6 +29,8 @@ THIRD, SINGULAR = 10, 1e12
 LEAST_DN = 0.03
 # Fewest dark pixels; steps of the fit, the longest [DN, and 1 in ln noise], and the change in errors that ends it.
 FEWEST, STEPS, LONGEST, ENOUGH = 100, 80, 0.5, 1e-4
+# Fewest blocks that tell a level, and how well it is known at best where readings are rounded [DN].
+FEWEST_BLOCKS, ROUNDED_DN = 8, 0.02
 
 
 class Darkness(NamedTuple):
@@ -75,13 +77,37 @@ def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
         Histogram(level * step, offset, kept_counts(np.concatenate(parts))) for (level, offset), parts in dark.items()
     ]
     if sum(own.read.sum() for own in own_histograms) < FEWEST:
-        return None
+        return _around(frames, model, ready)
     found = fit_dark(own_histograms, gain, _dead(model.present))
     # Offsets of rows scatter dark pixels as read noise does.
     rows = sum(own.values[0] ** 2 for own in model.present if scatters(own.effect, "row")) / gain**2
     alone = np.sqrt(max(found.read_noise_e**2 - rows, (LEAST_DN / gain) ** 2))
     error = found.read_noise_stderr * found.read_noise_e / alone
     return found._replace(read_noise_e=float(alone), read_noise_stderr=float(error))
+
+
+def _around(frames: Sequence[Frame], model: Model, ready: Expectation) -> Darkness | None:
+    """The black level from means of blocks far from the spot, where the pixels do not reach so far; noise is not told.
+
+    # ASSUME: noise is not so fine that rounding moves a block's mean: at 0.3 DN it does by 0.05 DN at most.
+    """
+    levels = []
+    for k, frame in enumerate(frames):
+        if frame.around is None:
+            continue
+        own = ready.numbers_of(k)
+        distance = np.hypot(frame.around.x - own.x, frame.around.y - own.y).ravel() / np.exp(own.log_width.item())
+        electrons = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
+        offset = _offset(frame.view, model.present) + model.sensor.gain_dn_per_e * float(np.mean(electrons))
+        levels.append(frame.around.mean[distance > BEYOND] - offset)
+    blocks = np.concatenate(levels) if levels else np.zeros(0)
+    if blocks.size < FEWEST_BLOCKS:
+        return None
+    # A speck of light or a gradient in a few blocks is none of the level.
+    level = float(np.median(blocks))
+    spread = 1.4826 * float(np.median(np.abs(blocks - level)))
+    error = float(np.hypot(1.2533 * spread / np.sqrt(blocks.size), ROUNDED_DN))
+    return Darkness(level, error, model.sensor.read_noise_e, np.inf, 0.0, blocks.size)
 
 
 def _electrons(ready: Expectation, frame: Frame, k: int) -> np.ndarray:

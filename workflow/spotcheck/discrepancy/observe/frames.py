@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame, Numbers
+from spotcheck.discrepancy.observe.pixels import Around, Frame, Numbers
 from spotcheck.discrepancy.observe.shots import Shot, design_of
 from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.baseline import Baseline
@@ -61,11 +61,21 @@ def observed(shots: Sequence[Shot], setting: Setting) -> Observed | str:
             frame_x=(setting.columns - 1) / 2, frame_y=(setting.rows - 1) / 2, frame_rows=float(setting.rows),
             rows_each=1.0,
         )  # fmt: skip
-        frames.append(Frame(pixels, view))
+        frames.append(Frame(pixels, view, around(shot)))
     numbers = first_numbers(frames, design, setting)
     if isinstance(numbers, str):
         return numbers
     return Observed(frames, design, numbers, context_of(frames, design, numbers, setting))
+
+
+def around(shot: Shot) -> Around | None:
+    """Blocks of the whole frame of a shot."""
+    if shot.beside is None:
+        return None
+    blocks = shot.beside()
+    row, column = np.nonzero(np.isfinite(blocks.mean))
+    middle = (np.stack([column, row]) + 0.5) * blocks.side - 0.5
+    return Around(middle[0], middle[1], blocks.mean[row, column], blocks.side**2)
 
 
 def first_numbers(frames: Sequence[Frame], design: Design, setting: Setting) -> Numbers | str:

@@ -19,12 +19,23 @@ LIGHT = frozenset(Place) - {Place.CHARGE, Place.WELL, Place.NOISE, Place.RESPONS
 NUDGE = 1e-4
 
 
+class Around(NamedTuple):
+    """Means of square blocks of the whole frame [block]: places of their middles x, y [px of the sensor], mean reading
+    [DN], and how many pixels each has."""
+
+    x: np.ndarray
+    y: np.ndarray
+    mean: np.ndarray
+    pixels: int
+
+
 class Frame(NamedTuple):
     """One frame: its pixels [row, column] in DN, NaN where masked, and where they lie; the chain's view of it, with its
-    place and amplitudes left to the model."""
+    place and amplitudes left to the model; and what is around the pixels, where it is known."""
 
     pixels: np.ndarray
     view: View
+    around: Around | None = None
 
 
 class Numbers(NamedTuple):

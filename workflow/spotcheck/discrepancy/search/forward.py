@@ -165,9 +165,9 @@ def quiet(now: State, *, level: bool, anew: bool = False) -> tuple[State, bool]:
     """A state under the read noise of its dark pixels, and with `level` their black level, and whether these are told;
     `anew`: fitted again in any case."""
     dark, model = darkness(now.frames, now.fitted.model), now.fitted.model
-    sensor, told = model.sensor, False
-    if dark is not None and np.isfinite(dark.read_noise_stderr):
-        told = True
+    sensor, told = model.sensor, dark is not None and bool(np.isfinite(dark.black_level_stderr))
+    if dark is not None:
+        # An error that is infinite is of what is not told.
         if abs(dark.read_noise_e - sensor.read_noise_e) >= dark.read_noise_stderr:
             sensor, anew = sensor._replace(read_noise_e=dark.read_noise_e), True
         if level and abs(dark.black_level_dn - sensor.black_level_dn) >= dark.black_level_stderr:
