@@ -49,7 +49,10 @@ def find(
     beside = with_shape(state.frames, state.fitted.model, context)
     if grown.finished and asked(state, design, beside) <= 0:
         return outcome_of(grown, declared, design, effects, context, stated.read_noise_e), learned
-    state = without_tied(State(state.frames, beside), design, context)
+    # Of one frame a shape can be nearly all that the declared light asked for.
+    state = State(tuple(frames), learned)
+    if len(frames) > 1:
+        state = without_tied(State(grown.state.frames, beside), design, context)
     grown = grow(state, design, effects, context, stated.black_level_dn)
     return outcome_of(grown, learned, design, effects, context, stated.read_noise_e), learned
 
