@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 from spotcheck.discrepancy.evidence.pixels import by_cell, screen
-from spotcheck.discrepancy.search.candidates import with_effect
 from spotcheck.discrepancy.search.forward import State, grow, outcome_of
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
@@ -26,7 +25,7 @@ def test_scores_of_what_is_not_there_are_normal():
     for seed in range(12):
         frames, fit, _ = fitted(100 + seed, sites=2)
         others = [
-            with_effect(fit.model, Present(vocabulary()[name], vocabulary()[name].forms[0], values))
+            fit.model.with_effect(Present(vocabulary()[name], vocabulary()[name].forms[0], values))
             for name, values in TRIED.items()
         ]
         scores = screen(frames, fit, others, workers=1)

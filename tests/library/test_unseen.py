@@ -5,7 +5,6 @@ import pytest
 
 from spotcheck.discrepancy.conclude.unseen import unseen
 from spotcheck.discrepancy.nuisance.fit import fit, free_of
-from spotcheck.discrepancy.search.candidates import with_effect
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
 from tests.library.small_light import CONTEXT, PENALTY, designed, drawn, fitted, started
@@ -14,7 +13,7 @@ from tests.library.small_light import CONTEXT, PENALTY, designed, drawn, fitted,
 def found(seed: int, own: Present, **kinds):
     """A fit with a learned shape and an effect, of one set of frames; frames of another with start and design."""
     frames, before, _ = fitted(seed, **kinds)
-    model = with_effect(before.model, own)
+    model = before.model.with_effect(own)
     after = fit(frames, model, PENALTY, free_of(model, CONTEXT), workers=1)
     images, known = drawn(seed + 1000, **kinds)
     others, start = started(images, known)
@@ -39,7 +38,7 @@ def test_what_is_not_there_foretells_nothing():
     """A pedestal of 0.3 DN in a model of frames that have none is worse on other frames."""
     own = Present(vocabulary()["dark_offset"], "light", (0.3,))
     _, before, _ = fitted(4)
-    after = before._replace(model=with_effect(before.model, own))
+    after = before._replace(model=before.model.with_effect(own))
     images, known = drawn(1004)
     others, start = started(images, known)
     declared = start._replace(baseline=start.baseline._replace(learned=None))

@@ -27,6 +27,6 @@ def test_the_declared_light_stands_where_effects_explain_the_frames(kinds, learn
     frames, model = started(images, known)
     model = model._replace(baseline=model.baseline._replace(learned=None))
     context = CONTEXT._replace(peak_dn=690.0 / 0.97)
-    outcome, _ = find(frames, designed(known), model, [vocabulary()[name] for name in KNOWN], context)
+    outcome = find(frames, designed(known), model, [vocabulary()[name] for name in KNOWN], context)
     assert (outcome.after.model.baseline.learned is not None) == learned
     assert [one.own.effect.name for one in outcome.found] == named

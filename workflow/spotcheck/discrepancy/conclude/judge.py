@@ -39,7 +39,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     frames, design, context = seen.frames, seen.design, seen.context
     model = Model(setting.baseline, setting.sensor, (), seen.numbers)
     declared = fit(frames, model, PENALTY)
-    outcome, _ = find(frames, design, model, usable, context)
+    outcome = find(frames, design, model, usable, context)
     laws = search_laws(outcome.frames, design, outcome.after, setting.baseline, context.crop_px, usable, context)
     compared = _compared([shots[k] for k in out], seen, setting, declared.model, outcome)
     every = {own.own.effect.name: own for own in (*outcome.found, *laws.found)}

@@ -22,15 +22,10 @@ def limits_of(
     light's shape. Effects of pixels are told to first order, by some of the frames; of levels nothing is said."""
     found = {own.own.effect.name for own in outcome.found}
     tied = {own.effect.name for own in outcome.tied} - found
-    out = {
-        own.effect.name: Limit(own.effect.name, *_strength(own.effect), None, own.effect.parameters[0].unit,
-                               TIED_WITH_SHAPE)
-        for own in outcome.tied
-        if own.effect.name in tied
-    }  # fmt: skip
+    out = {own.effect.name: _limit(own.effect, None) for own in outcome.tied if own.effect.name in tied}
     usable = [e for e in effects if np.isfinite(e.neutral) and e.name not in found | tied]
-    for name, value in _of_pixels(outcome, design, usable, context).items():
-        out[name] = _limit(next(e for e in effects if e.name == name), value)
+    far = _of_pixels(outcome, design, usable, context)
+    out |= {effect.name: _limit(effect, far[effect.name]) for effect in usable if effect.name in far}
     for trial in laws.trials:
         effect = trial.present.effect
         if np.isfinite(effect.neutral):
@@ -38,13 +33,11 @@ def limits_of(
     return tuple(out.values())
 
 
-def _strength(effect: Effect) -> tuple[str]:
-    return (effect.parameters[0].name,)
-
-
-def _limit(effect: Effect, distance: float) -> Limit:
-    """A limit at so far from where an effect vanishes."""
+def _limit(effect: Effect, distance: float | None) -> Limit:
+    """A limit at so far from where an effect vanishes; None: tied with the light's shape."""
     own = effect.parameters[0]
+    if distance is None:
+        return Limit(effect.name, own.name, None, own.unit, TIED_WITH_SHAPE)
     return Limit(effect.name, own.name, float(effect.neutral + distance), own.unit, "not found")
 
 

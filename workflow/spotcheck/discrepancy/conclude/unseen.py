@@ -13,10 +13,9 @@ from spotcheck.discrepancy.conclude.judgement import Gap
 from spotcheck.discrepancy.evidence.stripes import waved
 from spotcheck.discrepancy.evidence.windows import windows_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
-from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.nuisance.numbers import expected_of, fit_numbers
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, deviance_of, told
-from spotcheck.model.effect import Present
+from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, deviance_of, told
 
 
 class Distance(NamedTuple):
@@ -39,17 +38,20 @@ def unseen(frames: Sequence[Frame], design: Design, numbers: Numbers, before: Mo
     """Compare the declared model `before` and the one that was found `after` on frames that start from `numbers`."""
     final = after.model._replace(numbers=numbers)
     frames = _with_waves(frames, design, final)
-    noise = _variances(frames, before._replace(numbers=numbers))
+    first, last = (expected_of(frames, model) for model in (before._replace(numbers=numbers), final))
+    noise = [seen.variance for seen in first]
     # Where the found model has more noise than the declared one, or less, so have its frames.
-    floor = sum(float(np.sum(one / two)) for one, two in zip(_variances(frames, final), noise, strict=True))
-    floor /= sum(one.size for one in noise)
-    end = distance(frames, final, noise)
-    start = distance(frames, before._replace(numbers=numbers), noise)
+    floor = sum(float(np.sum(seen.variance / own)) for seen, own in zip(last, noise, strict=True))
+    floor /= sum(own.size for own in noise)
+    start, end = distance(frames, first, noise), distance(frames, last, noise)
     shaped = start
     if final.baseline.learned is not None:
-        shaped = distance(frames, final._replace(present=()), noise)
+        shaped = distance(frames, expected_of(frames, final._replace(present=())), noise)
     excess = max(start.square - floor, 1e-12)
-    fewer = {own.effect.name: distance(frames, without(final, own), noise) for own in final.present}
+    fewer = {
+        own.effect.name: distance(frames, expected_of(frames, final.without(k)), noise)
+        for k, own in enumerate(final.present)
+    }
     parts = {name: (one.square - end.square) / excess for name, one in fewer.items()}
     gap = Gap(
         before=float(np.sqrt(start.square)),
@@ -66,42 +68,27 @@ def unseen(frames: Sequence[Frame], design: Design, numbers: Numbers, before: Mo
     return Unseen(gap, {name: one.deviance - end.deviance for name, one in fewer.items()})
 
 
-def without(model: Model, own: Present) -> Model:
-    """A model without one of its effects."""
-    return model._replace(present=tuple(other for other in model.present if other is not own))
-
-
-def distance(frames: Sequence[Frame], model: Model, noise: Sequence[np.ndarray]) -> Distance:
-    """How far frames are from a model, each with its own numbers; `noise` [frame][row, column] in DN²."""
-    model = fit_numbers(frames, model).model
-    ready = Expectation(frames, model)
+def distance(frames: Sequence[Frame], expected: Sequence[Expected], noise: Sequence[np.ndarray]) -> Distance:
+    """How far frames are from what they should read; `noise` [frame][row, column] in DN²."""
     deviance = square_dn = square = 0.0
     count = 0
-    for k, frame in enumerate(frames):
-        seen = ready.of(frame, k)
+    for frame, seen, own in zip(frames, expected, noise, strict=True):
         known = np.isfinite(frame.pixels)
         rest = (frame.pixels - seen.mean)[known]
         deviance += deviance_of(frame, seen)
         square_dn += float(rest @ rest)
-        square += float(rest @ (rest / noise[k][known]))
+        square += float(rest @ (rest / own[known]))
         count += rest.size
     return Distance(deviance, square_dn / max(count, 1), square / max(count, 1))
 
 
-def _variances(frames: Sequence[Frame], model: Model) -> list[np.ndarray]:
-    """Noise of every reading under a model [DN²], a random field's scatter in it."""
-    model = fit_numbers(frames, model).model
-    ready = Expectation(frames, model)
-    return [ready.of(frame, k).variance for k, frame in enumerate(frames)]
-
-
 def _with_waves(frames: Sequence[Frame], design: Design, model: Model) -> list[Frame]:
     """Frames with the phases of stripes that are anew at each site: these are no part of the model."""
-    own = next((p for p in model.present if p.effect.spectral and p.form == "site"), None)
-    if own is None:
+    place = next((k for k, p in enumerate(model.present) if p.effect.spectral and p.form == "site"), None)
+    if place is None:
         return list(frames)
-    named = own.named()
-    fitted = fit_numbers(frames, without(model, own)).model
+    named = model.present[place].named()
+    fitted = fit_numbers(frames, model.without(place)).model
     ready, sites = Expectation(frames, fitted), []
     for window, which in windows_of(frames, design):
         for k in which:

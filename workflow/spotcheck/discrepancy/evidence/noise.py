@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize
 
 from spotcheck.discrepancy.nuisance.darkness import darkness
-from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
+from spotcheck.discrepancy.observe.pixels import Frame, Model
 from spotcheck.model.chain import View
 from spotcheck.model.effect import Context, Effect, Place, Present
 
@@ -55,7 +55,7 @@ def noises_of(
     told = []
     for group in np.unique(groups):
         which = np.flatnonzero(groups == group)
-        part = darkness([frames[int(k)] for k in which], _of(model, which))
+        part = darkness([frames[int(k)] for k in which], model.take(which))
         if part is not None and np.isfinite(part.read_noise_stderr):
             told.append((part.read_noise_e, part.read_noise_stderr**-2))
     value, weight = np.array(told).reshape(-1, 2).T
@@ -70,11 +70,6 @@ def noises_of(
             own = Present(effect, effect.forms[0], (strength,))
             out.append(Noisy(own, abs(more - strength), gain, q, len(told)))
     return out
-
-
-def _of(model: Model, which: np.ndarray) -> Model:
-    """A model of some of its frames."""
-    return model._replace(numbers=Numbers(*(own[which] for own in model.numbers)))
 
 
 def levels_of(effects: Sequence[Effect], shift_dn: float, view: View, context: Context) -> list[Present]:

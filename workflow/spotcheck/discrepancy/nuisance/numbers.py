@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers
+from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers
 
 # Steps at most, and the squared length of a step in its own errors that ends a frame's fit.
 STEPS, ENOUGH = 12, 1e-6
@@ -51,3 +51,10 @@ def fit_numbers(frames: Sequence[Frame], model: Model) -> Numbered:
             if length < ENOUGH:
                 break
     return Numbered(model._replace(numbers=numbers), information)
+
+
+def expected_of(frames: Sequence[Frame], model: Model) -> list[Expected]:
+    """What frames should read under a model, each with its own numbers fitted."""
+    model = fit_numbers(frames, model).model
+    ready = Expectation(frames, model)
+    return [ready.of(frame, k) for k, frame in enumerate(frames)]

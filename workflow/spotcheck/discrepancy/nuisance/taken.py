@@ -62,11 +62,15 @@ def variance_of(schur: Schur, step: float, side: int) -> OverCells | None:
     return OverCells(step, square.reshape(cells, BETWEEN, cells, BETWEEN).mean(axis=(1, 3)))
 
 
-def lacking(variance: OverCells | None, peak: float, seen: Expected, tells: Told) -> np.ndarray:
-    """½ h / V [row, column] of a frame, which the score of its variance lacks: likelihood takes what the shape took for
-    less noise, restricted likelihood (REML, Patterson & Thompson 1971) gives it back."""
+def leverage(variance: OverCells | None, peak: float, seen: Expected, tells: Told) -> np.ndarray:
+    """h [row, column] of a frame: the part of its noise that the shape takes."""
     if variance is None:
         return np.zeros_like(tells.sure)
     # Where a cell of the surface lies half beyond the pixels, its mean is not that of the pixels: h is 1 at most.
-    h = variance(seen.u, seen.v) * (peak * seen.factor * tells.slope) ** 2 * tells.sure
-    return np.minimum(h, 1.0) * tells.sure / 2
+    return np.minimum(variance(seen.u, seen.v) * (peak * seen.factor * tells.slope) ** 2 * tells.sure, 1.0)
+
+
+def lacking(variance: OverCells | None, peak: float, seen: Expected, tells: Told) -> np.ndarray:
+    """½ h / V [row, column] of a frame, which the score of its variance lacks: likelihood takes what the shape took for
+    less noise, restricted likelihood (REML, Patterson & Thompson 1971) gives it back."""
+    return leverage(variance, peak, seen, tells) * tells.sure / 2

@@ -55,6 +55,18 @@ class Model(NamedTuple):
     present: tuple[Present, ...]
     numbers: Numbers
 
+    def with_effect(self, own: Present) -> "Model":
+        """The model with an effect more, behind the others."""
+        return self._replace(present=(*self.present, own))
+
+    def without(self, k: int) -> "Model":
+        """The model without the effect of a number."""
+        return self._replace(present=self.present[:k] + self.present[k + 1 :])
+
+    def take(self, frames: np.ndarray) -> "Model":
+        """The model of some of its frames."""
+        return self._replace(numbers=Numbers(*(own[frames] for own in self.numbers)))
+
 
 class Expected(NamedTuple):
     """Of every pixel [row, column]: mean [DN] and variance [DN²], and the slopes of both by the light [1, DN]; light of

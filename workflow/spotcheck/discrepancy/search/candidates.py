@@ -12,13 +12,15 @@ from spotcheck.discrepancy.evidence.stripes import Stripes, phases, stripes_of, 
 from spotcheck.discrepancy.evidence.windows import Site
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
+from spotcheck.discrepancy.observe.pixels import Frame, Numbers
 from spotcheck.model.effect import Context, Effect, Place, Present
 
 # Places whose effects change single pixels' readings; others change frames' numbers, or scatter.
 OF_PIXELS = frozenset(Place) - {Place.EXPOSURE, Place.WIDTH, Place.BRIGHTNESS, Place.NOISE, Place.SCATTER}
 # Frames on which starts and forms are compared, and how many effects are then looked at on all frames.
 SOME, LOOKED_AT = 12, 8
+# A first-order size of less than this part of what matters is not worth a fit: it is off by half at most.
+WORTH = 0.5
 
 
 class Candidate(NamedTuple):
@@ -115,7 +117,7 @@ def likeliest(
     out = []
     for own, score in zip(looked, scores(frames, fitted, looked), strict=True):
         asked = asked_for(own, score, context)
-        if not np.isfinite(own.effect.neutral) or asked.effect.excess(asked.values[0], context) >= 0.5:
+        if not np.isfinite(own.effect.neutral) or asked.effect.excess(asked.values[0], context) >= WORTH:
             out.append(Candidate(asked, promised(own, score)))
     return out, tied
 
@@ -151,7 +153,7 @@ def asked_for(own: Present, score: Score, context: Context) -> Present:
 def some_of(design: Design) -> np.ndarray:
     """A few frames: of each condition one, in turn of each site."""
     order = np.lexsort((np.arange(len(design.site)), _nth(design.condition)))
-    return np.sort(order[: max(SOME, 1)])
+    return np.sort(order[:SOME])
 
 
 def _nth(labels: np.ndarray) -> np.ndarray:
@@ -164,15 +166,9 @@ def _nth(labels: np.ndarray) -> np.ndarray:
 
 def at_frames(frames: Sequence[Frame], fitted: Fitted, which: np.ndarray) -> Fitted:
     """A fit as it stands, on some of its frames alone."""
-    numbers = Numbers(*(own[which] for own in fitted.model.numbers))
-    return fit([frames[k] for k in which], fitted.model._replace(numbers=numbers), fitted.penalty, fitted.free, steps=0)
+    return fit([frames[k] for k in which], fitted.model.take(which), fitted.penalty, fitted.free, steps=0)
 
 
 def scores(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) -> list[Score]:
     """Scores of effects added to a model."""
-    return screen(frames, fitted, [with_effect(fitted.model, own) for own in trials]) if trials else []
-
-
-def with_effect(model: Model, own: Present) -> Model:
-    """A model with an effect more."""
-    return model._replace(present=(*model.present, own))
+    return screen(frames, fitted, [fitted.model.with_effect(own) for own in trials]) if trials else []

@@ -11,7 +11,7 @@ from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
-from spotcheck.discrepancy.search.candidates import Candidate, Tied, ranked, with_effect
+from spotcheck.discrepancy.search.candidates import Candidate, Tied, ranked
 from spotcheck.discrepancy.search.holds import Holding, holding_of, pattern_of
 from spotcheck.model.effect import Context, Effect, Place, Present
 
@@ -73,10 +73,10 @@ def grow(
     rivals, tied = dict[str, dict[str, float]](), list[Tied]()
     now, told = quiet(start, level=True)
     usable = [e for e in effects if not (told and any(moves_level(e, form) for form in e.forms))]
-    for first in range(int(criteria.MOST.value)):
+    for step in range(int(criteria.MOST.value)):
         wanted = least(now)
         found = ranked(now.frames, design, now.fitted, usable, context)
-        tied = tied if first else found.tied
+        tied = tied if step else found.tied
         best = _best(now, [own for own in found.candidates if own.promise >= wanted], context)
         if best is None:
             return Grown(levelled(now, black_dn, effects, context), rivals, tied, wanted <= criteria.GAIN.value)
@@ -89,9 +89,10 @@ def grow(
 def levelled(now: State, stated_dn: float, effects: Sequence[Effect], context: Context) -> State:
     """A state in which the black level is the stated one again, and what moves it an effect, where it is more than
     nothing."""
-    dark, sensor = darkness(now.frames, now.fitted.model), now.fitted.model.sensor
+    sensor = now.fitted.model.sensor
     shift = sensor.black_level_dn - stated_dn
-    if dark is None or shift == 0:
+    dark = darkness(now.frames, now.fitted.model) if shift else None
+    if dark is None:
         return now
     model = now.fitted.model._replace(sensor=sensor._replace(black_level_dn=stated_dn))
     tried = [now._replace(fitted=fit(now.frames, model, now.fitted.penalty, now.fitted.free))]
@@ -100,7 +101,7 @@ def levelled(now: State, stated_dn: float, effects: Sequence[Effect], context: C
     if (shift / dark.black_level_stderr) ** 2 >= criteria.GAIN.value:
         for own in levels_of(usable, shift, now.frames[0].view, context):
             if own.effect.excess(own.values[0], context) >= 1:
-                other = with_effect(model, own)
+                other = model.with_effect(own)
                 fitted = fit(now.frames, other, now.fitted.penalty, free_of(other, context), steps=MOST_STEPS)
                 tried.append(quiet(now._replace(fitted=fitted), level=False)[0])
     return min(tried, key=lambda own: own.fitted.total)
@@ -150,14 +151,13 @@ def _best(now: State, candidates: Sequence[Candidate], context: Context) -> tupl
 def added(now: State, own: Candidate, context: Context) -> State:
     """A state with an effect more, fitted from where its score points."""
     frames = own.frames or now.frames
-    model = with_effect(now.fitted.model, own.own)
+    model = now.fitted.model.with_effect(own.own)
     return State(frames, fit(frames, model, now.fitted.penalty, free_of(model, context), near=now.fitted))
 
 
 def without(now: State, k: int, context: Context) -> State:
     """A state without the effect of a number, fitted again."""
-    present = now.fitted.model.present
-    model = now.fitted.model._replace(present=present[:k] + present[k + 1 :])
+    model = now.fitted.model.without(k)
     return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free_of(model, context), steps=MOST_STEPS))
 
 

@@ -55,11 +55,10 @@ def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effe
     """Test the effect of a number in a fitted model; `groups` [frame] parts frames, by exposure or by site. `gain` is
     what −2 ln L loses without it."""
     strength = next((own for own in fitted.free if own.effect == effect and own.parameter == 0), None)
-    every, value = fitted.model.present, fitted.model.present[effect].values[0]
+    value = fitted.model.present[effect].values[0]
     if strength is None:
         # What no strength moves is moved by all of the effect.
-        beside, step = fitted, value
-        moved = fitted.model._replace(present=every[:effect] + every[effect + 1 :])
+        beside, moved, step = fitted, fitted.model.without(effect), value
     else:
         beside = _without(fitted, fitted.free.index(strength))
         moved, step = nudged(fitted.model, strength)

@@ -10,9 +10,10 @@ import numpy as np
 
 from spotcheck.discrepancy.evidence.pixels import Ready
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, shared
-from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.nuisance.numbers import expected_of
+from spotcheck.discrepancy.nuisance.taken import leverage
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, deviance_of
+from spotcheck.discrepancy.observe.pixels import Frame, Model, deviance_of
 from spotcheck.discrepancy.search.candidates import at_frames, some_of, tied_of
 from spotcheck.discrepancy.search.forward import MOST_STEPS, Outcome, State, grow, outcome_of, quiet
 from spotcheck.model import light_shape
@@ -29,11 +30,8 @@ ASKED = 5.0
 PART = 0.5
 
 
-def find(
-    frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context
-) -> tuple[Outcome, Fitted]:
-    """The search under the light that is right, from a model that declares its shape; and the fit beside a learned
-    shape without any effect."""
+def find(frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context) -> Outcome:
+    """The search under the light that is right, from a model that declares its shape."""
     learned = quiet(State(tuple(frames), with_shape(frames, model)), level=True)[0].fitted
     declared = fit(frames, model._replace(sensor=learned.model.sensor), PENALTY)
 
@@ -48,13 +46,13 @@ def find(
     state = grown.state
     beside = with_shape(state.frames, state.fitted.model, context)
     if grown.finished and asked(state, design, beside) <= 0:
-        return outcome_of(grown, declared, design, effects, context, stated.read_noise_e), learned
+        return outcome_of(grown, declared, design, effects, context, stated.read_noise_e)
     # Of one frame a shape can be nearly all that the declared light asked for.
     state = State(tuple(frames), learned)
     if len(frames) > 1:
         state = without_tied(State(grown.state.frames, beside), design, context)
     grown = grow(state, design, effects, context, stated.black_level_dn)
-    return outcome_of(grown, learned, design, effects, context, stated.read_noise_e), learned
+    return outcome_of(grown, learned, design, effects, context, stated.read_noise_e)
 
 
 def without_tied(now: State, design: Design, context: Context) -> State:
@@ -94,20 +92,16 @@ def foretold(declared: State, design: Design) -> float:
     """What −2 ln L of every other site gains by a shape that is learned from the rest."""
     model = declared.fitted.model
     own = np.isin(design.site, np.unique(design.site)[::2])
-    told, others = (
-        ([declared.frames[k] for k in which], model._replace(numbers=Numbers(*(n[which] for n in model.numbers))))
-        for which in (np.flatnonzero(own), np.flatnonzero(~own))
-    )
-    learned = with_shape(*told).model.baseline.learned
-    shaped = others[1]._replace(baseline=model.baseline._replace(learned=learned))
-    return deviance(*others) - deviance(others[0], shaped)
+    told, others = np.flatnonzero(own), np.flatnonzero(~own)
+    learned = with_shape([declared.frames[k] for k in told], model.take(told)).model.baseline.learned
+    frames, plain = [declared.frames[k] for k in others], model.take(others)
+    shaped = plain._replace(baseline=model.baseline._replace(learned=learned))
+    return deviance(frames, plain) - deviance(frames, shaped)
 
 
 def deviance(frames: Sequence[Frame], model: Model) -> float:
     """−2 ln L of frames but for constants, each with its own numbers under a shape that stands."""
-    model = fit_numbers(frames, model).model
-    ready = Expectation(frames, model)
-    return sum(deviance_of(frame, ready.of(frame, k)) for k, frame in enumerate(frames))
+    return sum(deviance_of(frame, seen) for frame, seen in zip(frames, expected_of(frames, model), strict=True))
 
 
 def freedom_of(frames: Sequence[Frame], fitted: Fitted) -> float:
@@ -118,9 +112,7 @@ def freedom_of(frames: Sequence[Frame], fitted: Fitted) -> float:
         total = 0.0
         for k in which:
             seen, tells = ready.of(frames[k], k)
-            assert ready.variance is not None
-            light = ready.peaks[k] * seen.factor * seen.slope
-            total += float(np.sum(light**2 * tells.sure * ready.variance(seen.u[None], seen.v[None])[0]))
+            total += float(leverage(ready.variance, float(ready.peaks[k]), seen, tells).sum())
         return [np.array(total)]
 
     return float(shared(part, len(frames), 2)[0])
