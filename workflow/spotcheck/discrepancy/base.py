@@ -9,16 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy.observe.frames import WIDEST, round_spot
 from spotcheck.discrepancy.shots import Design, Shot
-from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law
 from spotcheck.model.sensor import SensorModel
-
-# A spot wider than this part of its crop cannot be told from a background.
-WIDEST = 0.7
-# From this part of readings at full scale on it is the clip that keeps a likelihood from its root.
-CLIPPED = 0.01
 
 
 class Base(NamedTuple):
@@ -42,19 +37,9 @@ class Base(NamedTuple):
 
 
 def spots_of(shots: Sequence[Shot], sensor: SensorModel, top_hat: bool) -> np.ndarray:
-    """A round spot for every frame, each fitted alone [frame, (peak, x0, y0, σ, trusted)].
-
-    By the sensor's law, or by least squares where that has no root though hardly a reading is at full scale: noise may
-    be far above the data sheet's.
-    """
-    out = []
-    for shot in shots:
-        image = shot.pixels()[None]
-        ways = ("likelihood", "equal") if np.mean(image >= sensor.full_scale_dn) < CLIPPED else ("likelihood",)
-        fits = (fit_spots(image, sensor, weighting=way, top_hat=top_hat, circular=True) for way in ways)
-        fit = next((fit for fit in fits if fit.flags[0] == 0), None)
-        out.append([np.nan] * 4 + [0.0] if fit is None else [*fit.value[0, :4], 1.0])
-    return np.array(out)
+    """A round spot for every frame, each fitted alone [frame, (peak, x0, y0, σ, trusted)]."""
+    out = [round_spot(shot.pixels(), sensor, top_hat) for shot in shots]
+    return np.array([[*own, float(np.isfinite(own).all())] for own in out])
 
 
 def base_of(spots: np.ndarray, corners: np.ndarray, design: Design, baseline: Baseline, crop_px: int) -> Base | None:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.advise import Advice, advise
-from spotcheck.discrepancy.base import WIDEST, Base, base_of, spots_of
+from spotcheck.discrepancy.base import Base, base_of, spots_of
 from spotcheck.discrepancy.calibration import Kind
 from spotcheck.discrepancy.cells import Setting
 from spotcheck.discrepancy.detect import Null
@@ -15,6 +15,7 @@ from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
 from spotcheck.discrepancy.freed_named import gap_of_freed
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.noise import hot_pixels
+from spotcheck.discrepancy.observe.frames import WIDEST
 from spotcheck.discrepancy.saved import recalled, saved_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out, together
 from spotcheck.discrepancy.stripes import beside_places, depth_error

@@ -41,9 +41,9 @@ class Shot(NamedTuple):
 
 def design_of(shots: Sequence[Shot]) -> Design:
     """The design that a list of frames spans."""
-    keys = [(_or_nan(s.angle_deg), *map(_or_nan, s.conditions), _or_nan(s.exposure_s)) for s in shots]
-    condition = _numbered(keys)
-    site = _numbered([(key[:-1], s.repeat) for key, s in zip(keys, shots, strict=True)])
+    keys = [(or_nan(s.angle_deg), *map(or_nan, s.conditions), or_nan(s.exposure_s)) for s in shots]
+    _, condition = keys_and_numbers(keys)
+    _, site = keys_and_numbers([(key[:-1], s.repeat) for key, s in zip(keys, shots, strict=True)])
     known = [s.order for s in shots if s.order is not None]
     span = max(known) - min(known) if len(known) == len(shots) and len(known) > 1 else 0
     # A span says that the order of all is known.
@@ -60,16 +60,17 @@ def held_out(repeat: np.ndarray) -> np.ndarray:
     return np.isin(repeat, values[2::3])
 
 
-def _or_nan(value: float | None) -> float:
+def or_nan(value: float | None) -> float:
+    """A number, NaN where it is not known."""
     return np.nan if value is None else float(value) + 0.0  # no minus zero
 
 
-def _numbered(keys: list) -> np.ndarray:
-    """The number of each key among the distinct ones in ascending order; NaN equals NaN."""
+def keys_and_numbers(keys: list) -> tuple[list, np.ndarray]:
+    """Distinct keys in ascending order, and the number of each; NaN equals NaN."""
     texts = [repr(key) for key in keys]
     distinct = sorted(dict(zip(texts, keys, strict=True)).items(), key=lambda item: (_sortable(item[1]), item[0]))
     number = {text: k for k, (text, _) in enumerate(distinct)}
-    return np.array([number[text] for text in texts])
+    return [key for _, key in distinct], np.array([number[text] for text in texts])
 
 
 def _sortable(key) -> tuple:
