@@ -5,6 +5,7 @@ rule simulate_extended:
         instrument,
         sensor=rules.sensor.output,
         model=rules.judge.output.model,
+        light=rules.judge.output.light,
     output:
         images=f"{OUT}/extended.nc",
         contract=[f"{OUT}/extended/manifest.csv", f"{OUT}/extended/instrument.yaml"],

@@ -14,16 +14,13 @@ from spotcheck.dataset import Dataset, load
 from spotcheck.model.effects import Choice, choose, chosen
 
 # Subcommands that take a vocabulary.
-OF_THE_VERDICT = ("flats", "discrepancy", "verify", "advise", "verdict")
+OF_THE_VERDICT = ("flats", "judge")
 
 
 def judge_dataset(
     folder: str | Path,
     results: str | Path | None = None,
     *,
-    simulations: int = 1500,
-    seed: int = 20210,
-    workers: int = 1,
     effects: Sequence[str | Path] = (),
     only: Sequence[str] = (),
     without: Sequence[str] = (),
@@ -39,19 +36,15 @@ def judge_dataset(
     folder : dataset folder, with manifest.csv, instrument.yaml and frames.
     results : folder of results. All files go to a folder in it that is named like the dataset, among them verdict.json,
         model.yaml (which `simulate_dataset` takes) and discrepancy.nc. By default everything is temporary.
-    simulations : sets without any effect, from which p-values come. They are made once for a design, which takes some
-        minutes, and kept in `results`/_calibration; without `results` they are made at every call.
-    seed : seed of these sets.
-    workers : processes that make them.
     effects : Python files that each add an effect to the vocabulary, as docs/effects.md tells.
     only, without : the only effects to know, or effects to leave out, by name.
 
     Returns
     -------
     dict
-        The content of verdict.json. `status` is "consistent", "named", "ambiguous", "unknown" or "not_assessed",
-        `effects` has names and values of what was added to the model, `gap` how far that closed the gap on unseen
-        frames, `advice` what to measure next, and `sentence` the whole in words.
+        The content of verdict.json. `status` is "consistent", "named", "named_more_remains", "ambiguous", "unknown" or
+        "not_assessed", `effects` has names and values of what was added to the model, `gap` how far that closed the gap
+        on unseen frames, `advice` what to measure next, and `sentence` the whole in words.
 
     Raises
     ------
@@ -62,7 +55,7 @@ def judge_dataset(
     Examples
     --------
     >>> import spotcheck
-    >>> verdict = spotcheck.judge_dataset("my-flats", simulations=200)
+    >>> verdict = spotcheck.judge_dataset("my-flats")
     >>> verdict["status"]
     'consistent'
     >>> print(verdict["sentence"])
@@ -74,9 +67,8 @@ def judge_dataset(
         base = Path(scratch if results is None else results)
         out = base / dataset.name
         store.claim(out, dataset.folder)
-        null = {"simulations": simulations, "seed": seed}
         try:
-            for command, options in _stages(dataset, out, base / "_calibration", null, workers):
+            for command, options in _stages(dataset, out):
                 words = [word for key, value in options.items() for word in (f"--{key}", str(value))]
                 words += known if command in OF_THE_VERDICT else []
                 # What a subcommand says is for a terminal.
@@ -87,15 +79,13 @@ def judge_dataset(
         return json.loads((out / "verdict.json").read_text(encoding="utf-8"))
 
 
-def _stages(
-    dataset: Dataset, out: Path, laws: Path, null: dict[str, int], workers: int
-) -> Iterator[tuple[str, dict[str, Any]]]:
+def _stages(dataset: Dataset, out: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Subcommands with their options, in the order of the workflow's rules."""
     frames, crops, transfer, sensor = (out / f"{name}.nc" for name in ("frames", "crops", "transfer", "sensor"))
-    findings, gap, advice, verdict = (out / n for n in ("findings.json", "gap.nc", "advice.json", "verdict.json"))
+    verdict = out / "verdict.json"
     yield "ingest", {"output": frames}
     if not dataset.spots:
-        yield "flats", {"frames": frames, **null, "output": verdict}
+        yield "flats", {"frames": frames, "output": verdict}
         return
     measured = {}
     if len(dataset.spots) < len(dataset.frames):
@@ -104,9 +94,5 @@ def _stages(
     yield "crop", {"frames": frames, "output": crops}
     yield "sensor", {"crops": crops, "frames": frames, **measured, "output": sensor}
     seen = {"crops": crops, "sensor": sensor}
-    yield "discrepancy", {**seen, "calibrations": laws, **null, "workers": workers, "output": findings}
-    found = {**seen, "findings": findings}
-    yield "verify", {**found, "output": gap}
-    yield "advise", {**found, "output": advice}
-    told = {"gap": gap, "advice": advice, "pictures": out / "discrepancy.nc", "model": out / "model.yaml"}
-    yield "verdict", {**found, **told, "output": verdict}
+    told = {"pictures": out / "discrepancy.nc", "model": out / "model.yaml", "light": out / "light.nc"}
+    yield "judge", {**seen, **told, "output": verdict}

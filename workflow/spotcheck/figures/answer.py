@@ -1,6 +1,5 @@
 """The verdict in one picture: a measured spot, the model without and with what was missing, and what each leaves."""
 
-import json
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from spotcheck.discrepancy.sentence import value_text
+from spotcheck.discrepancy.verdict.words import percent_text, value_text
 from spotcheck.figures import style
 from spotcheck.figures.discrepancy import COLOUR_ENDS, plan_of, stages_in
 from spotcheck.figures.entry import VERDICT, Category, Entry
@@ -24,8 +23,6 @@ LOOKS = {
 }
 # Half the side that is shown, in widths of the model.
 ENLARGED = 3.0
-# A part of the gap from which on one speaks of it.
-SPOKEN_OF = 0.005
 NAMES = {MEASURED: "measured", BEFORE: "model", AFTER: "extended model"}
 
 
@@ -47,7 +44,7 @@ class Example(NamedTuple):
 def draw(results: Results) -> style.Drawing:
     """The condition in which the model gains most from what was added; where nothing was, that of the largest
     residual."""
-    found, verdict = example(results.get("discrepancy")), _verdict(results)
+    found, verdict = example(results.get("discrepancy")), results.verdict()
     top = max(float(np.nanmax(image)) for image in (found.measured, *found.models.values()))
     end = max(float(np.nanpercentile(np.abs(image), COLOUR_ENDS)) for image in found.residuals.values())
     rows = len(found.models)
@@ -63,8 +60,7 @@ def draw(results: Results) -> style.Drawing:
         _image(ax, found, image, f"measured − {NAMES[stage]}", left, style.DIVERGING_MAP)
     if rows > 1:
         _profile(panels[1, 0], found)
-        added = [own["name"] for own in verdict["effects"]] + ["own brightness, width"] * (_freed(verdict) > SPOKEN_OF)
-        text = "\n".join(f"+ {name}" for name in added)
+        text = "\n".join(f"+ {own['name']}" for own in verdict["effects"])
         panels[0, 2].text(0.04, 0.04, text, transform=panels[0, 2].transAxes, color="white", fontsize=8)
         figure.colorbar(ScalarMappable(light, style.IMAGE_MAP), ax=list(panels[0]), label="reading / DN", pad=0.01)
     figure.colorbar(
@@ -115,32 +111,18 @@ def _profile(ax: Axes, found: Example) -> None:
     ax.set(xlabel="x / px", ylabel="reading / DN")
 
 
-def _verdict(results: Results) -> dict[str, Any]:
-    path = results.folder / "verdict.json"
-    if not path.is_file():
-        raise Unavailable("verdict.json is not among the results")
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
-def _freed(verdict: dict[str, Any]) -> float:
-    """Part of the gap that no effect closes, but that each frame has its own brightness and width."""
-    parts = [own["gap_closed"] or 0.0 for own in verdict["effects"]]
-    return min(verdict["gap"]["closed"] or 0.0, 1.0) - sum(parts) if parts else 0.0
-
-
 def _caption(found: Example, verdict: dict[str, Any], end: float) -> str:
-    out = [f"Spot{f' at {found.name}' if found.name else ''}: median over its frames, in blocks of {found.side:g} px."]
+    out = [f"Spot{f' at {found.name}' if found.name else ''}: mean over its frames, in blocks of {found.side:g} px."]
     out.append(f"Residuals are on one scale, which ends at ±{style.power(end)} DN.")
     out.append(f"Verdict: {verdict['status'].replace('_', ' ')}.")
-    effects, gap, freed = [_effect(own) for own in verdict["effects"]], verdict["gap"], _freed(verdict)
-    own = ", and each frame's own brightness and width" if freed > SPOKEN_OF else ""
+    effects, gap = [_effect(own) for own in verdict["effects"]], verdict["gap"]
     if effects:
-        out.append(f"Added to the model: {'; '.join(effects)}{own}.")
-    if others := len(verdict["explanations"]) - 1 if effects else 0:
-        out.append(f"The frames cannot tell this from {others} other explanation{'s' if others > 1 else ''}.")
+        out.append(f"Added to the model: {'; '.join(effects)}.")
+    rivals = [own["name"] for effect in verdict["effects"] for own in effect["evidence"]["rivals"]]
+    if rivals:
+        out.append(f"The frames do not tell it from {' or '.join(rivals)}.")
     if effects and gap["closed"] is not None:
-        alone = f", {100 * freed:.3g} % by brightness and width alone" if own else ""
-        out.append(f"That closes {100 * min(gap['closed'], 1.0):.3g} % of the gap on {gap['on']}{alone}.")
+        out.append(f"That closes {percent_text(min(gap['closed'], 1.0))} of the gap on {gap['on']}.")
     return " ".join(out)
 
 

@@ -61,7 +61,7 @@ def stages_in(ds: xr.Dataset) -> list[str]:
 def _heading(ds: xr.Dataset, stage: str) -> str:
     if stage == "after":
         return "after: measured − extended model"
-    return "before: measured − base model" if "residual_after" in ds else "measured − base model"
+    return "before: measured − declared model" if "residual_after" in ds else "measured − declared model"
 
 
 def residuals(results: Results) -> style.Drawing:
@@ -96,7 +96,7 @@ def residuals(results: Results) -> style.Drawing:
     _profiles(sheet.profiles, ds, plan, stages)
     left_out = len(rows) < len(upright.rows) or len(columns) < len(upright.columns)
     caption = (
-        "Measured less model, median over the frames that chose the model"
+        "Measured less model, mean over the frames that were searched"
         f"{', some of the conditions' if left_out else ''}; blocks of {_block(ds)} px. Red: brighter than the model."
         f" One scale for all panels, its colours ending at ±{end:.2g} DN. Circles: 1 σ_g and 2 σ_g. Beneath: mean over"
         " rings around the spot's centre and over all conditions of an exposure, with its standard error."
@@ -233,7 +233,7 @@ def gap(results: Results) -> style.Drawing:
     axes = figure.subplots(1, len(stages), squeeze=False, sharey=True)[0]
     for ax, stage in zip(axes, stages, strict=True):
         _cells(ax, plan, tables[stage], floor + STANDS_OUT * error, norm)
-        ax.set_title({"before": "before", "after": "after"}[stage] if len(stages) > 1 else "base model")
+        ax.set_title({"before": "before", "after": "after"}[stage] if len(stages) > 1 else "declared model")
         if any(plan.columns):
             ax.set_xlabel(style.axis_name("exposure"))
     if any(plan.rows):
@@ -245,9 +245,9 @@ def gap(results: Results) -> style.Drawing:
     bar.ax.axhline(floor, color="black", linewidth=1.0)
     scatter = float(np.nanmedian(error))
     caption = (
-        f"Mean squared residual of the means of blocks in units of their variance, on {ds.attrs['gap_on']}. Noise alone"
-        f" leaves {floor:.3g} ± {scatter:.2g} (line on the colour bar); bold: more than {STANDS_OUT:.0f} standard"
-        " deviations above."
+        f"Mean square of what is left of block means, over the declared model's noise, on {ds.attrs['gap_on']}."
+        f" Noise alone leaves {floor:.3g} ± {scatter:.2g} (line on the colour bar); bold: more than"
+        f" {STANDS_OUT:.0f} standard deviations above."
     )
     if len(stages) == 1:
         caption += " Nothing was added to the model, so there is no after."

@@ -1,6 +1,8 @@
 """The results of a dataset, opened when a figure first asks for them."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -59,6 +61,13 @@ class Results:
         if "skipped" in ds.attrs:
             raise Unavailable(str(ds.attrs["skipped"]))
         return ds
+
+    def verdict(self) -> dict[str, Any]:
+        """verdict.json; `Unavailable` when it is not there."""
+        path = self.folder / "verdict.json"
+        if not path.is_file():
+            raise Unavailable("verdict.json is not among the results")
+        return json.loads(path.read_text(encoding="utf-8"))
 
     def _absent(self, name: str) -> str:
         if name == "transfer":

@@ -49,6 +49,14 @@ def written_light(
     store.write(ds, path, code=code, inputs=inputs)
 
 
+def no_light(
+    path: str | Path, why: str, *, title: str, dataset: str, code: str, inputs: Sequence[str | Path] = ()
+) -> None:
+    """Write a file that says why it holds no shape."""
+    ds = xr.Dataset(attrs={"title": title, "dataset": dataset, "skipped": why})
+    store.write(ds, path, code=code, inputs=inputs)
+
+
 def read_light(path: str | Path) -> LightShape:
     """The shape of a file. Raises `InputError` where there is none, or none that can be used."""
     path = Path(path)

@@ -11,7 +11,7 @@ import xarray as xr
 
 from spotcheck import optics, store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.sentence import condition_text, place_text, value_text
+from spotcheck.discrepancy.verdict.words import condition_text, percent_text, value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import preferred
 from spotcheck.estimate.fitted import PARAMETERS
@@ -21,7 +21,7 @@ from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES, SOURCES
 from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.figures.entry import Category
-from spotcheck.model.effects import vocabulary
+from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.pages import write_page
 from spotcheck.pages.table3 import parameters
@@ -32,7 +32,6 @@ LARGEST_SVG = 400_000
 # Rows of the table of fits; all of them are in fits.nc.
 MOST_FITS = 200
 # Rows of the table of places; all of them are in verdict.json.
-MOST_PLACES = 12
 
 
 def write(dataset: Dataset, results: Path, path: Path) -> None:
@@ -270,15 +269,17 @@ def _missing(path: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     verdict = json.loads(path.read_text(encoding="utf-8"))
+    # A run may leave the learned shape out of its vocabulary, but not out of its verdict.
+    known = {**built_in(), **vocabulary()}
     effects = [
         {
             "name": own["name"],
-            "text": vocabulary()[own["name"]].sentence,
+            "text": known[own["name"]].sentence,
             "values": [
                 f"{key} = {value_text(p['value'], p['stderr'], p['unit'])}" for key, p in own["parameters"].items()
             ],
             "rivals": [name for name in own["candidates"] if name != own["name"]],
-            "closed": _percent(_at_most_all(own["gap_closed"])),
+            "closed": percent_of(_at_most_all(own["gap_closed"])),
         }
         for own in verdict["effects"]
     ]
@@ -288,28 +289,24 @@ def _missing(path: Path) -> dict[str, Any] | None:
         for name, own in verdict["baseline_shift"].items()
         if own["before"] is not None and effects
     ]
-    places = [
+    limits = [
         (
-            row["block"],
-            place_text(row),
-            "all" if row["angle_deg"] is None else f"{row['angle_deg']:.4g}°",
-            "all" if row["exposure_s"] is None else value_text(row["exposure_s"], None, "s"),
-            f"{row['z']:.3g}".replace("-", "−"),
-            _percent(row["share"]),
+            own["effect"],
+            "–" if own["value"] is None else f"{own['parameter']} below {value_text(own['value'], None, own['unit'])}",
+            own["why"],
         )
-        for row in verdict["where"]
+        for own in verdict["limits"]
     ]
     return {
         "status": verdict["status"].replace("_", " "),
-        "sentence": verdict["sentence"],
+        "sentence": verdict["sentence"].splitlines(),
         "effects": effects,
-        "explanations": [" + ".join(own) for own in verdict["explanations"][1:]],
         "gap": [(key, _plain(gap[key])) for key in ("before", "after", "noise_floor")] if gap["on"] else [],
         "gap_on": gap["on"],
-        "closed": _percent(_at_most_all(gap["closed"])),
+        "closed": percent_of(_at_most_all(gap["closed"])),
         "shifts": shifts,
-        "places": places[:MOST_PLACES],
-        "more_places": len(places) - MOST_PLACES,
+        "places": [(own["words"], f"{own['z']:.3g}".replace("-", "−")) for own in verdict["where"]],
+        "limits": limits,
         "advice": [(own["frames"], condition_text(own["condition"]), own["separates"]) for own in verdict["advice"]],
         "not_assessed": [(own["effect"], own["why"]) for own in verdict["not_assessed"]],
         "vocabulary": verdict.get("vocabulary"),
@@ -325,8 +322,9 @@ def _at_most_all(part: float | None) -> float | None:
     return None if part is None else min(part, 1.0)
 
 
-def _percent(part: float | None) -> str:
-    return "–" if part is None else f"{100 * part:.3g} %".replace("-", "−")
+def percent_of(part: float | None) -> str:
+    """A part in percent, a dash where it is not known."""
+    return "–" if part is None else percent_text(part)
 
 
 def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:

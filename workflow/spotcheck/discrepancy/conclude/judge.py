@@ -5,34 +5,35 @@ from collections.abc import Sequence
 import numpy as np
 
 from spotcheck.discrepancy.conclude.detect import detect
-from spotcheck.discrepancy.conclude.judgement import Judgement, Shift, Where
-from spotcheck.discrepancy.conclude.light import light_of
+from spotcheck.discrepancy.conclude.judgement import NOTHING, Fits, Judgement, Shift, Where, untested
+from spotcheck.discrepancy.conclude.light import gauge_of, in_gauge, light_of
 from spotcheck.discrepancy.conclude.limits import limits_of
 from spotcheck.discrepancy.conclude.unexplained import unexplained
 from spotcheck.discrepancy.conclude.unseen import Unseen, unseen
 from spotcheck.discrepancy.evidence.influence import numbers_of
 from spotcheck.discrepancy.evidence.laws import Laws, laws_of
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
-from spotcheck.discrepancy.observe.design import missing
+from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.observe.design import Design, missing, view_of
 from spotcheck.discrepancy.observe.frames import Observed, Setting, observed
-from spotcheck.discrepancy.observe.pixels import Model
+from spotcheck.discrepancy.observe.pixels import Model, Numbers
 from spotcheck.discrepancy.observe.shots import Shot, parted
 from spotcheck.discrepancy.search.forward import Outcome
 from spotcheck.discrepancy.search.laws import search_laws
 from spotcheck.discrepancy.search.light import PENALTY, find
+from spotcheck.model.chain import Law, spot_state
 from spotcheck.model.effect import NEEDS, Effect, Place
-
-NOTHING = Shift(None, None, None)
 
 
 def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) -> Judgement:
     """Everything that is concluded of some frames; those that are kept unseen are opened last."""
     if not shots:
-        return _untested("there is no usable spot frame")
+        return untested("there is no usable spot frame")
     own, out = parted(shots)
-    seen = observed([shots[k] for k in own], setting)
+    searched, kept = [shots[k] for k in own], [shots[k] for k in out]
+    seen = observed(searched, setting)
     if isinstance(seen, str):
-        return _untested(seen)
+        return untested(seen)
     lawful = setting.baseline.photon_budget != "free"
     why = {e.name: missing(e, seen.design, law=lawful) for e in effects if e.place is not Place.SHAPE}
     usable = [e for e in effects if why.get(e.name) == ""]
@@ -41,39 +42,70 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     declared = fit(frames, model, PENALTY)
     outcome = find(frames, design, model, usable, context)
     laws = search_laws(outcome.frames, design, outcome.after, setting.baseline, context.crop_px, usable, context)
-    compared = _compared([shots[k] for k in out], seen, setting, declared.model, outcome)
-    every = {own.own.effect.name: own for own in (*outcome.found, *laws.found)}
+    unseen_frames = observed(kept, setting) if kept else None
+    unseen_frames = None if isinstance(unseen_frames, str) else unseen_frames
+    compared = _compared(unseen_frames, seen, declared.model, outcome)
+    every = {one.own.effect.name: one for one in (*outcome.found, *laws.found)}
     beyond = tuple(name for name, gain in compared.gains.items() if name in every and gain <= 0)
     detection = detect(frames, model, design)
+    learned = outcome.after.model.baseline.learned is not None
+    wide = gauge_of(outcome.after.model).wide if learned else 1.0
     return Judgement(
         why_not="",
         detection=detection,
         found=tuple(sorted(every.values(), key=lambda one: -compared.gap.by_effect.get(one.own.effect.name, 0.0))),
         beyond=beyond,
-        light=light_of(outcome.after) if outcome.after.model.baseline.learned is not None else None,
+        light=light_of(outcome.after) if learned else None,
         sheet=(),
         unexplained=unexplained(outcome.frames, outcome.after, design),
         gap=compared.gap,
-        shift=_shift(declared, laws.told, seen, setting) if lawful else NOTHING,
+        shift=_shift(declared, laws.told, seen, setting, wide) if lawful else NOTHING,
         limits=limits_of(outcome, laws.told, design, usable, context),
         where=tuple(Where(f"{part.name}: {part.where}", part.statistic) for part in detection.parts[:3]),
         errors=errors_of(outcome.after),
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
         black_level_dn=setting.sensor.black_level_dn,
+        fits=_fits(searched, kept, seen, unseen_frames, declared.model, outcome, laws.told, wide),
     )
 
 
-def _untested(why: str) -> Judgement:
-    return Judgement(why, None, (), (), None, (), None, None, NOTHING, (), ())
-
-
-def _compared(out: Sequence[Shot], seen: Observed, setting: Setting, before: Model, outcome: Outcome) -> Unseen:
-    """The gap on frames that were kept unseen; where there are none, on those that were seen."""
-    kept = observed(out, setting) if out else ""
-    if isinstance(kept, str):
+def _compared(kept: Observed | None, seen: Observed, before: Model, outcome: Outcome) -> Unseen:
+    """The gap on frames that were kept unseen; where there are none, on those that were searched."""
+    if kept is None:
         numbers = outcome.after.model.numbers
         return unseen(outcome.frames, seen.design, numbers, before, outcome.after, "the frames themselves")
     return unseen(kept.frames, kept.design, kept.numbers, before, outcome.after, "unseen repeats")
+
+
+def _fits(
+    searched: Sequence[Shot],
+    kept: Sequence[Shot],
+    seen: Observed,
+    unseen_frames: Observed | None,
+    before: Model,
+    outcome: Outcome,
+    laws: Laws,
+    wide: float,
+) -> Fits:
+    """The fits as pictures and the extended model take them."""
+    after = outcome.after.model
+    after = after if after.baseline.learned is None else in_gauge(after)
+    unseen_numbers = Numbers(*(np.zeros(0) for _ in Numbers._fields))
+    if unseen_frames is not None:
+        unseen_numbers = fit_numbers(unseen_frames.frames, after._replace(numbers=unseen_frames.numbers)).model.numbers
+    shots = (*searched, *(kept if unseen_frames is not None else ()))
+    law = _law(after, laws, seen.design, wide)
+    return Fits(tuple(shots), outcome.frames, seen.design, before, after, unseen_numbers, law)
+
+
+def _law(after: Model, laws: Laws, design: Design, wide: float) -> Law | None:
+    """The law that the frames' numbers follow, in the gauge of the light's shape, which is `wide` [σ]."""
+    if laws.base is None:
+        return None
+    own, laser = laws.base.law, after.baseline.laser_px
+    law = Law(wide * own.p1, wide * (laser + own.p2) - laser, 1.0)
+    peak, _ = spot_state(view_of(design), after.baseline, law, laws.base.present)
+    return law._replace(peak=float(np.exp(np.mean(after.numbers.log_peak - np.log(np.ravel(peak))))))
 
 
 def errors_of(fitted: Fitted) -> dict[str, tuple[float, ...]]:
@@ -86,13 +118,13 @@ def errors_of(fitted: Fitted) -> dict[str, tuple[float, ...]]:
     return {name: tuple(own) for name, own in out.items()}
 
 
-def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting) -> Shift:
-    """p1 and p2 under the declared shape, and beside all that was found."""
+def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting, wide: float) -> Shift:
+    """p1 and p2 under the declared shape, and beside all that was found, in the gauge of a shape that is `wide` [σ]."""
     numbers = numbers_of(declared)
     before = laws_of(numbers, seen.design, setting.baseline, setting.sensor, seen.context.crop_px, effects=())
     if before.base is None or after.base is None:
         return NOTHING
-    first, last = before.base.law, after.base.law
+    first, last, laser = before.base.law, after.base.law, setting.baseline.laser_px
     slopes = after.base.slopes
     covariance = np.linalg.pinv(slopes.T @ after.base.found.weights.inverse @ slopes)
     # Parameters are p1 and the width at the reference exposure t: p2 is that less p1 ln t.
@@ -101,5 +133,6 @@ def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting) -> S
     for row, (p1, width) in enumerate(((1.0, 0.0), (-np.log(seen.design.reference_s), 1.0))):
         for column, place in enumerate(held):
             turn[row, column] = (p1, width)[place]
-    errors = np.sqrt(np.diag(turn @ covariance @ turn.T))
-    return Shift((first.p1, first.p2), (last.p1, last.p2), (float(errors[0]), float(errors[1])))
+    errors = wide * np.sqrt(np.diag(turn @ covariance @ turn.T))
+    moved = (wide * last.p1, wide * (laser + last.p2) - laser)
+    return Shift((first.p1, first.p2), moved, (float(errors[0]), float(errors[1])))

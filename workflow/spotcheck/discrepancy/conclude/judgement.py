@@ -9,7 +9,11 @@ import numpy as np
 from spotcheck.discrepancy.conclude.detect import Detection
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.nuisance.sheet import Against
+from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
+from spotcheck.discrepancy.observe.shots import Shot
 from spotcheck.discrepancy.search.forward import Found
+from spotcheck.model.chain import Law
 from spotcheck.model.light_shape import LightShape
 
 # Why an effect was not found that the light's shape mimics: what scores verdicts looks for these words.
@@ -76,6 +80,9 @@ class Shift(NamedTuple):
     errors: tuple[float, float] | None
 
 
+NOTHING = Shift(None, None, None)
+
+
 class Where(NamedTuple):
     """A place at which the frames disagree with the declared model most: in words, and its z."""
 
@@ -92,6 +99,26 @@ class Advice(NamedTuple):
     frames: int
 
 
+class Fits(NamedTuple):
+    """The fits behind a judgement, of which pictures and the extended model are made.
+
+    - `shots`: those that were searched, then those that were kept unseen.
+    - `frames` and their `design`: of the shots that were searched.
+    - `before` and `after`: the declared model, and that with all that was found in the gauge of its shape, each with
+      the numbers of `frames`.
+    - `unseen`: numbers of the frames that were kept unseen under `after`; empty where there are none.
+    - `law`: p1, p2 [px] and the peak [DN] under `after`; None where the baseline has no law.
+    """
+
+    shots: tuple[Shot, ...]
+    frames: tuple[Frame, ...]
+    design: Design
+    before: Model
+    after: Model
+    unseen: Numbers
+    law: Law | None
+
+
 class Judgement(NamedTuple):
     """The whole judgement; where nothing could be tested, `why_not` says why and all else is empty.
 
@@ -105,6 +132,7 @@ class Judgement(NamedTuple):
     - `advice`: where effects tie, what to measure next.
     - `not_assessed`: effects that this design cannot show, and why.
     - `black_level_dn`: of the sensor, by which a strength that readings show as a whole number is rounded [DN].
+    - `fits`: the fits themselves.
     """
 
     why_not: str
@@ -124,3 +152,9 @@ class Judgement(NamedTuple):
     advice: tuple[Advice, ...] = ()
     not_assessed: tuple[tuple[str, str], ...] = ()
     black_level_dn: float = 0.0
+    fits: Fits | None = None
+
+
+def untested(why: str) -> Judgement:
+    """The judgement of a dataset of which nothing could be tested."""
+    return Judgement(why, None, (), (), None, (), None, None, NOTHING, (), ())

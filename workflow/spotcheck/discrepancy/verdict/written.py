@@ -9,11 +9,15 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
 
 from spotcheck import store
+from spotcheck.discrepancy.verdict.document import LIGHT
 from spotcheck.model.effects import vocabulary
 from spotcheck.schema import read_schema
 
+SCHEMA = "verdict"
 # Digits of every number: more than any of them is known to, fewer than change from one processor to the next.
 DIGITS = 9
+# By how much weights may miss 1 [1]: they are rounded.
+WEIGHT_ERROR = 1e-6
 
 
 def write_verdict(verdict: dict[str, Any], path: str | Path) -> None:
@@ -40,8 +44,8 @@ def rounded(value: Any) -> Any:
 
 def breach_of_verdict(verdict: dict[str, Any]) -> str | None:
     """What breaks the contract, in one sentence; None where nothing does."""
-    schema = read_schema("verdict")
-    schema["$defs"]["effect"] = {"enum": list(vocabulary())}
+    schema = read_schema(SCHEMA)
+    schema["$defs"]["effect"] = {"enum": sorted({*vocabulary(), LIGHT})}
     error = best_match(Draft202012Validator(schema).iter_errors(verdict))
     if error is not None:
         return f"{'.'.join(str(part) for part in error.absolute_path) or 'the whole'}: {error.message}"
@@ -58,25 +62,23 @@ def _not_a_number(value: Any, path: str = "") -> str | None:
 
 def _contradiction(verdict: dict[str, Any]) -> str | None:
     """What a schema cannot say: parts that must agree with each other."""
-    status, effects, explanations = (verdict[key] for key in ("status", "effects", "explanations"))
+    status, effects = verdict["status"], verdict["effects"]
     names = [own["name"] for own in effects]
     if len(set(names)) < len(names):
         return f"effects: {', '.join(names)} holds one twice"
-    if explanations[:1] != ([names] if names else []):
-        return f"explanations: the first is not effects, {names}"
-    if len({frozenset(own) for own in explanations}) < len(explanations):
-        return "explanations: one stands twice"
-    if any(own["name"] not in own["candidates"] for own in effects):
-        return "effects: one is not among its own candidates"
-    if status in ("named", "ambiguous") and not effects:
-        return f"status {status} without an effect"
-    if status in ("consistent", "not_assessed") and effects:
-        return f"status {status} with effects"
-    alone = len(explanations) == 1 and all(len(own["candidates"]) == 1 for own in effects)
-    if status == "named" and not alone:
-        return "status named, but rivals remain"
-    if status == "ambiguous" and len(explanations) < 2:
-        return "status ambiguous with one explanation"
+    for own in effects:
+        name, evidence = own["name"], own["evidence"]
+        if own["candidates"] != [name, *(rival["name"] for rival in evidence["rivals"])]:
+            return f"effects: the candidates of {name} are not itself and its rivals"
+        if abs(evidence["weight"] + sum(rival["weight"] for rival in evidence["rivals"]) - 1) > WEIGHT_ERROR:
+            return f"effects: the weights of {name} and its rivals do not add up to 1"
+    if (LIGHT in names) != (verdict["light"] is not None):
+        return f"light: described without {LIGHT} among effects, or the other way round"
+    found = status in ("named", "named_more_remains", "ambiguous")
+    if found != bool(effects):
+        return f"status {status} {'without' if found else 'with'} effects"
+    if found and (status == "ambiguous") != any(len(own["candidates"]) > 1 for own in effects):
+        return f"status {status}, but rivals {'are missing' if status == 'ambiguous' else 'remain'}"
     if status == "not_assessed" and not verdict["not_assessed"]:
         return "status not_assessed without a reason"
     return None

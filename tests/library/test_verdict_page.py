@@ -3,8 +3,8 @@
 import re
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.answer.document import document
-from spotcheck.discrepancy.answer.sentence import sentence
+from spotcheck.discrepancy.verdict.document import document
+from spotcheck.discrepancy.verdict.sentence import sentence
 from spotcheck.schema import read_schema
 from tests.library.conftest import ROOT
 from tests.library.judgements import JUDGEMENTS, WORDS

@@ -34,15 +34,18 @@ def document(
     alpha: float = criteria.ALPHA.value,
     tolerance: float = criteria.LEFT.value,
     light_words: str = "",
+    beware: str = "",
 ) -> dict[str, Any]:
     """verdict.json without its sentence; what is not known is None.
 
     `alpha`: rate of false alarms of detection. `tolerance`: what may be left without mattering [peak, rms].
     `light_words`: what a person is told of a learned shape ("6 % of its power lies elsewhere, most in four lobes").
+    `beware`: what the dataset holds that no verdict rests on.
     """
     effects = effects_of(judgement)
     status = status_of(judgement, effects, alpha, tolerance)
     why_not = judgement.why_not or (NO_TEST if status == "not_assessed" else "")
+    why_not = "; ".join(remark for remark in (why_not, beware) if remark)
     return {
         "schema": VERSION,
         "dataset": dataset_name,

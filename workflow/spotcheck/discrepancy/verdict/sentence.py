@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.answer.document import LIGHT, NOT_FORETOLD
-from spotcheck.discrepancy.answer.words import (
+from spotcheck.discrepancy.verdict.document import LIGHT, NOT_FORETOLD
+from spotcheck.discrepancy.verdict.words import (
     condition_text,
     digits_of,
     list_text,

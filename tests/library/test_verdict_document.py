@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.answer.document import LIGHT, NOT_FORETOLD, document, weights_of
-from spotcheck.discrepancy.answer.sentence import sentence
-from spotcheck.discrepancy.answer.written import breach_of_verdict, rounded, write_verdict
+from spotcheck.discrepancy.verdict.document import LIGHT, NOT_FORETOLD, document, weights_of
+from spotcheck.discrepancy.verdict.sentence import sentence
+from spotcheck.discrepancy.verdict.written import breach_of_verdict, rounded, write_verdict
 from spotcheck.discrepancy.conclude.judgement import TIED_WITH_SHAPE, Limit
 from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.schema import read_schema

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from spotcheck.discrepancy.answer.document import document
-from spotcheck.discrepancy.answer.sentence import sentence
-from spotcheck.discrepancy.answer.words import condition_text, percent_text, probability_text, value_text
+from spotcheck.discrepancy.verdict.document import document
+from spotcheck.discrepancy.verdict.sentence import sentence
+from spotcheck.discrepancy.verdict.words import condition_text, percent_text, probability_text, value_text
 from spotcheck.model.effects import vocabulary
 from tests.library.judgements import (
     BEND,

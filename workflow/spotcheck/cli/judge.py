@@ -1,0 +1,63 @@
+"""`spotcheck judge`: verdict.json, discrepancy.nc for the pictures, model.yaml and light.nc."""
+
+import argparse
+
+from spotcheck import dataset, provenance, store
+from spotcheck.cli import vocabulary
+from spotcheck.cli.judged import open_set, tolerance_of
+from spotcheck.discrepancy.conclude.judge import judge
+from spotcheck.discrepancy.conclude.judgement import untested
+from spotcheck.discrepancy.conclude.light import attributes_of, described
+from spotcheck.discrepancy.conclude.modes import modes_of
+from spotcheck.discrepancy.verdict.document import document
+from spotcheck.discrepancy.verdict.extended import extended_of
+from spotcheck.discrepancy.verdict.pictures import pictures_of
+from spotcheck.discrepancy.verdict.sentence import sentence
+from spotcheck.discrepancy.verdict.written import write_verdict
+from spotcheck.model import effects
+from spotcheck.model.extended import no_model, text_of
+from spotcheck.model.light_file import no_light, written_light
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--crops", required=True, help="crops.nc")
+    parser.add_argument("--sensor", required=True, help="sensor.nc")
+    parser.add_argument("--tolerance", default="{}", help="JSON: of_peak, alpha")
+    parser.add_argument("--pictures", required=True, help="discrepancy.nc to write")
+    parser.add_argument("--model", required=True, help="model.yaml to write, which `spotcheck simulate` runs")
+    parser.add_argument("--light", required=True, help="light.nc to write beside it: the light's learned shape")
+    parser.add_argument("--output", required=True, help="verdict.json to write")
+    vocabulary.arguments(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Find where model and measurement disagree and what is missing, and write it down."""
+    vocabulary.choose(args)
+    found, tolerance = dataset.load(args.dataset), tolerance_of(args.tolerance)
+    known = list(effects.vocabulary().values())
+    with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
+        ready = open_set(found, crops, sensor)
+        judgement = untested(ready) if isinstance(ready, str) else judge(ready.shots, ready.setting, known)
+    light = judgement.light
+    words = described(light, modes_of(light)) if light else ""
+    beware = "" if isinstance(ready, str) else ready.beware
+    verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak, light_words=words,
+                       beware=beware)  # fmt: skip
+    verdict |= {"sentence": sentence(verdict)} | vocabulary.described()
+    code, inputs = provenance.code_digest(__name__), [args.crops, args.sensor, *args.effects]
+    store.write(pictures_of(judgement, verdict, found), args.pictures, code=code, inputs=inputs)
+    if isinstance(ready, str) or judgement.fits is None:
+        store.write_text(args.model, no_model(found.name, judgement.why_not))
+        extended = None
+    else:
+        extended = extended_of(judgement, ready.setting, found.instrument, known)
+        store.write_text(args.model, text_of(extended, found.name, verdict["status"]))
+    told = {"title": f"The light's shape, learned from {found.name}", "dataset": found.name, "code": code}
+    if light is not None and extended is not None and extended.light is not None:
+        written_light(extended.light, args.light, **told, inputs=inputs, attributes=attributes_of(light))
+    else:
+        no_light(args.light, "the declared shape of the light stands", **told, inputs=inputs)
+    write_verdict(verdict, args.output)
+    print(verdict["sentence"])
