@@ -5,15 +5,13 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from tests.validation.generators.light import beams, score
 from tests.validation.generators.light.draw import write_job
 from tests.validation.generators.light.plan import plan
-from tests.validation.protocol import Job, Judge, Record
+from tests.validation.protocol import Job, Record
 from tests.validation.records import ROOT
 
-NULL_SETS = 1500
 FIRST = 51_000_000
 JOBS = 4000
 
@@ -36,11 +34,6 @@ def write(job: Job, folder: Path, truth: Path) -> bool:
         return False
     truth.write_text(json.dumps(write_job(job, folder), indent=1, default=float) + "\n", encoding="utf-8")
     return True
-
-
-def beside(job: Job, folder: Path, results: Path, truth: dict[str, Any], judge: Judge) -> dict[str, Any]:
-    """Nothing."""
-    return {}
 
 
 def report(rows: Sequence[Record], folder: Path, name: str, publish: bool) -> str:
