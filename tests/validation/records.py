@@ -57,6 +57,11 @@ def commit(name: str) -> str:
     return last + ("-dirty" if _git("status", "--porcelain", "--", *files).strip() else "")
 
 
+def drawn(first: int, commit: str) -> int:
+    """The first seed of a score at a commit: nobody who tunes knows it."""
+    return first + int(commit[:6], 16)
+
+
 def read(path: Path) -> list[Record]:
     """All records of a file, none if there is no file; a line cut short by a crash is left out."""
     return list(_lines(path.read_text(encoding="utf-8"))) if path.exists() else []

@@ -23,7 +23,7 @@ def main() -> None:
     """Run, report, print."""
     args = arguments()
     own, name = generator(args.generator), records.commit(args.generator)
-    first = own.FIRST if args.first is None else args.first
+    first = records.drawn(own.FIRST, name) if args.first is None else args.first
     folder = records.RESULTS / args.generator / (name if first >= own.FIRST else f"{name}-tuning")
     path = folder / "records.jsonl"
     done = records.read(path)
@@ -51,7 +51,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--hours", type=float, default=2.0, help="begin nothing after this time (default 2)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--jobs", type=int, help="look no further than the first so many jobs")
-    parser.add_argument("--first", type=int, help="seed of the first job; one of the published scores if not given")
+    parser.add_argument("--first", type=int, help="seed of the first job; drawn from the commit's hash if not given")
     parser.add_argument("--kinds", default="", help="only kinds with all these words, such as one,strong")
     parser.add_argument("--report", action="store_true", help="report on what is there, run nothing")
     parser.add_argument("--publish", action="store_true", help="write the report into the repository too")
