@@ -63,18 +63,15 @@ STAGES = (
     Stage("caustic", "caustic.nc", 3, 1, ("fit",)),
     Stage("bounds", "bounds.nc", 4, 1, ("calibrate",)),
     Stage("precision", "precision.nc", 6, 1, ("fit_simulated",)),
-    Stage("discrepancy", "findings.json", 3, 2, ("sensor",)),
-    Stage("verify", "gap.nc", 4, 2, ("discrepancy",)),
-    Stage("advise", "advice.json", 4, 3, ("discrepancy",)),
-    Stage("judge", "verdict.json, model.yaml", 5, 2, ("verify", "advise")),
-    Stage("simulate_extended", "extended.nc", 6, 2, ("judge",)),
-    Stage("figures", "figures/", 4, 4),
-    Stage("paper", "paper_numbers.csv", 4, 5),
-    Stage("report", "report.html", 5, 4, ("figures", "paper")),
-    Stage("notebook", "notebooks/", 6, 4),
+    Stage("judge", "verdict.json, model.yaml", 3, 2, ("sensor",)),
+    Stage("simulate_extended", "extended.nc", 4, 2, ("judge",)),
+    Stage("figures", "figures/", 4, 3),
+    Stage("paper", "paper_numbers.csv", 4, 4),
+    Stage("report", "report.html", 5, 3, ("figures", "paper")),
+    Stage("notebook", "notebooks/", 6, 3),
 )
 # What a box is called where its rule has another name.
-TITLES = {"fit_simulated": "ingest · crop · fit", "judge": "verdict", "simulate_extended": "extended"}
+TITLES = {"fit_simulated": "ingest · crop · fit", "simulate_extended": "extended"}
 # Rules that the picture leaves out, or shows as part of a stage.
 NOT_SHOWN = ("ingest_simulated", "crop_simulated", "judge_flats", "chain", "tables")
 
@@ -148,7 +145,7 @@ def stages() -> str:
         ]
     x, y = corner(at["figures"])
     parts.append(text(x - 14, y + 20, "from all the files above:", size=10.5, colour=FAINT, end=True))
-    width, height = 20 + 7 * STEP[0] + BOX[0], 20 + 5 * STEP[1] + BOX[1]
+    width, height = 20 + 7 * STEP[0] + BOX[0], 20 + 4 * STEP[1] + BOX[1]
     return sheet(width, height, "Stages of the workflow and the files that they write", parts)
 
 

@@ -29,8 +29,8 @@ def as_markdown(figures: Sequence[Figure], records: Sequence[Record], commit: st
         f"{count(figures)}. {PARTS}", "",
         "## By effect", "",
         *markdown(BY_EFFECT, [by_effect(name, records) for name in hidden.EFFECTS]), "",
-        "Strong sets; isolable: the nearest rival is 5 standard deviations behind. In the set: the truth is among the "
-        "candidates, of what was detected at any strength. Error: rms of the strength in bounds.", "",
+        "Strong sets; alone: not tied in its design, as the contract lists ties. In the set: the truth is among the "
+        "candidates, of what was detected at any strength. Error: rms of the strength in its standard errors.", "",
         "## Outside the vocabulary", "",
         *markdown(OUTSIDE, [by_mechanism(name, records) for name in hidden.OUTSIDE]), "",
     ]  # fmt: skip
@@ -53,37 +53,37 @@ def row(figure: Figure) -> tuple[str, ...]:
     return name, shown, f"{figure.sets}", *wanted, figure.verdict()
 
 
-BY_EFFECT = ("effect", "strong", "isolable", "named when isolable", "first when detected", "in the set", "error")
+BY_EFFECT = ("effect", "strong", "alone", "named when alone", "first when detected", "in the set", "error")
 
 
 def by_effect(name: str, records: Sequence[Record]) -> tuple[str, ...]:
     """One effect's line."""
     own = [r for r in of(records, "one") if r["job"]["kind"].split(":")[1] == name]
     strong = [r for r in own if outcome.level(r) == "strong"]
-    isolable = [r for r in strong if outcome.isolable(r)]
+    alone = [r for r in strong if not outcome.tied(r)]
     seen = [r for r in own if outcome.detected(r)]
     errors = score.strength_errors(strong).get(name)
     shown = f"{np.sqrt(np.mean(np.square(errors))):.1f}" if errors else "—"
     return (
-        f"`{name}`", str(len(strong)), str(len(isolable)), _part(isolable, outcome.named_exactly),
+        f"`{name}`", str(len(strong)), str(len(alone)), _part(alone, outcome.named_exactly),
         _part(seen, outcome.right_first), _part(seen, outcome.among_candidates), shown,
     )  # fmt: skip
 
 
-OUTSIDE = ("mechanism", "sets", "unknown, nothing named", "else")
+OUTSIDE = ("mechanism", "sets", "no wrong name", "else")
 
 
 def by_mechanism(name: str, records: Sequence[Record]) -> tuple[str, ...]:
-    """One mechanism's line, with what was said in place of `unknown`."""
+    """One mechanism's line, with what was named wrongly."""
     own = [r for r in of(records, "outside") if r["job"]["kind"].split(":")[1] == name]
     other: dict[str, int] = {}
     for r in own:
-        if not outcome.unknown_and_empty(r):
+        if not outcome.no_wrong_name(r):
             names = [own["name"] for own in r["verdict"]["effects"]] if outcome.judged(r) else []
             said = f"{outcome.status(r)} {' + '.join(names)}".strip()
             other[said] = other.get(said, 0) + 1
     most = ", ".join(f"{said} {n}" for said, n in sorted(other.items(), key=lambda item: -item[1])[:3])
-    return f"`{name}`", str(len(own)), _part(own, outcome.unknown_and_empty), most
+    return f"`{name}`", str(len(own)), _part(own, outcome.no_wrong_name), most
 
 
 def count(figures: Sequence[Figure]) -> str:

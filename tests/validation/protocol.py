@@ -7,14 +7,12 @@ lies elsewhere and is read by scorers alone. A truth has `effects`, a list of ob
 
 import csv
 import importlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
 Record = dict[str, Any]
-# From a dataset folder and a folder of results to verdict.json; by name, the number of null sets.
-Judge = Callable[..., dict[str, Any]]
 
 
 class Job(NamedTuple):
@@ -33,8 +31,7 @@ class Job(NamedTuple):
 class Generator(Protocol):
     """A module that makes data sets: tests.validation.generators.<name>.generator."""
 
-    # Null sets of a calibration. ASSUME: seeds from FIRST on had no part in tuning.
-    NULL_SETS: int
+    # ASSUME: seeds from FIRST on had no part in tuning.
     FIRST: int
     # How many jobs a call looks at.
     JOBS: int
@@ -44,9 +41,6 @@ class Generator(Protocol):
 
     def write(self, job: Job, folder: Path, truth: Path) -> bool:
         """Write a dataset folder and the truth; False where the job is passed over."""
-
-    def beside(self, job: Job, folder: Path, results: Path, truth: dict[str, Any], judge: Judge) -> dict[str, Any]:
-        """What the record of a judged data set holds beside its verdict."""
 
     def report(self, records: Sequence[Record], folder: Path, name: str, publish: bool) -> str:
         """Write pages into a folder of results, with `publish` into the repository too; returns what to print."""

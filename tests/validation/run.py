@@ -14,20 +14,16 @@ from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from functools import partial
 from itertools import islice
-from pathlib import Path
 
 from tests.validation import judge, outcome, records
 from tests.validation.protocol import Generator, Job, Record, generator
-
-# A job that has to wait lets so many others pass.
-LATER = 40
 
 
 def main() -> None:
     """Run, report, print."""
     args = arguments()
     own, name = generator(args.generator), records.commit(args.generator)
-    first = own.FIRST if args.first is None else args.first
+    first = records.drawn(own.FIRST, name) if args.first is None else args.first
     folder = records.RESULTS / args.generator / (name if first >= own.FIRST else f"{name}-tuning")
     path = folder / "records.jsonl"
     done = records.read(path)
@@ -36,7 +32,7 @@ def main() -> None:
         jobs = todo(own, first, args, {record["job"]["seed"] for record in done})
         writer = records.Writer(path)
         try:
-            work = partial(attempt, args.generator, records.RESULTS / "_laws")
+            work = partial(judge.record_of, args.generator)
             for number, record in enumerate(run(jobs, work, args.workers, deadline), 1):
                 writer.add(record)
                 done.append(record)
@@ -55,7 +51,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--hours", type=float, default=2.0, help="begin nothing after this time (default 2)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--jobs", type=int, help="look no further than the first so many jobs")
-    parser.add_argument("--first", type=int, help="seed of the first job; one of the published scores if not given")
+    parser.add_argument("--first", type=int, help="seed of the first job; drawn from the commit's hash if not given")
     parser.add_argument("--kinds", default="", help="only kinds with all these words, such as one,strong")
     parser.add_argument("--report", action="store_true", help="report on what is there, run nothing")
     parser.add_argument("--publish", action="store_true", help="write the report into the repository too")
@@ -71,7 +67,7 @@ def todo(own: Generator, first: int, args: argparse.Namespace, seen: set[int]) -
 
 
 def run(jobs: list[Job], work: partial, workers: int, deadline: float) -> Iterator[Record]:
-    """Records as they come. Jobs whose null law another process is making come again a little later."""
+    """Records as they come."""
     queue = deque(jobs)
     # Fresh processes: no threads of the parent, no half-filled caches.
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
@@ -82,20 +78,7 @@ def run(jobs: list[Job], work: partial, workers: int, deadline: float) -> Iterat
             if not running:
                 return
             finished, running = wait(running, return_when=FIRST_COMPLETED)
-            for job, record in (future.result() for future in finished):
-                if record is None:
-                    queue.insert(min(len(queue), LATER), job)
-                else:
-                    yield record
-
-
-def attempt(name: str, laws: Path, job: Job) -> tuple[Job, Record | None]:
-    """One job; None where another process makes its null law."""
-    try:
-        return job, judge.record_of(name, job, laws)
-    except judge.Busy:
-        time.sleep(2)
-        return job, None
+            yield from (future.result() for future in finished)
 
 
 def progress(number: int, record: Record, deadline: float, verbose: bool) -> None:

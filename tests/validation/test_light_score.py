@@ -22,7 +22,8 @@ def entry(name, *rivals, **parameters):
 def record(kind, hidden=(), said=(), design="default", p=0.5, limits=None, **truth):
     """A record of a judged set; the light is what the kind says, a Gaussian if it does not."""
     light = next((word for word in kind.split(":") if word in ("real", "drawn")), "gauss")
-    verdict = {"status": "named", "detection": {"p_value": p}, "unexplained": {"p_value": p}, "effects": list(said)}
+    verdict = {"status": "named", "detection": {"p_value": p}, "unexplained": {"p_value": p}, "effects": list(said),
+               "gap": {"closed": None, "on": "unseen repeats"}, "light": None}  # fmt: skip
     if limits is not None:
         verdict["limits"] = limits
     job = {"number": 0, "seed": 51_000_000, "kind": kind, "design": design, "budget": ""}
@@ -159,3 +160,24 @@ def test_a_row_is_met_unless_its_interval_excludes_what_it_must_be():
     rows = [record(ONE, [put_in("smear")], [entry("smear")] if k % 2 else []) for k in range(30)]
     assert found(rows, "one effect at 50").verdict() == "short"
     assert found([], "one effect at 50").verdict() == "not measured"
+
+
+def test_what_the_suite_before_lost():
+    """Of four sets one is lost and one won; a shape beside the truth loses one more."""
+    smear = put_in("smear")
+    cases = (("right", [entry("smear")]), ("right", [entry("speckle")]), ("unknown", [entry("smear")]),
+             ("right", [entry("smear"), entry("beam_profile")]))  # fmt: skip
+    rows = [record("before:one:smear:strong", [smear], said, before=then) for then, said in cases]
+    loss = found(rows, "sets of the suite before")
+    assert loss.sets == 4 and loss.value == pytest.approx(0.25) and loss.verdict() == "ok"
+    rows = [record("before:one:smear:strong", [smear], [], before="right") for _ in range(100)]
+    assert found(rows, "sets of the suite before").verdict() == "short"
+
+
+def test_the_gap_that_a_shape_closes():
+    rows = [record("light:real") for _ in range(20)]
+    for row in rows:
+        row["verdict"] |= {"light": {"power": 0.05}, "gap": {"closed": 0.9, "on": "unseen repeats"}}
+    rows[0]["verdict"]["gap"] |= {"closed": 0.1, "on": "the frames themselves"}
+    gap = found(rows, "gap that a learned shape closes")
+    assert gap.sets == 19 and gap.value == pytest.approx(0.9) and gap.verdict() == "short"

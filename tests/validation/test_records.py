@@ -26,7 +26,6 @@ def test_what_is_published_scores_the_same(tmp_path, monkeypatch):
     """Nothing that a score reads is lost, and what was passed over is not kept."""
     monkeypatch.setattr(records, "PUBLISHED", tmp_path / "published.jsonl.xz")
     strong = one("nonlinearity", [["nonlinearity"]])
-    strong["told"]["parameters"] = {"nonlinearity": {"q": {"value": 0.1, "stderr": 0.002123456789, "unit": "1"}}}
     strong["verdict"]["effects"][0]["parameters"] = {"q": {"value": 0.10312345678, "stderr": 0.002, "unit": "1"}}
     rows = [record("none"), strong, record("none") | {"outcome": "passed over"}]
     records.publish(rows, "abc", {"consistent": [20.0]})

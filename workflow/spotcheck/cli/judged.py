@@ -24,7 +24,7 @@ class Tolerance(NamedTuple):
 
 
 class OpenSet(NamedTuple):
-    """All usable frames, what the instrument fixes, and what the dataset holds but no verdict rests on ("": nothing)."""
+    """All usable frames, what the instrument fixes, and what of the dataset no verdict rests on ("": nothing)."""
 
     shots: list[Shot]
     setting: Setting

@@ -5,16 +5,15 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-from tests.validation.generators.light import beams, score
+from tests.validation.generators.light import beams, before, score
 from tests.validation.generators.light.draw import write_job
 from tests.validation.generators.light.plan import plan
-from tests.validation.protocol import Job, Judge, Record
+from tests.validation.generators.rig import generator as rig
+from tests.validation.protocol import Job, Record
 from tests.validation.records import ROOT
 
-NULL_SETS = 1500
-FIRST = 51_000_000
+FIRST = 60_000_000
 JOBS = 4000
 
 
@@ -31,16 +30,17 @@ def needs_files(job: Job) -> bool:
 
 
 def write(job: Job, folder: Path, truth: Path) -> bool:
-    """A set and its truth; False where its files are missing."""
+    """A set and its truth; False where its files are missing. Of a set on which the engine before was scored the truth
+    knows what became of it."""
+    if job.kind.startswith(f"{before.WORD}:"):
+        made = rig.write(job._replace(kind=job.kind.removeprefix(f"{before.WORD}:")), folder, truth)
+        known = json.loads(truth.read_text(encoding="utf-8")) if made else {}
+        truth.write_text(json.dumps(known | {"before": before.rows()[job.seed]["outcome"]}) + "\n", encoding="utf-8")
+        return made
     if needs_files(job) and not beams.there():
         return False
     truth.write_text(json.dumps(write_job(job, folder), indent=1, default=float) + "\n", encoding="utf-8")
     return True
-
-
-def beside(job: Job, folder: Path, results: Path, truth: dict[str, Any], judge: Judge) -> dict[str, Any]:
-    """Nothing."""
-    return {}
 
 
 def report(rows: Sequence[Record], folder: Path, name: str, publish: bool) -> str:

@@ -11,6 +11,9 @@ import numpy as np
 from scipy import stats
 
 from tests.validation.figure import Figure, Range
+from tests.validation.generators.light import before
+from tests.validation.intervals import bootstrap
+from tests.validation.outcome import word_for
 from tests.validation.protocol import Record
 from tests.validation.table import markdown
 
@@ -21,10 +24,12 @@ STRONG = {"default": 0.90, "one_exposure": 0.85, "single_frame": 0.75}
 MUST = {
     "ten": 0.80, "plain": 0.02, "outside": 0.05, "tied": 0.90, "two": 0.80, "clip": 8 / 9, "rise": 8 / 9,
     "stripes": 8 / 9, "bend": 4 / 9, "hene wrong": 0.0, "alarm": 0.01, "cover": 0.95, "sheet": 0.02,
-    "sheet strong": 0.80,
+    "sheet strong": 0.80, "loss": 0.01, "closed": 0.95,
 }  # fmt: skip
 # A Kolmogorov–Smirnov test that says less than this finds p-values not to be uniform.
 UNIFORM = 0.01
+# On which frames the gap of a design with repeats is measured, and what becomes of a set that is not lost.
+UNSEEN, GOOD = "unseen repeats", ("right", "tied")
 ALPHA = 0.01
 # What `limits` says of an effect that the light's shape mimics; others have a limit because they are not there.
 SHAPE_WORDS = "light's shape"
@@ -193,7 +198,43 @@ def figures(records: Sequence[Record]) -> list[Figure]:
     inside = [abs(pull) <= COVER for own in found for pull in pulls(own).values()]
     out.append(share("95 % intervals of parameters that hold the truth", inside, MUST["cover"]))
     out += of_sheets(of_first(scored, "sheet"))
+    out += [of_shapes(plain), of_before(of_first(scored, before.WORD))]
     return out
+
+
+def of_shapes(rows: Sequence[Record]) -> Figure:
+    """The part of the gap on unseen frames that a learned shape closes, over an oracle's: who knows the light closes
+    all that is above noise."""
+    closed = [own["verdict"]["gap"]["closed"] for own in rows if own["verdict"]
+              and own["verdict"]["gap"]["on"] == UNSEEN and own["verdict"]["light"]]  # fmt: skip
+    name, wanted = (
+        "gap that a learned shape closes on unseen frames, over an oracle's",
+        Range(MUST["closed"], np.inf, "≥ 0.95"),
+    )
+    if not closed:
+        return Figure(name, np.nan, (np.nan, np.nan), 0, "", wanted)
+    interval = bootstrap(closed, np.mean)
+    return Figure(name, float(np.mean(closed)), interval, len(closed), "", wanted, judged=interval[1])
+
+
+def of_before(rows: Sequence[Record]) -> Figure:
+    """By how much fewer sets are right, or hold the truth among rivals, than with the engine before: with the error of
+    a difference of paired shares (Agresti, Categorical Data Analysis, 11.1.3)."""
+    then = np.array([own["truth"]["before"] in GOOD for own in rows], float)
+    now = np.array([_now(own) in GOOD for own in rows], float)
+    name, wanted = "sets of the suite before: net loss", Range(-np.inf, MUST["loss"], "≤ 1 %")
+    if not len(rows):
+        return Figure(name, np.nan, (np.nan, np.nan), 0, "%", wanted)
+    loss, half = float(np.mean(then - now)), 1.96 * float(np.std(then - now)) / np.sqrt(len(rows))
+    return Figure(name, loss, (loss - half, loss + half), len(rows), "%", wanted, judged=loss - half)
+
+
+def _now(record: Record) -> str:
+    """What becomes of a set of the rig now."""
+    if record["verdict"] is None:
+        return "error"
+    kind = record["job"]["kind"].removeprefix(f"{before.WORD}:")
+    return word_for(record | {"job": record["job"] | {"kind": kind}})
 
 
 def of_frames(rows: Sequence[Record]) -> list[Figure]:

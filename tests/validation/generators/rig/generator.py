@@ -6,15 +6,13 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from rig import hidden
-from tests.validation import engine, page, picture, records, score, times
+from tests.validation import page, picture, records, score, times
 from tests.validation.generators.rig.limit import limit_of
 from tests.validation.generators.rig.plan import plan
-from tests.validation.protocol import Job, Judge, Record
+from tests.validation.protocol import Job, Record
 
-NULL_SETS = 1500
 # The seed of the next scores to be published; what earlier ones showed was mended since.
 FIRST = 37_000_000
 JOBS = 20_000
@@ -39,11 +37,6 @@ def write(job: Job, folder: Path, truth: Path) -> bool:
         case = replace(case, truth=case.truth | {"limit": limit_of(case)})
     hidden.write(case, folder, truth)
     return True
-
-
-def beside(job: Job, folder: Path, results: Path, truth: dict[str, Any], judge: Judge) -> dict[str, Any]:
-    """What a model does that is told the truth, and what comes of advice."""
-    return engine.beside(job, _case(job), folder, results, judge)
 
 
 def report(rows: Sequence[Record], folder: Path, name: str, publish: bool) -> str:

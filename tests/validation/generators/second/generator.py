@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,10 +12,9 @@ from tests.validation.generators.second.case import DESIGNS
 from tests.validation.generators.second.draw import write_case
 from tests.validation.generators.second.effects import VOCABULARY
 from tests.validation.generators.second.outside import MECHANISMS
-from tests.validation.protocol import Job, Judge, Record
+from tests.validation.protocol import Job, Record
 from tests.validation.table import markdown
 
-NULL_SETS = 400
 FIRST = 9_000_000
 JOBS = 100
 # Designs in which every effect can show.
@@ -48,11 +46,6 @@ def write(job: Job, folder: Path, truth: Path) -> bool:
     hidden = [f"outside:{name}" for name in hidden] if number == "outside" else hidden
     truth.write_text(json.dumps(write_case(job.seed, hidden, job.design, folder), indent=2) + "\n", encoding="utf-8")
     return True
-
-
-def beside(job: Job, folder: Path, results: Path, truth: dict[str, Any], judge: Judge) -> dict[str, Any]:
-    """Nothing."""
-    return {}
 
 
 def report(rows: Sequence[Record], folder: Path, name: str, publish: bool) -> str:
