@@ -244,7 +244,7 @@ CASES: dict[str, Callable[[], Case]] = {
         "3 of 3 dark frames hold light",
     ),
     "light in dark frames that nobody needs": lambda: Case(
-        [*spots(), *BRIGHTER], words="Simulation and measurement agree"
+        [*spots(), *BRIGHTER], words="Model and measurement agree"
     ),
     # Something is wrong that has no name, or has one.
     "two spots": lambda: Case(spots(another, angles=(0.0,)), {}, "unknown"),

@@ -7,29 +7,26 @@ import numpy as np
 import pytest
 import yaml
 
-from rig import hidden
 from spotcheck import dataset, frames, simulation, store
 from spotcheck.cli import main
-from spotcheck.discrepancy.calibration import Kind
-from spotcheck.discrepancy.cells import Setting
-from spotcheck.discrepancy.detect import Detection
-from spotcheck.discrepancy.explain import Account, account
-from spotcheck.discrepancy.extend import Findings, Size, about, closer_account
-from spotcheck.discrepancy.extension import extended_of
-from spotcheck.discrepancy.look import Look, look_at
-from spotcheck.discrepancy.name import singles
-from spotcheck.discrepancy.shots import Shot
-from spotcheck.discrepancy.verdict import prepared
+from spotcheck.discrepancy.conclude.judge import judge
+from spotcheck.discrepancy.conclude.judgement import Judgement
+from spotcheck.discrepancy.observe.frames import Setting
+from spotcheck.discrepancy.observe.shots import Shot
+from spotcheck.discrepancy.verdict.document import document
+from spotcheck.discrepancy.verdict.extended import extended_of
 from spotcheck.errors import InputError
 from spotcheck.instrument import read_instrument
 from spotcheck.model.chain import Law
+from spotcheck.model.effect import COMPONENTS
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.extended import Extended, Site, Spot, no_model, read_model, text_of
+from spotcheck.model.light_file import LIGHT, written_light
 from spotcheck.model.sensor import SensorModel
-from tests.library import small_verdict as small
+from tests.library import small_set as small
 from tests.library.conftest import HEADER
 from tests.library.effect_cases import GHOST, of, present
-from tests.library.hidden_set import set_of
+from tests.library.judgements import found
 from tests.library.test_exposed import SCATTERED, STEADY
 
 SENSOR = SensorModel(0.11, 8.0, 40.0, np.inf, 20.0, 1023.0)
@@ -309,128 +306,159 @@ def test_the_command(tmp_path, capsys):
 
 # Of a verdict.
 
+KNOWN = [vocabulary()[name] for name in ("ghost_reflection", "saturation", "beam_profile")]
+
+
+# One angle of three sites: what effects and law ask of a design, and soon judged.
+FEW: dict = {"angles": [0.0], "seed": 5}
+
+
+def judged(light: small.Light, **design) -> tuple[Judgement, np.ndarray, Setting, list[Shot]]:
+    """The judgement of small frames by a few effects, their truth and setting."""
+    shots, truth, setting = small.frames(light, **design)
+    return judge(shots, setting, KNOWN), truth, setting, shots
+
+
+@pytest.fixture(scope="module")
+def agreed() -> tuple[Judgement, np.ndarray, Setting, list[Shot]]:
+    """Frames in which nothing is missing."""
+    return judged(small.plain, **FEW)
+
+
+def written(model: Extended, base: Path) -> Extended:
+    """A model after a stay in its file, in which it says the same."""
+    if model.light is not None:
+        written_light(model.light, base / LIGHT, title="t", dataset="x", code="c")
+    (base / "model.yaml").write_text(text := text_of(model, "x", "named"), encoding="utf-8")
+    again = read_model(base / "model.yaml")
+    assert text_of(again, "x", "named") == text
+    return again
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="a ghost is taken for a learned shape, of a power below 0, as crops end at 3.5 σ")
+def test_a_ghost_in_crops_that_end_early():
+    """Two angles: the shape's nodes reach beyond the crop, where nothing holds it."""
+    own = judged(small.ghost)[0]
+    assert [one.own.effect.name for one in own.found] == ["ghost_reflection"]
+
 
 def test_the_model_of_a_verdict(tmp_path):
-    """Effects with the verdict's own values, the law that goes with them, and centres of all sites."""
-    shots, base, setting = small.frames(small.ghost)
-    own = small.judgement("named", small.ghost, small.present("ghost_reflection", 0.05, 11.0, -4.0))
-    found = own.findings
-    assert found is not None
-    instrument = small.dataset(tmp_path / "set").instrument
-    model = extended_of(found, ["ghost_reflection"], shots, setting, instrument)
-    (effect,) = model.present
-    values = small.verdict_of(own)["effects"][0]["parameters"]
-    assert effect.named() == {name: entry["value"] for name, entry in values.items()}
+    """Effects with the verdict's own values, the law that goes with them (peak within 1 %, width at either exposure
+    within 0.1 px), and centres of all sites."""
+    own, truth, setting, shots = judged(small.ghost, **FEW)
+    model = written(extended_of(own, setting, small.dataset(tmp_path / "set").instrument, KNOWN), tmp_path)
+    (effect,), (told,) = model.present, document(own, "x")["effects"]
+    assert effect.named() == {name: pytest.approx(entry["value"]) for name, entry in told["parameters"].items()}
+    assert told["name"] == "ghost_reflection" and effect.values[0] == pytest.approx(0.06, abs=0.003)
     assert model.law is not None and model.law.peak == pytest.approx(small.LAW.peak, rel=0.01)
+    for t in small.EXPOSURES:
+        width = small.LAW.p1 * np.log(t) + small.LAW.p2
+        assert model.law.p1 * np.log(t) + model.law.p2 == pytest.approx(width, abs=0.1)
     assert (model.rows, model.columns, model.longest_s) == (small.SIDE, small.SIDE, 4e-4)
-    for shot, x, y in zip(shots, base.x0, base.y0, strict=True):
+    for shot, (x, y) in zip(shots, truth[:, 2:], strict=True):
         spot = model.spots[Site(shot.angle_deg, None, shot.repeat, ())]
         assert (spot.x_px, spot.y_px) == (pytest.approx(x, abs=0.1), pytest.approx(y, abs=0.1))
-    plain = extended_of(found, [], shots, setting, instrument)
-    assert plain.present == () and plain.law == found.base.refit.model.base
-    for each in (model, plain):
-        (tmp_path / "m.yaml").write_text(text := text_of(each, "x", "named"), encoding="utf-8")
-        assert text_of(read_model(tmp_path / "m.yaml"), "x", "named") == text
+
+
+def test_a_verdict_that_names_nothing_has_the_declared_model(agreed, tmp_path):
+    """Its law as the frames fit it, without effects and light; what unseen frames refuted is left out as well."""
+    own, _, setting, _ = agreed
+    instrument = small.dataset(tmp_path / "set").instrument
+    for each in (own, own._replace(found=(found("smear", 0.01),), beyond=("smear",))):
+        model = written(extended_of(each, setting, instrument, KNOWN), tmp_path)
+        assert model.present == () and model.light is None
+        assert own.shift.before is not None and model.law is not None
+        assert model.law[:2] == pytest.approx(own.shift.before, abs=1e-3)
+        assert model.law.peak == pytest.approx(small.LAW.peak, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["speckle", "power_fluctuation", "pointing_jitter", "row_noise", "fixed_pattern"])
-def test_components_of_variance_are_in_the_model(name, tmp_path):
+def test_components_of_variance_are_in_the_model(name, agreed, tmp_path):
     """With the values that the verdict reports, whatever they are, and readable again."""
-    shots, _, setting = small.frames()
-    effect = vocabulary()[name]
-    own = small.judgement("named", small.plain, small.present(name, *(0.0 for _ in effect.parameters)))
-    assert own.findings is not None
-    model = extended_of(own.findings, [name], shots, setting, small.dataset(tmp_path / "set").instrument)
-    values = small.verdict_of(own)["effects"][0]["parameters"]
-    assert model.present[0].named() == {key: pytest.approx(entry["value"]) for key, entry in values.items()}
-    (tmp_path / "m.yaml").write_text(text := text_of(model, "x", "named"), encoding="utf-8")
-    assert text_of(read_model(tmp_path / "m.yaml"), "x", "named") == text
+    own, _, setting, _ = agreed
+    told = COMPONENTS.get(vocabulary()[name].component, len(vocabulary()[name].parameters))
+    own = own._replace(found=(found(name, *[0.5, 1.2][:told]),))
+    model = written(extended_of(own, setting, small.dataset(tmp_path / "set").instrument, KNOWN), tmp_path)
+    values, (effect,) = document(own, "x")["effects"][0]["parameters"], model.present
+    assert values and {key: effect.named()[key] for key in values} == {
+        key: pytest.approx(entry["value"]) for key, entry in values.items()
+    }
 
 
 def test_the_model_of_spots_without_a_law(tmp_path):
     """Without exposures: peak and width of every frame."""
-    shots, base, setting = small.frames(exposures=[None], angles=[None])
-    own = small.judgement("consistent", small.plain, exposures=[None], angles=[None])
-    assert own.findings is not None
+    own, truth, setting, shots = judged(small.plain, exposures=[None], angles=[None])
     instrument = small.dataset(tmp_path / "set", [None], [None]).instrument
-    model = extended_of(own.findings, [], shots, setting, instrument)
+    model = written(extended_of(own, setting, instrument, KNOWN), tmp_path)
     assert model.law is None and len(model.spots) == len(shots)
-    for shot, peak, sigma in zip(shots, base.amplitude, base.sigma, strict=True):
+    for shot, (peak, sigma, *_) in zip(shots, truth, strict=True):
         spot = model.spots[Site(None, None, shot.repeat, ())]
         assert (spot.peak_dn, spot.sigma_px) == (pytest.approx(peak, rel=0.02), pytest.approx(sigma, rel=0.02))
 
 
-def closer(own: Account, look: Look, chosen: list[Shot]) -> Findings:
-    """What a verdict holds that has found an account, without the search over all effects."""
-    near = about(chosen, look, own)
-    seen, size = Detection(1 / 301, 300, 9.0, {}), Size(0.0, 0.0, 0.0)
-    best = (near, closer_account(near, own))
-    return Findings(look, account(look, ()), seen, size, [own], best, seen, size, {}, {}, "named", {})
-
-
 @pytest.mark.parametrize("dark", [False, True])
 def test_sites_that_were_kept_unseen(dark, tmp_path):
-    """Of six repeats the third and the sixth: their centres come from their own frames, moved as the joint fit moved
-    those of others, and are left out where those frames show no spot."""
-    shots, base, setting = small.frames(small.ghost, angles=[0.0], repeats=6)
+    """Of six repeats the third and the sixth: their centres come from their own frames under the model that was found,
+    and are left out where those frames show no spot."""
+    shots, truth, setting = small.frames(small.ghost, **(FEW | {"repeats": 6}))
     if dark:
         blank = np.full((small.SIDE, small.SIDE), small.SENSOR.black_level_dn)
         shots = [s._replace(pixels=lambda: blank) if s.repeat in (2, 5) else s for s in shots]
-    ready = prepared(shots, setting, Kind(small.SIDE, 10, "linear", False))
-    assert not isinstance(ready, str)
-    look = look_at(ready[0], ready[1], ready[2], setting)
-    found = closer(account(look, [small.present("ghost_reflection", 0.05, 11.0, -4.0)]), look, ready[0])
-    instrument = small.dataset(tmp_path / "set", [0.0], repeats=6).instrument
-    spots = extended_of(found, ["ghost_reflection"], shots, setting, instrument).spots
+    own = judge(shots, setting, KNOWN)
+    assert [one.own.effect.name for one in own.found] == ["ghost_reflection"] and own.light is None
+    spots = extended_of(own, setting, small.dataset(tmp_path / "set", [0.0], repeats=6).instrument, KNOWN).spots
     assert {site.repeat for site in spots} == ({0, 1, 3, 4} if dark else set(range(6)))
-    for shot, x, y in zip(shots, base.x0, base.y0, strict=True):
+    for shot, (x, y) in zip(shots, truth[:, 2:], strict=True):
         spot = spots.get(Site(0.0, None, shot.repeat, ()))
         # Single fits without the ghost lie 0.7 px off.
         assert spot is None or np.hypot(spot.x_px - x, spot.y_px - y) < 0.2
 
 
-def hidden_findings(name: str, shots: list[Shot], setting: Setting, kind: Kind) -> Findings:
-    """The same with the hidden effect, from its own starts."""
-    ready = prepared(shots, setting, kind)
-    assert not isinstance(ready, str)
-    look = look_at(ready[0], ready[1], ready[2], setting)
-    return closer(singles(look, [vocabulary()[name]])[name], look, ready[0])
-
-
 def excess(found: dataset.Dataset, model: Extended, shots: list[Shot], sensor: SensorModel, out: Path) -> float:
-    """Mean square of measured less expected readings [DN²] over what noise brings: blocks of 10 × 10 px, averaged over
-    the frames of a condition."""
+    """Mean square of measured less expected readings [DN²] over what noise brings: blocks of 5 × 5 px."""
     ds = simulated(found, model, out, sensor)
     at = {(f.angle_deg, f.exposure_s, f.repeat): index for index, f in found.cells()}
-    sums: dict[tuple, list[np.ndarray]] = {}
-    noise: dict[tuple, list[float]] = {}
+    inner, left = slice(5, -5), []
     for shot in shots:
         own = ds.isel(dict(zip(("angle", "exposure", "repeat"), at[shot[:3]], strict=True)))
         dx, dy = shot.left - int(own["left"]), shot.top - int(own["top"])
-        expected = np.roll(own["mean_reading"].values.astype(float), (-dy, -dx), (0, 1))[10:-10, 10:-10]
-        blocks = (shot.pixels()[10:-10, 10:-10] - expected).reshape(22, 10, 22, 10).mean(axis=(1, 3))
-        sums.setdefault(shot[:2], []).append(blocks)
+        assert max(abs(dx), abs(dy)) <= 5
+        expected = np.roll(own["mean_reading"].values.astype(float), (-dy, -dx), (0, 1))[inner, inner]
+        blocks = (shot.pixels()[inner, inner] - expected).reshape(10, 5, 10, 5).mean(axis=(1, 3))
         light = np.maximum(expected - sensor.black_level_dn, 0)
         variance = sensor.gain_dn_per_e * light + (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + 1 / 12
-        noise.setdefault(shot[:2], []).append(float(variance.mean()) / 100)
-    return float(np.mean([np.mean(np.mean(own, axis=0) ** 2) - np.mean(noise[key]) / len(own)
-                          for key, own in sums.items()]))  # fmt: skip
+        left.append(np.mean(blocks**2) - variance.mean() / 25)
+    return float(np.mean(left))
 
 
-@pytest.mark.parametrize(("name", "grid"), [("smear", "one_exposure"), ("saturation", "one_site"),
-                                            ("ghost_reflection", "one_site")])  # fmt: skip
-def test_the_extended_simulation_comes_closer_to_the_frames(name, grid, tmp_path):
-    """A hidden effect, as the rig draws it: measured less simulated frames shrinks to a tenth of its square at the
-    most, through the file."""
-    case = hidden.draw_case(7, f"one:{name}:strong", grid)
-    seen = set_of(case)
-    hidden.write(case, tmp_path / "set", tmp_path / "truth.json")
-    found = dataset.load(tmp_path / "set")
-    findings = hidden_findings(name, seen.shots, seen.setting, seen.kind)
-    left = []
-    for names in ([], [name]):
-        model = extended_of(findings, names, seen.shots, seen.setting, found.instrument)
-        (tmp_path / "model.yaml").write_text(text_of(model, case.design, "named"), encoding="utf-8")
-        model = read_model(tmp_path / "model.yaml")
-        left.append(excess(found, model, seen.shots, seen.setting.sensor, tmp_path / "out"))
-    assert abs(left[1]) < left[0] / 10, left
+def lobes(dx, dy, angle, exposure, sigma, spot):
+    """A beam with three lobes."""
+    u, v = dx / sigma, dy / sigma
+    return spot * (1 + 0.05 * (u**3 - 3 * u * v * v) * np.exp(-(u * u + v * v) / 8))
+
+
+def clipped(image, rng):
+    """Readings that stop at 400 DN above black."""
+    return np.minimum(image, 412.0)
+
+
+@pytest.mark.parametrize(
+    ("drawn", "name"),
+    [({"light": small.ghost}, "ghost_reflection"), ({"light": small.plain, "after": clipped}, "saturation"),
+     ({"light": lobes}, "beam_profile")],
+)  # fmt: skip
+def test_the_extended_simulation_comes_closer_to_the_frames(drawn, name, tmp_path):
+    """Measured less simulated frames shrinks to a tenth of its square at the most, against the declared model as the
+    frames fit it, through the file."""
+    design = {"angles": [0.0], "exposures": [None], "repeats": 4}
+    own, _, setting, shots = judged(**drawn, **design)
+    found = small.dataset(tmp_path / "set", **design)
+    assert [row["name"] for row in document(own, "x")["effects"]] == [name] and own.fits is not None
+    declared = own._replace(found=(), light=None, fits=own.fits._replace(after=own.fits.before))
+    before, after = (
+        excess(found, written(extended_of(each, setting, found.instrument, KNOWN), tmp_path), shots, setting.sensor,
+               tmp_path / "out")
+        for each in (declared, own)
+    )  # fmt: skip
+    assert abs(after) < before / 10, (before, after)
