@@ -1,5 +1,4 @@
-"""What tests share: a small run of the whole workflow and null laws, made once a session by whichever worker needs them
-first."""
+"""What tests share: a small run of the whole workflow, made once a session by whichever worker needs it first."""
 
 import csv
 import fcntl
@@ -24,9 +23,7 @@ SNAKEMAKE = [sys.executable, "-m", "snakemake"]
 def snakemake(*arguments: str, cwd: Path = ROOT, config: dict | None = None) -> subprocess.CompletedProcess:
     """Run Snakemake as a user would, on two cores; returns what it printed."""
     command = [*SNAKEMAKE, "--cores", "2", "--nolock", *arguments]
-    # The fewest null sets that can tell one in a hundred: p-values are not what a run of the workflow tests.
-    config = {"null_simulations": 110} | (config or {})
-    command += ["--config", *(f"{key}={value}" for key, value in config.items())]
+    command += ["--config", *(f"{key}={value}" for key, value in config.items())] if config else []
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env=environment(), check=False)
 
 
@@ -106,12 +103,6 @@ def made_once(folder: Path, make: Callable[[Path], None]) -> Path:
             make(folder)
             done.touch()
     return folder
-
-
-@pytest.fixture(scope="session")
-def laws(shared) -> Path:
-    """A folder of null laws."""
-    return shared / "laws"
 
 
 @pytest.fixture(scope="session")

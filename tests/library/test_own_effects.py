@@ -7,17 +7,14 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from spotcheck import dataset
 from spotcheck.cli import main
 from spotcheck.cli import vocabulary as options
-from spotcheck.discrepancy import calibration
-from spotcheck.discrepancy.assess import LIKELIEST
-from spotcheck.discrepancy.calibration import Kind, digest_of, null_statistics
-from spotcheck.discrepancy.shots import design_of
-from spotcheck.discrepancy.written import breach_of_verdict
+from spotcheck.discrepancy.verdict.document import document
+from spotcheck.discrepancy.verdict.sentence import sentence
+from spotcheck.discrepancy.verdict.written import breach_of_verdict
 from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.effect import Place
@@ -26,10 +23,9 @@ from spotcheck.model.effects import Choice, built_in, vocabulary
 from spotcheck.pages import TEMPLATES, report
 from spotcheck.pages import effects as page
 from spotcheck.schema import breach_of, read_keys
-from tests.library import small_verdict as small
 from tests.library.conftest import ROOT, folder
 from tests.library.effect_cases import knowing, written
-from tests.library.test_verdict_schema import whole
+from tests.library.judgements import JUDGEMENTS
 
 SOUND = page.MEAN
 
@@ -205,60 +201,19 @@ def test_processes_that_are_started_know_the_same_effects(tmp_path):
             assert pool.submit(effects.record).result() == effects.record() != {}
 
 
-# Null laws.
-
-DESIGN = design_of(small.frames(angles=(0.0,), repeats=2)[0])
-KIND = Kind(small.SIDE, 10, "linear", False)
-
-
-def test_null_laws_of_vocabularies_are_kept_apart(tmp_path):
-    """One statistic is the likeliest effect of the mean, so an effect of the mean more or less is another law; what
-    only scatters enters none, and shares the law."""
-    mean, scatter = written(tmp_path, "lens", SOUND), written(tmp_path, "hops", SCATTERS)
-    plain = digest_of(DESIGN, KIND, 200, 1)
-    with knowing(mean):
-        with_mean = digest_of(DESIGN, KIND, 200, 1)
-    mean.write_text(SOUND + "\n# edited\n", encoding="utf-8")
-    with knowing(mean):
-        edited = digest_of(DESIGN, KIND, 200, 1)
-    with knowing(without=["smear"]):
-        without = digest_of(DESIGN, KIND, 200, 1)
-    assert len({plain, with_mean, edited, without}) == 4
-    with knowing(scatter, without=["power_fluctuation", "laser_drift", "interference_fringes"]):
-        assert digest_of(DESIGN, KIND, 200, 1) == plain
-
-
-def test_what_a_null_law_depends_on(tmp_path):
-    """As `digest_of` has it: of the statistics of a null set the likeliest effect alone follows the effects of the
-    mean, and none those that scatter."""
-    plain = null_statistics(DESIGN, KIND, 1, 0)
-    with knowing(written(tmp_path, "hops", SCATTERS), without=["power_fluctuation", "speckle", "laser_drift"]):
-        assert null_statistics(DESIGN, KIND, 1, 0) == plain
-    with knowing(only=["dark_offset"]):
-        few = null_statistics(DESIGN, KIND, 1, 0)
-    assert {name for name in plain if plain[name] != few[name]} == {LIKELIEST} and few[LIKELIEST] < plain[LIKELIEST]
-
-
-def test_workers_of_a_null_law_know_the_vocabulary(monkeypatch):
-    """Started from nothing they find the same law as this process."""
-    pool = ProcessPoolExecutor
-    monkeypatch.setattr(
-        calibration, "ProcessPoolExecutor", lambda n, **more: pool(n, mp_context=get_context("spawn"), **more)
-    )
-    with knowing(only=["dark_offset"]):
-        alone, together = (calibration.calibrate(DESIGN, KIND, 4, 1, workers) for workers in (1, 2))
-    for one, other in zip(alone, together, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 # Files of results.
+
+
+def whole(kind: str) -> dict:
+    """verdict.json of a judgement."""
+    own = document(JUDGEMENTS[kind][1], "small")
+    return own | {"sentence": sentence(own)}
 
 
 def test_a_verdict_says_which_vocabulary_it_had(tmp_path):
     """Names of own effects keep the contract in a run that knows them, and in no other."""
-    own = whole("named")
+    own = whole("one")
     own["effects"][0] |= {"name": "vignetting", "candidates": ["vignetting"]}
-    own["explanations"] = [["vignetting"]]
     assert "vignetting" in breach_of_verdict(own)
     with knowing(written(tmp_path, "lens", SOUND), without=["smear"]):
         own |= options.described()
@@ -277,33 +232,15 @@ def test_the_report_says_which_vocabulary_it_had(tmp_path):
         blank = {"title": "small", "frames": {}, "parameters": [], "skipped": [], "chain": "", "sources": []}
         return TEMPLATES.get_template("report.html").render(missing=missing, **blank)
 
-    assert "The vocabulary of this run" not in text(whole("unknown"))
+    assert "The vocabulary of this run" not in text(whole("stranger"))
     with knowing(written(tmp_path, "lens", SOUND), without=["smear", "row_noise"]):
-        told = text(whole("unknown") | options.described())
+        told = text(whole("stranger") | options.described())
     digest = hashlib.sha256(SOUND.encode()).hexdigest()[:16]
     assert (
         "The vocabulary of this run is not the library's."
         f" Added: <code>vignetting</code> of lens.py (SHA-256 {digest}…)."
         " Left out: <code>row_noise</code>, <code>smear</code>." in told
     )
-
-
-def test_stages_must_know_the_same_effects(tmp_path):
-    """What was found with one vocabulary is not taken up with another, nor after an edit of the file."""
-    path = written(tmp_path, "lens", SOUND)
-    with knowing(path, without=["smear"]):
-        saved = options.described()
-        options.same(saved, "findings.json")
-    options.same({}, "findings.json")
-    for files, without in (((), ()), ((path,), ()), ((), ("smear",))):
-        with (
-            knowing(*files, without=without),
-            pytest.raises(InputError, match=r"findings\.json: was found with .*vignetting of lens\.py .*without smear"),
-        ):
-            options.same(saved, "findings.json")
-    path.write_text(SOUND + "\n", encoding="utf-8")
-    with knowing(path, without=["smear"]), pytest.raises(InputError, match="the same --effects"):
-        options.same(saved, "findings.json")
 
 
 # Configuration and command line.
@@ -347,13 +284,8 @@ def test_a_dataset_brings_no_code(tmp_path):
 
 
 STAGES = {
-    "discrepancy": ["set", "--crops", "c", "--sensor", "s", "--calibrations", "n", "--output", "o"],
-    "verify": ["set", "--crops", "c", "--sensor", "s", "--findings", "f", "--output", "o"],
-    "advise": ["set", "--crops", "c", "--sensor", "s", "--findings", "f", "--output", "o"],
-    "verdict": ["set", "--crops", "c", "--sensor", "s", "--findings", "f", "--gap", "g", "--advice", "a", "--pictures",
-                "p", "--output", "o"],
+    "judge": ["set", "--crops", "c", "--sensor", "s", "--pictures", "p", "--model", "m", "--light", "l", "--output", "o"],
     "flats": ["set", "--frames", "f", "--output", "o"],
-    "isolability": ["set"],
     "simulate": ["set", "--sensor", "s", "--seed", "1", "--folder", "f", "--output", "o"],
     "report": ["--dataset", "set", "--results", "r", "--output", "o"],
     "effects": ["--output", "o"],
