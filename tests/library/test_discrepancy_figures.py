@@ -3,132 +3,189 @@
 import json
 import shutil
 import warnings
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import jinja2
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import stats
 
 from spotcheck import store
-from spotcheck.discrepancy.cells import pooled
-from spotcheck.discrepancy.locate import where
-from spotcheck.discrepancy.picture_data import _canvas, dataset_of
-from spotcheck.discrepancy.sentence import sentence, value_text
-from spotcheck.discrepancy.shots import Shot, design_of
-from spotcheck.discrepancy.written import rounded, write_verdict
+from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.conclude.judgement import Fits, Judgement, untested
+from spotcheck.discrepancy.nuisance.fit import fit
+from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.observe.frames import observed
+from spotcheck.discrepancy.observe.pixels import Model, Numbers
+from spotcheck.discrepancy.observe.shots import Shot, design_of
+from spotcheck.discrepancy.search.light import PENALTY
+from spotcheck.discrepancy.verdict.document import document
+from spotcheck.discrepancy.verdict.pictures import _canvas, pictures_of
+from spotcheck.discrepancy.verdict.sentence import sentence
+from spotcheck.discrepancy.verdict.words import value_text
+from spotcheck.discrepancy.verdict.written import rounded, write_verdict
 from spotcheck.figures import answer, every_figure, style
 from spotcheck.figures.discrepancy import chosen, plan_of
 from spotcheck.figures.entry import Category
 from spotcheck.figures.results import Results, Unavailable
 from spotcheck.figures.write import write_all
+from spotcheck.model import light_shape
+from spotcheck.model.light_file import no_light, written_light
 from spotcheck.pages import TEMPLATES, report
-from tests.library import small_verdict as small
+from tests.library import small_set as small
+from tests.library.conftest import folder
+from tests.library.judgements import GHOST, JUDGEMENTS, closed, detected, found, judged, learned, left, off
 
 ENTRIES = tuple(entry for entry in every_figure() if entry.category is Category.MISSING)
-GHOST = ("ghost_reflection", 0.05, 11.0, -4.0)
+OF_LIGHT = "missing-light"
+ADDED = small.present("ghost_reflection", 0.06, 12.0, -5.0)
 ONE = {"angles": (45.0,), "exposures": (4e-4,), "repeats": 1}
 
 
-def made(tmp_path, own, **design):
-    """discrepancy.nc as it comes back from the file, its verdict, and the dataset."""
-    found = small.dataset(tmp_path / "data", **design)
-    verdict = small.verdict_of(own, found.name)
-    if own.findings is not None:
-        verdict["where"] = where(own.findings.look, own.findings.base, 0.01, own.findings.detection)
+def fitted(judgement: Judgement, light: small.Light = small.ghost, **design) -> Judgement:
+    """A judgement put together by hand with the fits of `small.frames(light, …)`: before, and with the true ghost."""
+    shots, _, setting = small.frames(light, **design)
+    seen = observed(shots, setting)
+    assert not isinstance(seen, str)
+    before = fit(seen.frames, Model(setting.baseline, setting.sensor, (), seen.numbers), PENALTY).model
+    after = fit_numbers(seen.frames, before.with_effect(ADDED)).model if judgement.found else before
+    nothing = Numbers(*(np.zeros(0) for _ in range(4)))
+    fits = Fits(tuple(shots), tuple(seen.frames), seen.design, before, after, nothing, None)
+    return judgement._replace(fits=fits, gap=judgement.gap or closed())
+
+
+class Made(NamedTuple):
+    """A judgement, discrepancy.nc as it comes back from the file, its verdict, the dataset, and where results lie."""
+
+    own: Judgement
+    ds: xr.Dataset
+    verdict: dict
+    found: Dataset
+    results: Results
+
+
+def made(tmp_path, own: Judgement, **design) -> Made:
+    """The files of a verdict."""
+    found = small.dataset(tmp_path / "data", **{k: v for k, v in design.items() if k != "seed"})
+    verdict = document(own, found.name, light_words="6 % of the light lies elsewhere")
     verdict["sentence"] = sentence(verdict)
     out = tmp_path / "results" / "discrepancy.nc"
-    store.write(dataset_of(own, verdict, found), out, code="test")
+    store.write(pictures_of(own, verdict, found), out, code="test")
     out.with_name("verdict.json").write_text(json.dumps(rounded(verdict)))
+    told = {"title": "light", "dataset": found.name, "code": "test"}
+    if own.light is None:
+        no_light(out.with_name("light.nc"), "the declared shape of the light stands", **told)
+    else:
+        shape = light_shape.empty(0.5, 5.0)
+        shape.coefficients[8:12, 6:9] = 0.03
+        words = {"described": "6 % of the light lies elsewhere"}
+        written_light(shape, out.with_name("light.nc"), **told, attributes=words)
     with store.read(out) as ds:
-        return ds.load(), verdict, found
+        return Made(own, ds.load(), verdict, found, Results(out.parent, found))
+
+
+NAMED = off(found=(found("ghost_reflection", 0.06, 12.0, -5.0),), gap=closed(ghost_reflection=0.986),
+            not_assessed=(("angle_reflectance", "fewer than three fibre angles"),))  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def named(tmp_path_factory):
+def named(tmp_path_factory) -> Made:
     """A ghost that was named."""
-    base = tmp_path_factory.mktemp("named")
-    own = small.judgement("named", small.ghost, small.present(*GHOST))
-    return base, own, *made(base, own)
+    return made(tmp_path_factory.mktemp("named"), fitted(NAMED))
 
 
-def test_maps_are_medians_over_repeats(named):
-    """Of each frame's own blocks, less what the fit changed; the ghost is there before and not after."""
-    _, own, ds, _, _ = named
-    look, fit = own.findings.look, own.findings.base.refit
-    design, change = look.measured.design, pooled(fit.moments.mean) - look.problem.mean_start
-    for c in range(design.conditions):
-        at = {"angle": design.angle_deg[c], "exposure": design.exposure_s[c]}
-        frames = look.measured.sums.residual[design.condition == c]
-        assert len(frames) == small.REPEATS
-        expected = np.median(frames, axis=0) - change[c]
-        np.testing.assert_allclose(ds["residual_before"].sel(at), expected, atol=1e-4)
-    before, after = (float(np.sqrt((ds[f"residual_{s}"] ** 2).mean())) for s in ("before", "after"))
-    assert after < 0.3 * before
+class Left(NamedTuple):
+    """Of each frame at one condition [frame, row, column]: measured less model and its variance, by numpy alone."""
+
+    rest: np.ndarray
+    variance: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    sigma: np.ndarray
 
 
-def test_profiles_and_the_gap_are_those_of_the_blocks(named):
-    """Counted once more, block by block: mean over a ring and its error; mean square over noise by condition."""
-    _, own, ds, _, _ = named
-    look, fit = own.findings.look, own.findings.base.refit
-    at = {"angle": 45.0, "exposure": small.EXPOSURES[0]}
-    place = ds.sel(at)
-    y, x = np.meshgrid(ds["block_y"], ds["block_x"], indexing="ij")
-    radius = np.hypot(x - float(place["spot_x"]), y - float(place["spot_y"]))
-    c = 2
-    assert (look.measured.design.angle_deg[c], look.measured.design.exposure_s[c]) == (45.0, small.EXPOSURES[0])
-    assert float(place["sigma"]) == pytest.approx(small.LAW.p1 * np.log(1e-4) + small.LAW.p2)
-    step = float(ds["radius"][1] - ds["radius"][0])
+def left_of(own: Judgement, angle: float, exposure: float) -> Left:
+    """By the declared model's numbers: a Gaussian of light, shot and read noise and that of rounding."""
+    fits, sensor = own.fits, small.SENSOR
+    numbers, design = fits.before.numbers, fits.design
+    at = np.flatnonzero((design.angle_deg == angle) & (design.exposure_s == exposure))
+    row, column = np.mgrid[: small.SIDE, : small.SIDE]
+    rest, variance = [], []
+    for k in at:
+        square = (column - numbers.x[k]) ** 2 + (row - numbers.y[k]) ** 2
+        light = np.exp(numbers.log_peak[k] - square / (2 * np.exp(2 * numbers.log_width[k])))
+        rest.append(fits.shots[k].pixels() - light - sensor.black_level_dn)
+        variance.append(0.11 * light + (0.11 * sensor.read_noise_e) ** 2 + 1 / 12)
+    return Left(np.array(rest), np.array(variance), numbers.x[at], numbers.y[at], np.exp(numbers.log_width[at]))
+
+
+def test_maps_are_means_over_repeats(named):
+    """Of measured less declared model, in blocks of a pixel; the ghost is there before and not after."""
+    for angle in small.ANGLES:
+        for exposure in small.EXPOSURES:
+            own = left_of(named.own, angle, exposure)
+            assert len(own.rest) == small.REPEATS
+            shown = named.ds["residual_before"].sel(angle=angle, exposure=exposure)
+            np.testing.assert_allclose(shown, own.rest.mean(axis=0), atol=2e-3)
+    before, after = (float(np.sqrt((named.ds[f"residual_{s}"] ** 2).mean())) for s in ("before", "after"))
+    # Of 3 frames of noise of 1 to 8 DN and a ghost of up to 36 DN.
+    assert after < 0.6 * before
+    smooth = named.ds["residual_after"].coarsen(block_y=10, block_x=10).mean()
+    assert float(np.abs(smooth).max()) < 1.5 < float(named.ds["residual_before"].max())
+
+
+def test_profiles_and_the_gap_are_those_of_the_pixels(named):
+    """Counted once more: mean over a ring and its error; mean square over noise by condition."""
+    own, place = left_of(named.own, 45.0, small.EXPOSURES[0]), named.ds.sel(angle=45.0, exposure=small.EXPOSURES[0])
+    assert float(place["sigma"]) == pytest.approx(own.sigma.mean(), rel=1e-6)
+    assert float(place["spot_x"]) == pytest.approx(own.x.mean(), rel=1e-6)
+    row, column = np.mgrid[: small.SIDE, : small.SIDE]
+    radius = np.hypot(column - own.x[:, None, None], row - own.y[:, None, None])
+    step = float(named.ds["radius"][1] - named.ds["radius"][0])
     for k in (1, 5, 12):
-        ring = np.abs(radius - float(ds["radius"][k])) < step / 2
-        assert float(place["profile_before"][k]) == pytest.approx(fit.residual[c][ring].mean(), rel=2e-3, abs=1e-3)
-        error = np.sqrt(fit.variance[c][ring].sum()) / ring.sum()
-        assert float(place["profile_before_stderr"][k]) == pytest.approx(error, rel=1e-3)
-    square = (fit.residual[c] ** 2 / fit.variance[c]).mean()
-    assert float(place["gap_before"]) == pytest.approx(square) and square > 5
-    assert abs(float(place["gap_after"]) - float(ds["gap_floor"])) < 4 * float(place["gap_stderr"])
-    assert float(place["gap_stderr"]) == pytest.approx(np.sqrt(2 / fit.residual[c].size), rel=0.02)
-    assert ds.attrs["gap_on"] == "frames that chose the model"
+        ring = np.abs(radius - float(named.ds["radius"][k])) < step / 2
+        assert float(place["profile_before"][k]) == pytest.approx(own.rest[ring].mean(), rel=2e-3, abs=2e-3)
+        error = np.sqrt(own.variance[ring].sum()) / ring.sum()
+        assert float(place["profile_before_stderr"][k]) == pytest.approx(error, rel=2e-3)
+    square = (own.rest**2 / own.variance).mean()
+    assert float(place["gap_before"]) == pytest.approx(square, rel=2e-3) and square > 1.5
+    assert (np.abs(named.ds["gap_after"] - named.ds["gap_floor"]) < 5 * named.ds["gap_stderr"]).all()
+    assert float(named.ds["gap_floor"]) == pytest.approx(1, abs=0.05)
+    assert float(place["gap_stderr"]) == pytest.approx(np.sqrt(2 / own.rest.size), rel=0.05)
+    assert named.ds.attrs["gap_on"] == "frames that were searched"
 
 
-def test_unseen_data_come_first_where_their_variance_is_known(named, tmp_path):
-    """Then the gap by condition is that of the unseen frames, and says so."""
-    _, own, plain, _, _ = named
-    maps = own.gap.maps | {f"variance_{s}": np.full(own.gap.maps[s].shape, 4.0) for s in ("before", "after")}
-    ds, _, _ = made(tmp_path, own._replace(gap=own.gap._replace(maps=maps)))
-    assert ds.attrs["gap_on"] == "left-out repeats"
-    np.testing.assert_allclose(ds["gap_before"].values.ravel(), (maps["before"] ** 2 / 4).mean(axis=(1, 2)), rtol=1e-6)
-    assert not np.allclose(ds["gap_before"], plain["gap_before"])
+def test_rings_stand_out_by_their_noise(named):
+    """z of a ring's mean, and the strongest of six azimuthal orders as the z of as small a probability, once more."""
+    own, place = left_of(named.own, 0.0, small.EXPOSURES[1]), named.ds.sel(angle=0.0, exposure=small.EXPOSURES[1])
+    row, column = np.mgrid[: small.SIDE, : small.SIDE]
+    dx, dy = column - own.x[:, None, None], row - own.y[:, None, None]
+    radius, turn = np.hypot(dx, dy) / own.sigma[:, None, None], np.arctan2(dy, dx)
+    for k, (low, high) in enumerate([(0.0, 0.5), (0.5, 1.0), (1.0, 1.5)]):
+        ring = (radius >= low) & (radius < high)
+        rest, variance = own.rest[ring], own.variance[ring]
+        assert float(place["z_radial"][k]) == pytest.approx(rest.sum() / np.sqrt(variance.sum()), rel=1e-2, abs=0.02)
+        power = [sum(((w * rest).sum()) ** 2 / (w * w * variance).sum() for w in (np.cos(m * turn[ring]),
+                 np.sin(m * turn[ring]))) for m in range(1, 7)]  # fmt: skip
+        assert float(place["z_order"][k]) == 1 + np.argmax(power)
+        want = stats.norm.isf(6 * np.exp(-max(power) / 2) / 2)
+        assert not np.isfinite(want) or float(place["z_azimuthal"][k]) == pytest.approx(want, rel=1e-2)
+    cells = 2 * int(np.isfinite(named.ds["z_radial"]).sum())
+    assert float(named.ds["z_threshold"]) == pytest.approx(stats.norm.isf(0.01 / 2 / cells))
 
 
-def test_candidates_are_ordered_and_marked(named):
-    _, own, ds, _, _ = named
-    assert [str(n) for n in ds["candidate"].values] == ["ghost_reflection", "super_gaussian", "motion_blur"]
-    np.testing.assert_array_equal(ds["candidate_role"], [1, 0, 0])
-    score = own.findings.evidence["ghost_reflection"][0]
-    np.testing.assert_allclose(ds["candidate_behind"], [0.0, -5 - score, -5 - score])
-    assert float(ds["nothing_behind"]) == pytest.approx(-score) and -score > 1000
-    closed = ds["candidate_closed"].values
-    assert 0.95 < closed[0] < 1.05 and np.all(np.abs(closed[1:]) < 0.01)
+def test_tests_of_detection_are_told_as_z(named):
+    parts = named.own.detection.parts
+    assert [str(name).split(":")[0] for name in named.ds["part"].values] == [part.name.split(":")[0] for part in parts]
+    np.testing.assert_allclose(stats.norm.sf(named.ds["part_z"]), [part.p_value for part in parts], rtol=1e-6)
 
 
-def test_sets_stand_beside_their_parts(tmp_path):
-    """A set that holds comes first; its parts alone do not hold, but are marked. An unknown rest marks nothing."""
-    effects = [small.present(*GHOST), small.present("dark_offset", 0.5)]
-    own = small.judgement("ambiguous", small.ghost, *effects)
-    ds, _, _ = made(tmp_path / "a", own)
-    roles = dict(zip(ds["candidate"].values.tolist(), ds["candidate_role"].values.tolist(), strict=True))
-    assert roles == {"ghost_reflection + dark_offset": 1, "ghost_reflection": 2, "dark_offset": 2, "super_gaussian": 0,
-                     "motion_blur": 0}  # fmt: skip
-    assert next(iter(roles)) == "ghost_reflection + dark_offset"
-    unknown = own._replace(findings=own.findings._replace(status="unknown"))
-    ds, _, _ = made(tmp_path / "b", unknown)
-    assert not ds["candidate_role"].any()
-
-
-def drawn(base, found) -> tuple[dict[str, str], dict[str, str]]:
+def drawn(own: Made) -> tuple[dict[str, str], dict[str, str]]:
     """Captions of the pictures of a verdict, and why the others were not drawn; a warning is an error."""
     captions, skipped = {}, {}
-    with warnings.catch_warnings(), style.applied(), Results(base / "results", found) as results:
+    with warnings.catch_warnings(), style.applied(), own.results as results:
         warnings.simplefilter("error")
         for entry in ENTRIES:
             try:
@@ -141,65 +198,72 @@ def drawn(base, found) -> tuple[dict[str, str], dict[str, str]]:
     return captions, skipped
 
 
+NO_AXES = {"angles": (None,), "exposures": (None,), "repeats": 1}
+MANY = {"angles": (0.0, 90.0), "exposures": tuple(np.geomspace(1e-4, 1e-3, 9)), "repeats": 1}
+
+
 @pytest.mark.parametrize(
-    ("status", "effects", "design"),
+    ("own", "light", "design"),
     [
-        ("named", [GHOST], {}),
-        ("consistent", [], {}),
-        ("named", [GHOST], ONE),
-        ("unknown", [], {"angles": (None,), "exposures": (None,), "repeats": 1}),
-        ("unknown", [], {"angles": (0.0, 90.0), "exposures": tuple(np.geomspace(1e-4, 1e-3, 9)), "repeats": 1}),
+        (NAMED, small.ghost, {}),
+        (judged(), small.plain, {}),
+        (NAMED, small.ghost, ONE),
+        (off(light=learned(), gap=closed(by_light=0.97)), small.ghost, ONE),
+        (off(), small.bump, NO_AXES),
+        (off(), small.bump, MANY),
     ],
-    ids=["named", "consistent", "one frame", "no axes", "many conditions"],
+    ids=["named", "consistent", "one frame", "a learned light", "no axes", "many conditions"],
 )
-def test_pictures_of_every_outcome_and_design(status, effects, design, tmp_path):
-    light = small.plain if status == "consistent" else small.ghost
-    own = small.judgement(status, light, *(small.present(*e) for e in effects), **design)
-    ds, _, found = made(tmp_path, own, **design)
-    captions, skipped = drawn(tmp_path, found)
-    if status == "consistent":
-        assert skipped == {"missing-evidence": "nothing disagreed enough for an effect to be tried"}
-        assert "(0 of" in captions["missing-where"] and "no after" in captions["missing-gap"]
-    else:
-        assert not skipped and set(captions) == {entry.name for entry in ENTRIES}
-        assert ("None holds" in captions["missing-evidence"]) == (status == "unknown")
-    assert not any("nan" in text or "None " in text.replace("None holds", "") for text in captions.values())
-    assert ("residual_after" in ds) == bool(effects)
-
-
-def test_what_led_at_first_and_failed_is_said(tmp_path):
-    """The first look may put another effect before the one that holds; the caption does not hide it."""
-    own = small.judgement("named", small.ghost, small.present(*GHOST), **ONE)
-    score = own.findings.evidence["ghost_reflection"][0]
-    evidence = own.findings.evidence | {"speckle": (score - 50.0, own.findings.base.refit.chi2)}
-    own = own._replace(findings=own.findings._replace(evidence=evidence))
-    ds, _, found = made(tmp_path, own, **ONE)
-    assert str(ds["candidate"].values[0]) == "ghost_reflection" and float(ds["candidate_behind"][0]) == pytest.approx(
-        50
-    )
-    (entry,) = (entry for entry in ENTRIES if entry.name == "missing-evidence")
-    with Results(tmp_path / "results", found) as results, style.applied():
-        assert entry.draw(results).caption.endswith("failing pixel by pixel: speckle.")
+def test_pictures_of_every_outcome_and_design(own, light, design, tmp_path):
+    """Each is drawn, or says why it is not; captions hold no word of the program."""
+    this = made(tmp_path, fitted(own, light, **design), **design)
+    captions, skipped = drawn(this)
+    reasons = {}
+    if not this.verdict["effects"]:
+        reasons["missing-evidence"] = "nothing was added to the model"
+        assert "no after" in captions["missing-gap"] and "no after" in captions["missing-residuals"]
+    if own.light is None:
+        reasons[OF_LIGHT] = "the declared shape of the light stands"
+    assert skipped == reasons and {*captions, *skipped} == {entry.name for entry in ENTRIES}
+    assert not any(word in text for text in captions.values() for word in ("nan", "None", "inf "))
+    assert ("residual_after" in this.ds) == bool(this.verdict["effects"])
+    if light is small.plain:
+        assert "(0 of" in captions["missing-where"]
+    if own.light is not None:
+        assert "6 % of the light lies elsewhere" in captions[OF_LIGHT]
 
 
 def test_pictures_are_what_the_captions_say(named):
     """Both sides share one scale; bold where noise does not reach; as many marks as counted."""
-    base, _, ds, _, found = named
-    with Results(base / "results", found) as results, style.applied():
-        sheet = {entry.name: entry.draw(results).figure for entry in ENTRIES}
-    maps = [image for ax in sheet["missing-residuals"].axes for image in ax.get_images() if image.get_array().ndim == 2]
-    maps = [image for image in maps if image.get_array().shape == (30, 30)]
+    with named.results as results, style.applied():
+        sheet = {entry.name: entry.draw(results).figure for entry in ENTRIES if entry.name != OF_LIGHT}
+    maps = [image for ax in sheet["missing-residuals"].axes for image in ax.get_images()]
+    maps = [image for image in maps if image.get_array().shape == (60, 60)]
     assert len(maps) == 2 * 4 and len({image.get_clim() for image in maps}) == 1
     texts = [text for ax in sheet["missing-gap"].axes for text in ax.texts]
     assert [text.get_weight() for text in texts] == ["bold"] * 4 + ["normal"] * 4
-    marks = [t for ax in sheet["missing-where"].axes for t in ax.texts if t.get_text() in ("•", *"1234")]
-    limit = float(ds["z_threshold"])
-    assert len(marks) == int((np.abs(ds["z_radial"]) > limit).sum() + (ds["z_azimuthal"] > limit).sum()) > 10
+    marks = [t for ax in sheet["missing-where"].axes for t in ax.texts if t.get_text() in ("•", *"123456")]
+    limit = float(named.ds["z_threshold"])
+    count = int((np.abs(named.ds["z_radial"]) > limit).sum() + (named.ds["z_azimuthal"] > limit).sum())
+    assert len(marks) == count > 10
+
+
+def test_evidence_shows_every_name_and_its_rivals(tmp_path):
+    """A point at the gain of each, a rival's less by what it is behind, bars at the part of the gap that is closed."""
+    tied = off(found=(GHOST,), gap=closed(ghost_reflection=0.98))
+    this = made(tmp_path, fitted(tied, **ONE), **ONE)
+    (entry,) = (entry for entry in ENTRIES if entry.name == "missing-evidence")
+    with this.results as results, style.applied():
+        ax, right = entry.draw(results).figure.axes
+    assert [text.get_text() for text in ax.get_yticklabels()] == ["ghost_reflection", "or scatter_halo"]
+    points = [float(line.get_xdata()[0]) for line in ax.lines if line.get_marker() == "o"]
+    assert points == pytest.approx([900.0, 900.0 - 4.6])
+    assert [bar.get_width() for bar in right.patches] == pytest.approx([98.0])
 
 
 def test_the_answer_shows_the_condition_that_gains_most(named):
     """Measured less each model is what the maps say is left; the caption names what was added, with its value."""
-    base, _, ds, verdict, found = named
+    ds = named.ds
     gain = (ds["residual_before"] ** 2 - ds["residual_after"] ** 2).sum(("block_y", "block_x"))
     best = gain.isel(gain.argmax(...))
     shown = answer.example(ds)
@@ -209,62 +273,57 @@ def test_the_answer_shows_the_condition_that_gains_most(named):
     for stage in ("before", "after"):
         np.testing.assert_array_equal(shown.residuals[stage], own[f"residual_{stage}"])
         np.testing.assert_allclose(shown.models[stage] + shown.residuals[stage], shown.measured, atol=1e-3)
-    # The frames' own medians, whose centres lie up to half a pixel from their mean: half of the steepest slope.
     at = float(best["angle"]), float(best["exposure"])
-    shots = [shot for shot in small.frames(small.ghost)[0] if (shot.angle_deg, shot.exposure_s) == at]
-    blocks = np.median([shot.pixels().reshape(30, 2, 30, 2).mean(axis=(1, 3)) for shot in shots], axis=0)
-    slope = np.exp(-0.5) * blocks.max() / float(own["sigma"])
-    np.testing.assert_allclose(shown.measured, blocks, atol=slope / 2)
-    with Results(base / "results", found) as results, style.applied():
+    shots = [shot for shot in named.own.fits.shots if (shot.angle_deg, shot.exposure_s) == at]
+    np.testing.assert_allclose(shown.measured, np.mean([shot.pixels() for shot in shots], axis=0), rtol=1e-6)
+    with named.results as results, style.applied():
         caption = answer.draw(results).caption
-    fraction = verdict["effects"][0]["parameters"]["fraction"]
+    fraction = named.verdict["effects"][0]["parameters"]["fraction"]
     assert "Verdict: named." in caption and f"fraction {value_text(*fraction.values())}" in caption
 
 
 def test_no_answer_without_a_verdict(named, tmp_path):
-    base, _, _, _, found = named
-    shutil.copyfile(base / "results" / "discrepancy.nc", tmp_path / "discrepancy.nc")
-    with Results(tmp_path, found) as results, pytest.raises(Unavailable, match=r"verdict\.json is not among"):
+    shutil.copyfile(named.results.folder / "discrepancy.nc", tmp_path / "discrepancy.nc")
+    with Results(tmp_path, named.found) as results, pytest.raises(Unavailable, match=r"verdict\.json is not among"):
         answer.draw(results)
 
 
 def test_equal_inputs_give_equal_pictures(named, tmp_path):
-    base, _, _, _, found = named
     entries = tuple(entry for entry in ENTRIES if entry.name == "missing-gap")
     for name in ("one", "two"):
-        with Results(base / "results", found) as results:
+        with Results(named.results.folder, named.found) as results:
             write_all(results, tmp_path / name, entries)
     files = sorted(p.name for p in (tmp_path / "one").iterdir() if p.is_file())
     assert len(files) == 2 * len(entries) + 1
     assert all((tmp_path / "one" / n).read_bytes() == (tmp_path / "two" / n).read_bytes() for n in files)
 
 
+NO_SPOT = "no spot could be fitted in any frame"
+
+
 def test_nothing_assessed_leaves_the_reason(tmp_path):
-    _, _, found = made(tmp_path, small.nothing("no spot could be fitted in any frame"))
-    captions, skipped = drawn(tmp_path, found)
-    assert captions == {}
-    assert skipped == dict.fromkeys((entry.name for entry in ENTRIES), "no spot could be fitted in any frame")
+    captions, skipped = drawn(made(tmp_path, untested(NO_SPOT)))
+    reasons = dict.fromkeys((entry.name for entry in ENTRIES), NO_SPOT)
+    reasons |= {"missing-evidence": "nothing was added to the model", OF_LIGHT: "the declared shape of the light stands"}
+    assert captions == {} and skipped == reasons
 
 
 def test_a_cell_without_frames_stays_empty(tmp_path):
     """Of a grid with a hole every other condition keeps its place: no frame of (45°, shorter exposure) was usable."""
     shots = [s for s in small.frames()[0] if (s.angle_deg, s.exposure_s) != (45.0, small.EXPOSURES[0])]
-    canvas = _canvas(design_of(shots), small.dataset(tmp_path), None)
+    canvas = _canvas(SimpleNamespace(shots=shots, design=design_of(shots)), small.dataset(tmp_path))
     np.testing.assert_array_equal(canvas.spread(np.array([1.0, 2.0, 3.0])), [[1.0, 2.0], [np.nan, 3.0]])
 
 
-def test_declared_conditions_need_the_shots_where_places_are_missing(tmp_path):
-    """z_m is an axis; with every place used the dataset tells them apart, else the shots do."""
+def test_declared_conditions_are_axes(tmp_path):
+    """z_m is an axis; each condition has its place, all places used or not."""
     rows = [f"frames/f{k}.tif,spot,0,1e-4,0,{z}" for k, z in enumerate((0.1, 0.2, 0.3))]
-    small.folder(tmp_path, rows, "{name: scan, conditions: [z_m]}", "file,kind,angle_deg,exposure_s,repeat,z_m")
-    found = small.load(tmp_path)
+    folder(tmp_path, rows, "{name: scan, conditions: [z_m]}", "file,kind,angle_deg,exposure_s,repeat,z_m")
+    scan = small.load(tmp_path)
     shots = [Shot(0.0, 1e-4, 0, None, (z,), 0, 0, lambda: np.zeros((2, 2))) for z in (0.1, 0.2, 0.3)]
-    whole = _canvas(design_of(shots), found, None)
+    whole, fewer = (_canvas(SimpleNamespace(shots=s, design=design_of(s)), scan) for s in (shots, shots[1:]))
     assert (whole.dims, whole.places) == (("angle", "exposure", "z_m"), [(0, 0, 0), (0, 0, 1), (0, 0, 2)])
-    fewer = shots[1:]
-    assert _canvas(design_of(fewer), found, fewer).places == [(0, 0, 1), (0, 0, 2)]
-    with pytest.raises(ValueError, match="pass the shots"):
-        _canvas(design_of(fewer), found, None)
+    assert fewer.places == [(0, 0, 1), (0, 0, 2)]
 
 
 def test_tables_of_conditions():
@@ -299,15 +358,9 @@ def page(path) -> str:
     return overlay.get_template("report.html").render(missing=own, missing_figures=pictures)
 
 
-def test_the_report_shows_the_verdict(named, tmp_path):
-    _, _, _, verdict, _ = named
-    verdict = json.loads(json.dumps(verdict))
-    verdict["status"] = "ambiguous"
-    verdict["explanations"].append(["scatter_halo"])
-    verdict["effects"][0]["candidates"].append("scatter_halo")
-    verdict["advice"] = [
-        {"condition": {"exposure_s": 2e-3}, "separates": ["ghost_reflection", "scatter_halo"], "frames": 7}
-    ]
+def test_the_report_shows_the_verdict(tmp_path):
+    tied = JUDGEMENTS["tied"][1]._replace(not_assessed=NAMED.not_assessed, shift=JUDGEMENTS["one"][1].shift)
+    verdict = document(tied, "small")
     verdict["sentence"] = sentence(verdict)
     write_verdict(verdict, tmp_path / "verdict.json")
     text = page(tmp_path / "verdict.json")
@@ -316,19 +369,28 @@ def test_the_report_shows_the_verdict(named, tmp_path):
         "Verdict: ambiguous.",
         verdict["sentence"][:40],
         "<code>ghost_reflection</code>",
-        "fraction = 0.05",
+        "fraction = 0.0239 ± 0.0004",
         "<td>scatter_halo</td>",
-        "98.6 %",
-        "left-out repeats",
+        "98 %",
+        "unseen repeats",
         "p1 [px]",
         "The gap",
-        "7 frames at an exposure of 2 ms",
+        "12 frames at an exposure of 1.8 ms",
         "<code>angle_reflectance</code>: fewer than three",
         "Where, strongest",
+        "<td>row 96, column 120 at 0.4 ms</td>",
     )
     for part in parts:
         assert part in text, part
     assert "None" not in text and "nan" not in text
+
+
+def test_the_report_tells_limits(tmp_path):
+    """How large what was not found could still be."""
+    verdict = document(judged(unexplained=left(0.0), detection=detected(0.32)), "small")
+    verdict["sentence"] = sentence(verdict)
+    write_verdict(verdict, tmp_path / "verdict.json")
+    assert "<td><code>smear</code></td><td>fraction below 0.0004</td>" in page(tmp_path / "verdict.json")
 
 
 def test_the_report_without_a_verdict_says_nothing_of_it(tmp_path):
@@ -338,8 +400,7 @@ def test_the_report_without_a_verdict_says_nothing_of_it(tmp_path):
 
 
 def test_the_report_of_what_was_not_assessed(tmp_path):
-    own = small.nothing("no spot could be fitted in any frame")
-    verdict = small.verdict_of(own)
+    verdict = document(untested(NO_SPOT), "small")
     verdict["sentence"] = sentence(verdict)
     write_verdict(verdict, tmp_path / "verdict.json")
     text = page(tmp_path / "verdict.json")

@@ -55,7 +55,7 @@ def test_every_kind_of_judgement_keeps_the_contract(kind, tmp_path):
 
 
 def test_every_status_is_there():
-    assert {status for status, _ in JUDGEMENTS.values()} == set(read_schema("verdict2")["properties"]["status"]["enum"])
+    assert {status for status, _ in JUDGEMENTS.values()} == set(read_schema("verdict")["properties"]["status"]["enum"])
 
 
 # Status

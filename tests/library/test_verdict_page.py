@@ -10,14 +10,14 @@ from tests.library.conftest import ROOT
 from tests.library.judgements import JUDGEMENTS, WORDS
 from tests.library.test_docs import code, nested, section, table
 
-PAGE = ROOT / "workflow" / "docs" / "verdict2.md"
+PAGE = ROOT / "workflow" / "docs" / "verdict.md"
 # Keys of every number; of p1 and p2 as of any parameter.
 SAID_ELSEWHERE = {"unit", "stderr"}
 
 
 def test_the_page_tells_every_key():
     """In the schema's order, with all keys below it; a row for each status."""
-    schema = read_schema("verdict2")
+    schema = read_schema("verdict")
     rows = {code(row[0]): row[1] for row in table(section(PAGE, "## verdict.json"), "key")}
     assert list(rows) == list(schema["properties"])
     for name, own in schema["properties"].items():
