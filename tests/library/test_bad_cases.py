@@ -1,8 +1,7 @@
 """Sets of frames that nobody should have taken: each ends with a verdict that says what could not be judged and why,
 never with a wrong name, never with a traceback.
 
-Every case is a dataset folder that goes through the subcommands as the rules call them. Only the null law is shared
-among designs of many frames: how often chance alone raises an alarm is tested elsewhere.
+Every case is a dataset folder that goes through the subcommands as the rules call them.
 """
 
 import json
@@ -15,31 +14,21 @@ import pytest
 import tifffile
 import yaml
 
-from spotcheck import dataset, store
+from spotcheck import store
 from spotcheck.cli import main
-from spotcheck.cli.judged import open_set
-from spotcheck.discrepancy.calibration import Kind
-from spotcheck.discrepancy.detect import Null
-from spotcheck.discrepancy.extend import Tolerance, investigate
-from spotcheck.discrepancy.saved import saved_of
-from spotcheck.discrepancy.shots import Design, Shot, design_of, together
-from spotcheck.discrepancy.written import breach_of_verdict
+from spotcheck.discrepancy.observe.shots import Shot, together
+from spotcheck.discrepancy.verdict.written import breach_of_verdict
 from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.estimate.sensor import judge_darks
 from spotcheck.frames import Surround
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 from tests.library.conftest import HEADER, folder
-from tests.library.null_laws import null_law
 from tests.reference.numpy_chain import draw
 
 SIDE, SHAPE, WIDTH, PEAK = 48, (72, 70), 5.0, 600.0
 SENSOR = SensorModel(0.11, 6.0, 0.0, np.inf, 12.0, 1023.0)
 SHEET: dict[str, Any] = {"bit_depth": 10, "gain_dn_per_e": 0.11, "read_noise_e": 6.0, "black_level_dn": 12.0}
 ANGLES, EXPOSURES = (0.0, 45.0), (2e-4, 8e-4)
-TOLERANCE = Tolerance()
-# Designs of fewer frames, or of much smaller crops, have a null law of their own.
-FEW, SMALL = 5, 40
-NullOf = Callable[[Design, Kind], Null]
 
 
 class Frame(NamedTuple):
@@ -272,19 +261,6 @@ CASES: dict[str, Callable[[], Case]] = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def null_of(laws) -> NullOf:
-    """The law of what is seen where nothing is missing: of the design that most cases have, or of a smaller one."""
-    at = [(angle, t, repeat) for angle in ANGLES for repeat in range(3) for t in EXPOSURES]
-    usual = design_of([Shot(*cell, k, (), 0, 0, lambda: np.zeros((1, 1))) for k, cell in enumerate(at)])
-
-    def of(design: Design, kind: Kind) -> Null:
-        own = len(design.condition) < FEW or kind.crop_px < SMALL
-        return null_law(laws, design, kind) if own else null_law(laws, usual, Kind(SIDE, 10, "linear", False))
-
-    return of
-
-
 def written(case: Case, base: Path) -> Path:
     """The case as a dataset folder."""
     content = {"crop_px": SIDE, "sensor": SHEET} | case.instrument
@@ -297,47 +273,33 @@ def written(case: Case, base: Path) -> Path:
     return out
 
 
-def judged(own: Path, out: Path, null_of: NullOf) -> dict[str, Any]:
-    """verdict.json by the subcommands, but for the null law."""
+def judged(own: Path, out: Path) -> dict[str, bytes]:
+    """Every file of a verdict, by its name, as the subcommands write it."""
     out.mkdir()
-    at = {name: str(out / name) for name in ("frames.nc", "crops.nc", "sensor.nc", "findings.json", "gap.nc")}
-    at |= {name: str(out / name) for name in ("advice.json", "discrepancy.nc", "model.yaml", "verdict.json")}
-    seen = ["--crops", at["crops.nc"], "--sensor", at["sensor.nc"]]
-    found = [*seen, "--findings", at["findings.json"]]
-
-    def run(command: str, *options: str) -> None:
+    frames, crops, sensor, pictures, light = (str(out / f"{name}.nc") for name in
+                                              ("frames", "crops", "sensor", "discrepancy", "light"))  # fmt: skip
+    for command, *options in (
+        ["ingest", "--output", frames],
+        ["crop", "--frames", frames, "--output", crops],
+        ["sensor", "--crops", crops, "--frames", frames, "--output", sensor],
+        ["judge", "--crops", crops, "--sensor", sensor, "--pictures", pictures, "--model", str(out / "model.yaml"),
+         "--light", light, "--output", str(out / "verdict.json")],
+    ):  # fmt: skip
         main([command, str(own), *options])
-
-    run("ingest", "--output", at["frames.nc"])
-    run("crop", "--frames", at["frames.nc"], "--output", at["crops.nc"])
-    run("sensor", "--crops", at["crops.nc"], "--frames", at["frames.nc"], "--output", at["sensor.nc"])
-    with store.read(at["crops.nc"]) as crops, store.read(at["sensor.nc"]) as sensor:
-        ready = open_set(dataset.load(own), crops, sensor)
-        if isinstance(ready, str):
-            findings: dict[str, Any] = {"status": "not_assessed", "why": ready}
-        else:
-            findings = saved_of(investigate(*ready[1:5], null_of(ready.design, ready.kind), TOLERANCE))
-    findings["tolerance"] = TOLERANCE._asdict()
-    Path(at["findings.json"]).write_text(json.dumps(findings), encoding="utf-8")
-    run("verify", *found, "--output", at["gap.nc"])
-    run("advise", *found, "--output", at["advice.json"])
-    run("verdict", *found, "--gap", at["gap.nc"], "--advice", at["advice.json"], "--pictures", at["discrepancy.nc"],
-        "--model", at["model.yaml"], "--output", at["verdict.json"])  # fmt: skip
-    return json.loads(Path(at["verdict.json"]).read_text(encoding="utf-8"))
+    return {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_a_bad_case_ends_well(name, null_of, tmp_path):
+def test_a_bad_case_ends_well(name, tmp_path):
     """A verdict that keeps its contract: the right status, no name of what is not there, and its reasons in words."""
     case = CASES[name]()
-    verdict = judged(written(case, tmp_path), tmp_path / "out", null_of)
+    verdict = json.loads(judged(written(case, tmp_path), tmp_path / "out")["verdict.json"])
     assert breach_of_verdict(verdict) is None
-    named = {name for own in verdict["explanations"] for name in own} | {
-        name for own in verdict["effects"] for name in own["candidates"]
-    }
+    named = {name for own in verdict["effects"] for name in own["candidates"]}
     assert (verdict["status"], named) == (case.status, set(case.names)), verdict["sentence"]
     assert case.words in verdict["sentence"]
+    assert verdict["sentence"].count("\n") < 3
     reasons = {own["effect"]: own["why"] for own in verdict["not_assessed"]}
     assert set(case.without) <= set(reasons)
     assert "nan" not in verdict["sentence"].lower().split()

@@ -6,7 +6,7 @@ import pytest
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, View, grain_law, granular_variance, moments
 from spotcheck.model.sensor import SensorModel
-from tests.library.small_verdict import present
+from tests.library.small_set import present
 
 SENSOR = SensorModel(0.11, 13.0, 0.0, np.inf, 40.0, 4095.0)
 BASELINE = Baseline(0.0, "linear", False, 1e-3)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.calibration import Kind, canonical, digest_of
-from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out
+from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.shots import Shot, design_of, held_out, never_chose, parted
 
 
 def shot(angle=0.0, exposure=1e-4, repeat=0, order: int | None = 0, conditions=(), left=0, top=0) -> Shot:
@@ -18,21 +18,23 @@ def grid(angles=(0.0, 45.0, 90.0), exposures=(1e-4, 5e-4, 9e-4), repeats=2, **fi
     return [shot(a, t, r, k, **fixed) for k, (a, t, r) in enumerate(cells)]
 
 
+def counts(design: Design) -> tuple[int, int]:
+    """How many conditions and sites there are, each numbered from 0 on without a gap."""
+    for own in (design.condition, design.site):
+        np.testing.assert_array_equal(np.unique(own), np.arange(own.max() + 1))
+    return int(design.condition.max()) + 1, int(design.site.max()) + 1
+
+
 def test_numbers_of_a_grid():
-    """Conditions by angle, then exposure; a site is one angle's repeat at all exposures; a place is an angle."""
+    """Conditions by angle, then exposure; a site is one angle's repeat at all exposures."""
     shots = grid()
     design = design_of(shots)
-    assert (design.conditions, design.sites, design.places) == (9, 6, 3)
-    np.testing.assert_array_equal(design.angle_deg, np.repeat([0.0, 45.0, 90.0], 3))
-    np.testing.assert_array_equal(design.exposure_s, np.tile([1e-4, 5e-4, 9e-4], 3))
-    np.testing.assert_array_equal(design.place, np.repeat([0, 1, 2], 3))
+    assert counts(design) == (9, 6)
     np.testing.assert_array_equal(design.condition, np.tile(np.arange(9), 2))
-    np.testing.assert_array_equal(design.repeat, np.repeat([0, 1], 9))
     np.testing.assert_array_equal(design.site, [2 * (k // 3 % 3) + k // 9 for k in range(18)])
     np.testing.assert_allclose(design.order, np.arange(18) / 17, rtol=1e-15)
-    for k, own in enumerate(shots):
-        assert design.angle_deg[design.condition[k]] == own.angle_deg
-        assert design.exposure_s[design.condition[k]] == own.exposure_s
+    np.testing.assert_array_equal(design.angle_deg, [own.angle_deg for own in shots])
+    np.testing.assert_array_equal(design.exposure_s, [own.exposure_s for own in shots])
 
 
 def test_numbers_do_not_hang_on_the_order_of_the_list():
@@ -40,55 +42,49 @@ def test_numbers_do_not_hang_on_the_order_of_the_list():
     shots = grid()
     turn = np.random.default_rng(2).permutation(len(shots))
     plain, mixed = design_of(shots), design_of([shots[k] for k in turn])
-    for name in ("condition", "site", "repeat", "order"):
+    for name in Design._fields:
         np.testing.assert_array_equal(getattr(mixed, name), getattr(plain, name)[turn])
-    for name in ("angle_deg", "exposure_s", "place"):
-        np.testing.assert_array_equal(getattr(mixed, name), getattr(plain, name))
 
 
 def test_whole_numbers_and_numpys_are_the_same_keys():
     """45 and 45.0 and np.float64(45) are one angle."""
     design = design_of([shot(45), shot(45.0, repeat=1), shot(np.float64(45), repeat=2)])
-    assert (design.conditions, design.sites, design.places) == (1, 3, 1)
+    assert counts(design) == (1, 3)
 
 
 def test_minus_zero_is_zero():
     """An angle of −0 is no second angle."""
-    design = design_of([shot(0.0), shot(-0.0, repeat=1)])
-    assert design.conditions == design.places == 1
+    assert counts(design_of([shot(0.0), shot(-0.0, repeat=1)])) == (1, 2)
 
 
 def test_numbers_sort_as_numbers():
     """10 comes after 9, and negative angles before positive ones."""
-    design = design_of([shot(a, t) for a in (10.0, 9.0, -45.0, 100.0) for t in (1e-3, 9e-4, 1e-10)])
-    np.testing.assert_array_equal(design.angle_deg[::3], [-45.0, 9.0, 10.0, 100.0])
-    np.testing.assert_array_equal(design.exposure_s[:3], [1e-10, 9e-4, 1e-3])
+    shots = [shot(a, t) for a in (10.0, 9.0, -45.0, 100.0) for t in (1e-3, 9e-4, 1e-10)]
+    design = design_of(shots)
+    turn = np.argsort(design.condition)
+    np.testing.assert_array_equal(design.angle_deg[turn][::3], [-45.0, 9.0, 10.0, 100.0])
+    np.testing.assert_array_equal(design.exposure_s[turn][:3], [1e-10, 9e-4, 1e-3])
 
 
 def test_what_was_not_recorded():
     """Blank angles are one angle, blank exposures one exposure, both NaN; blank and stated do not mix."""
     design = design_of([shot(None, None, r, r) for r in range(4)])
-    assert (design.conditions, design.sites, design.places) == (1, 4, 1)
+    assert counts(design) == (1, 4)
     assert np.isnan(design.angle_deg).all() and np.isnan(design.exposure_s).all()
-    np.testing.assert_array_equal(design.condition, 0)
     no_angle = design_of([shot(None, t, r) for r in range(2) for t in (1e-4, 9e-4)])
-    assert (no_angle.conditions, no_angle.sites, no_angle.places) == (2, 2, 1)
-    np.testing.assert_array_equal(no_angle.exposure_s, [1e-4, 9e-4])
-    assert np.isnan(no_angle.angle_deg).all()
+    assert counts(no_angle) == (2, 2) and np.isnan(no_angle.angle_deg).all()
     mixed = design_of([shot(0.0), shot(None), shot(90.0)])
-    assert (mixed.conditions, mixed.places) == (3, 3)
-    np.testing.assert_array_equal(mixed.angle_deg, [np.nan, 0.0, 90.0])
+    np.testing.assert_array_equal(mixed.condition, [1, 0, 2])
+    np.testing.assert_array_equal(mixed.angle_deg, [0.0, np.nan, 90.0])
     # NaN says the same as a blank.
-    both = design_of([shot(None), shot(float("nan"), repeat=1)])
-    assert both.conditions == 1
+    assert counts(design_of([shot(None), shot(float("nan"), repeat=1)])) == (1, 2)
 
 
 def test_declared_conditions_are_axes():
-    """A scan along z: each z its own condition, sites and place; a blank z is one of its own."""
+    """A scan along z: each z its own condition and sites; a blank z is one of its own."""
     shots = [shot(0.0, t, r, 0, (z, 300.0)) for z in (0.2, 0.1, None) for r in range(2) for t in (1e-4, 9e-4)]
     design = design_of(shots)
-    assert (design.conditions, design.sites, design.places) == (6, 6, 3)
-    np.testing.assert_array_equal(design.place, [0, 0, 1, 1, 2, 2])
+    assert counts(design) == (6, 6)
     # In ascending order of z, the blank one first.
     np.testing.assert_array_equal(design.condition[:4], [4, 5, 4, 5])
     np.testing.assert_array_equal(design.condition[-4:], [0, 1, 0, 1])
@@ -100,18 +96,13 @@ def test_an_incomplete_grid():
     cells = grid(repeats=3)
     missing = [s for s in cells if s.angle_deg == 45.0 and s.exposure_s == 5e-4]
     missing += [s for s in cells if s.angle_deg != 0.0 and s.repeat == 2]
-    shots = [s for s in cells if s not in missing]
-    design = design_of(shots)
-    assert (design.conditions, design.sites, design.places) == (8, 7, 3)
-    np.testing.assert_array_equal(np.bincount(design.place), [3, 2, 3])
+    assert counts(design_of([s for s in cells if s not in missing])) == (8, 7)
 
 
 def test_one_frame():
     """The smallest design there is."""
     design = design_of([shot(30.0, 1e-3, 0, 5)])
-    assert (design.conditions, design.sites, design.places) == (1, 1, 1)
-    assert np.isnan(design.order).all()
-    assert not held_out(design.repeat).any()
+    assert counts(design) == (1, 1) and np.isnan(design.order).all()
 
 
 def test_order_runs_from_0_to_1():
@@ -137,8 +128,7 @@ def test_order_runs_from_0_to_1():
     ],
 )
 def test_every_third_repeat_is_kept_of_six_or_more(repeats, kept):
-    """The contract: six repeats or more, every third (2, 5, 8, … counted from 0); two to five leave one out, which
-    is not decided here; one has held-out blocks."""
+    """The contract: of six repeats or more every third (2, 5, 8, … counted from 0), of fewer none."""
     repeat = np.tile(np.arange(repeats), 4)
     got = held_out(repeat)
     assert got.dtype == bool and got.shape == repeat.shape
@@ -155,42 +145,23 @@ def test_kept_repeats_are_counted_not_named():
     assert sorted(mixed[held_out(mixed)]) == [2, 5]
 
 
-def test_taking_some_frames():
-    """The same conditions, with their numbers; sites are numbered anew, in the old order."""
-    design = design_of(grid(repeats=6))
-    kept = held_out(design.repeat)
-    some = design.take(~kept)
-    assert isinstance(some, Design)
-    assert len(some.condition) == 4 * 9 and some.sites == 4 * 3
-    np.testing.assert_array_equal(some.condition, design.condition[~kept])
-    np.testing.assert_array_equal(some.repeat, design.repeat[~kept])
-    np.testing.assert_array_equal(some.order, design.order[~kept])
-    for name in ("angle_deg", "exposure_s", "place"):
-        np.testing.assert_array_equal(getattr(some, name), getattr(design, name))
-    assert (some.conditions, some.places) == (design.conditions, design.places)
-    np.testing.assert_array_equal(np.unique(some.site), np.arange(12))
-    # The same frames share a site as before, and the order of sites stays.
-    before = design.site[~kept]
-    np.testing.assert_array_equal(before[:, None] == before[None, :], some.site[:, None] == some.site[None, :])
-    np.testing.assert_array_equal(np.argsort(before, kind="stable"), np.argsort(some.site, kind="stable"))
+def test_frames_are_parted_by_whole_sites():
+    """Every frame on one side, all of a site on the same; conditions of which none may choose the model are told."""
+    shots = grid(repeats=6)
+    own, out = parted(shots)
+    np.testing.assert_array_equal(np.sort(np.concatenate([own, out])), np.arange(len(shots)))
+    site = design_of(shots).site
+    assert set(site[own]).isdisjoint(site[out]) and len(out) == 18
+    assert never_chose(shots) == "" == never_chose(grid())
+    few = [s for s in shots if s.angle_deg == 0 or s.repeat == 2]
+    assert never_chose(few).startswith("6 frames belong to conditions of which every frame is kept unseen")
+    one = [s for s in few if s.angle_deg == 0 or (s.angle_deg == 45 and s.exposure_s == 1e-4)]
+    assert never_chose(one).startswith("1 frame belongs to conditions")
 
 
 def test_taking_by_number():
-    """Indices do as well as flags, in any order, and may repeat a frame, as a bootstrap does."""
-    design = design_of(grid())
-    some = design.take(np.array([17, 3, 3, 0]))
-    np.testing.assert_array_equal(some.condition, design.condition[[17, 3, 3, 0]])
-    assert some.sites == 3
-    np.testing.assert_array_equal(some.site, [2, 1, 1, 0])
-    # A condition that lost its frames is still there.
-    assert some.conditions == 9
-
-
-def test_a_null_law_depends_on_the_grid_alone():
-    """Frames in another order: one digest, so that one law serves both; another grid has its own."""
-    grid = [(a, t, r) for a in (0.0, 45.0) for t in (1e-4, 3e-4) for r in range(3)]
-    shots = [Shot(a, t, r, k, (), 0, 0, lambda: np.zeros((1, 1))) for k, (a, t, r) in enumerate(grid)]
-    mixed = [shots[k] for k in np.random.default_rng(1).permutation(len(shots))]
-    kind = Kind(96, 10, "linear", False)
-    one, other, fewer = (digest_of(canonical(design_of(own)), kind, 10, 1) for own in (shots, mixed, mixed[:-1]))
-    assert one == other != fewer
+    """Indices do as well as flags, in any order, and may repeat a frame."""
+    design, at = design_of(grid()), np.array([17, 3, 3, 0])
+    for own, all_of_it in zip(design.take(at), design, strict=True):
+        np.testing.assert_array_equal(own, all_of_it[at])
+    np.testing.assert_array_equal(design.take(design.site == 2).condition, [3, 4, 5])

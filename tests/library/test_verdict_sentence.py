@@ -169,6 +169,16 @@ def test_every_effect_is_told_in_its_own_words(name):
     assert line.startswith(f"{effect.sentence[0].upper()}{effect.sentence[1:]} ({name}, {effect.parameters[0].name} ")
 
 
+@pytest.mark.parametrize("kind", ["agreed", "one", "stranger", "sheet"])
+def test_what_no_verdict_rests_on_is_told_first(kind):
+    """Behind what agrees or does not, in as many lines as without; where nothing could be tested, among the reasons."""
+    remark = "4 of 8 spot frames cannot be used (no light above the noise)"
+    lines = sentence(document(JUDGEMENTS[kind][1], "small", light_words=WORDS, beware=remark)).split("\n")
+    assert lines == [f"{SENTENCES[kind][0]} Beware: {remark}.", *SENTENCES[kind][1:]]
+    untested = sentence(document(JUDGEMENTS["untested"][1], "small", beware=remark))
+    assert untested == f"Nothing could be tested: there is no usable spot frame; {remark}."
+
+
 def test_a_learned_shape_without_words():
     lines = [
         sentence(document(off(light=learned(0.06, error)), "small")).split("\n")[1] for error in (0.002, float("nan"))

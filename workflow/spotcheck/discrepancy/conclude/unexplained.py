@@ -129,4 +129,4 @@ def _taken_by_shape(seen: Standard, blocks: _Blocks, shapes: Sequence[LightShape
     for shape in shapes:
         moved = np.bincount(index, share * shape(u, v), len(blocks.mean)) / BLOCK**2
         total += float(moved @ moved)
-    return total / len(shapes)
+    return total / max(len(shapes), 1)

@@ -39,7 +39,7 @@ def sentence(document: dict[str, Any]) -> str:
     else:
         lines = [_opening(document), _effects(document), _joined(_closed(document), _advised(document),
                                                                  _moved(document))]  # fmt: skip
-    lines[0] = _joined(_contradicted(document), lines[0])
+    lines[0] = _joined(_contradicted(document), lines[0], _beware(document) if status != "not_assessed" else "")
     return "\n".join(line for line in lines if line)
 
 
@@ -82,9 +82,18 @@ def _agreed(document: dict[str, Any]) -> str:
     return f"{who} and measurement agree: they differ by no more than noise does{odds}."
 
 
+def _of_all(document: dict[str, Any]) -> str:
+    """What keeps every effect alike from being assessed, or parts of the dataset from any use."""
+    return list_text([own["why"] for own in document["not_assessed"] if own["effect"] == "all"], "; ")
+
+
+def _beware(document: dict[str, Any]) -> str:
+    """What the dataset holds that the verdict does not rest on."""
+    return f"Beware: {_of_all(document)}." if _of_all(document) else ""
+
+
 def _untested(document: dict[str, Any]) -> str:
-    whole = [own["why"] for own in document["not_assessed"] if own["effect"] == "all"]
-    return f"Nothing could be tested: {list_text(whole, '; ') or 'no test was possible'}."
+    return f"Nothing could be tested: {_of_all(document) or 'no test was possible'}."
 
 
 # Second line: what it is
