@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from spotcheck.discrepancy.conclude.detect import detect
-from spotcheck.discrepancy.conclude.judgement import Judgement, Shift, Where
+from spotcheck.discrepancy.conclude.detect import detect, look, tested
+from spotcheck.discrepancy.conclude.judgement import Judgement, Shift
 from spotcheck.discrepancy.conclude.light import light_of
 from spotcheck.discrepancy.conclude.limits import limits_of
+from spotcheck.discrepancy.conclude.places import places_of
 from spotcheck.discrepancy.conclude.unexplained import unexplained
 from spotcheck.discrepancy.conclude.unseen import Unseen, unseen
 from spotcheck.discrepancy.evidence.influence import numbers_of
@@ -44,7 +45,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     compared = _compared([shots[k] for k in out], seen, setting, declared.model, outcome)
     every = {own.own.effect.name: own for own in (*outcome.found, *laws.found)}
     beyond = tuple(name for name, gain in compared.gains.items() if name in every and gain <= 0)
-    detection = detect(frames, model, design)
+    detection, left = detect(frames, model, design), look(outcome.frames, outcome.after, design)
     return Judgement(
         why_not="",
         detection=detection,
@@ -52,11 +53,12 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         beyond=beyond,
         light=light_of(outcome.after) if outcome.after.model.baseline.learned is not None else None,
         sheet=(),
-        unexplained=unexplained(outcome.frames, outcome.after, design),
+        unexplained=unexplained(left),
         gap=compared.gap,
         shift=_shift(declared, laws.told, seen, setting) if lawful else NOTHING,
         limits=limits_of(outcome, laws.told, design, usable, context),
-        where=tuple(Where(f"{part.name}: {part.where}", part.statistic) for part in detection.parts[:3]),
+        where=places_of(detection.parts),
+        rest=tested(left, design),
         errors=errors_of(outcome.after),
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
         black_level_dn=setting.sensor.black_level_dn,

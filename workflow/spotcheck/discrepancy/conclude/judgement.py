@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.conclude.detect import Detection
+from spotcheck.discrepancy.conclude.places import Where
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.search.forward import Found
@@ -74,13 +75,6 @@ class Shift(NamedTuple):
     before: tuple[float, float] | None
     after: tuple[float, float] | None
     errors: tuple[float, float] | None
-
-
-class Where(NamedTuple):
-    """A place at which the frames disagree with the declared model most: in words, and its z."""
-
-    words: str
-    z: float
 
 
 class Advice(NamedTuple):
