@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from spotcheck.discrepancy.conclude.detect import Detection
-from spotcheck.discrepancy.conclude.judgement import Advice, Gap, Judgement, Light, Limit, Shift, Where
+from spotcheck.discrepancy.conclude.judgement import Advice, Gap, Judgement, Light, Limit, Shift
+from spotcheck.discrepancy.conclude.places import Where
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.evidence.parts import Part
 from spotcheck.discrepancy.nuisance.sheet import Against
@@ -24,13 +25,12 @@ PEDESTAL = "a uniform pedestal lies under the frame: ambient light, or a higher 
 def detected(p: float) -> Detection:
     """A test with two parts."""
     parts = (Part("mean: blocks, all frames", 40.0, p / 2, "row 96, column 120"), Part("variance: frames", 0.2, 0.4))
-    return Detection(p, p, parts)
+    return Detection(p, parts)
 
 
 def left(size: float, error: float = 1e-7) -> Unexplained:
     """So much is left [peak], with the error of its power [peak²]."""
-    worst = (3, 96.0, 120.0, 2 * size)
-    return Unexplained(size, error, 1e-3, size**2 / error, np.full(4, size), np.full(3, size), 0.1, worst)
+    return Unexplained(size, error, 1e-3, size**2 / error, 0.1)
 
 
 def found(name: str, *values: float, form: str | None = None, rivals: dict[str, float] | None = None) -> Found:

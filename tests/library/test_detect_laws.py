@@ -5,10 +5,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.conclude.detect import detect
+from spotcheck.discrepancy.conclude.detect import detect, look
+from spotcheck.discrepancy.conclude.places import place_of, places_of, scene_of
 from spotcheck.discrepancy.conclude.unexplained import unexplained
 from spotcheck.discrepancy.evidence import fields, hot, parts
-from spotcheck.discrepancy.evidence.cells import Cells, Readings, cells_of, place_of, pooled, whitened
+from spotcheck.discrepancy.evidence.cells import (
+    NORM,
+    SQUARE,
+    SQUARE_NORM,
+    SUM,
+    TAKEN,
+    Cells,
+    Readings,
+    cells_of,
+    pooled,
+    whitened,
+)
 from spotcheck.discrepancy.nuisance.fit import fit
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.observe.readings import cumulants_of
@@ -47,23 +59,22 @@ def test_cumulants_of_bright_light():
     np.testing.assert_allclose([own[0] for own in found], want, rtol=1e-3, atol=1e-9)
 
 
-@pytest.mark.parametrize("skewness", [-0.9, -0.05, 0.05, 0.4, 0.99])
-def test_tails_of_pearson(skewness):
-    """Against scipy's law, on both sides."""
-    z = np.array([-2.5, -1.0, 0.3, 2.0, 6.0])
-    law = stats.pearson3(skewness)
-    want = np.clip(2 * np.minimum(law.sf(z), law.cdf(z)), 1e-300, 1)
-    np.testing.assert_allclose(parts.two_sided(z, np.full(5, skewness)), want, rtol=1e-6)
-    if skewness > 0:
-        np.testing.assert_allclose([parts.upper_tail(v, skewness) for v in z], law.sf(z), rtol=1e-6)
+@pytest.mark.parametrize("freedom", [1, 7, 300])
+def test_tails_of_squares(freedom):
+    """Against scipy's χ² on both sides, of squares in units of 3 as well."""
+    total = freedom + np.array([-0.9, 0.3, 2.0, 6.0]) * np.sqrt(freedom)
+    law = stats.chi2(freedom)
+    for unit in (1.0, 3.0):
+        own = unit * total, unit * freedom, 2 * unit**2 * freedom
+        np.testing.assert_allclose(parts.upper(*own), law.sf(total), rtol=1e-9)
+        np.testing.assert_allclose(parts.lower(*own), law.cdf(total), rtol=1e-9)
+    assert parts.upper(1e6, 2.0, 4.0) == parts.SMALLEST
 
 
 def test_joined():
-    """The smallest of 20: 1 − 0.99²⁰. Cauchy: equal values give themselves, one tiny among 10 ten times itself."""
-    assert parts.sidak(0.01, 20) == pytest.approx(1 - 0.99**20)
-    assert parts.sidak(1e-250, 30) == pytest.approx(3e-249)
-    assert parts.cauchy([0.03] * 7) == pytest.approx(0.03)
-    assert parts.cauchy([1e-9] + [0.5] * 9) == pytest.approx(1e-8, rel=1e-3)
+    """The smallest of 20: 1 − 0.99²⁰."""
+    assert parts.smallest_of(0.01, 20) == pytest.approx(1 - 0.99**20)
+    assert parts.smallest_of(1e-250, 30) == pytest.approx(3e-249)
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -83,20 +94,6 @@ def test_chances_of_readings(sensor, electrons):
     assert hot.chance_of_sum(total, same, sensor, False) == pytest.approx(three[: total + 1].sum(), rel=1e-6)
 
 
-@pytest.mark.parametrize("chance", [0.3, 1e-3, 1e-6])
-def test_how_rare_a_reading_can_be(chance):
-    """The largest tail that is no more than a chance, by going through all readings."""
-    sensor = SENSORS[1]
-    for electrons in (0.0, 4.0, 200.0):
-        law = reading_law(electrons, sensor)
-        above, below = np.cumsum(law[::-1])[::-1], np.cumsum(law)
-        for upper, tails in ((True, above), (False, below)):
-            fits = tails[tails <= chance]
-            want = fits.max() if fits.size else 0.0
-            found = hot.reached(chance, electrons, *hot._numbers(sensor), upper)
-            assert found == pytest.approx(want, rel=1e-6, abs=1e-14)
-
-
 def window() -> np.ndarray:
     """Weights a [row, column] of a field under a spot."""
     y, x = np.mgrid[:64, :60]
@@ -111,7 +108,7 @@ def test_power_of_rings():
     z = []
     for _ in range(400):
         noise = rng.gamma(4.0, 0.5, a.shape) - 2
-        power = fields.power_of(fields.Field(a * noise, a**2, a**4 * 1.5, np.zeros(len(fields.RINGS))))
+        power = fields.power_of(fields.Field(a * noise, a**2, a**4 * 1.5, np.zeros(len(fields.RINGS) - 1)))
         z.append((power.value - power.mean) / np.sqrt(power.variance))
     assert np.abs(np.mean(z, axis=0)).max() < 4 / 20
     # The squares' own spread: kurtosis up to some 6 in the ring of fewest modes.
@@ -127,7 +124,7 @@ def test_chance_of_a_peak(count):
     a = window()
     p = []
     for _ in range(400):
-        own = [fields.Field(a * rng.standard_normal(a.shape), a**2, 0 * a, np.zeros(8)) for _ in range(count)]
+        own = [fields.Field(a * rng.standard_normal(a.shape), a**2, 0 * a, np.zeros(7)) for _ in range(count)]
         p.append(fields.peak_part("", own).p_value)
     for level in (0.05, 0.2, 0.5):
         assert stats.binomtest(int((np.array(p) < level).sum()), 400, level).pvalue > 1e-3
@@ -141,13 +138,13 @@ def test_squares_beside_what_was_fitted():
     numbered = fit_numbers(frames, model)
     seen = Readings(frames, numbered.model).of(1)
     # Weights that follow the slopes, so that the numbers take much of the sums.
-    seen = seen._replace(offset=seen.relative, fourth=0 * seen.z, third=0 * seen.z)
+    seen = seen._replace(offset=seen.relative, fourth=0 * seen.z)
     statistic, p = [], []
     for _ in range(1500):
         z = rng.standard_normal(seen.z.size)
         z -= seen.taken.T @ (seen.taken @ z)
         cells = cells_of(seen._replace(z=z), float(seen.declared.max()), (0, 0))["level"]
-        found = parts.excess_part("", parts.form_of([parts.standing(cells)], lambda group, label: ""))
+        found = parts.part_of("", parts.form_of([parts.standing(cells)]), "")
         statistic.append(found.statistic)
         p.append(found.p_value)
     assert abs(np.mean(statistic)) < 4 / np.sqrt(1500)
@@ -155,32 +152,41 @@ def test_squares_beside_what_was_fitted():
     assert stats.kstest(p, "uniform").pvalue > 1e-3
 
 
-def test_squares_within_squares():
-    """Six cells in three pairs: what the pairs' sums leave of Σ z² is χ² of 3; beside a common excess, of 5."""
-    cells = Cells(np.array([[j, 0] for j in range(6)]), np.zeros((6, 11)), np.zeros((6, 0)))
-    cells.sums[:, 1] = cells.sums[:, 5] = [1, 2, 3, 4, 5, 6]
+def test_squares_of_squares():
+    """Six cells whose sums of squares are normal: Σ is χ² of 6, and the oddest cell is told."""
+    cells = Cells(np.array([[j, 0] for j in range(6)]), np.zeros((6, TAKEN + 4)), np.zeros((6, 0)))
+    cells.sums[:, SQUARE_NORM] = 2e6 * np.arange(1, 7)
+    cells.sums[:, TAKEN - 1] = 1e6 * np.arange(1, 7)
     rng = np.random.default_rng(2)
-    p, even = [], []
+    p = []
     for _ in range(800):
-        cells.sums[:, 0] = cells.sums[:, 4] = rng.standard_normal(6) * np.sqrt(cells.sums[:, 1])
-        one, pairs = (parts.form_of([parts.standing(own)], lambda group, label: "") for own in (
-            cells, pooled([cells._replace(label=cells.label // 2)])))  # fmt: skip
-        p.append(parts.excess_part("", one, pairs).p_value)
-        even.append(parts.evened(one, cells.sums[:, 4].sum(), 21.0))
+        cells.sums[:, SQUARE] = rng.standard_normal(6) * np.sqrt(cells.sums[:, SQUARE_NORM])
+        form = parts.form_of([parts.standing(cells, squares=True)])
+        p.append(parts.part_of("", form, "").p_value)
     assert stats.kstest(p, "uniform").pvalue > 1e-3
-    assert stats.kstest([own.total for own in even], stats.chi2(5).cdf).pvalue > 1e-3
-    assert even[0][1:4] == (5.0, 10.0, 40.0)
+    z = cells.sums[:, SQUARE] / np.sqrt(cells.sums[:, SQUARE_NORM])
+    assert form.worst == (pytest.approx(z[np.argmax(abs(z))]), 0, (np.argmax(abs(z)), 0))
+
+
+def test_a_shape_takes_degrees_of_freedom():
+    """Of 40 cells of a variance of 3, a shape takes a tenth of each, by four draws: mean 36, variance 72; of one more
+    it takes half, which is not asked."""
+    cells = Cells(np.zeros((41, 2), int), np.zeros((41, TAKEN + 4)), np.full((41, 4), np.sqrt(3 * 0.1 / 4)))
+    cells.sums[:, NORM], cells.sums[:, SUM] = 3.0, np.sqrt(3.0)
+    cells.drawn[40] *= np.sqrt(5)
+    form = parts.form_of([parts.standing(cells)])
+    np.testing.assert_allclose(form[:3], (40, 36, 72))
 
 
 def test_pooled_cells_keep_frames_apart():
     """Two frames that share a cell: sums add up, what the numbers of each take stays in its own columns."""
-    one = Cells(np.array([[0, 0], [0, 1]]), np.arange(22.0).reshape(2, 11), np.array([[1.0], [2.0]]))
-    two = Cells(np.array([[0, 1]]), np.full((1, 11), 100.0), np.array([[5.0]]))
+    one = Cells(np.array([[0, 0], [0, 1]]), np.arange(20.0).reshape(2, 10), np.array([[1.0], [2.0]]))
+    two = Cells(np.array([[0, 1]]), np.full((1, 10), 100.0), np.array([[5.0]]))
     both = pooled([one, two])
-    np.testing.assert_array_equal(both.sums[1, :7], one.sums[1, :7] + 100)
-    np.testing.assert_array_equal(both.sums[1, 7:], [*one.sums[1, 7:], *np.full(4, 100.0)])
+    np.testing.assert_array_equal(both.sums[1, :6], one.sums[1, :6] + 100)
+    np.testing.assert_array_equal(both.sums[1, 6:], [*one.sums[1, 6:], *np.full(4, 100.0)])
     np.testing.assert_array_equal(both.drawn, [[1], [7]])
-    np.testing.assert_array_equal(both.sums[0, 7:], [*one.sums[0, 7:], *np.zeros(4)])
+    np.testing.assert_array_equal(both.sums[0, 6:], [*one.sums[0, 6:], *np.zeros(4)])
 
 
 def test_slopes_made_orthonormal():
@@ -222,14 +228,14 @@ def test_uniform_where_nothing_is_odd():
 @pytest.mark.parametrize(
     ("effect", "name", "where"),
     [
-        ({"pedestal": 0.2}, "mean: levels, all frames", "light of 0.000"),
-        ({"clip": 560.0}, "variance: levels", "1.000 of the brightest"),
-        ({"stripes": 0.02}, "spectrum: peak of all frames", "period 9.0 px"),
-        ({"rows": 0.5}, "mean: rows, each frame", "row"),
-        ({"noise": 1.1}, "variance: all readings", ""),
-        ({"hot": 1.0}, "readings: hot pixels", "row 3, column 5"),
-        ({"power": 0.01}, "numbers: brightness", "frame"),
-        ({"jitter": 0.2}, "numbers: centre", "frame"),
+        ({"pedestal": 0.2}, "mean: level, all", "grey levels below 17 DN"),
+        ({"clip": 560.0}, "variance: level, all", "grey levels above 575 DN"),
+        ({"stripes": 0.02}, "spectrum: peak", "stripes of 9.0 px across 38°"),
+        ({"rows": 0.5}, "mean: row, frame", "rows, most of all row"),
+        ({"noise": 1.1}, "variance: level, all", "the noise of grey levels below 17 DN"),
+        ({"hot": 1.0}, "readings: all frames", "the pixel in row 3, column 5"),
+        ({"power": 0.01}, "numbers: brightness, frame", "the spot's brightness in frame"),
+        ({"jitter": 0.2}, "numbers: centre, frame", "the spot's centre in frame"),
     ],
 )
 def test_what_is_odd_is_found(effect, name, where):
@@ -239,14 +245,15 @@ def test_what_is_odd_is_found(effect, name, where):
     assert found.p_value < 1e-4
     assert own.p_value < 1e-6
     assert where in own.where
+    assert where in [place.words[: len(where)] for place in places_of(found.parts)]
     assert found.parts[0].p_value == min(part.p_value for part in found.parts)
 
 
 def test_nothing_odd_in_its_neighbours():
     """A brightness that scatters from frame to frame is no matter of pixels: nothing but it is odd."""
     found = detect(*draw(np.random.default_rng(8), Setup(side=80), {"power": 0.01}))
-    assert found.worst.name == "numbers: brightness"
-    assert found.parts[1].p_value > 1e-3
+    assert found.worst.name == "numbers: brightness, frame"
+    assert min(own.p_value for own in found.parts if not own.name.startswith("numbers: brightness")) > 1e-3
 
 
 def test_masked_pixels_are_not_asked():
@@ -266,15 +273,22 @@ def test_brightness_is_free_under_a_free_budget():
     rng = np.random.default_rng(8)
     frames, model, groups = draw(rng, SMALL, {"power": 0.05, "jitter": 0.3})
     found = detect(frames, model._replace(baseline=model.baseline._replace(photon_budget="free")), groups)
-    assert {part.name for part in found.parts if part.name.startswith("numbers")} == {"numbers: centre"}
-    assert found.worst.name == "numbers: centre"
+    assert {part.name for part in found.parts if part.name.startswith("numbers")} == {"numbers: centre, frame"}
+    assert found.worst.name == "numbers: centre, frame"
 
 
 def test_places_in_words():
     """What a person reads."""
-    assert place_of("block", (2, 3), (100, 200)) == "8 px about row 120, column 228"
-    assert place_of("column", (7, 0), (100, 200)) == "column 207"
-    assert place_of("sector", (0, 4), (0, 0)) == "within 0.5 σ at 22°"
+    frames, model, _ = draw(np.random.default_rng(3), SMALL)
+    scene = scene_of(frames, model)._replace(corner=(100, 200))
+    assert place_of("block", (2, 3), scene) == "8 px about row 120, column 228"
+    assert place_of("column", (7, 0), scene) == "columns, most of all column 207"
+    assert place_of("sector", (0, 4), scene) == "within 0.5 σ of the centre, at 22°"
+    assert place_of("sector", (2, 0), scene) == "1 to 1.5 σ from the centre, at -158°"
+    assert place_of("sector", (7, 0), scene) == "beyond 4 σ of the centre, at -158°"
+    top = scene.readings[-1]
+    assert top == pytest.approx(12 + np.exp(model.numbers.log_peak.max()))
+    assert place_of("level", (11, 0), scene) == f"grey levels above {12 + (top - 12) * (11 / 12) ** 2:.0f} DN"
 
 
 def test_size_of_what_a_learned_shape_leaves():
@@ -298,7 +312,7 @@ def learned(frames, model):
 
 def left(frames, model, groups):
     """What is left once the shape is learned."""
-    return unexplained(frames, learned(frames, model), groups)
+    return unexplained(look(frames, learned(frames, model), groups))
 
 
 def test_detection_beside_a_learned_shape():
@@ -311,7 +325,7 @@ def test_detection_beside_a_learned_shape():
     frames, model, groups = draw(np.random.default_rng(31), setup, {"bump": 0.1, "rows": 0.5})
     found = detect(frames, learned(frames, model), groups)
     assert found.p_value < 1e-6
-    assert {part.name: part for part in found.parts}["mean: rows, each frame"].p_value < 1e-6
+    assert {part.name: part for part in found.parts}["mean: row, frame"].p_value < 1e-6
 
 
 def test_the_largest_reading_is_no_rarer_than_it_should_be():
@@ -327,6 +341,6 @@ def test_the_largest_reading_is_no_rarer_than_it_should_be():
         y = np.clip(np.rint(signal), 0, 1023)
         table = cumulants_of(sensor, mean)
         own = seen._replace(z=(y - table.mean) / np.sqrt(table.variance))
-        p.append(hot.largest_reading([own], [y], sensor).p_value)
+        p.append(hot.odd_pixels("", [[own]], [[y]], sensor).p_value)
     for level in (0.05, 0.2, 0.5):
         assert (np.array(p) < level).sum() <= stats.binom.ppf(0.999, 300, level)

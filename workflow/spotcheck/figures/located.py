@@ -62,8 +62,8 @@ def where(results: Results) -> style.Drawing:
         "Above: z of the mean residual by distance from the spot's centre, and below it of its strongest azimuthal"
         f" order (1 one-sided, 2 twofold, …); columns: exposure.{rows} Dots and orders stand where |z| > {limit:.2g},"
         f" which noise alone reaches anywhere in at most {percent} % of all data sets ({cells} of {known} cells do)."
-        f" Beneath: the {min(MOST_PARTS, ds.sizes['part'])} oddest of {ds.sizes['part']} tests of the whole, each as"
-        f" the z of as small a probability ({count} stand out); beyond 37 they are not told apart."
+        f" Beneath: the {min(MOST_PARTS, ds.sizes['part'])} oddest of {ds.sizes['part']} tests of the whole ({count}"
+        " stand out)."
     )
     return style.Drawing(figure, caption)
 

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from spotcheck.discrepancy.conclude.detect import detect
-from spotcheck.discrepancy.conclude.judgement import NOTHING, Fits, Judgement, Shift, Where, untested
+from spotcheck.discrepancy.conclude.detect import looked_at
+from spotcheck.discrepancy.conclude.judgement import NOTHING, Fits, Judgement, Shift, untested
 from spotcheck.discrepancy.conclude.light import gauge_of, in_gauge, light_of
 from spotcheck.discrepancy.conclude.limits import limits_of
+from spotcheck.discrepancy.conclude.places import places_of
 from spotcheck.discrepancy.conclude.unexplained import unexplained
 from spotcheck.discrepancy.conclude.unseen import Unseen, unseen
 from spotcheck.discrepancy.evidence.influence import numbers_of
@@ -47,7 +48,8 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     compared = _compared(unseen_frames, seen, declared.model, outcome)
     every = {one.own.effect.name: one for one in (*outcome.found, *laws.found)}
     beyond = tuple(name for name, gain in compared.gains.items() if name in every and gain <= 0)
-    detection = detect(frames, model, design)
+    at_first, detection = looked_at(frames, model, design)
+    at_last, rest = looked_at(outcome.frames, outcome.after, design)
     learned = outcome.after.model.baseline.learned is not None
     wide = gauge_of(outcome.after.model).wide if learned else 1.0
     return Judgement(
@@ -57,11 +59,13 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         beyond=beyond,
         light=light_of(outcome.after) if learned else None,
         sheet=(),
-        unexplained=unexplained(outcome.frames, outcome.after, design),
+        unexplained=unexplained(at_last),
         gap=compared.gap,
         shift=_shift(declared, laws.told, seen, setting, wide) if lawful else NOTHING,
         limits=limits_of(outcome, laws.told, design, usable, context),
-        where=tuple(Where(f"{part.name}: {part.where}", part.statistic) for part in detection.parts[:3]),
+        where=places_of(detection.parts),
+        off=unexplained(at_first).size,
+        rest=rest,
         errors=errors_of(outcome.after),
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
         black_level_dn=setting.sensor.black_level_dn,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.conclude.detect import Detection
+from spotcheck.discrepancy.conclude.places import Where
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.observe.design import Design
@@ -81,13 +82,6 @@ class Shift(NamedTuple):
 
 
 NOTHING = Shift(None, None, None)
-
-
-class Where(NamedTuple):
-    """A place at which the frames disagree with the declared model most: in words, and its z."""
-
-    words: str
-    z: float
 
 
 class Advice(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import fft, special
 
 from spotcheck.discrepancy.evidence.cells import Standard
-from spotcheck.discrepancy.evidence.parts import Part, sidak, two_sided
+from spotcheck.discrepancy.evidence.parts import Part, lower, smallest_of, upper
 
 # Bounds between rings of spatial frequency [cycles/px]; below the first, blocks and numbers tell more.
 RINGS = np.array([0.03, 0.06, 0.1, 0.16, 0.25, 0.36, 0.5, 0.72])
@@ -25,8 +25,7 @@ PADDED = 2
 
 
 class Field(NamedTuple):
-    """Sums over frames in one window [row, column]: a z, a² and a⁴κ₄; and power by ring that fits take, the last of
-    them in all [ring + 1]."""
+    """Sums over frames in one window [row, column]: a z, a² and a⁴κ₄; and power by ring that fits take [ring]."""
 
     pull: np.ndarray
     weight: np.ndarray
@@ -60,28 +59,33 @@ def _by_ring(power: np.ndarray, ring: np.ndarray) -> np.ndarray:
 
 
 def taken_power(taken: np.ndarray, shape: tuple[int, int], weight: np.ndarray) -> np.ndarray:
-    """Power that fits take of the field `weight` z of a frame, by ring and in all [ring + 1]; `taken` [column, pixel]
-    as of `Standard`, draws beside it."""
+    """Power [ring] that fits take of the field `weight` z of a frame; `taken` [column, pixel] as of `Standard`, draws
+    beside it."""
     ring, twice, _ = rings_of(*shape)
-    fields = (taken * weight).reshape(-1, *shape)
-    power = (np.abs(fft.rfft2(fields)) ** 2).sum(axis=0) * twice
-    return np.append(_by_ring(power, ring), power.sum())
+    return _by_ring((np.abs(fft.rfft2((taken * weight).reshape(-1, *shape))) ** 2).sum(axis=0) * twice, ring)
+
+
+def window_of(frames: Sequence[Standard]) -> tuple[tuple[int, int], tuple[int, int], list[tuple[slice, slice]]]:
+    """The part of the sensor that holds some frames: its first row and column, its size, and each frame's place in
+    it."""
+    first, size = np.array([own.at for own in frames]), np.array([own.shape for own in frames])
+    corner, end = first.min(axis=0), (first + size).max(axis=0)
+    places = [(slice(r, r + own.shape[0]), slice(c, c + own.shape[1])) for (r, c), own in
+              zip(first - corner, frames, strict=True)]  # fmt: skip
+    return (int(corner[0]), int(corner[1])), (int(end[0] - corner[0]), int(end[1] - corner[1])), places
 
 
 def field_of(frames: Sequence[Standard], weights: Sequence[np.ndarray], taken: Sequence[np.ndarray]) -> Field:
     """The field that frames share, each in its place on the sensor."""
-    top, left = (min(int(getattr(own, axis).min()) for own in frames) for axis in ("row", "column"))
-    bottom, right = (max(int(getattr(own, axis).max()) for own in frames) for axis in ("row", "column"))
-    out = np.zeros((3, bottom - top + 1, right - left + 1))
-    for own, weight in zip(frames, weights, strict=True):
-        row, column = int(own.row.min()) - top, int(own.column.min()) - left
-        at = (slice(row, row + own.shape[0]), slice(column, column + own.shape[1]))
+    _, size, places = window_of(frames)
+    out = np.zeros((3, *size))
+    for own, weight, at in zip(frames, weights, places, strict=True):
         square = weight * weight
         for total, values in zip(out, (weight * own.z, square, square * square * own.fourth), strict=True):
             total[at] += values.reshape(own.shape)
     # The power that a frame's numbers take does not depend on the window but for the rings' number of modes.
-    size = out[0].size / frames[0].z.size
-    return Field(out[0], out[1], out[2], sum(taken, np.zeros(len(RINGS))) * size)
+    more = out[0].size / frames[0].z.size
+    return Field(out[0], out[1], out[2], sum(taken, np.zeros(len(RINGS) - 1)) * more)
 
 
 def power_of(field: Field) -> Power:
@@ -91,57 +95,49 @@ def power_of(field: Field) -> Power:
     value = _by_ring(np.abs(fft.rfft2(field.pull)) ** 2 * twice, ring)
     modes = _by_ring(twice, ring)
     lags = fft.irfft2(np.abs(fft.rfft2(field.weight)) ** 2, s=(rows, columns))
-    mean = modes * field.weight.sum() - field.taken[:-1]
+    mean = modes * field.weight.sum() - field.taken
     # What the numbers take is gone from the quadratic form's eigenvalues, in proportion.
-    left = np.divide(mean, mean + field.taken[:-1], out=np.zeros_like(mean), where=mean > 0)
+    left = np.divide(mean, mean + field.taken, out=np.zeros_like(mean), where=mean > 0)
     variance = (2 * np.tensordot(kernels, lags, 2) + modes**2 * field.fourth.sum()) * left
     return Power(value, mean, variance)
 
 
-def evened(power: Power, field: Field) -> Power:
-    """Power of a field of even weight by ring, beside its total: that all readings scatter more is asked elsewhere."""
-    ring, twice, _ = rings_of(*field.pull.shape)
-    size, modes = float(field.weight.sum()), _by_ring(twice, ring)
-    share = modes / field.pull.size
-    total = field.pull.size * float((field.pull**2).sum())
-    left = field.pull.size * size - float(field.taken[-1])
-    variance = power.variance - share**2 * field.pull.size**2 * (2 * size + float(field.fourth.sum()))
-    return Power(power.value - share * (total - left), power.mean, np.maximum(variance, 0.0))
-
-
-def rings_part(name: str, powers: Sequence[Power]) -> Part | None:
-    """Whether the power of some ring, summed over independent fields of like weight, is off on either side: a gamma law
-    of that mean and variance."""
-    value, mean, variance = np.sum([tuple(own) for own in powers], axis=0)
-    good = (variance > 0) & (mean > 0)
+def rings_part(name: str, powers: Sequence[Power], *, even: bool) -> Part | None:
+    """Whether the power of some ring, summed over independent fields, each in units of what it should have, is off on
+    either side; `even`: beside what all rings have too much, for fields of even weight, whose rings are independent."""
+    units = [np.where(own.mean > 0, own.mean, np.inf) for own in powers]
+    value = np.sum([own.value / unit for own, unit in zip(powers, units, strict=True)], axis=0)
+    mean = np.sum([own.mean > 0 for own in powers], axis=0)
+    variance = np.sum([own.variance / unit**2 for own, unit in zip(powers, units, strict=True)], axis=0)
+    good = variance > 0
     if not good.any():
         return None
-    z = ((value - mean)[good]) / np.sqrt(variance[good])
-    p = two_sided(z, 2 * np.sqrt(variance[good]) / mean[good])
+    value, mean, variance = value[good], mean[good], variance[good]
+    if even:
+        told = mean**2 / variance
+        value, variance = value / np.average(value / mean, weights=told), variance * (1 - told / told.sum())
+    p = np.minimum(2 * np.minimum(upper(value, mean, variance), lower(value, mean, variance)), 1.0)
+    z = (value - mean) / np.sqrt(variance)
     j = int(np.argmin(p))
     low, high = RINGS[:-1][good][j], RINGS[1:][good][j]
-    return Part(name, float(z[j]), sidak(float(p[j]), p.size), f"periods {1 / high:.1f} to {1 / low:.1f} px")
+    where = f"structure of {1 / high:.1f} to {1 / low:.1f} px"
+    beyond = 2 * mean[j] / variance[j] * (value[j] - mean[j])
+    size = float(np.sign(beyond) * np.sqrt(abs(beyond)))
+    return Part(name, float(z[j]), smallest_of(float(p[j]), p.size), where, size)
 
 
 def peak_part(name: str, fields: Sequence[Field]) -> Part | None:
     """Whether the highest peak of the fields' power together is too high: a χ² field of two degrees of freedom a field,
     by the expected Euler characteristic of what lies above (Worsley 1994, doi:10.2307/1427576)."""
-    rows, columns = fields[0].pull.shape
-    padded = PADDED * rows, PADDED * columns
-    ky, kx = fft.fftfreq(padded[0])[:, None], fft.rfftfreq(padded[1])[None, :]
-    power = np.zeros((padded[0], padded[1] // 2 + 1))
-    spread = np.zeros((2, 2))
-    count = 0
-    for field in fields:
-        total = float(field.weight.sum())
-        if total <= 0:
-            continue
-        power += 2 / total * np.abs(fft.rfft2(field.pull, s=padded)) ** 2
-        spread += _spread(field.weight)
-        count += 1
-    if not count:
+    fields = [own for own in fields if own.weight.any()]
+    if not fields:
         return None
-    spread /= count
+    padded = tuple(PADDED * side for side in fields[0].pull.shape)
+    ky, kx = fft.fftfreq(padded[0])[:, None], fft.rfftfreq(padded[1])[None, :]
+    power, spread = np.zeros((padded[0], padded[1] // 2 + 1)), np.zeros((2, 2))
+    for field in fields:
+        power += 2 / float(field.weight.sum()) * np.abs(fft.rfft2(field.pull, s=padded)) ** 2
+        spread += _spread(field.weight) / len(fields)
     low = LOWEST / np.sqrt(np.sqrt(max(float(np.linalg.det(spread)), 1e-12)))
     radius = np.hypot(ky, kx)
     high = 0.5 - low
@@ -150,12 +146,12 @@ def peak_part(name: str, fields: Sequence[Field]) -> Part | None:
         return None
     power[~sought] = 0
     j, i = np.unravel_index(int(np.argmax(power)), power.shape)
-    freedom = 2 * count
+    freedom = 2 * len(fields)
     area, edge = np.pi / 2 * (high**2 - low**2), np.pi / 2 * (high + low)
     p = chance_of_peak(float(power[j, i]), freedom, 4 * np.pi**2 * spread, area, edge)
     period, turn = 1 / radius[j, i], np.degrees(np.arctan2(ky[j, 0], kx[0, i])) % 180
-    statistic = (power[j, i] - freedom) / np.sqrt(2 * freedom)
-    return Part(name, float(statistic), p, f"period {period:.1f} px, {turn:.0f}° across")
+    beyond, where = float(power[j, i] - freedom), f"stripes of {period:.1f} px across {turn:.0f}°"
+    return Part(name, beyond / np.sqrt(2 * freedom), p, where, float(np.sqrt(max(beyond, 0.0))))
 
 
 def _spread(weight: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""The largest readings by the exact law of a reading, in one frame and of one pixel in all frames.
+"""The oddest pixels by the exact law of a reading, in one frame alone and in all frames together.
 
 Where noise is finer than a DN, the largest of a million readings has no law that is nearly normal: chances are summed
-over electrons and readings. Only the oddest pixels of each level of light are looked at so closely.
+over electrons and readings. Only the oddest pixels of each level of noise are looked at so closely.
 """
 
 import math
@@ -11,13 +11,14 @@ import numpy as np
 from numba import njit
 
 from spotcheck.discrepancy.evidence.cells import Standard
-from spotcheck.discrepancy.evidence.parts import Part, sidak
+from spotcheck.discrepancy.evidence.fields import window_of
+from spotcheck.discrepancy.evidence.parts import SMALLEST, Part, smallest_of
 from spotcheck.model.sensor import SensorModel
 
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 
-# Bins of light, even in its root, of each of which the oddest pixels are looked at.
-BINS = 16
+# Levels of noise, of each of which the oddest pixels are looked at.
+LEVELS = 16
 # Pixels for which it is found how rare readings can be, each for as many others, and how many are sorted to choose
 # them: dark ones are most, and what they can read is in steps that depend on a tenth of an electron.
 NODES, SORTED = 300, 30_000
@@ -68,131 +69,86 @@ def chance_of(reading, electrons, gain, noise, black, full_well, top, upper):
     return value / total
 
 
-@compiled
-def reached(chance, electrons, gain, noise, black, full_well, top, upper):
-    """The largest chance of an extreme reading that is not above `chance`: readings are whole numbers."""
-    mean = gain * max(electrons, 0.0) + black
-    reach = 45 * gain * math.sqrt(max(electrons, 0.0) + noise * noise) + 3
-    low, high = math.floor(mean - reach), math.ceil(mean + reach)
-    if upper:
-        low, high = max(low, 0.0), min(high, top + 1)
-    else:
-        low, high = max(low, -1.0), min(high, top)
-    # The nearest reading so rare, by halving.
-    while high - low > 1:
-        middle = math.floor((low + high) / 2)
-        rare = chance_of(middle, electrons, gain, noise, black, full_well, top, upper) <= chance
-        if upper == rare:
-            high = middle
-        else:
-            low = middle
-    reading = high if upper else low
-    if reading > top or reading < 0:
-        return 0.0
-    out = chance_of(reading, electrons, gain, noise, black, full_well, top, upper)
-    return out if out <= chance else 0.0
-
-
 def _numbers(sensor: SensorModel) -> tuple:
     return (sensor.gain_dn_per_e, sensor.read_noise_e, sensor.black_level_dn, float(sensor.full_well_e),
             float(min(sensor.full_scale_dn, 65535.0)))  # fmt: skip
 
 
-def _reached(chance: float, electrons: float, sensor: SensorModel, upper: bool) -> float:
-    return reached(chance, electrons, *_numbers(sensor), upper)  # type: ignore[call-arg]
+def odd_pixels(
+    name: str, groups: Sequence[Sequence[Standard]], pixels: Sequence[Sequence[np.ndarray]], sensor: SensorModel
+) -> Part | None:
+    """Whether one pixel of the sensor reads too much or too little in all frames of a group together: the plain sum of
+    its readings, under the exact law of that sum.
 
-
-def largest_reading(frames: Sequence[Standard], pixels: Sequence[np.ndarray], sensor: SensorModel) -> Part | None:
-    """Whether the oddest reading of all frames is odder than the oddest of so many should be."""
-    numbers = _numbers(sensor)
-    brightest = max(float(own.electrons.max()) for own in frames)
-    best, found = 2.0, (0.0, "")
-    for k, own in enumerate(frames):
-        known = own.spread > 0
-        root = np.sqrt(np.clip(own.electrons / brightest, 0, 1))
-        for j in oddest(own.z, np.minimum((root * BINS).astype(int), BINS - 1), known, BINS):
-            if j < 0:
-                continue
-            y = float(pixels[k].ravel()[j])
-            p = chance_of(y, own.electrons[j], *numbers, bool(own.z[j] > 0))  # type: ignore[call-arg]
-            if p < best:
-                best, found = p, (float(own.z[j]), f"frame {k}, row {own.row[j]}, column {own.column[j]}")
-    if best > 1:
-        return None
-    count = sum(int(np.count_nonzero(own.spread)) for own in frames)
-    every = max(count // SORTED, 1)
-    some = np.sort(np.concatenate([own.electrons[own.spread > 0][::every] for own in frames]))
-    some = some[((np.arange(NODES) + 0.5) / NODES * some.size).astype(int)]
-    rarer = count * float(np.mean([_reached(best, float(e), sensor, True) + _reached(best, float(e), sensor, False)
-                                   for e in some]))  # fmt: skip
-    return Part("readings: largest", found[0], float(max(-np.expm1(-max(rarer, best)), 1e-300)), found[1])
-
-
-@compiled
-def oddest(z, bins, known, size):
-    """The pixels with highest and lowest z of each bin, −1 where a bin has none."""
-    out = np.full(2 * size, -1)
-    for k in range(z.size):
-        if known[k]:
-            for side, sign in ((0, 1.0), (1, -1.0)):
-                at = 2 * bins[k] + side
-                if out[at] < 0 or sign * z[k] > sign * z[out[at]]:
-                    out[at] = k
-    return out
-
-
-def hot_pixels(frames: Sequence[Standard], pixels: Sequence[np.ndarray], sensor: SensorModel) -> Part | None:
-    """Whether one pixel of the sensor reads too much or too little in all frames together: the plain sum of its
-    readings, under the exact law of that sum."""
-    top, left = (min(int(getattr(own, axis).min()) for own in frames) for axis in ("row", "column"))
-    size = tuple(max(int(getattr(own, axis).max()) for own in frames) - first + 1
-                 for axis, first in (("row", top), ("column", left)))  # fmt: skip
-    off, square = np.zeros(size), np.zeros(size)
-    places = []
-    for own in frames:
-        row, column = int(own.row.min()) - top, int(own.column.min()) - left
-        at = (slice(row, row + own.shape[0]), slice(column, column + own.shape[1]))
-        places.append(at)
-        off[at] += (own.z * own.spread).reshape(own.shape)
-        square[at] += (own.spread**2).reshape(own.shape)
-    seen = square > 0
-    z = np.where(seen, off / np.sqrt(np.where(seen, square, 1.0)), 0.0)
-    bins = np.digitize(square, np.quantile(square[seen], np.linspace(0, 1, BINS + 1)[1:-1]))
-    best, found = 2.0, (0.0, "")
-    for j in oddest(z.ravel(), bins.ravel(), seen.ravel(), BINS):
-        if j < 0:
+    Readings are whole numbers: of frames each alone it counts how rare these can be; of sums not, so that their p-value
+    is too large rather than too small.
+    """
+    best, count, found = 2.0, 0, (0.0, "")
+    for group, (frames, own) in enumerate(zip(groups, pixels, strict=True)):
+        corner, size, places = window_of(frames)
+        off, square = np.zeros(size), np.zeros(size)
+        for one, at in zip(frames, places, strict=True):
+            off[at] += (one.z * one.spread).reshape(one.shape)
+            square[at] += (one.spread**2).reshape(one.shape)
+        seen = square > 0
+        if not seen.any():
             continue
-        row, column = divmod(int(j), size[1])
-        here = [(k, (row - at[0].start) * frames[k].shape[1] + column - at[1].start) for k, at in enumerate(places)
-                if at[0].start <= row < at[0].stop and at[1].start <= column < at[1].stop]  # fmt: skip
-        here = [(k, p) for k, p in here if frames[k].spread[p] > 0]
-        electrons = np.array([frames[k].electrons[p] for k, p in here])
-        total = sum(float(pixels[k].ravel()[p]) for k, p in here)
-        chance = chance_of_sum(total, electrons, sensor, bool(z[row, column] > 0))
-        if chance < best:
-            best, found = chance, (float(z[row, column]), f"row {row + top}, column {column + left}")
+        count += 2 * int(seen.sum())
+        z = np.where(seen, off / np.sqrt(np.where(seen, square, 1.0)), 0.0)
+        levels = np.digitize(square, np.quantile(square[seen], np.linspace(0, 1, LEVELS + 1)[1:-1]))
+        flat = z.ravel()
+        at_level = [np.flatnonzero(seen.ravel() & (levels.ravel() == own)) for own in range(LEVELS)]
+        for j in [int(at[pick(flat[at])]) for at in at_level if at.size for pick in (np.argmax, np.argmin)]:
+            row, column = divmod(j, size[1])
+            here = [(k, (row - at[0].start) * frames[k].shape[1] + column - at[1].start) for k, at in enumerate(places)
+                    if at[0].start <= row < at[0].stop and at[1].start <= column < at[1].stop]  # fmt: skip
+            here = [(k, p) for k, p in here if frames[k].spread[p] > 0]
+            total = sum(float(own[k].ravel()[p]) for k, p in here)
+            electrons = np.array([frames[k].electrons[p] for k, p in here])
+            chance = chance_of_sum(total, electrons, sensor, bool(z[row, column] > 0))
+            if chance < best:
+                place = f"the pixel in row {row + corner[0]}, column {column + corner[1]}"
+                best, found = chance, (float(z[row, column]), place + (f", frame {group}" if len(frames) == 1 else ""))
     if best > 1:
         return None
-    return Part("readings: hot pixels", found[0], sidak(best, 2 * int(seen.sum())), found[1])
+    if max(len(own) for own in pixels) == 1:
+        best = max(_rarer(best, np.concatenate([own.electrons[own.spread > 0] for (own,) in groups]), sensor), SMALLEST)
+    return Part(name, (found[0] ** 2 - 1) / math.sqrt(2), smallest_of(best, count), found[1], found[0])
+
+
+def _rarer(chance: float, electrons: np.ndarray, sensor: SensorModel) -> float:
+    """The mean chance of a reading, on either side, that is no likelier than `chance`."""
+    some = np.sort(electrons[:: max(electrons.size // SORTED, 1)])
+    some = some[((np.arange(NODES) + 0.5) / NODES * some.size).astype(int)]
+    laws, _ = laws_of(some, sensor)
+    tails = np.stack([np.cumsum(laws[:, ::-1], axis=1), np.cumsum(laws, axis=1)])
+    return float(np.where(tails <= chance, tails, 0.0).max(axis=2).mean())
 
 
 def chance_of_sum(total: float, electrons: np.ndarray, sensor: SensorModel, upper: bool) -> float:
     """P(Σ y ≥ total), or without `upper` P(Σ y ≤ total), of readings at mean numbers of electrons [reading], by the
     product of their characteristic functions."""
-    gain, noise, black, full_well, top = _numbers(sensor)
-    reach = 10 * gain * np.sqrt(np.maximum(electrons, 0.0) + noise**2) + 2 + 12 * gain
-    low, high = (np.clip(np.round(gain * electrons + black + way * reach), 0, top) for way in (-1, 1))
-    laws = np.zeros((electrons.size, int((high - low).max()) + 1))
-    _fill(laws, low, high, electrons, gain, noise, black, full_well, top)
-    span = int((high - low).sum()) + 1
+    if electrons.size == 1:
+        return float(chance_of(total, electrons[0], *_numbers(sensor), upper))  # type: ignore[call-arg]
+    laws, low = laws_of(electrons, sensor)
+    span = sum(int(np.flatnonzero(law)[-1]) for law in laws) + 1
     padded = 1 << int(np.ceil(np.log2(span + 1)))
     whole = np.ones(padded // 2 + 1, complex)
     for law in laws:
         whole *= np.fft.rfft(law, padded)
     chances = np.fft.irfft(whole, padded)[:span]
     at = round(total - low.sum())
-    tail = chances[max(at, 0) :] if upper else chances[: max(at + 1, 0)]
-    return float(max(tail.sum(), FINEST))
+    return float(max((chances[max(at, 0) :] if upper else chances[: max(at + 1, 0)]).sum(), FINEST))
+
+
+def laws_of(electrons: np.ndarray, sensor: SensorModel) -> tuple[np.ndarray, np.ndarray]:
+    """Chances [reading, value] of all values from a lowest one on [reading]."""
+    gain, noise, black, full_well, top = _numbers(sensor)
+    reach = 10 * gain * np.sqrt(np.maximum(electrons, 0.0) + noise**2) + 2 + 12 * gain
+    low, high = (np.clip(np.round(gain * electrons + black + way * reach), 0, top) for way in (-1, 1))
+    laws = np.zeros((electrons.size, int((high - low).max()) + 1))
+    _fill(laws, low, high, electrons, gain, noise, black, full_well, top)
+    return laws, low
 
 
 @compiled

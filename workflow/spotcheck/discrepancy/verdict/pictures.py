@@ -231,7 +231,6 @@ def _add_rings(out: xr.Dataset, canvas: Canvas, fits: Fits, own: Summed, side: i
 
 def _add_parts(out: xr.Dataset, found: Detection) -> None:
     """The tests of detection, each as the z of as small a probability."""
-    p = np.array([max(part.p_value, 1e-300) for part in found.parts])
     names = [f"{part.name}: {part.where}" if part.where else part.name for part in found.parts]
     out.coords["part"] = ("part", np.array(names, dtype=str), {"units": "1", "long_name": "test of detection"})
-    _put(out, "part_z", ("part",), stats.norm.isf(p), "1", "z of as small a one-sided probability")
+    _put(out, "part_z", ("part",), [part.z for part in found.parts], "1", "how odd its places are together")
