@@ -15,26 +15,22 @@ from tests.library.shelf import design
 
 def test_the_verdict_on_flats_is_that_of_the_command(there, tmp_path, capsys):
     """The content of verdict.json, without a word on the terminal; results lie where they are asked for."""
-    verdict = judge_dataset("my-flats", tmp_path / "out", simulations=200, seed=3)
+    verdict = judge_dataset("my-flats", tmp_path / "out")
     assert capsys.readouterr().out == ""
     written = (tmp_path / "out" / "my-flats" / "verdict.json").read_text(encoding="utf-8")
     assert verdict == json.loads(written) and verdict["status"] == "consistent"
     frames, again = str(tmp_path / "frames.nc"), tmp_path / "again.json"
     main(["ingest", "my-flats", "--output", frames])
-    main(["flats", "my-flats", "--frames", frames, "--simulations", "200", "--seed", "3", "--output", str(again)])
+    main(["flats", "my-flats", "--frames", frames, "--output", str(again)])
     assert again.read_text(encoding="utf-8") == written
 
 
 SEEN = "--crops again/crops.nc --sensor again/sensor.nc"
-FOUND = f"{SEEN} --findings again/findings.json"
 COMMANDS = {
     "ingest": "--output again/frames.nc",
     "crop": "--frames again/frames.nc --output again/crops.nc",
     "sensor": "--crops again/crops.nc --frames again/frames.nc --output again/sensor.nc",
-    "discrepancy": f"{SEEN} --calibrations laws --simulations 30 --seed 5 --output again/findings.json",
-    "verify": f"{FOUND} --output again/gap.nc",
-    "advise": f"{FOUND} --output again/advice.json",
-    "verdict": f"{FOUND} --gap again/gap.nc --advice again/advice.json --pictures again/discrepancy.nc"
+    "judge": f"{SEEN} --pictures again/discrepancy.nc --model again/model.yaml --light again/light.nc"
     " --output again/verdict.json",
 }
 
@@ -45,7 +41,7 @@ def test_the_verdict_on_spots_is_that_of_the_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     made = design(tmp_path / "design", exposures=(9e-4,), crop_px=24)
     simulate_dataset(made, tmp_path / "drawn", p1_px=0.0, p2_px=3.0, peak_dn=600, seed=2)
-    verdict = judge_dataset(tmp_path / "drawn", tmp_path / "out", simulations=30, seed=5)
+    verdict = judge_dataset(tmp_path / "drawn", tmp_path / "out")
     assert verdict["status"] == "consistent" and (tmp_path / "out" / "drawn" / "model.yaml").exists()
     for command, options in COMMANDS.items():
         main([command, "drawn", *options.split()])
@@ -55,7 +51,7 @@ def test_the_verdict_on_spots_is_that_of_the_commands(tmp_path, monkeypatch):
 def test_a_vocabulary_is_that_of_the_call(there, tmp_path):
     """It is written into the verdict, and the process has the one it had before."""
     before = chosen()
-    verdict = judge_dataset("my-flats", simulations=200, without=["nonlinearity"])
+    verdict = judge_dataset("my-flats", without=["nonlinearity"])
     assert verdict["vocabulary"] == {"own": [], "left_out": ["nonlinearity"]}
     assert chosen() == before
     with pytest.raises(InputError, match="without names unknown, which is no effect"):
