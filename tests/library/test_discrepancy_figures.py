@@ -304,7 +304,10 @@ NO_SPOT = "no spot could be fitted in any frame"
 def test_nothing_assessed_leaves_the_reason(tmp_path):
     captions, skipped = drawn(made(tmp_path, untested(NO_SPOT)))
     reasons = dict.fromkeys((entry.name for entry in ENTRIES), NO_SPOT)
-    reasons |= {"missing-evidence": "nothing was added to the model", OF_LIGHT: "the declared shape of the light stands"}
+    reasons |= {
+        "missing-evidence": "nothing was added to the model",
+        OF_LIGHT: "the declared shape of the light stands",
+    }
     assert captions == {} and skipped == reasons
 
 

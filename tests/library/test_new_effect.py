@@ -147,6 +147,9 @@ def test_a_file_of_ones_own_by_command_line(tmp_path, monkeypatch, capsys):
         "own": [{"name": "mode_hopping", "file": "mode_hopping.py", "sha256": digest}],
         "left_out": ["power_fluctuation"],
     }
+    with pytest.raises(SystemExit) as stopped:
+        main(["report", "--dataset", "hops", "--results", ".", "--output", "report.html"])
+    assert stopped.value.code == 2 and "give every stage the same --effects" in capsys.readouterr().err
     simulate = [
         "simulate",
         "hops",

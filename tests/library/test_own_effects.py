@@ -243,6 +243,24 @@ def test_the_report_says_which_vocabulary_it_had(tmp_path):
     )
 
 
+def test_stages_must_know_the_same_effects(tmp_path):
+    """What was found with one vocabulary is not taken up with another, nor after an edit of the file."""
+    path = written(tmp_path, "lens", SOUND)
+    with knowing(path, without=["smear"]):
+        saved = options.described()
+        options.same(saved, "verdict.json")
+    options.same({}, "verdict.json")
+    for files, without in (((), ()), ((path,), ()), ((), ("smear",))):
+        with (
+            knowing(*files, without=without),
+            pytest.raises(InputError, match=r"verdict\.json: was found with .*vignetting of lens\.py .*without smear"),
+        ):
+            options.same(saved, "verdict.json")
+    path.write_text(SOUND + "\n", encoding="utf-8")
+    with knowing(path, without=["smear"]), pytest.raises(InputError, match="the same --effects"):
+        options.same(saved, "verdict.json")
+
+
 # Configuration and command line.
 
 

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
+from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.effects import Choice
 
@@ -39,3 +40,20 @@ def described() -> dict[str, Any]:
     """What a file of results says of the vocabulary: nothing where it is the library's."""
     difference = effects.record()
     return {"vocabulary": difference} if difference else {}
+
+
+def same(saved: Mapping[str, Any], name: str) -> None:
+    """Raise `InputError` unless what an earlier stage saved in the file `name` was found with this vocabulary."""
+    if saved.get("vocabulary", {}) != effects.record():
+        raise InputError(
+            f"{name}: was found with {_text(saved.get('vocabulary', {}))}, but this is {_text(effects.record())}; give"
+            " every stage the same --effects, --only and --without"
+        )
+
+
+def _text(difference: Mapping[str, Any]) -> str:
+    """A vocabulary in words."""
+    own = [f"{effect['name']} of {effect['file']} ({effect['sha256'][:8]})" for effect in difference.get("own", ())]
+    parts = [f"with {', '.join(own)}"] if own else []
+    parts += [f"without {', '.join(difference['left_out'])}"] if difference.get("left_out") else []
+    return " ".join(["the library's vocabulary", *parts])
