@@ -171,7 +171,8 @@ CASES: dict[str, Callable[[], Case]] = {
     ),
     # Light, but no spot that could be fitted, or no noise to judge it by.
     "crop full of saturated light": lambda: Case(
-        spots(after=lambda p: np.where(p > 16, 1023, p), angles=(0.0,), repeats=1), {}, NOTHING, (), "no spot could be fitted in any frame"
+        spots(after=lambda p: np.where(p > 16, 1023, p), angles=(0.0,), repeats=1), {}, NOTHING, (),
+        "no spot could be fitted in any frame",
     ),
     "spot much wider than its crop": lambda: Case(
         spots(width=60.0), {}, NOTHING, (), "no spot could be fitted in any frame: it is as wide as its crop"

@@ -123,8 +123,8 @@ def test_a_scatter_of_ones_own_is_named_by_one_new_file(tmp_path):
 
 @pytest.mark.slow
 def test_a_file_of_ones_own_by_command_line(tmp_path, monkeypatch, capsys):
-    """The same from images to verdict.json and to simulated frames: every stage that needs it is given the file, and says
-    so where it is not."""
+    """The same from images to verdict.json and to simulated frames: every stage that needs the file is given it, and
+    says so where it is not."""
     monkeypatch.chdir(tmp_path)
     shots, _ = hops()
     rows = [f"frames/f{k}.tif,spot,{s.angle_deg:g},{s.exposure_s:g},{s.repeat}" for k, s in enumerate(shots)]

@@ -302,7 +302,8 @@ def test_a_dataset_brings_no_code(tmp_path):
 
 
 STAGES = {
-    "judge": ["set", "--crops", "c", "--sensor", "s", "--pictures", "p", "--model", "m", "--light", "l", "--output", "o"],
+    "judge": ["set", "--crops", "c", "--sensor", "s", "--pictures", "p", "--model", "m", "--light", "l", "--output",
+              "o"],
     "flats": ["set", "--frames", "f", "--output", "o"],
     "simulate": ["set", "--sensor", "s", "--seed", "1", "--folder", "f", "--output", "o"],
     "report": ["--dataset", "set", "--results", "r", "--output", "o"],
