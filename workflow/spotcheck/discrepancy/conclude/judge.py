@@ -59,7 +59,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         limits=limits_of(outcome, laws.told, design, usable, context),
         where=places_of(detection.parts),
         rest=tested(left, design),
-        errors=errors_of(outcome.after),
+        errors=errors_of(outcome.after) | laws.errors,
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
         black_level_dn=setting.sensor.black_level_dn,
     )
@@ -96,7 +96,7 @@ def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting) -> S
         return NOTHING
     first, last = before.base.law, after.base.law
     slopes = after.base.slopes
-    covariance = np.linalg.pinv(slopes.T @ after.base.found.weights.inverse @ slopes)
+    covariance = np.linalg.pinv(slopes.T @ after.base.found.inverse @ slopes)
     # Parameters are p1 and the width at the reference exposure t: p2 is that less p1 ln t.
     turn = np.zeros((2, len(covariance)))
     held = after.base.mean.law_free
