@@ -120,7 +120,7 @@ class Judgement(NamedTuple):
     - `beyond`: names of found effects of which frames that had no part in the search were not told better.
     - `light`: None where the declared shape stands.
     - `errors`: standard errors of all parameters of a found effect, by its name; NaN where one has none. Of effects
-      that are missing here the strength's alone is known, from `Found`.
+      that are missing here (scatter) the strength's alone is known, from `Found`.
     - `off`: how far the mean image is from the declared model, as rms in peaks, noise taken off; None: unknown.
     - `rest`: the test of what is left beside all that was added; None: not asked.
     - `advice`: where effects tie, what to measure next.
