@@ -1,0 +1,224 @@
+"""The search on levels of flats: the same steps and criteria as on pixels, with a misfit that stays as noise.
+
+Stated errors of levels are often too small: they come from the drift between frames of one level, where a lamp drifts
+more from level to level. What means miss beyond their errors is taken for light, so that noise is foretold for the
+light that was there; what the noise misses all the same widens its errors.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.nuisance.fit import NUDGE, SENSOR, Free, changed, free_of, values_of
+from spotcheck.discrepancy.observe.flats import Series, context_of, foretold
+from spotcheck.discrepancy.observe.pixels import Model
+from spotcheck.discrepancy.search.forward import Found, first_of, held
+from spotcheck.discrepancy.search.holds import Holding
+from spotcheck.model.effect import Effect, Present
+
+# Factor by which K may differ from what a plain look says: where noise hardly shows, a fit would take it anywhere.
+ASTRAY = 10.0
+# Rounds of a fit and of the width of errors, the relative change of these that ends them, and steps of each fit.
+ROUNDS, SETTLED, STEPS = 6, 0.01, 50
+# A smooth misfit is a polynomial of up to this order in a level's place among the levels, or of up to a third of their
+# number; what goes beyond is scatter.
+SMOOTH = 4
+# Where light moves the mean by less than this part of what it should, its scatter does not show.
+FLAT = 0.1
+# A direction of which a fit leaves less than this part tells nothing.
+LEAST = 1e-3
+# Cells of levels by their light, for means and for variances.
+CELLS = 3
+
+
+class LevelFit(NamedTuple):
+    """A model fitted to the levels that may choose it: ln R and its free parameters, what is left [2, level], slopes of
+    what is foretold [parameter, 2, level], factors on the errors of means and variances, and −2 ln L."""
+
+    model: Model
+    free: tuple[Free, ...]
+    rest: np.ndarray
+    slopes: np.ndarray
+    wide: tuple[float, float]
+    deviance: float
+
+
+class Standard(NamedTuple):
+    """Residuals and slopes [..., 2, level] under errors of some width: errors [2, level], and by how much a variance
+    follows what its mean is off, since the light was [DN]."""
+
+    errors: np.ndarray
+    follows: np.ndarray
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Values in their errors."""
+        first, second = values[..., 0, :], values[..., 1, :]
+        return np.stack([first / self.errors[0], (second - self.follows * first) / self.errors[1]], -2)
+
+
+def standard_of(series: Series, by_light: np.ndarray, wide: tuple[float, float]) -> Standard:
+    """`by_light` [2, level]: slopes of mean and variance by ln light.
+
+    A mean m that is off by light x of variance (s² − 1) e², beside its own e², tells of x the part 1 − 1/s².
+    """
+    (mean, variance), more = by_light, 1 - wide[0] ** -2.0
+    along = mean * variance / (mean**2 + (FLAT * series.values[0].max() * series.light) ** 2)
+    first, second = series.errors
+    return Standard(np.stack([first * wide[0], np.hypot(second * wide[1], along * np.sqrt(more) * first)]), more * along)
+
+
+def widths(series: Series, rest: np.ndarray, by_light: np.ndarray, lost: float) -> tuple[float, float]:
+    """Factors on the errors by all that is left, `lost` parameters fitted in each half; 1 at least."""
+    seen, out = ~series.unseen, [1.0, 1.0]
+    for k in range(2):
+        own = standard_of(series, by_light, (out[0], 1.0))(rest)[k, seen]
+        out[k] = float(np.sqrt(max(own @ own / max(len(own) - lost, 1.0), 1.0)))
+    return out[0], out[1]
+
+
+def fit_levels(
+    series: Series, present: Sequence[Present], near: LevelFit | None = None, rounds: int = ROUNDS
+) -> LevelFit:
+    """The likeliest R, K and effects, from the effects' values and from R and K of a fit that is near."""
+    model = (near or series).model._replace(present=tuple(present))
+    gain = series.model.sensor.gain_dn_per_e
+    free = (Free(SENSOR, 0, gain / ASTRAY, gain * ASTRAY, NUDGE * gain), *free_of(model, context_of(series)))
+    low, high, step = np.array([(-np.inf, np.inf, NUDGE), *((own.low, own.high, own.nudge) for own in free)]).T
+    seen, wide = ~series.unseen, near.wide if near else (1.0, 1.0)
+
+    def at(point: np.ndarray) -> Model:
+        return changed(model._replace(numbers=model.numbers._replace(log_peak=point[:1])), free, point[1:].tolist())
+
+    def slopes(point: np.ndarray) -> np.ndarray:
+        out = []
+        for k in range(len(point)):
+            ends = np.repeat(point[None], 2, 0)
+            ends[:, k] = max(point[k] - step[k], low[k]), min(point[k] + step[k], high[k])
+            below, above = (foretold(series, at(end)) for end in ends)
+            out.append((above - below) / (ends[1, k] - ends[0, k]))
+        return np.array(out)
+
+    point = np.clip(np.concatenate([model.numbers.log_peak, values_of(model, free)]), low, high)
+    for _ in range(rounds):
+        own = standard_of(series, slopes(point)[0], wide)
+        point = least_squares(
+            lambda p, own=own: own(series.values - foretold(series, at(p)))[:, seen].ravel(),
+            point, lambda p, own=own: -own(slopes(p))[..., seen].reshape(len(p), -1).T, (low, high), x_scale=step / NUDGE, max_nfev=STEPS,
+        ).x  # fmt: skip
+        rest, by = series.values - foretold(series, at(point)), slopes(point)
+        before, wide = wide, widths(series, rest, by[0], len(point) / 2)
+        if np.allclose(before, wide, rtol=SETTLED):
+            break
+    fit = LevelFit(at(point), free, rest, by, wide, 0.0)
+    return fit._replace(deviance=deviance_of(series, fit, seen))
+
+
+def deviance_of(series: Series, fit: LevelFit, which: np.ndarray) -> float:
+    """−2 ln L of some levels but for constants, under the errors that the fit has left."""
+    own = standard_of(series, fit.slopes[0], fit.wide)
+    return float((own(fit.rest) ** 2 + 2 * np.log(own.errors / series.errors))[:, which].sum())
+
+
+def smooth_of(count: int) -> np.ndarray:
+    """Orthonormal smooth functions [level, order] of a level's place among so many."""
+    place = np.linspace(-1, 1, count)
+    return np.linalg.qr(np.polynomial.legendre.legvander(place, min(SMOOTH, count // 3)))[0]
+
+
+def scatter_of(series: Series, fit: LevelFit) -> tuple[Standard, int]:
+    """Standard under errors that are as wide as means scatter from level to level beyond all that is smooth, and the
+    degrees of freedom that tell it."""
+    seen, out = ~series.unseen, [1.0, 1.0]
+    smooth = smooth_of(int(seen.sum()))
+    freedom = len(smooth) - smooth.shape[1]
+    for k in range(2):
+        own = standard_of(series, fit.slopes[0], (out[0], 1.0))(fit.rest)[k, seen]
+        rough = own - smooth @ (smooth.T @ own)
+        out[k] = float(np.sqrt(max(rough @ rough / freedom, 1.0)))
+    return standard_of(series, fit.slopes[0], (out[0], out[1])), freedom
+
+
+def errors_of(series: Series, fit: LevelFit) -> np.ndarray:
+    """Standard errors of ln R and of the free parameters, as wide as what is left asks for."""
+    rows = standard_of(series, fit.slopes[0], fit.wide)(fit.slopes)[..., ~series.unseen].reshape(len(fit.slopes), -1)
+    return np.sqrt(np.diag(np.linalg.pinv(rows @ rows.T)))
+
+
+def strength_at(fit: LevelFit, k: int) -> int:
+    """Place of the strength of an effect of a number among slopes."""
+    return 1 + next(j for j, own in enumerate(fit.free) if (own.effect, own.parameter) == (k, 0))
+
+
+def holding_of(series: Series, fit: LevelFit, rest: LevelFit, k: int) -> Holding:
+    """Whether low, middle and high levels, means and variances, ask for the same strength of an effect; `rest` is the
+    fit without it. Beside few levels what a fit takes of each cell counts: Q = Uᵀ C⁺ U, C the scores' covariance."""
+    seen, own = ~series.unseen, standard_of(series, fit.slopes[0], fit.wide)
+    z, rows = own(fit.rest)[:, seen].ravel(), own(fit.slopes)[..., seen].reshape(len(fit.slopes), -1)
+    at, count = strength_at(fit, k), int(seen.sum())
+    others = np.delete(rows, at, 0)
+    speaks = rows[at] - others.T @ np.linalg.lstsq(others.T, rows[at], rcond=None)[0]
+    cell = np.add.outer(CELLS * np.arange(2), np.arange(count) * CELLS // count).ravel()
+    split = speaks * (cell == np.arange(2 * CELLS)[:, None])
+    taken = np.linalg.qr(rows.T)[0]
+    left = split - split @ taken @ taken.T
+    information = float(speaks @ speaks)
+    values, turned = np.linalg.eigh(left @ left.T)
+    told = values > LEAST * information
+    q = float(((turned.T @ split @ z)[told] ** 2 / values[told]).sum())
+    effect, value = fit.model.present[k].effect, fit.model.present[k].values[0]
+    wald = (value - effect.neutral) ** 2 * information if np.isfinite(effect.neutral) else np.inf
+    lost = own(rest.rest)[:, seen].ravel()
+    z2 = float(min(lost @ lost - z @ z, wald))
+    return Holding(q, int(told.sum()) + 1, z2, float(errors_of(series, fit)[at]))
+
+
+def in_place(series: Series, now: LevelFit, effect: Effect, k: int | None = None) -> LevelFit:
+    """The likeliest fit with an effect more, in the place of that of a number, over all forms and starts."""
+    rest = now.model.present if k is None else now.model.without(k).present
+    starts = effect.starts(context_of(series))
+    ways = [(*rest, Present(effect, form, values)) for form in effect.forms for values in starts]
+    best = min((fit_levels(series, own, now, rounds=1) for own in ways), key=lambda fit: fit.deviance)
+    return fit_levels(series, best.model.present, best)
+
+
+def matters(series: Series, fit: LevelFit) -> bool:
+    """Whether the last effect of a fit is more than nothing."""
+    own = fit.model.present[-1]
+    return own.effect.excess(own.values[0], context_of(series)) >= 1
+
+
+def search_levels(series: Series, effects: Sequence[Effect]) -> tuple[LevelFit, LevelFit, list[Found]]:
+    """The fit of a straight line, that with all that was found, and what was found."""
+
+    def others(now: LevelFit) -> list[Effect]:
+        return [e for e in effects if all(own.effect.name != e.name for own in now.model.present)]
+
+    def without(now: LevelFit, k: int) -> LevelFit:
+        return fit_levels(series, now.model.without(k).present, now)
+
+    def found_of(now: LevelFit) -> list[Found]:
+        out = []
+        for k, own in enumerate(now.model.present):
+            rest, tried = without(now, k), {e.name: in_place(series, now, e, k) for e in others(now)}
+            near = {name: fit.deviance - now.deviance for name, fit in tried.items() if matters(series, fit)}
+            near = {name: max(d, 0.0) for name, d in near.items() if d < criteria.RIVAL.value}
+            out.append(Found(own, rest.deviance - now.deviance, holding_of(series, now, rest, k), near))
+        return out
+
+    def exchanged(now: LevelFit) -> LevelFit:
+        """The likeliest of a fit and those in which one of its effects gave way to another."""
+        ways = [in_place(series, now, e, k) for k in range(len(now.model.present)) for e in others(now)]
+        return min([now, *(own for own in ways if matters(series, own))], key=lambda own: own.deviance)
+
+    plain = now = fit_levels(series, ())
+    for _ in range(int(criteria.MOST.value)):
+        fits = [in_place(series, now, e) for e in others(now)]
+        tried = [(now.deviance - own.deviance, own.model.present[-1].effect.name, own) for own in fits]
+        best = first_of([one for one in tried if one[0] >= criteria.GAIN.value and matters(series, one[2])])
+        if best is None:
+            break
+        now = exchanged(best[0]) if len(best[0].model.present) > 1 else best[0]
+    return plain, *held(now, found_of, without)
