@@ -28,11 +28,11 @@ NOTHING = Shift(None, None, None)
 def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) -> Judgement:
     """Everything that is concluded of some frames; those that are kept unseen are opened last."""
     if not shots:
-        return _untested("there is no usable spot frame")
+        return untested("there is no usable spot frame")
     own, out = parted(shots)
     seen = observed([shots[k] for k in own], setting)
     if isinstance(seen, str):
-        return _untested(seen)
+        return untested(seen)
     lawful = setting.baseline.photon_budget != "free"
     why = {e.name: missing(e, seen.design, law=lawful) for e in effects if e.place is not Place.SHAPE}
     usable = [e for e in effects if why.get(e.name) == ""]
@@ -63,7 +63,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     )
 
 
-def _untested(why: str) -> Judgement:
+def untested(why: str) -> Judgement:
     return Judgement(why, None, (), (), None, (), None, None, NOTHING, (), ())
 
 

@@ -8,7 +8,7 @@ from spotcheck.discrepancy.observe.design import Design, view_of
 from spotcheck.discrepancy.observe.pixels import Model, Numbers
 from spotcheck.estimate.photon_transfer import Transfer, light_of
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import Law, bounds_context, moments
+from spotcheck.model.chain import Law, View, bounds_context, moments
 from spotcheck.model.effect import NEEDS, Context, Effect
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
@@ -26,15 +26,15 @@ LEAST_E = 0.1
 
 class Series(NamedTuple):
     """Levels in the order of their light (as a part of the largest): signal [DN] and excess of variance [DN²] over the
-    darks [2, level] with errors, which levels are kept unseen, whether their exposures tell, the design that a view is
-    made of, and the declared model: a straight line through what plain photon transfer says."""
+    darks [2, level] with errors, which levels are kept unseen, whether their exposures tell, the chain's view, and the
+    declared model: a straight line by what plain photon transfer says."""
 
     light: np.ndarray
     values: np.ndarray
     errors: np.ndarray
     unseen: np.ndarray
     timed: bool
-    design: Design
+    view: View
     model: Model
 
 
@@ -66,7 +66,7 @@ def series_of(found: Transfer, full_scale_dn: float) -> Series | None:
         # Both ends are seen: a fit is to be tried between levels, not beyond them.
         unseen=(place % EVERY == 1) & (place < count - 1),
         timed=timed,
-        design=Design(0 * place, place, np.zeros(count), part * longest, np.full(count, 0.5)),
+        view=view_of(Design(0 * place, place, np.zeros(count), part * longest, np.full(count, 0.5))),
         model=Model(Baseline(0.0, "linear", False, longest), sensor, (), numbers),
     )
 
@@ -77,13 +77,13 @@ def foretold(series: Series, model: Model) -> np.ndarray:
     dark = series.model.sensor.gain_dn_per_e * series.model.sensor.read_noise_e
     sensor = model.sensor._replace(read_noise_e=dark / model.sensor.gain_dn_per_e)
     law = Law(0.0, ENDLESS, float(np.exp(model.numbers.log_peak[0])))
-    own = moments(view_of(series.design), model.baseline, law, model.present, sensor)
+    own = moments(series.view, model.baseline, law, model.present, sensor)
     return np.stack([own.mean.ravel() - sensor.black_level_dn, own.variance.ravel() - dark**2 - ROUNDING_VARIANCE])
 
 
 def context_of(series: Series) -> Context:
     """What bounds and starts of effects depend on."""
-    exposure, law = series.design.exposure_s, Law(0.0, ENDLESS, float(series.values[0].max()))
+    exposure, law = series.view.exposure_s, Law(0.0, ENDLESS, float(series.values[0].max()))
     shortest, longest = float(exposure.min()), float(exposure.max())
     return bounds_context(law, series.model.baseline, series.model.sensor, 1.0, shortest, longest, longest)
 

@@ -21,8 +21,9 @@ from spotcheck.model.effect import Effect, Present
 
 # Factor by which K may differ from what a plain look says: where noise hardly shows, a fit would take it anywhere.
 ASTRAY = 10.0
-# Rounds of a fit and of the width of errors, the relative change of these that ends them, and steps of each fit.
-ROUNDS, SETTLED, STEPS = 6, 0.01, 50
+# Rounds of a fit and of the width of errors, the relative change of these that ends them; steps of each fit, and the
+# part of χ² that a last step gains.
+ROUNDS, SETTLED, STEPS, ENOUGH = 6, 0.01, 50, 1e-6
 # A smooth misfit is a polynomial of up to this order in a level's place among the levels, or of up to a third of their
 # number; what goes beyond is scatter.
 SMOOTH = 4
@@ -106,7 +107,7 @@ def fit_levels(
         own = standard_of(series, slopes(point)[0], wide)
         point = least_squares(
             lambda p, own=own: own(series.values - foretold(series, at(p)))[:, seen].ravel(),
-            point, lambda p, own=own: -own(slopes(p))[..., seen].reshape(len(p), -1).T, (low, high), x_scale=step / NUDGE, max_nfev=STEPS,
+            point, lambda p, own=own: -own(slopes(p))[..., seen].reshape(len(p), -1).T, (low, high), x_scale=step / NUDGE, ftol=ENOUGH, max_nfev=STEPS,
         ).x  # fmt: skip
         rest, by = series.values - foretold(series, at(point)), slopes(point)
         before, wide = wide, widths(series, rest, by[0], len(point) / 2)
@@ -128,23 +129,26 @@ def smooth_of(count: int) -> np.ndarray:
     return np.linalg.qr(np.polynomial.legendre.legvander(place, min(SMOOTH, count // 3)))[0]
 
 
-def scatter_of(series: Series, fit: LevelFit) -> tuple[Standard, int]:
-    """Standard under errors that are as wide as means scatter from level to level beyond all that is smooth, and the
-    degrees of freedom that tell it."""
+def scatter_of(series: Series, fit: LevelFit) -> Standard:
+    """Standard under errors that are as wide as levels scatter beyond all that is smooth."""
     seen, out = ~series.unseen, [1.0, 1.0]
     smooth = smooth_of(int(seen.sum()))
-    freedom = len(smooth) - smooth.shape[1]
     for k in range(2):
         own = standard_of(series, fit.slopes[0], (out[0], 1.0))(fit.rest)[k, seen]
         rough = own - smooth @ (smooth.T @ own)
-        out[k] = float(np.sqrt(max(rough @ rough / freedom, 1.0)))
-    return standard_of(series, fit.slopes[0], (out[0], out[1])), freedom
+        out[k] = float(np.sqrt(max(rough @ rough / (len(smooth) - smooth.shape[1]), 1.0)))
+    return standard_of(series, fit.slopes[0], (out[0], out[1]))
 
 
 def errors_of(series: Series, fit: LevelFit) -> np.ndarray:
     """Standard errors of ln R and of the free parameters, as wide as what is left asks for."""
     rows = standard_of(series, fit.slopes[0], fit.wide)(fit.slopes)[..., ~series.unseen].reshape(len(fit.slopes), -1)
     return np.sqrt(np.diag(np.linalg.pinv(rows @ rows.T)))
+
+
+def taken_by(series: Series, fit: LevelFit, own: Standard) -> np.ndarray:
+    """Orthonormal columns of what a fit takes of standardised levels [2 × level, parameter]."""
+    return np.linalg.qr(own(fit.slopes)[..., ~series.unseen].reshape(len(fit.slopes), -1).T)[0]
 
 
 def strength_at(fit: LevelFit, k: int) -> int:
@@ -162,7 +166,7 @@ def holding_of(series: Series, fit: LevelFit, rest: LevelFit, k: int) -> Holding
     speaks = rows[at] - others.T @ np.linalg.lstsq(others.T, rows[at], rcond=None)[0]
     cell = np.add.outer(CELLS * np.arange(2), np.arange(count) * CELLS // count).ravel()
     split = speaks * (cell == np.arange(2 * CELLS)[:, None])
-    taken = np.linalg.qr(rows.T)[0]
+    taken = taken_by(series, fit, own)
     left = split - split @ taken @ taken.T
     information = float(speaks @ speaks)
     values, turned = np.linalg.eigh(left @ left.T)
