@@ -27,6 +27,8 @@ ROUNDS, SETTLED, STEPS, ENOUGH = 6, 0.01, 50, 1e-6
 # A smooth misfit is a polynomial of up to this order in a level's place among the levels, or of up to a third of their
 # number; what goes beyond is scatter.
 SMOOTH = 4
+# How far means may be off by what no model has, in their median stated error: 0, then steps of two.
+OFF = np.array([0.0, *2.0 ** np.arange(-3, 11)])
 # Where light moves the mean by less than this part of what it should, its scatter does not show.
 FLAT = 0.1
 # A direction of which a fit leaves less than this part tells nothing.
@@ -35,15 +37,27 @@ LEAST = 1e-3
 CELLS = 3
 
 
+class Wide(NamedTuple):
+    """By what the errors of levels exceed the stated ones: factors on those of means and of variances, and how far
+    means are off [DN] by what no model has, the same at every level."""
+
+    mean: float
+    off_dn: float
+    variance: float
+
+
+STATED = Wide(1.0, 0.0, 1.0)
+
+
 class LevelFit(NamedTuple):
     """A model fitted to the levels that may choose it: ln R and its free parameters, what is left [2, level], slopes of
-    what is foretold [parameter, 2, level], factors on the errors of means and variances, and −2 ln L."""
+    what is foretold [parameter, 2, level], widths of errors, and −2 ln L."""
 
     model: Model
     free: tuple[Free, ...]
     rest: np.ndarray
     slopes: np.ndarray
-    wide: tuple[float, float]
+    wide: Wide
     deviance: float
 
 
@@ -60,24 +74,31 @@ class Standard(NamedTuple):
         return np.stack([first / self.errors[0], (second - self.follows * first) / self.errors[1]], -2)
 
 
-def standard_of(series: Series, by_light: np.ndarray, wide: tuple[float, float]) -> Standard:
+def standard_of(series: Series, by_light: np.ndarray, wide: Wide) -> Standard:
     """`by_light` [2, level]: slopes of mean and variance by ln light.
 
-    A mean m that is off by light x of variance (s² − 1) e², beside its own e², tells of x the part 1 − 1/s².
+    A mean is off by light that has the variance (s² − 1) e² beside its stated e², and by what no model has, which has
+    d²: so it tells of the light by their parts of the whole.
     """
-    (mean, variance), more = by_light, 1 - wide[0] ** -2.0
+    (mean, variance), (first, second) = by_light, series.errors
     along = mean * variance / (mean**2 + (FLAT * series.values[0].max() * series.light) ** 2)
-    first, second = series.errors
-    return Standard(np.stack([first * wide[0], np.hypot(second * wide[1], along * np.sqrt(more) * first)]), more * along)
+    light, whole = (wide.mean**2 - 1) * first**2, (wide.mean * first) ** 2 + wide.off_dn**2
+    beside = along**2 * light * (1 - light / whole)
+    errors = np.sqrt(np.stack([whole, (second * wide.variance) ** 2 + beside]))
+    return Standard(errors, along * light / whole)
 
 
-def widths(series: Series, rest: np.ndarray, by_light: np.ndarray, lost: float) -> tuple[float, float]:
-    """Factors on the errors by all that is left, `lost` parameters fitted in each half; 1 at least."""
-    seen, out = ~series.unseen, [1.0, 1.0]
-    for k in range(2):
-        own = standard_of(series, by_light, (out[0], 1.0))(rest)[k, seen]
-        out[k] = float(np.sqrt(max(own @ own / max(len(own) - lost, 1.0), 1.0)))
-    return out[0], out[1]
+def widths(series: Series, rest: np.ndarray, by_light: np.ndarray, lost: float) -> Wide:
+    """The likeliest widths for what is left, `lost` parameters fitted in each half."""
+    seen = ~series.unseen
+    count, (mean, _), (first, _) = max(seen.sum() - lost, 1.0), rest[:, seen], series.errors[:, seen]
+    off = np.median(first) * OFF[:, None]
+    scale = np.maximum((mean**2 / (first**2 + off**2)).sum(1) / count, 1.0)
+    whole = scale[:, None] * (first**2 + off**2)
+    best = int(np.argmin((mean**2 / whole + np.log(whole)).sum(1)))
+    out = Wide(float(scale[best] ** 0.5), float((scale[best] ** 0.5 * off[best])[0]), 1.0)
+    own = standard_of(series, by_light, out)(rest)[1, seen]
+    return out._replace(variance=float(np.sqrt(max(own @ own / count, 1.0))))
 
 
 def fit_levels(
@@ -88,7 +109,7 @@ def fit_levels(
     gain = series.model.sensor.gain_dn_per_e
     free = (Free(SENSOR, 0, gain / ASTRAY, gain * ASTRAY, NUDGE * gain), *free_of(model, context_of(series)))
     low, high, step = np.array([(-np.inf, np.inf, NUDGE), *((own.low, own.high, own.nudge) for own in free)]).T
-    seen, wide = ~series.unseen, near.wide if near else (1.0, 1.0)
+    seen, wide = ~series.unseen, near.wide if near else STATED
 
     def at(point: np.ndarray) -> Model:
         return changed(model._replace(numbers=model.numbers._replace(log_peak=point[:1])), free, point[1:].tolist())
@@ -131,13 +152,14 @@ def smooth_of(count: int) -> np.ndarray:
 
 def scatter_of(series: Series, fit: LevelFit) -> Standard:
     """Standard under errors that are as wide as levels scatter beyond all that is smooth."""
-    seen, out = ~series.unseen, [1.0, 1.0]
+    seen, out = ~series.unseen, STATED
     smooth = smooth_of(int(seen.sum()))
-    for k in range(2):
-        own = standard_of(series, fit.slopes[0], (out[0], 1.0))(fit.rest)[k, seen]
+    for k, name in enumerate(("mean", "variance")):
+        own = standard_of(series, fit.slopes[0], out)(fit.rest)[k, seen]
         rough = own - smooth @ (smooth.T @ own)
-        out[k] = float(np.sqrt(max(rough @ rough / (len(smooth) - smooth.shape[1]), 1.0)))
-    return standard_of(series, fit.slopes[0], (out[0], out[1]))
+        wide = np.sqrt(max(rough @ rough / (len(smooth) - smooth.shape[1]), 1.0))
+        out = out._replace(**{name: float(wide)})
+    return standard_of(series, fit.slopes[0], out)
 
 
 def errors_of(series: Series, fit: LevelFit) -> np.ndarray:
