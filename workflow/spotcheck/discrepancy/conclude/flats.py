@@ -24,6 +24,7 @@ from spotcheck.discrepancy.search.flats import (
     scatter_of,
     search_levels,
     smooth_of,
+    standard_of,
     strength_at,
     taken_by,
 )
@@ -46,12 +47,13 @@ def judge_flats(transfer: Transfer, full_scale_dn: float, effects: Sequence[Effe
         return untested(f"the manifest names no frame of kind spot; {line.why or TOO_FEW}")
     usable = [e for e in effects if not hidden(e, series)]
     plain, after, found = search_levels(series, usable)
-    own, peak, errors = scatter_of(series, after), float(series.values[0].max()), errors_of(series, after)
+    seen, errors, peak = ~series.unseen, errors_of(series, after), float(series.values[0].max())
+    wide = scatter_of(series, after)
+    own = standard_of(series, after.slopes[0], wide)
     gap, gains = compared(series, plain, after, own)
-    size, noise = (np.mean(v[~series.unseen]) / peak**2 for v in (after.rest[0] ** 2, own.errors[0] ** 2))
-    error = float(np.sqrt(2 * (own.errors[0, ~series.unseen] ** 4).sum()) / (~series.unseen).sum() / peak**2)
-    left = float(size - noise)
-    off = float(np.mean((plain.rest[0] ** 2 - own.errors[0] ** 2)[~series.unseen])) / peak**2
+    lamp = (wide.mean * series.errors[0, seen] / peak) ** 2
+    off, left = (float(np.mean((fit.rest[0, seen] / peak) ** 2 - lamp)) for fit in (plain, after))
+    error = float(np.sqrt(2 * (lamp**2).sum()) / len(lamp))
     sensor = after.model.sensor
     return Judgement(
         why_not="",
@@ -60,8 +62,8 @@ def judge_flats(transfer: Transfer, full_scale_dn: float, effects: Sequence[Effe
         beyond=tuple(name for name, gain in gains.items() if min(gain, gap.by_effect[name]) <= 0),
         light=None,
         sheet=(),
-        unexplained=Unexplained(max(left, 0.0) ** 0.5, error, float(noise) ** 0.5, left / error, np.zeros(0), np.zeros(0),
-                                0.0, (0, 0, 0, 0.0)),
+        unexplained=Unexplained(max(left, 0.0) ** 0.5, error, float(lamp.mean() ** 0.5), left / error, np.zeros(0),
+                                np.zeros(0), 0.0, (0, 0, 0, 0.0)),
         gap=gap,
         shift=NOTHING,
         limits=tuple(limits(series, after, found, usable)),
@@ -71,7 +73,7 @@ def judge_flats(transfer: Transfer, full_scale_dn: float, effects: Sequence[Effe
         rest=detected(series, after, own),
         not_assessed=tuple((e.name, hidden(e, series)) for e in effects if e not in usable),
         levels=Levels(len(series.light), sensor.gain_dn_per_e, float(errors[1]), line.value, line.stderr,
-                      float(np.sqrt(max(np.mean((own.errors[0] ** 2 - series.errors[0] ** 2) / series.values[0] ** 2), 0)))),
+                      float(np.sqrt(wide.mean**2 - 1) * np.median(series.errors[0] / series.values[0]))),
         black_level_dn=sensor.black_level_dn,
     )  # fmt: skip
 

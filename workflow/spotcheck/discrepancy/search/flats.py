@@ -150,16 +150,14 @@ def smooth_of(count: int) -> np.ndarray:
     return np.linalg.qr(np.polynomial.legendre.legvander(place, min(SMOOTH, count // 3)))[0]
 
 
-def scatter_of(series: Series, fit: LevelFit) -> Standard:
-    """Standard under errors that are as wide as levels scatter beyond all that is smooth."""
-    seen, out = ~series.unseen, STATED
+def scatter_of(series: Series, fit: LevelFit) -> Wide:
+    """Widths of errors by what is left beyond all that is smooth."""
+    seen = ~series.unseen
     smooth = smooth_of(int(seen.sum()))
-    for k, name in enumerate(("mean", "variance")):
-        own = standard_of(series, fit.slopes[0], out)(fit.rest)[k, seen]
-        rough = own - smooth @ (smooth.T @ own)
-        wide = np.sqrt(max(rough @ rough / (len(smooth) - smooth.shape[1]), 1.0))
-        out = out._replace(**{name: float(wide)})
-    return standard_of(series, fit.slopes[0], out)
+    errors = standard_of(series, fit.slopes[0], fit.wide).errors[:, seen]
+    rough, z = np.zeros(fit.rest.shape), fit.rest[:, seen] / errors
+    rough[:, seen] = (z - z @ smooth @ smooth.T) * errors
+    return widths(series, rough, fit.slopes[0], smooth.shape[1])
 
 
 def errors_of(series: Series, fit: LevelFit) -> np.ndarray:
