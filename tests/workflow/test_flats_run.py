@@ -100,7 +100,7 @@ def test_bad_flats_say_what_is_wrong(case, tmp_path):
     with contextlib.redirect_stdout(said):
         main(["ingest", source, "--output", out["frames.nc"]])
         main(["transfer", source, "--frames", out["frames.nc"], "--output", out["transfer.nc"]])
-        main(["flats", source, "--frames", out["frames.nc"], "--simulations", "200", "--output", out["verdict.json"]])
+        main(["flats", source, "--frames", out["frames.nc"], "--output", out["verdict.json"]])
     assert sentence in said.getvalue()
     if known:
         with xr.open_dataset(out["transfer.nc"]) as ds:

@@ -146,8 +146,6 @@ rule judge_flats:
         runtime=30,
     params:
         folder=dataset_folder,
-        simulations=config["null_simulations"],
-        seed=config["seed"],
         tolerance=json.dumps(config["tolerance"]),
         vocabulary=VOCABULARY,
         own_effects=OWN_EFFECTS,
@@ -156,5 +154,4 @@ rule judge_flats:
         "Writing the verdict on {wildcards.dataset}"
     shell:
         "OPENBLAS_NUM_THREADS=1 spotcheck flats {params.folder:q} --frames {input.table:q}"
-        " --simulations {params.simulations} --seed {params.seed} --tolerance {params.tolerance:q}"
-        " --output {output.verdict:q} {params.vocabulary:q} 2>&1 | tee {log:q}"
+        " --tolerance {params.tolerance:q} --output {output.verdict:q} {params.vocabulary:q} 2>&1 | tee {log:q}"

@@ -95,7 +95,7 @@ def _stages(
     findings, gap, advice, verdict = (out / n for n in ("findings.json", "gap.nc", "advice.json", "verdict.json"))
     yield "ingest", {"output": frames}
     if not dataset.spots:
-        yield "flats", {"frames": frames, **null, "output": verdict}
+        yield "flats", {"frames": frames, "output": verdict}
         return
     measured = {}
     if len(dataset.spots) < len(dataset.frames):

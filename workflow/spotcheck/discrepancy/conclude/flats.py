@@ -96,7 +96,9 @@ def detected(series: Series, fit: LevelFit, own: Standard) -> Detection:
         q = float(((directions[:, :count].T @ z) ** 2).sum())
         if count:
             p = float(max(stats.f.sf(q / count, count, len(smooth) - smooth.shape[1]), SMALLEST))
-            parts.append(Part(f"{block}: smooth in light", (q - count) / (2 * count) ** 0.5, p, _where(series, fit, own, k)))
+            parts.append(
+                Part(f"{block}: smooth in light", (q - count) / (2 * count) ** 0.5, p, _where(series, fit, own, k))
+            )
     parts.sort(key=lambda part: part.p_value)
     values = [part.p_value for part in parts]
     return Detection(sidak(values[0], len(values)), cauchy(values), tuple(parts))
@@ -117,9 +119,7 @@ def _words(series: Series, block: int, level: int) -> str:
     return f"the {BLOCKS[block]} of the level at {series.values[0, level]:.4g} DN"
 
 
-def compared(
-    series: Series, plain: LevelFit, after: LevelFit, own: Standard
-) -> tuple[Gap, dict[str, float]]:
+def compared(series: Series, plain: LevelFit, after: LevelFit, own: Standard) -> tuple[Gap, dict[str, float]]:
     """The gap on levels that had no part in the search, and by how much each effect lowers −2 ln L of these."""
     out = series.unseen
 

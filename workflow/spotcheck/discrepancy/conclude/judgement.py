@@ -97,7 +97,7 @@ class Levels(NamedTuple):
     and that of a straight line through the lower levels (EMVA 1288); and the scatter of light from level to level, as
     a part of it, beyond what frames of one level say."""
 
-    count: int
+    number: int
     gain: float
     gain_error: float
     line: float

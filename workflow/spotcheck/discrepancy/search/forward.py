@@ -216,7 +216,11 @@ def held(now: S, found_of: Callable[[S], list[Found]], without: Callable[[S, int
     """A state without the effects that do not hold everywhere, dropped the worst first; and those that do."""
     while True:
         found = found_of(now)
-        bad = [k for k, one in enumerate(found) if not one.holding.holds or min(one.gain, one.holding.z2) < criteria.GAIN.value]
+        bad = [
+            k
+            for k, one in enumerate(found)
+            if not one.holding.holds or min(one.gain, one.holding.z2) < criteria.GAIN.value
+        ]
         if not bad:
             return now, found
         now = without(now, max(bad, key=lambda k: found[k].holding.excess))
