@@ -20,14 +20,14 @@ MOST_CLIPPED = 1e-3
 EVERY, FEWEST = 3, 6
 # Relative scatter of light over exposure up to which a lamp shines alike all the time, so that exposures tell.
 STEADY = 0.02
-# Least dark noise [e-]: at 0 a reading's variance has no slope.
-LEAST_E = 0.1
+# Least dark noise [e-], for at 0 a reading's variance has no slope, and least error of a mean [DN].
+LEAST_E, LEAST_DN = 0.1, 1e-6
 
 
 class Series(NamedTuple):
     """Levels in the order of their light (as a part of the largest): signal [DN] and excess of variance [DN²] over the
-    darks [2, level] with errors, which levels are kept unseen, whether their exposures tell, the chain's view, and the
-    declared model: a straight line by what plain photon transfer says."""
+    darks [2, level] with errors, which levels are kept unseen, whether their exposures tell, the chain's view, what
+    bounds of effects depend on, and the declared model: a straight line by what plain photon transfer says."""
 
     light: np.ndarray
     values: np.ndarray
@@ -35,6 +35,7 @@ class Series(NamedTuple):
     unseen: np.ndarray
     timed: bool
     view: View
+    context: Context
     model: Model
 
 
@@ -54,20 +55,20 @@ def series_of(found: Transfer, full_scale_dn: float) -> Series | None:
     timed = bool(np.isfinite(exposure).all()) and float(np.std(rate) / np.mean(rate)) < STEADY
     longest = float(exposure.max()) if timed else 1.0
     gain, dark, black = (found.quantities[name].value for name in ("gain", "dark_noise", "dark_offset"))
-    count, part = len(kept), light / light.max()
-    place = np.arange(count)
-    slope = float(np.median(found.signal[kept] / part))
-    numbers = Numbers(np.array([np.log(slope)]), np.array([np.log(ENDLESS)]), np.zeros(1), np.zeros(1))
+    part, place, signal = light / light.max(), np.arange(len(kept)), found.signal[kept]
+    slope = np.log([float(np.median(signal / part))])
+    baseline, base = Baseline(0.0, "linear", False, longest), Law(0.0, ENDLESS, float(signal.max()))
     sensor = SensorModel(gain, max(dark, LEAST_E), 0.0, np.inf, black, full_scale_dn)
     return Series(
         light=part,
-        values=np.stack([found.signal[kept], found.excess[kept]]),
-        errors=np.stack([np.maximum([found.flats[k].mean_error for k in kept], 1e-6), found.excess_error[kept]]),
+        values=np.stack([signal, found.excess[kept]]),
+        errors=np.stack([np.maximum([found.flats[k].mean_error for k in kept], LEAST_DN), found.excess_error[kept]]),
         # Both ends are seen: a fit is to be tried between levels, not beyond them.
-        unseen=(place % EVERY == 1) & (place < count - 1),
+        unseen=(place % EVERY == 1) & (place < len(kept) - 1),
         timed=timed,
-        view=view_of(Design(0 * place, place, np.zeros(count), part * longest, np.full(count, 0.5))),
-        model=Model(Baseline(0.0, "linear", False, longest), sensor, (), numbers),
+        view=view_of(Design(0 * place, place, 0.0 * part, part * longest, 0 * part + 0.5)),
+        context=bounds_context(base, baseline, sensor, 1.0, float(part.min()) * longest, longest, longest),
+        model=Model(baseline, sensor, (), Numbers(slope, np.log([ENDLESS]), np.zeros(1), np.zeros(1))),
     )
 
 
@@ -79,13 +80,6 @@ def foretold(series: Series, model: Model) -> np.ndarray:
     law = Law(0.0, ENDLESS, float(np.exp(model.numbers.log_peak[0])))
     own = moments(series.view, model.baseline, law, model.present, sensor)
     return np.stack([own.mean.ravel() - sensor.black_level_dn, own.variance.ravel() - dark**2 - ROUNDING_VARIANCE])
-
-
-def context_of(series: Series) -> Context:
-    """What bounds and starts of effects depend on."""
-    exposure, law = series.view.exposure_s, Law(0.0, ENDLESS, float(series.values[0].max()))
-    shortest, longest = float(exposure.min()), float(exposure.max())
-    return bounds_context(law, series.model.baseline, series.model.sensor, 1.0, shortest, longest, longest)
 
 
 def hidden(effect: Effect, series: Series) -> str:

@@ -13,9 +13,9 @@ from scipy.optimize import least_squares
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.nuisance.fit import NUDGE, SENSOR, Free, changed, free_of, values_of
-from spotcheck.discrepancy.observe.flats import Series, context_of, foretold
+from spotcheck.discrepancy.observe.flats import Series, foretold
 from spotcheck.discrepancy.observe.pixels import Model
-from spotcheck.discrepancy.search.forward import Found, first_of, held
+from spotcheck.discrepancy.search.forward import Found, held
 from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.model.effect import Effect, Present
 
@@ -41,12 +41,9 @@ class Wide(NamedTuple):
     """By what the errors of levels exceed the stated ones: factors on those of means and of variances, and how far
     means are off [DN] by what no model has, the same at every level."""
 
-    mean: float
-    off_dn: float
-    variance: float
-
-
-STATED = Wide(1.0, 0.0, 1.0)
+    mean: float = 1.0
+    off_dn: float = 0.0
+    variance: float = 1.0
 
 
 class LevelFit(NamedTuple):
@@ -96,7 +93,7 @@ def widths(series: Series, rest: np.ndarray, by_light: np.ndarray, lost: float) 
     scale = np.maximum((mean**2 / (first**2 + off**2)).sum(1) / count, 1.0)
     whole = scale[:, None] * (first**2 + off**2)
     best = int(np.argmin((mean**2 / whole + np.log(whole)).sum(1)))
-    out = Wide(float(scale[best] ** 0.5), float((scale[best] ** 0.5 * off[best])[0]), 1.0)
+    out = Wide(float(scale[best] ** 0.5), float((scale[best] ** 0.5 * off[best])[0]))
     own = standard_of(series, by_light, out)(rest)[1, seen]
     return out._replace(variance=float(np.sqrt(max(own @ own / count, 1.0))))
 
@@ -107,9 +104,9 @@ def fit_levels(
     """The likeliest R, K and effects, from the effects' values and from R and K of a fit that is near."""
     model = (near or series).model._replace(present=tuple(present))
     gain = series.model.sensor.gain_dn_per_e
-    free = (Free(SENSOR, 0, gain / ASTRAY, gain * ASTRAY, NUDGE * gain), *free_of(model, context_of(series)))
+    free = (Free(SENSOR, 0, gain / ASTRAY, gain * ASTRAY, NUDGE * gain), *free_of(model, series.context))
     low, high, step = np.array([(-np.inf, np.inf, NUDGE), *((own.low, own.high, own.nudge) for own in free)]).T
-    seen, wide = ~series.unseen, near.wide if near else STATED
+    seen, wide = ~series.unseen, near.wide if near else Wide()
 
     def at(point: np.ndarray) -> Model:
         return changed(model._replace(numbers=model.numbers._replace(log_peak=point[:1])), free, point[1:].tolist())
@@ -126,15 +123,21 @@ def fit_levels(
     point = np.clip(np.concatenate([model.numbers.log_peak, values_of(model, free)]), low, high)
     for _ in range(rounds):
         own = standard_of(series, slopes(point)[0], wide)
+
+        def pulls(point: np.ndarray, own: Standard = own) -> np.ndarray:
+            return own(series.values - foretold(series, at(point)))[:, seen].ravel()
+
+        def by(point: np.ndarray, own: Standard = own) -> np.ndarray:
+            return -own(slopes(point))[..., seen].reshape(len(point), -1).T
+
         point = least_squares(
-            lambda p, own=own: own(series.values - foretold(series, at(p)))[:, seen].ravel(),
-            point, lambda p, own=own: -own(slopes(p))[..., seen].reshape(len(p), -1).T, (low, high), x_scale=step / NUDGE, ftol=ENOUGH, max_nfev=STEPS,
+            pulls, point, by, (low, high), x_scale=step / NUDGE, ftol=ENOUGH, max_nfev=STEPS
         ).x  # fmt: skip
-        rest, by = series.values - foretold(series, at(point)), slopes(point)
-        before, wide = wide, widths(series, rest, by[0], len(point) / 2)
+        rest, along = series.values - foretold(series, at(point)), slopes(point)
+        before, wide = wide, widths(series, rest, along[0], len(point) / 2)
         if np.allclose(before, wide, rtol=SETTLED):
             break
-    fit = LevelFit(at(point), free, rest, by, wide, 0.0)
+    fit = LevelFit(at(point), free, rest, along, wide, 0.0)
     return fit._replace(deviance=deviance_of(series, fit, seen))
 
 
@@ -202,7 +205,7 @@ def holding_of(series: Series, fit: LevelFit, rest: LevelFit, k: int) -> Holding
 def in_place(series: Series, now: LevelFit, effect: Effect, k: int | None = None) -> LevelFit:
     """The likeliest fit with an effect more, in the place of that of a number, over all forms and starts."""
     rest = now.model.present if k is None else now.model.without(k).present
-    starts = effect.starts(context_of(series))
+    starts = effect.starts(series.context)
     ways = [(*rest, Present(effect, form, values)) for form in effect.forms for values in starts]
     best = min((fit_levels(series, own, now, rounds=1) for own in ways), key=lambda fit: fit.deviance)
     return fit_levels(series, best.model.present, best)
@@ -211,14 +214,15 @@ def in_place(series: Series, now: LevelFit, effect: Effect, k: int | None = None
 def matters(series: Series, fit: LevelFit) -> bool:
     """Whether the last effect of a fit is more than nothing."""
     own = fit.model.present[-1]
-    return own.effect.excess(own.values[0], context_of(series)) >= 1
+    return own.effect.excess(own.values[0], series.context) >= 1
 
 
 def search_levels(series: Series, effects: Sequence[Effect]) -> tuple[LevelFit, LevelFit, list[Found]]:
-    """The fit of a straight line, that with all that was found, and what was found."""
+    """The fit of a straight line, that with all that was found, and what was found. Sets of effects grow from the best
+    of a size less: two effects together may look like a third that is not there."""
 
     def others(now: LevelFit) -> list[Effect]:
-        return [e for e in effects if all(own.effect.name != e.name for own in now.model.present)]
+        return [e for e in effects if e.name not in names_of(now)]
 
     def without(now: LevelFit, k: int) -> LevelFit:
         return fit_levels(series, now.model.without(k).present, now)
@@ -226,23 +230,25 @@ def search_levels(series: Series, effects: Sequence[Effect]) -> tuple[LevelFit, 
     def found_of(now: LevelFit) -> list[Found]:
         out = []
         for k, own in enumerate(now.model.present):
-            rest, tried = without(now, k), {e.name: in_place(series, now, e, k) for e in others(now)}
-            near = {name: fit.deviance - now.deviance for name, fit in tried.items() if matters(series, fit)}
-            near = {name: max(d, 0.0) for name, d in near.items() if d < criteria.RIVAL.value}
+            rest, tried = without(now, k), [in_place(series, now, e, k) for e in others(now)]
+            near = {names_of(fit)[-1]: max(fit.deviance - now.deviance, 0.0) for fit in tried if matters(series, fit)}
+            near = {name: d for name, d in near.items() if d < criteria.RIVAL.value}
             out.append(Found(own, rest.deviance - now.deviance, holding_of(series, now, rest, k), near))
         return out
 
-    def exchanged(now: LevelFit) -> LevelFit:
-        """The likeliest of a fit and those in which one of its effects gave way to another."""
-        ways = [in_place(series, now, e, k) for k in range(len(now.model.present)) for e in others(now)]
-        return min([now, *(own for own in ways if matters(series, own))], key=lambda own: own.deviance)
-
     plain = now = fit_levels(series, ())
+    ahead = [plain]
     for _ in range(int(criteria.MOST.value)):
-        fits = [in_place(series, now, e) for e in others(now)]
-        tried = [(now.deviance - own.deviance, own.model.present[-1].effect.name, own) for own in fits]
-        best = first_of([one for one in tried if one[0] >= criteria.GAIN.value and matters(series, one[2])])
-        if best is None:
+        sets = {frozenset((*names_of(fit), e.name)): (fit, e) for fit in ahead[::-1] for e in others(fit)}
+        fits = [in_place(series, fit, e) for fit, e in sets.values()]
+        ahead = sorted((fit for fit in fits if matters(series, fit)), key=lambda fit: fit.deviance)
+        ahead = ahead[: int(criteria.REFITTED.value)]
+        if not ahead or ahead[0].deviance > now.deviance - criteria.GAIN.value:
             break
-        now = exchanged(best[0]) if len(best[0].model.present) > 1 else best[0]
+        now = ahead[0]
     return plain, *held(now, found_of, without)
+
+
+def names_of(fit: LevelFit) -> list[str]:
+    """Names of the effects."""
+    return [own.effect.name for own in fit.model.present]

@@ -139,12 +139,6 @@ def _best(now: State, candidates: Sequence[Candidate], context: Context) -> tupl
             tried.append((gain, present.effect.name, state))
         if len(tried) >= criteria.REFITTED.value:
             break
-    return first_of(tried)
-
-
-def first_of(tried: list[tuple[float, str, S]]) -> tuple[S, dict[str, float]] | None:
-    """Of what was tried (what it gains, the effect, the state) the state that gains most, and by what other effects
-    fall behind."""
     if not tried:
         return None
     tried.sort(key=lambda one: -one[0])
@@ -216,11 +210,8 @@ def held(now: S, found_of: Callable[[S], list[Found]], without: Callable[[S, int
     """A state without the effects that do not hold everywhere, dropped the worst first; and those that do."""
     while True:
         found = found_of(now)
-        bad = [
-            k
-            for k, one in enumerate(found)
-            if not one.holding.holds or min(one.gain, one.holding.z2) < criteria.GAIN.value
-        ]
+        bad = [k for k, one in enumerate(found)
+               if not one.holding.holds or min(one.gain, one.holding.z2) < criteria.GAIN.value]  # fmt: skip
         if not bad:
             return now, found
         now = without(now, max(bad, key=lambda k: found[k].holding.excess))
