@@ -12,32 +12,21 @@ from spotcheck.discrepancy.conclude.judgement import Gap, Judgement, Levels, Lim
 from spotcheck.discrepancy.conclude.limits import ONE_SIDED
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.evidence.parts import SMALLEST, Part, cauchy, sidak
-from spotcheck.discrepancy.observe.flats import Series, hidden, series_of
-from spotcheck.discrepancy.search.flats import (
-    LevelFit,
-    Standard,
-    deviance_of,
-    errors_of,
-    fit_levels,
-    in_place,
-    matters,
-    scatter_of,
-    search_levels,
-    smooth_of,
-    standard_of,
-    strength_at,
-    taken_by,
-)
+from spotcheck.discrepancy.observe.flats import FEWEST, Series, hidden, series_of
+from spotcheck.discrepancy.search import flats as search
+from spotcheck.discrepancy.search.flats import LevelFit, Standard
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.estimate.photon_transfer import Transfer
 from spotcheck.model.effect import Effect
 
-TOO_FEW = "fewer than six levels of different light below saturation, in pairs of frames"
+TOO_FEW = f"fewer than {FEWEST} levels of different light below saturation, in pairs of frames"
 BLOCKS = ("mean", "variance")
 # A smooth direction of which a fit leaves less than this part [1] tells nothing.
 LEAST = 0.1
 # So many of the oddest levels are told.
 ODDEST = 3
+# Of the mean images of frames: levels have none.
+NO_IMAGE = (np.zeros(0), np.zeros(0), 0.0, (0, 0, 0, 0.0))
 
 
 def judge_flats(transfer: Transfer, full_scale_dn: float, effects: Sequence[Effect]) -> Judgement:
@@ -46,15 +35,15 @@ def judge_flats(transfer: Transfer, full_scale_dn: float, effects: Sequence[Effe
     if series is None:
         return untested(f"the manifest names no frame of kind spot; {line.why or TOO_FEW}")
     usable = [e for e in effects if not hidden(e, series)]
-    plain, after, found = search_levels(series, usable)
-    seen, errors, peak = ~series.unseen, errors_of(series, after), float(series.values[0].max())
-    wide = scatter_of(series, after)
-    own = standard_of(series, after.slopes[0], wide)
+    plain, after, found = search.search_levels(series, usable)
+    errors, wide, peak = search.errors_of(series, after), search.scatter_of(series, after), series.values[0].max()
+    own = search.standard_of(series, after.slopes[0], wide)
     gap, gains = compared(series, plain, after, own)
-    lamp = (wide.mean * series.errors[0, seen] / peak) ** 2
-    off, left = (float(np.mean((fit.rest[0, seen] / peak) ** 2 - lamp)) for fit in (plain, after))
+    lamp = (wide.mean * series.errors[0] / peak)[~series.unseen] ** 2
+    off, left = (float(np.mean((fit.rest[0] / peak)[~series.unseen] ** 2 - lamp)) for fit in (plain, after))
     error = float(np.sqrt(2 * (lamp**2).sum()) / len(lamp))
     sensor = after.model.sensor
+    scatter = float(np.sqrt(wide.mean**2 - 1) * np.median(series.errors[0] / series.values[0]))
     return Judgement(
         why_not="",
         detection=detected(series, plain, own),
@@ -62,20 +51,18 @@ def judge_flats(transfer: Transfer, full_scale_dn: float, effects: Sequence[Effe
         beyond=tuple(name for name, gain in gains.items() if min(gain, gap.by_effect[name]) <= 0),
         light=None,
         sheet=(),
-        unexplained=Unexplained(max(left, 0.0) ** 0.5, error, float(lamp.mean() ** 0.5), left / error, np.zeros(0),
-                                np.zeros(0), 0.0, (0, 0, 0, 0.0)),
+        unexplained=Unexplained(max(left, 0.0) ** 0.5, error, float(lamp.mean() ** 0.5), left / error, *NO_IMAGE),
         gap=gap,
         shift=NOTHING,
         limits=tuple(limits(series, after, found, usable)),
-        where=oddest(series, plain, own),
-        errors={p.effect.name: strengths(after, errors, k) for k, p in enumerate(after.model.present)},
+        where=oddest(series, own(plain.rest)),
+        errors={one.own.effect.name: strengths(after, errors, k) for k, one in enumerate(found)},
         off=max(off, 0.0) ** 0.5,
         rest=detected(series, after, own),
         not_assessed=tuple((e.name, hidden(e, series)) for e in effects if e not in usable),
-        levels=Levels(len(series.light), sensor.gain_dn_per_e, float(errors[1]), line.value, line.stderr,
-                      float(np.sqrt(wide.mean**2 - 1) * np.median(series.errors[0] / series.values[0]))),
+        levels=Levels(len(series.light), sensor.gain_dn_per_e, float(errors[1]), line.value, line.stderr, scatter),
         black_level_dn=sensor.black_level_dn,
-    )  # fmt: skip
+    )
 
 
 def detected(series: Series, fit: LevelFit, own: Standard) -> Detection:
@@ -85,68 +72,42 @@ def detected(series: Series, fit: LevelFit, own: Standard) -> Detection:
     scatter beyond these tells, so it follows Fisher's F law.
     """
     seen = ~series.unseen
-    z, taken, smooth = own(fit.rest)[:, seen].ravel(), taken_by(series, fit, own), smooth_of(int(seen.sum()))
+    z, taken, smooth = own(fit.rest), search.taken_by(series, fit, own), search.smooth_of(int(seen.sum()))
     parts = []
     for k, block in enumerate(BLOCKS):
-        basis = np.zeros((2, *smooth.shape))
-        basis[k] = smooth
-        basis = basis.reshape(len(z), -1)
+        basis = np.kron(np.arange(len(BLOCKS))[:, None] == k, smooth)
         directions, sizes, _ = np.linalg.svd(basis - taken @ (taken.T @ basis), full_matrices=False)
         count = int((sizes > LEAST).sum())
-        q = float(((directions[:, :count].T @ z) ** 2).sum())
-        if count:
-            p = float(max(stats.f.sf(q / count, count, len(smooth) - smooth.shape[1]), SMALLEST))
-            parts.append(
-                Part(f"{block}: smooth in light", (q - count) / (2 * count) ** 0.5, p, _where(series, fit, own, k))
-            )
+        q = float(((directions[:, :count].T @ z[:, seen].ravel()) ** 2).sum())
+        p = float(stats.f.sf(q / count, count, len(smooth) - smooth.shape[1])) if count else 1.0
+        at = oddest(series, np.where(np.arange(len(z))[:, None] == k, z, 0.0))[0].words
+        parts.append(Part(f"{block}: smooth in light", (q - count) / max(2 * count, 1) ** 0.5, max(p, SMALLEST), at))
     parts.sort(key=lambda part: part.p_value)
     values = [part.p_value for part in parts]
     return Detection(sidak(values[0], len(values)), cauchy(values), tuple(parts))
 
 
-def oddest(series: Series, fit: LevelFit, own: Standard) -> tuple[Where, ...]:
-    """The levels that a fit misses most."""
-    z = own(fit.rest)
-    order = np.argsort(-np.abs(z), axis=None)[:ODDEST]
-    return tuple(Where(_words(series, *divmod(int(k), z.shape[1])), float(z.ravel()[k])) for k in order)
-
-
-def _where(series: Series, fit: LevelFit, own: Standard, block: int) -> str:
-    return _words(series, block, int(np.argmax(np.abs(own(fit.rest)[block]))))
-
-
-def _words(series: Series, block: int, level: int) -> str:
-    return f"the {BLOCKS[block]} of the level at {series.values[0, level]:.4g} DN"
+def oddest(series: Series, z: np.ndarray) -> tuple[Where, ...]:
+    """The levels that are missed most."""
+    places = [divmod(int(k), z.shape[1]) for k in np.argsort(-np.abs(z), axis=None)[:ODDEST]]
+    return tuple(
+        Where(f"the {BLOCKS[k]} of the level at {series.values[0, at]:.4g} DN", float(z[k, at])) for k, at in places
+    )
 
 
 def compared(series: Series, plain: LevelFit, after: LevelFit, own: Standard) -> tuple[Gap, dict[str, float]]:
     """The gap on levels that had no part in the search, and by how much each effect lowers −2 ln L of these."""
-    out = series.unseen
-
-    def square(fit: LevelFit) -> float:
-        return float((own(fit.rest)[:, out] ** 2).mean())
-
-    def rms_dn(fit: LevelFit) -> float:
-        return float(np.sqrt((fit.rest[0, out] ** 2).mean()))
-
-    before, end = square(plain), square(after)
-    excess = max(before - 1, 1e-12)
-    fewer = {p.effect.name: fit_levels(series, after.model.without(k).present, after)
-             for k, p in enumerate(after.model.present)}  # fmt: skip
-    gap = Gap(
-        before=before**0.5,
-        after=end**0.5,
-        noise_floor=1.0,
-        rms_dn_before=rms_dn(plain),
-        rms_dn_after=rms_dn(after),
-        closed=(before - end) / excess,
-        by_light=0.0,
-        by_effect={name: (square(fit) - end) / excess for name, fit in fewer.items()},
-        gain=deviance_of(series, plain, out) - deviance_of(series, after, out),
-        on="unseen levels",
-    )
-    last = deviance_of(series, after, out)
-    return gap, {name: deviance_of(series, fit, out) - last for name, fit in fewer.items()}
+    fewer = [search.fit_levels(series, after.model.without(k).present, after) for k in range(len(after.model.present))]
+    every, out = [plain, after, *fewer], series.unseen
+    square = [float((own(fit.rest)[:, out] ** 2).mean()) for fit in every]
+    rms_dn = [float(np.sqrt((fit.rest[0, out] ** 2).mean())) for fit in every]
+    # No single level decides: at the edge of a clip light's unevenness counts.
+    deviance = [search.deviance_of(series, fit, out, most=criteria.GAIN.value) for fit in every]
+    excess, names = max(square[0] - 1, 1e-12), search.names_of(after)
+    gap = Gap(square[0] ** 0.5, square[1] ** 0.5, 1.0, rms_dn[0], rms_dn[1], (square[0] - square[1]) / excess, 0.0,
+              {name: (square[2 + k] - square[1]) / excess for k, name in enumerate(names)}, deviance[0] - deviance[1],
+              "unseen levels")  # fmt: skip
+    return gap, {name: deviance[2 + k] - deviance[1] for k, name in enumerate(names)}
 
 
 def strengths(fit: LevelFit, errors: np.ndarray, k: int) -> tuple[float, ...]:
@@ -157,18 +118,16 @@ def strengths(fit: LevelFit, errors: np.ndarray, k: int) -> tuple[float, ...]:
 
 def limits(series: Series, after: LevelFit, found: Sequence[Found], effects: Sequence[Effect]) -> list[Limit]:
     """How large every effect that was not found may be beside those that were, and why it was not found."""
-    rivals = {name: one.own.effect.name for one in found for name in one.rivals}
-    named = {one.own.effect.name for one in found}
-    out = []
-    for effect in (e for e in effects if e.name not in named):
+    rivals, out = {name: one.own.effect.name for one in found for name in one.rivals}, []
+    for effect in (e for e in effects if e.name not in search.names_of(after)):
         own, value, why = effect.parameters[0], None, "not found"
         if effect.name in rivals:
             why = f"does as well in the place of {rivals[effect.name]}"
         elif np.isfinite(effect.neutral):
-            fit = in_place(series, after, effect)
-            error = errors_of(series, fit)[strength_at(fit, len(fit.model.present) - 1)]
+            fit = search.in_place(series, after, effect)
+            error = search.errors_of(series, fit)[search.strength_at(fit, len(fit.model.present) - 1)]
             value = float(effect.neutral + abs(fit.model.present[-1].values[0] - effect.neutral) + ONE_SIDED * error)
             if after.deviance - fit.deviance >= criteria.GAIN.value:
-                why = "levels do not agree about it" if matters(series, fit) else "too small to matter"
+                why = "levels do not agree about it" if search.matters(series, fit) else "too small to matter"
         out.append(Limit(effect.name, own.name, value, own.unit, why))
     return out

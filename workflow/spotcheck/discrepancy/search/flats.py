@@ -141,10 +141,11 @@ def fit_levels(
     return fit._replace(deviance=deviance_of(series, fit, seen))
 
 
-def deviance_of(series: Series, fit: LevelFit, which: np.ndarray) -> float:
-    """−2 ln L of some levels but for constants, under the errors that the fit has left."""
+def deviance_of(series: Series, fit: LevelFit, which: np.ndarray, most: float = np.inf) -> float:
+    """−2 ln L of some levels but for constants, under the errors that the fit has left; none counts more than `most`
+    for what it misses."""
     own = standard_of(series, fit.slopes[0], fit.wide)
-    return float((own(fit.rest) ** 2 + 2 * np.log(own.errors / series.errors))[:, which].sum())
+    return float((np.minimum(own(fit.rest) ** 2, most) + 2 * np.log(own.errors / series.errors))[:, which].sum())
 
 
 def smooth_of(count: int) -> np.ndarray:
