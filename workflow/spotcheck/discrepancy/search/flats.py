@@ -27,8 +27,8 @@ ROUNDS, SETTLED, STEPS, ENOUGH = 6, 0.01, 50, 1e-6
 # A smooth misfit is a polynomial of up to this order in a level's place among the levels, or of up to a third of their
 # number; what goes beyond is scatter.
 SMOOTH = 4
-# How far means may be off by what no model has, in their median stated error: 0, then steps of two.
-OFF = np.array([0.0, *2.0 ** np.arange(-3, 11)])
+# How far means may be off by what no model has, in their median stated error: 0, then steps of √2.
+OFF = np.array([0.0, *2.0 ** np.arange(-3, 11, 0.5)])
 # Where light moves the mean by less than this part of what it should, its scatter does not show.
 FLAT = 0.1
 # A direction of which a fit leaves less than this part tells nothing.
@@ -183,7 +183,11 @@ def strength_at(fit: LevelFit, k: int) -> int:
 def holding_of(series: Series, fit: LevelFit, rest: LevelFit, k: int) -> Holding:
     """Whether low, middle and high levels, means and variances, ask for the same strength of an effect; `rest` is the
     fit without it. Beside few levels what a fit takes of each cell counts: Q = Uᵀ C⁺ U, C the scores' covariance."""
-    seen, own = ~series.unseen, standard_of(series, fit.slopes[0], fit.wide)
+    # What stays is left with and without: an effect that moves a misfit from means to variances has explained nothing.
+    size = float(np.median(series.errors[0]))
+    narrow = min(fit.wide, rest.wide, key=lambda wide: (wide.mean * size) ** 2 + wide.off_dn**2)
+    narrow = narrow._replace(variance=min(fit.wide.variance, rest.wide.variance))
+    seen, own = ~series.unseen, standard_of(series, fit.slopes[0], narrow)
     z, rows = own(fit.rest)[:, seen].ravel(), own(fit.slopes)[..., seen].reshape(len(fit.slopes), -1)
     at, count = strength_at(fit, k), int(seen.sum())
     others = np.delete(rows, at, 0)
@@ -240,10 +244,11 @@ def search_levels(series: Series, effects: Sequence[Effect]) -> tuple[LevelFit, 
     plain = now = fit_levels(series, ())
     ahead = [plain]
     for _ in range(int(criteria.MOST.value)):
-        sets = {frozenset((*names_of(fit), e.name)): (fit, e) for fit in ahead[::-1] for e in others(fit)}
-        fits = [in_place(series, fit, e) for fit, e in sets.values()]
-        ahead = sorted((fit for fit in fits if matters(series, fit)), key=lambda fit: fit.deviance)
-        ahead = ahead[: int(criteria.REFITTED.value)]
+        fits = [own for fit in ahead for own in (in_place(series, fit, e) for e in others(fit)) if matters(series, own)]
+        fits.sort(key=lambda fit: -fit.deviance)
+        # In another order an effect may have taken another form.
+        likeliest = {frozenset(names_of(fit)): fit for fit in fits}
+        ahead = list(likeliest.values())[: -1 - int(criteria.REFITTED.value) : -1]
         if not ahead or ahead[0].deviance > now.deviance - criteria.GAIN.value:
             break
         now = ahead[0]
