@@ -4,9 +4,6 @@ no effect explains names nothing."""
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.answer.document import document
-from spotcheck.discrepancy.answer.sentence import sentence
-from spotcheck.discrepancy.answer.written import breach_of_verdict, rounded
 from spotcheck.discrepancy.conclude.flats import detected, judge_flats
 from spotcheck.discrepancy.observe.flats import Series, hidden, series_of
 from spotcheck.discrepancy.search.flats import (
@@ -19,6 +16,9 @@ from spotcheck.discrepancy.search.flats import (
     standard_of,
     widths,
 )
+from spotcheck.discrepancy.verdict.document import document
+from spotcheck.discrepancy.verdict.sentence import sentence
+from spotcheck.discrepancy.verdict.written import breach_of_verdict, rounded
 from spotcheck.estimate.levels import Level, Spatial, with_common_drift
 from spotcheck.estimate.photon_transfer import transfer_of
 from spotcheck.model.effect import NEEDS, Present

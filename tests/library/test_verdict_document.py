@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.conclude.judgement import TIED_WITH_SHAPE, Limit
+from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.discrepancy.verdict.document import LIGHT, NOT_FORETOLD, document, weights_of
 from spotcheck.discrepancy.verdict.sentence import sentence
 from spotcheck.discrepancy.verdict.written import breach_of_verdict, rounded, write_verdict
-from spotcheck.discrepancy.conclude.judgement import TIED_WITH_SHAPE, Limit
-from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.schema import read_schema
 from spotcheck.store import ContractError
 from tests.library.conftest import ROOT
