@@ -344,3 +344,24 @@ def test_the_largest_reading_is_no_rarer_than_it_should_be():
         p.append(hot.odd_pixels("", [[own]], [[y]], sensor).p_value)
     for level in (0.05, 0.2, 0.5):
         assert (np.array(p) < level).sum() <= stats.binom.ppf(0.999, 300, level)
+
+
+@pytest.mark.parametrize(
+    ("name", "added"),
+    [
+        ("mean: row, all", lambda k, x, y: 0.15 * (-1.0) ** y),
+        ("mean: column, all", lambda k, x, y: 0.15 * (-1.0) ** x),
+        ("mean: patch, all", lambda k, x, y: 0.4 * np.sign(x - 30) * np.sign(y - 30)),
+        ("mean: block, frame", lambda k, x, y: 2.0 * (k == 7) * np.sign(np.sin(x / 4)) * np.sign(np.sin(y / 4))),
+        ("spectrum: frames", lambda k, x, y: 0.5 * (-1.0) ** (x + y + k)),
+        ("variance: frame, frame", lambda k, x, y: 3.0 * (k == 7) * np.where((7 * x + 3 * y) % 11 < 5, 1, -1)),
+    ],
+)
+def test_each_sum_tells_what_it_is_for(name, added):
+    """Patterns on the readings of 24 frames, each told by the sum that was made for it."""
+    frames, model, groups = draw(np.random.default_rng(41), Setup(side=60, repeats=2))
+    y, x = np.mgrid[:60, :60]
+    odd = [own._replace(pixels=own.pixels + added(k, x, y)) for k, own in enumerate(frames)]
+    before, after = ({part.name: part.p_value for part in detect(own, model, groups).parts} for own in (frames, odd))
+    assert after[name] < 1e-6
+    assert before[name] > 1e-3

@@ -71,8 +71,8 @@ def test_balanced_layout_is_the_analysis_of_variance():
     parts = (Component("brightness", "site", members), Component("brightness", "frame", np.eye(sites * each)))
     one, known = np.ones((sites * each, 1)), 1e-12 * np.eye(sites * each)
     found = components.estimate(known, parts, one, y.ravel() - y.mean(), np.array([0.1, 0.1]), restricted=True)
-    np.testing.assert_allclose(found.weights.tau, [(between - within) / each, within], rtol=1e-3)
-    own = components.reckoned(found, parts, one)
+    np.testing.assert_allclose(found.tau, [(between - within) / each, within], rtol=1e-3)
+    own = components.reckoned(found, one)
     assert own.covariance[0, 0] == pytest.approx(between / y.size, rel=1e-3)
     assert 2 * own.covariance[0, 0] ** 2 / own.doubt[0] == pytest.approx(sites - 1, rel=1e-3)
 
@@ -85,7 +85,7 @@ def test_score_is_the_slope_of_the_likelihood(restricted):
     parts = (Component("a", "site", np.kron(np.eye(4), np.ones((3, 1)))), Component("a", "frame", np.eye(12)))
 
     def at(tau):
-        return components.scored(components.weights_at(known, parts, tau), parts, slopes, rest, restricted=restricted)
+        return components.estimated(known, parts, slopes, rest, tau, restricted=restricted)
 
     tau = np.array([0.7, 0.3])
     for k in range(2):
@@ -195,10 +195,10 @@ def test_cells_that_disagree_widen_errors():
     # p1, p2 and t₀ take Δ ln peak = a ln t all by themselves: t₀ by least squares from the same rows.
     problem = accounts.problem_of(plain, own, LINEAR, SENSOR, 240.0)
     mean = accounts.mean_of(problem, [seen[1e-3].present])
-    start = accounts.start_of(mean), accounts.beginnings(problem.rows)[0]
-    best = accounts.account(mean, problem.rows.components, restricted=True, start=start)
-    made = problem.rows.lift @ np.concatenate([1e-3 * pattern[:, 0], 0 * pattern[:, 0]])
-    weight = best.found.weights.inverse
+    start = accounts.start_of(mean), accounts.beginnings(problem)[0]
+    best = accounts.account(mean, problem.components, restricted=True, start=start)
+    made = problem.lift @ np.concatenate([1e-3 * pattern[:, 0], 0 * pattern[:, 0]])
+    weight = best.found.inverse
     answer = np.linalg.solve(best.slopes.T @ weight @ best.slopes, best.slopes.T @ weight @ made)[-1]
     want = CELLS**2 / (CELLS - 4) * answer**2
     assert seen[1e-3].between_cells == pytest.approx(want, rel=0.05)
@@ -277,7 +277,7 @@ def test_one_exposure_and_single_frames_of_sites():
     own = design(repeats=6, exposures=(9e-4,))
     numbers = drawn(np.random.default_rng(18), own, [effect("angle_reflectance", 0.03, 45.0)], frames=2e-3)
     out, trials = tried(numbers, own, "angle_reflectance", "power_fluctuation", "shutter_offset")
-    assert {part.shared for part in out.base.components} == {"frame"} and len(out.base.theta) == 1
+    assert {part.shared for part in out.base.found.components} == {"frame"} and len(out.base.theta) == 1
     assert set(trials) == {"angle_reflectance", "power_fluctuation"}
     reflectance = trials["angle_reflectance"]
     assert abs(reflectance.value - 0.03) < 4 * reflectance.error and reflectance.z > 5

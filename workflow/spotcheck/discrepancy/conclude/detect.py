@@ -28,7 +28,7 @@ LARGEST_WINDOW = 2048
 DRAWS, SEED = 16, 1
 # All that is summed over cells: the mean (or the variance) of which cells, over which frames.
 SUMMARIES = (
-    ("mean", "patch", "all"), ("mean", "block", "site"), ("mean", "block", "frame"), ("mean", "row", "all"),
+    ("mean", "patch", "all"), ("mean", "block", "frame"), ("mean", "row", "all"),
     ("mean", "row", "frame"), ("mean", "column", "all"), ("mean", "level", "all"), ("mean", "level", "condition"),
     ("mean", "sector", "all"), ("variance", "frame", "all"), ("variance", "frame", "frame"),
     ("variance", "level", "all"),

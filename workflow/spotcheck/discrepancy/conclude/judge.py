@@ -66,7 +66,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         where=places_of(detection.parts),
         off=unexplained(at_first).size,
         rest=rest,
-        errors=errors_of(outcome.after),
+        errors=errors_of(outcome.after) | laws.errors,
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
         black_level_dn=setting.sensor.black_level_dn,
         fits=_fits(searched, kept, seen, unseen_frames, declared.model, outcome, laws.told, wide),
@@ -130,7 +130,7 @@ def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting, wide
         return NOTHING
     first, last, laser = before.base.law, after.base.law, setting.baseline.laser_px
     slopes = after.base.slopes
-    covariance = np.linalg.pinv(slopes.T @ after.base.found.weights.inverse @ slopes)
+    covariance = np.linalg.pinv(slopes.T @ after.base.found.inverse @ slopes)
     # Parameters are p1 and the width at the reference exposure t: p2 is that less p1 ln t.
     turn = np.zeros((2, len(covariance)))
     held = after.base.mean.law_free

@@ -113,6 +113,19 @@ class Fits(NamedTuple):
     law: Law | None
 
 
+class Levels(NamedTuple):
+    """What levels of flats tell beside effects: how many there are, K [DN/e-] with its error under all that was found,
+    and that of a straight line through the lower levels (EMVA 1288); and the scatter of light from level to level, as
+    a part of it, beyond what frames of one level say."""
+
+    number: int
+    gain: float
+    gain_error: float
+    line: float
+    line_error: float
+    scatter: float
+
+
 class Judgement(NamedTuple):
     """The whole judgement; where nothing could be tested, `why_not` says why and all else is empty.
 
@@ -120,11 +133,12 @@ class Judgement(NamedTuple):
     - `beyond`: names of found effects of which frames that had no part in the search were not told better.
     - `light`: None where the declared shape stands.
     - `errors`: standard errors of all parameters of a found effect, by its name; NaN where one has none. Of effects
-      that are missing here the strength's alone is known, from `Found`.
+      that are missing here (scatter) the strength's alone is known, from `Found`.
     - `off`: how far the mean image is from the declared model, as rms in peaks, noise taken off; None: unknown.
     - `rest`: the test of what is left beside all that was added; None: not asked.
     - `advice`: where effects tie, what to measure next.
     - `not_assessed`: effects that this design cannot show, and why.
+    - `levels`: of flats without spots; their peak is the highest signal.
     - `black_level_dn`: of the sensor, by which a strength that readings show as a whole number is rounded [DN].
     - `fits`: the fits themselves.
     """
@@ -145,6 +159,7 @@ class Judgement(NamedTuple):
     rest: Detection | None = None
     advice: tuple[Advice, ...] = ()
     not_assessed: tuple[tuple[str, str], ...] = ()
+    levels: Levels | None = None
     black_level_dn: float = 0.0
     fits: Fits | None = None
 

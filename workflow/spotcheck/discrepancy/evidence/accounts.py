@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize
 
 from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.components import Component, Estimated
@@ -26,8 +26,8 @@ PLACES = (Place.EXPOSURE, Place.WIDTH, Place.BRIGHTNESS)
 # Standard error of what all frames' ln σ_g have in common: the learned shape may be wider or narrower than the declared
 # one by some tenth, and only the declared one's width is the law's.
 COMMON_WIDTH = 0.1
-# Steps of a fit to the laws; it ends where a step gains less than ENOUGH in −2 ln L, or its damping passes STIFF.
-STEPS, ENOUGH, STIFF = 40, 1e-5, 1e8
+# Steps of a fit to the laws at most; the gain, relative to χ², that ends it.
+STEPS, ENOUGH = 40, 1e-7
 # Rounds of fitting laws and components in turn, and the gain in −2 ln L that ends them.
 ROUNDS, SETTLED = 8, 1e-3
 # A variance [1] of ln peak or ln σ_g beside which nothing else counts: where fits begin, once with either set aside.
@@ -38,27 +38,22 @@ SAME = 1.0
 NUDGE = 1e-3
 
 
-class Rows(NamedTuple):
+class Problem(NamedTuple):
     """What is fitted [row]: steps between the frames' ln peak, steps between their ln σ_g, and their mean ln σ_g; known
     covariance, components, rows from numbers [row, 2 × frame] (ln peak of all frames, then ln σ_g), and the part that
-    each cell of the spot brings [row, cell]."""
+    each cell of the spot brings [row, cell]. Then design and view of the frames, the model with the effects that act on
+    brightness and width, what bounds depend on, and p1 and the width at the reference exposure [px] to begin with."""
 
     values: np.ndarray
     known: np.ndarray
     components: tuple[Component, ...]
     lift: np.ndarray
     influence: np.ndarray
-
-
-class Problem(NamedTuple):
-    """Rows, design and view of the frames, the model with the effects that act on brightness and width, and what bounds
-    depend on."""
-
-    rows: Rows
     design: Design
     view: View
     model: Model
     context: Context
+    law: tuple[float, float]
 
 
 class Mean(NamedTuple):
@@ -73,34 +68,29 @@ class Mean(NamedTuple):
 
 
 class Account(NamedTuple):
-    """A model of the rows fitted: parameters, slopes of the rows by them, residuals, components and the likelihood."""
+    """A model of the rows fitted: parameters, slopes of the rows by them, residuals, and components."""
 
     mean: Mean
     theta: np.ndarray
     slopes: np.ndarray
     rest: np.ndarray
-    components: tuple[Component, ...]
     found: Estimated
 
     @property
     def deviance(self) -> float:
         """−2 ln L but for constants."""
-        return self.found.at.deviance
+        return self.found.deviance
 
     @property
     def present(self) -> tuple[Present, ...]:
         """Effects with their fitted values."""
-        return changed(self.mean.model, self.mean.free, [*self.theta[len(self.mean.law_free) :]]).present
+        return _present(self.mean, self.theta)
 
     @property
     def law(self) -> Law:
         """p1 and p2 [px]; the peak is 1."""
-        return _law(self.mean, self.theta)
-
-    def variance(self, of: str, shared: str) -> float:
-        """A component's variance; 0 where it is not fitted."""
-        pairs = zip(self.components, self.found.weights.tau, strict=True)
-        return next((float(tau) for own, tau in pairs if (own.of, own.shared) == (of, shared)), 0.0)
+        p1, reference = _pair(self.mean, self.theta)
+        return Law(p1, reference - p1 * np.log(self.mean.problem.view.reference_s), 1.0)
 
 
 def problem_of(
@@ -110,54 +100,38 @@ def problem_of(
     sensor: SensorModel,
     crop_px: float,
     present: Sequence[Present] = (),
-    common_width: float = COMMON_WIDTH,
 ) -> Problem:
     """Rows and model of a set of frames, with a straight line through the widths for a start."""
-    lines = np.stack([np.log(design.exposure_s / design.reference_s), np.ones(len(design.site))], 1)
-    widths = np.exp(numbers.values[1]) - baseline.laser_px
-    p1, reference = np.linalg.lstsq(lines, widths, rcond=None)[0]
-    law = Law(float(p1), float(reference - p1 * np.log(design.reference_s)), float(np.exp(numbers.values[0].max())))
-    shortest, longest = float(design.exposures.min()), float(design.exposures.max())
-    context = bounds_context(law, baseline, sensor, crop_px, shortest, longest, design.reference_s)
-    own = tuple(p for p in present if p.effect.place in PLACES)
-    model = Model(baseline, sensor, own, Numbers(*numbers.values))
-    return Problem(rows_of(numbers, design, common_width), design, view_of(design), model, context)
-
-
-def rows_of(numbers: FrameNumbers, design: Design, common_width: float = COMMON_WIDTH) -> Rows:
-    """Rows of a set of frames, of which each component's members are those that a design can tell apart."""
     frames = len(design.site)
-    apart = np.linalg.svd(np.eye(frames) - 1 / frames)[0][:, : frames - 1].T
-    whole = np.concatenate([apart, np.full((1, frames), frames**-0.5)])
-    lift = linalg.block_diag(apart, whole)
+    # The members of each component are those that a design can tell apart.
+    steps = np.linalg.svd(np.eye(frames) - 1 / frames)[0][:, : frames - 1].T
+    lift = linalg.block_diag(steps, np.concatenate([steps, np.full((1, frames), frames**-0.5)]))
     each = np.arange(4 * frames).reshape(frames, 4)[:, :2].T.ravel()
     known = lift @ numbers.covariance[np.ix_(each, each)] @ lift.T
-    known[-1, -1] += frames * common_width**2
+    known[-1, -1] += frames * COMMON_WIDTH**2
     sites = (design.site[:, None] == np.unique(design.site)).astype(float)
+    shared = {"site": sites, "frame": np.eye(frames)} if 1 < sites.shape[1] < frames else {"frame": np.eye(frames)}
     parts = {"brightness": lift[:, :frames], "width": lift[:, frames:]}
-    components = []
-    for of, part in parts.items():
-        if 1 < sites.shape[1] < frames:
-            components.append(Component(of, "site", part @ sites))
-        components.append(Component(of, "frame", part))
-    values = lift @ numbers.values[:2].ravel()
-    return Rows(values, known, tuple(components), lift, lift @ numbers.influence[each])
+    every = [Component(of, by, part @ own) for of, part in parts.items() for by, own in shared.items()]
+    over = np.log(design.exposure_s / design.reference_s)
+    widths = np.exp(numbers.values[1]) - baseline.laser_px
+    p1, reference = np.linalg.lstsq(np.stack([over, np.ones(frames)], 1), widths, rcond=None)[0]
+    law = Law(float(p1), float(reference - p1 * np.log(design.reference_s)), float(np.exp(numbers.values[0].max())))
+    ends = float(design.exposures.min()), float(design.exposures.max())
+    context = bounds_context(law, baseline, sensor, crop_px, *ends, design.reference_s)
+    own = tuple(p for p in present if p.effect.place in PLACES)
+    model = Model(baseline, sensor, own, Numbers(*numbers.values))
+    return Problem(lift @ numbers.values[:2].ravel(), known, tuple(every), lift, lift @ numbers.influence[each],
+                   design, view_of(design), model, context, (float(p1), float(reference)))  # fmt: skip
 
 
 def mean_of(problem: Problem, present: Sequence[Present], start: Account | None = None) -> Mean:
-    """The model with some effects. What an effect replaces of the baseline is held."""
+    """The model with some effects. What an effect replaces of the baseline is held; so is p1 of one exposure, at 0."""
     model = problem.model._replace(present=tuple(present))
     held = {name for own in present for name in own.effect.replaces}
-    single = problem.design.exposures.size < 2
-    law_free = tuple(k for k, name in enumerate(Law._fields[:2]) if name not in held and not (single and k == 0))
-    if start is not None:
-        law = _pair(start.mean, start.theta)
-    else:
-        # A start that `problem_of` made; where one exposure leaves p1 open, none.
-        sigma = np.exp(model.numbers.log_width) - model.baseline.laser_px
-        over = np.log(problem.design.exposure_s / problem.design.reference_s)
-        p1 = 0.0 if single else float(np.polyfit(over, sigma, 1)[0])
-        law = (p1, float(np.mean(sigma - p1 * over)))
+    held |= {"p1"} if problem.design.exposures.size < 2 else set()
+    law_free = tuple(k for k, name in enumerate(Law._fields[:2]) if name not in held)
+    law = problem.law if start is None else _pair(start.mean, start.theta)
     return Mean(problem, model, free_of(model, problem.context), law_free, law)
 
 
@@ -169,25 +143,24 @@ def _pair(mean: Mean, theta: np.ndarray) -> tuple[float, float]:
     return law[0], law[1]
 
 
-def _law(mean: Mean, theta: np.ndarray) -> Law:
-    p1, reference = _pair(mean, theta)
-    return Law(p1, reference - p1 * np.log(mean.problem.view.reference_s), 1.0)
+def _present(mean: Mean, theta: np.ndarray) -> tuple[Present, ...]:
+    return changed(mean.model, mean.free, [*theta[len(mean.law_free) :]]).present
 
 
 def predicted(mean: Mean, theta: np.ndarray) -> np.ndarray:
     """The rows under parameters; NaN where the law has no width."""
-    problem = mean.problem
-    present = changed(mean.model, mean.free, [*theta[len(mean.law_free) :]]).present
+    view = mean.problem.view
+    p1, reference = _pair(mean, theta)
+    law = Law(p1, reference - p1 * np.log(view.reference_s), 1.0)
     with np.errstate(all="ignore"):
-        peak, sigma = spot_state(problem.view, mean.model.baseline, _law(mean, theta), present)
-        logs = [np.broadcast_to(np.log(own), problem.view.exposure_s.shape).ravel() for own in (peak, sigma)]
-    return problem.rows.lift @ np.concatenate(logs)
+        logs = [np.log(own) for own in spot_state(view, mean.model.baseline, law, _present(mean, theta))]
+    return mean.problem.lift @ np.concatenate([np.broadcast_to(own, view.exposure_s.shape).ravel() for own in logs])
 
 
 def slopes_of(mean: Mean, theta: np.ndarray) -> np.ndarray:
     """Slopes of the rows [row, parameter] by central differences, one-sided at a bound."""
     low, high, nudge = _box(mean)
-    out = np.empty((len(mean.problem.rows.values), len(theta)))
+    out = np.empty((len(mean.problem.values), len(theta)))
     for k in range(len(theta)):
         ends = np.repeat(theta[None], 2, 0)
         ends[:, k] = max(theta[k] - nudge[k], low[k]), min(theta[k] + nudge[k], high[k])
@@ -198,46 +171,55 @@ def slopes_of(mean: Mean, theta: np.ndarray) -> np.ndarray:
 
 def _box(mean: Mean) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lowest and highest values of the parameters, and the steps of their slopes."""
-    step = NUDGE * abs(mean.law[1])
-    law = [(-np.inf, np.inf, step)] * len(mean.law_free)
-    rows = law + [(own.low, own.high, own.nudge) for own in mean.free]
-    low, high, nudge = np.array(rows).reshape(-1, 3).T
+    rows = [(-np.inf, np.inf, NUDGE * abs(mean.law[1]))] * len(mean.law_free)
+    low, high, nudge = np.array(rows + [(own.low, own.high, own.nudge) for own in mean.free]).reshape(-1, 3).T
     return low, high, nudge
 
 
 def settle(mean: Mean, theta: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray, float]:
-    """Parameters that fit the rows best under a covariance with that Cholesky factor, and χ² there (Levenberg and
-    Marquardt, within bounds)."""
+    """Parameters that fit the rows best under a covariance with that Cholesky factor, and χ² there."""
     low, high, _ = _box(mean)
 
-    def whitened(rows):
+    def white(rows: np.ndarray) -> np.ndarray:
         return linalg.solve_triangular(factor, rows, lower=True, check_finite=False)
 
+    def rest(own: np.ndarray) -> np.ndarray:
+        return white(mean.problem.values - predicted(mean, own))
+
     theta = np.clip(theta, low, high)
-    rest = whitened(mean.problem.rows.values - predicted(mean, theta))
-    now, damping = float(rest @ rest), 1e-6
-    slopes = whitened(slopes_of(mean, theta))
-    for _ in range(STEPS if len(theta) else 0):
-        pull, inner = slopes.T @ rest, slopes.T @ slopes
-        free = ~(((theta <= low) & (pull < 0)) | ((theta >= high) & (pull > 0)))
-        diagonal = np.maximum(np.diag(inner), 1e-300)
-        step = np.zeros(len(theta))
-        scale = np.sqrt(diagonal[free])
-        damped = inner[np.ix_(free, free)] / np.outer(scale, scale) + damping * np.eye(free.sum())
-        step[free] = linalg.lstsq(damped, pull[free] / scale, check_finite=False)[0] / scale
-        tried = np.clip(theta + step, low, high)
-        then_rest = whitened(mean.problem.rows.values - predicted(mean, tried))
-        then = float(then_rest @ then_rest)
-        if np.isfinite(then) and then <= now:
-            gained, theta, rest, now, damping = now - then, tried, then_rest, then, damping / 10
-            if gained < ENOUGH:
-                break
-            slopes = whitened(slopes_of(mean, theta))
-        else:
-            damping = max(damping * 10, 1e-4)
-            if damping > STIFF:
-                break
-    return theta, now
+    first = rest(theta)
+    if not theta.size or not np.isfinite(first).all():
+        return theta, float(first @ first)
+    found = optimize.least_squares(
+        rest, theta, lambda own: white(-slopes_of(mean, own)), (low, high), x_scale="jac", ftol=ENOUGH, max_nfev=STEPS
+    )
+    return found.x, 2 * float(found.cost)
+
+
+Start = tuple[np.ndarray, np.ndarray]
+
+
+def beginnings(problem: Problem) -> list[np.ndarray]:
+    """Components from which fits begin: about the known errors; and so large in brightness, or in width, that the other
+    says all. A law that is wrong for one of the two is otherwise made right for it, and wrong for the other."""
+    tau = mixed.begun(problem.known, problem.components)
+    of = np.array([own.of for own in problem.components])
+    return [tau, *(np.where(of == own, LOOSE, tau) for own in np.unique(of))]
+
+
+def starts_of(means: Sequence[Mean], components: Sequence[np.ndarray]) -> list[Start]:
+    """The best fits of means of the same parameters at some components, each with these; of such as make the same rows
+    the first."""
+    problem, kept, seen, first = means[0].problem, list[Start](), list[np.ndarray](), None
+    for tau in components:
+        factor = mixed.factor_of(problem.known, problem.components, tau)
+        first = factor if first is None else first
+        theta, _ = min((settle(mean, start_of(mean), factor) for mean in means), key=lambda own: own[1])
+        rows = linalg.solve_triangular(first, predicted(means[0], theta), lower=True, check_finite=False)
+        if np.isfinite(rows).all() and not any(np.sum((rows - other) ** 2) < SAME for other in seen):
+            kept.append((theta, tau))
+            seen.append(rows)
+    return kept
 
 
 def start_of(mean: Mean) -> np.ndarray:
@@ -245,57 +227,32 @@ def start_of(mean: Mean) -> np.ndarray:
     return np.array([*(mean.law[k] for k in mean.law_free), *values_of(mean.model, mean.free)])
 
 
-def beginnings(rows: Rows) -> list[np.ndarray]:
-    """Components from which fits begin: about the known errors; and so large in brightness, or in width, that the other
-    says all. A law that is wrong for one of the two is otherwise made right for it, and wrong for the other."""
-    tau = mixed.begun(rows.known, rows.components)
-    of = np.array([own.of for own in rows.components])
-    return [tau, *(np.where(of == own, LOOSE, tau) for own in np.unique(of))]
-
-
 def first_account(problem: Problem) -> Account:
     """The best fit of what is present, by restricted likelihood, from all beginnings."""
-    rows, mean, found = problem.rows, mean_of(problem, problem.model.present), []
-    for tau in beginnings(rows):
-        theta, _ = settle(mean, start_of(mean), mixed.weights_at(rows.known, rows.components, tau).factor)
-        found.append((theta, tau))
+    mean = mean_of(problem, problem.model.present)
     every = [
-        account(mean, rows.components, restricted=True, start=own)
-        for own in apart(mean, found, linalg.cholesky(rows.known, lower=True))
+        account(mean, problem.components, restricted=True, start=own) for own in starts_of([mean], beginnings(problem))
     ]
     return min(every, key=lambda own: own.deviance)
-
-
-Start = tuple[np.ndarray, np.ndarray]
-
-
-def apart(mean: Mean, starts: Sequence[Start], factor: np.ndarray) -> list[Start]:
-    """Of parameters, each with components, those whose rows differ under a covariance with that Cholesky factor."""
-    kept, seen = list[Start](), list[np.ndarray]()
-    for start in starts:
-        rows = linalg.solve_triangular(factor, predicted(mean, start[0]), lower=True)
-        if np.isfinite(rows).all() and not any(np.sum((rows - other) ** 2) < SAME for other in seen):
-            kept.append(start)
-            seen.append(rows)
-    return kept
 
 
 def account(mean: Mean, components: tuple[Component, ...], *, restricted: bool, start: "Account | Start") -> Account:
     """Fit laws and components in turn, by restricted likelihood or by full, from parameters with as many components, or
     from where the model stands and an account left the components."""
-    rows = mean.problem.rows
+    problem = mean.problem
     if isinstance(start, Account):
         # Scoring leaves 0 as easily as any other value.
-        theta, tau = start_of(mean), np.array([start.variance(own.of, own.shared) for own in components])
+        left = {(own.of, own.shared): tau for own, tau in zip(start.found.components, start.found.tau, strict=True)}
+        theta, tau = start_of(mean), np.array([left.get((own.of, own.shared), 0.0) for own in components])
     else:
         theta, tau = start
-    weights, last = mixed.weights_at(rows.known, components, tau), np.inf
+    factor, last = mixed.factor_of(problem.known, components, tau), np.inf
     for _ in range(ROUNDS):
-        theta, _ = settle(mean, theta, weights.factor)
-        slopes, rest = slopes_of(mean, theta), rows.values - predicted(mean, theta)
-        found = mixed.estimate(rows.known, components, slopes, rest, weights.tau, restricted=restricted)
-        weights = found.weights
-        if last - found.at.deviance < SETTLED:
+        theta, _ = settle(mean, theta, factor)
+        slopes, rest = slopes_of(mean, theta), problem.values - predicted(mean, theta)
+        found = mixed.estimate(problem.known, components, slopes, rest, tau, restricted=restricted)
+        tau, factor = found.tau, found.factor
+        if last - found.deviance < SETTLED:
             break
-        last = found.at.deviance
-    return Account(mean, theta, slopes, rest, components, found)
+        last = found.deviance
+    return Account(mean, theta, slopes, rest, found)

@@ -5,7 +5,6 @@ Fisher's scoring as in Searle, Casella & McCulloch, Variance Components (1992), 
 Satterthwaite 1946 (doi:10.2307/3002019).
 """
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -31,63 +30,58 @@ class Component(NamedTuple):
     members: np.ndarray
 
 
-class Weights(NamedTuple):
-    """V's Cholesky factor and V⁻¹ at some components [component]."""
+class Estimated(NamedTuple):
+    """Components of variance `tau` [component]: V's Cholesky factor and V⁻¹; −2 ln L but for constants, its score (of
+    ln L), and the components' expected information."""
 
+    components: tuple[Component, ...]
     tau: np.ndarray
     factor: np.ndarray
     inverse: np.ndarray
-
-    @property
-    def log_determinant(self) -> float:
-        """ln |V|."""
-        return 2 * float(np.log(np.diag(self.factor)).sum())
-
-
-class Scored(NamedTuple):
-    """At some components: −2 ln L but for constants, its score (of ln L), and the components' expected information."""
-
     deviance: float
     score: np.ndarray
     information: np.ndarray
 
 
-def weights_at(known: np.ndarray, components: tuple[Component, ...], tau: np.ndarray) -> Weights:
-    """V of rows with the covariance `known` [row, row] and components of variance `tau`."""
+def factor_of(known: np.ndarray, components: tuple[Component, ...], tau: np.ndarray) -> np.ndarray:
+    """Cholesky factor of V, of rows with the covariance `known` [row, row]."""
     total = known.copy()
     for own, variance in zip(components, tau, strict=True):
         if variance > 0:
             total += variance * (own.members @ own.members.T)
-    factor = linalg.cholesky(total, lower=True, check_finite=False)
-    inverse = linalg.lapack.dpotri(factor, lower=1)[0]
-    return Weights(tau, factor, inverse + np.tril(inverse, -1).T)
+    return linalg.cholesky(total, lower=True, check_finite=False)
 
 
-def scored(
-    weights: Weights, components: tuple[Component, ...], slopes: np.ndarray, rest: np.ndarray, *, restricted: bool
-) -> Scored:
+def estimated(
+    known: np.ndarray,
+    components: tuple[Component, ...],
+    slopes: np.ndarray,
+    rest: np.ndarray,
+    tau: np.ndarray,
+    *,
+    restricted: bool,
+) -> Estimated:
     """Likelihood of residuals `rest` [row] about a mean with `slopes` [row, parameter], which are fitted; `restricted`:
     that of what the parameters leave."""
-    inverse = weights.inverse
+    factor = factor_of(known, components, tau)
+    inverse = linalg.lapack.dpotri(factor, lower=1)[0]
+    inverse += np.tril(inverse, -1).T
     heavy = inverse @ slopes
     half, log_determinant = _half_inverse(slopes.T @ heavy)
     made = half.T @ heavy.T
     pulled = inverse @ rest - made.T @ (made @ rest)
-    deviance = weights.log_determinant + float(rest @ pulled)
+    deviance = 2 * float(np.log(np.diag(factor)).sum()) + float(rest @ pulled)
     left = inverse
     if restricted:
         left = inverse - made.T @ made
         deviance += log_determinant
-    if not components:
-        return Scored(deviance, np.zeros(0), np.zeros((0, 0)))
-    members = np.concatenate([own.members for own in components], 1)
-    ends = np.cumsum([0, *(own.members.shape[1] for own in components)])
-    shared = members.T @ (left @ members)
-    drawn = members.T @ pulled
-    blocks = [slice(a, b) for a, b in pairwise(ends)]
-    score = np.array([drawn[b] @ drawn[b] - np.trace(shared[b, b]) for b in blocks]) / 2
-    information = np.array([[np.sum(shared[a, b] ** 2) for b in blocks] for a in blocks]) / 2
-    return Scored(deviance, score, information)
+    members = [own.members for own in components]
+    drawn = [left @ own for own in members]
+    score = (
+        np.array([np.sum((own.T @ pulled) ** 2) - np.sum(own * b) for own, b in zip(members, drawn, strict=True)]) / 2
+    )
+    information = np.array([[np.sum((own.T @ b) ** 2) for b in drawn] for own in members]) / 2
+    return Estimated(components, tau, factor, inverse, deviance, score, information.reshape(len(members), -1))
 
 
 def _half_inverse(information: np.ndarray) -> tuple[np.ndarray, float]:
@@ -100,13 +94,6 @@ def _half_inverse(information: np.ndarray) -> tuple[np.ndarray, float]:
     return vectors / np.sqrt(values) / scale[:, None], float(np.log(values).sum() + 2 * np.log(scale).sum())
 
 
-class Estimated(NamedTuple):
-    """Components that fit best, V there, and the likelihood there."""
-
-    weights: Weights
-    at: Scored
-
-
 def estimate(
     known: np.ndarray,
     components: tuple[Component, ...],
@@ -117,42 +104,40 @@ def estimate(
     restricted: bool,
 ) -> Estimated:
     """Components of the residuals `rest` by Fisher's scoring from `start`, none below 0."""
-    tau = np.asarray(start, float)
-    weights = weights_at(known, components, tau)
-    now = scored(weights, components, slopes, rest, restricted=restricted)
+    now = estimated(known, components, slopes, rest, np.asarray(start, float), restricted=restricted)
     for _ in range(STEPS if components else 0):
-        step = _scoring(now, tau)
+        step, then = _scoring(now), now
         for _ in range(HALVINGS):
-            tried = np.maximum(tau + step, 0.0)
-            then_weights = weights_at(known, components, tried)
-            then = scored(then_weights, components, slopes, rest, restricted=restricted)
+            tau = np.maximum(now.tau + step, 0.0)
+            then = estimated(known, components, slopes, rest, tau, restricted=restricted)
             if then.deviance <= now.deviance:
                 break
             step = step / 2
-        else:
-            break
         gained = now.deviance - then.deviance
-        tau, weights, now = tried, then_weights, then
+        now = then if gained >= 0 else now
         if gained < ENOUGH:
             break
-    return Estimated(weights, now)
+    return now
 
 
-def _scoring(now: Scored, tau: np.ndarray) -> np.ndarray:
+def _scoring(now: Estimated) -> np.ndarray:
     """A step of scoring that leaves alone what stands at 0 and would go below."""
-    free = (tau > 0) | (now.score > 0)
-    step = np.zeros(len(tau))
-    for _ in range(len(tau)):
-        own = np.ix_(free, free)
-        scale = np.sqrt(np.diag(now.information))[free]
-        inner = now.information[own] / np.outer(scale, scale) + RIDGE * np.eye(free.sum())
+    free = (now.tau > 0) | (now.score > 0)
+    step = np.zeros(len(free))
+    for _ in step:
         step[:] = 0
-        step[free] = linalg.solve(inner, now.score[free] / scale, assume_a="pos") / scale
-        stuck = free & (tau == 0) & (step < 0)
+        step[free] = _sure(now.information[np.ix_(free, free)]) @ now.score[free]
+        stuck = free & (now.tau == 0) & (step < 0)
         if not stuck.any():
             break
         free &= ~stuck
     return step
+
+
+def _sure(information: np.ndarray) -> np.ndarray:
+    """The inverse of components' information, with the ridge."""
+    scale = np.sqrt(np.diag(information))
+    return np.linalg.inv(information / np.outer(scale, scale) + RIDGE * np.eye(len(scale))) / np.outer(scale, scale)
 
 
 def begun(known: np.ndarray, components: tuple[Component, ...]) -> np.ndarray:
@@ -170,34 +155,17 @@ class Reckoned(NamedTuple):
     doubt: np.ndarray
 
 
-def reckoned(found: Estimated, components: tuple[Component, ...], slopes: np.ndarray) -> Reckoned:
+def reckoned(found: Estimated, slopes: np.ndarray) -> Reckoned:
     """Errors of parameters at estimated components, and how well those errors are known.
 
     The errors of components that came out as 0 count as well: another set would have had some.
     """
-    half, _ = _half_inverse(slopes.T @ found.weights.inverse @ slopes)
+    half, _ = _half_inverse(slopes.T @ found.inverse @ slopes)
     covariance = half @ half.T
-    rows = covariance @ slopes.T @ found.weights.inverse
-    if not components:
-        return Reckoned(covariance, rows, np.zeros(len(rows)))
-    by = np.stack([np.sum((rows @ own.members) ** 2, 1) for own in components], 1)
-    scale = np.sqrt(np.diag(found.at.information))
-    sure = found.at.information / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
-    by = by / scale
-    return Reckoned(covariance, rows, np.sum(by * linalg.solve(sure, by.T, assume_a="pos").T, 1))
-
-
-def spread(found: Estimated) -> np.ndarray:
-    """Standard errors of the components."""
-    scale = np.sqrt(np.diag(found.at.information))
-    sure = found.at.information / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
-    return np.sqrt(np.diag(np.linalg.inv(sure))) / scale
-
-
-def root_of(tau: float, error: float) -> tuple[float, float]:
-    """Root of a variance and its standard error; where the variance is less than its own, that of a variance as large
-    as its error."""
-    return float(np.sqrt(tau)), float(error / (2 * np.sqrt(max(tau, error))))
+    rows = covariance @ slopes.T @ found.inverse
+    by = [np.sum((rows @ own.members) ** 2, 1) for own in found.components]
+    doubt = np.einsum("kp,kl,lp->p", by, _sure(found.information), by) if by else np.zeros(len(rows))
+    return Reckoned(covariance, rows, doubt)
 
 
 def z_of(t: float, freedom: float, parameters: int = 1, tries: int = 1) -> float:

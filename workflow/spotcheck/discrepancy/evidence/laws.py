@@ -11,20 +11,16 @@ import numpy as np
 
 from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.accounts import (
-    COMMON_WIDTH,
     PLACES,
     Account,
     Problem,
-    Start,
     account,
-    apart,
     beginnings,
     first_account,
     mean_of,
     predicted,
     problem_of,
-    settle,
-    start_of,
+    starts_of,
 )
 from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
@@ -84,12 +80,11 @@ def laws_of(
     crop_px: float,
     present: Sequence[Present] = (),
     effects: Sequence[Effect] | None = None,
-    common_width: float = COMMON_WIDTH,
 ) -> Laws:
     """What frames say of the baseline's laws and of every effect of brightness and width that their design can show.
 
     `present`: effects that are in the model already; those of brightness and width are fitted again with each trial.
-    `effects`: those to try, by default the run's vocabulary. `common_width` as in `rows_of`.
+    `effects`: those to try, by default the run's vocabulary.
     """
     law = baseline.photon_budget != "free" and len(design.site) >= FEWEST
     known = tuple(vocabulary().values()) if effects is None else tuple(effects)
@@ -98,15 +93,19 @@ def laws_of(
     scatters = tuple(scatters_of(numbers, design, tried))
     if not law:
         return Laws(None, None, np.nan, (), scatters)
-    problem = problem_of(numbers, design, baseline, sensor, crop_px, present, common_width)
+    problem = problem_of(numbers, design, baseline, sensor, crop_px, present)
     base = first_account(problem)
-    full = account(mean_of(problem, base.present, base), problem.rows.components, restricted=False, start=base)
+    full = again(base, problem.components)
     held = {part_of(effect) for effect in known if effect.name not in taken}
-    bare = tuple(own for own in problem.rows.components if (own.of, own.shared) not in held)
-    alone = account(mean_of(problem, full.present, full), bare, restricted=False, start=full).deviance
+    bare = tuple(own for own in problem.components if (own.of, own.shared) not in held)
     trials = [_law_trial(problem, e, base, full, bare) for e in tried if e.place in PLACES]
     trials += [_scatter_trial(problem, own, full, held) for own in scatters if part_of(own.effect)]
-    return Laws(base, full, alone, tuple(trials), scatters)
+    return Laws(base, full, again(full, bare).deviance, tuple(trials), scatters)
+
+
+def again(own: Account, components: tuple[Component, ...], *, restricted: bool = False) -> Account:
+    """An account of the same effects, with some components."""
+    return account(mean_of(own.mean.problem, own.present, own), components, restricted=restricted, start=own)
 
 
 def part_of(effect: Effect) -> tuple[str, str] | None:
@@ -117,60 +116,55 @@ def part_of(effect: Effect) -> tuple[str, str] | None:
 def _scatter_trial(problem: Problem, own: Scatter, full: Account, held: set[tuple[str, str] | None]) -> Trial:
     """A scatter of frames as a trial: the test is its own, −2 ln L for rivals that of an account that has it."""
     others = held - {part_of(own.effect)}
-    with_it = tuple(c for c in problem.rows.components if (c.of, c.shared) not in others)
-    alone = account(mean_of(problem, full.present, full), with_it, restricted=False, start=full)
+    with_it = tuple(c for c in problem.components if (c.of, c.shared) not in others)
     values = (own.value, *own.effect.starts(problem.context)[0][1:])
     present = Present(own.effect, own.effect.forms[0], values)
-    return Trial(present, own.value, own.error, own.z, np.inf, own.gain, alone.deviance, 0.0)
+    return Trial(present, own.value, own.error, own.z, np.inf, own.gain, again(full, with_it).deviance, 0.0)
 
 
 def _law_trial(problem: Problem, effect: Effect, base: Account, full: Account, bare: tuple[Component, ...]) -> Trial:
-    """An effect fitted from all its starts in all its forms, beside what is present."""
-    best, lowest = None, np.inf
+    """An effect fitted from all its starts in all its forms, beside what is present, from the components that are there
+    without it, and from those from which fits begin."""
+    tried = []
     for form in effect.forms:
-        for start in _nearest(problem, effect, form, base):
-            mean = mean_of(problem, (*base.present, Present(effect, form, effect.starts(problem.context)[0])), base)
-            own = account(mean, problem.rows.components, restricted=False, start=start)
-            price = own.deviance + PRICE * len(own.mean.free)
-            if price < lowest:
-                best, lowest = own, price
-    assert best is not None
-    sharp = account(mean_of(problem, best.present, best), problem.rows.components, restricted=True, start=best)
-    alone = account(mean_of(problem, best.present, best), bare, restricted=False, start=best)
-    return _judged(sharp, base, full.deviance - best.deviance, alone.deviance)
-
-
-def _nearest(problem: Problem, effect: Effect, form: str, base: Account) -> list[Start]:
-    """The best fits of a form at the components that are there without it, and at those from which fits begin."""
-    rows, out = problem.rows, []
-    means = [
-        mean_of(problem, (*base.present, Present(effect, form, tuple(start))), base)
-        for start in effect.starts(problem.context)
-    ]
-    for tau in (base.found.weights.tau, *beginnings(rows)):
-        factor = mixed.weights_at(rows.known, rows.components, tau).factor
-        fits = [settle(mean, start_of(mean), factor) for mean in means]
-        out.append((min(fits, key=lambda fit: fit[1])[0], tau))
-    return apart(means[0], out, base.found.weights.factor)
+        every = [(*base.present, Present(effect, form, tuple(own))) for own in effect.starts(problem.context)]
+        means = [mean_of(problem, own, base) for own in every]
+        begun = starts_of(means, [base.found.tau, *beginnings(problem)])
+        tried += [account(means[0], problem.components, restricted=False, start=own) for own in begun]
+    best = min(tried, key=lambda own: own.deviance + PRICE * len(own.mean.free))
+    sharp = again(best, problem.components, restricted=True)
+    return _judged(sharp, base, full.deviance - best.deviance, again(best, bare).deviance)
 
 
 def _judged(own: Account, base: Account, gain: float, alone: float) -> Trial:
     """Strength, error and z of the effect that an account has beyond another."""
     present = own.present[-1]
-    last = len(own.mean.model.present) - 1
-    places = [k for k, free in enumerate(own.mean.free) if free.effect == last]
-    strength = next((k for k in places if own.mean.free[k].parameter == 0), None)
-    assert strength is not None
-    row = len(own.mean.law_free) + strength
-    value = present.values[0]
-    variance, between, freedom = _error_of(own, own.slopes, row)
+    places = _places(own, len(own.present) - 1)
+    variance, between, freedom = _error_of(own, own.slopes, places[0])
     error = float(np.sqrt(variance))
-    if np.isfinite(present.effect.neutral):
-        t = (value - present.effect.neutral) / error
-    else:
+    t = (present.values[0] - present.effect.neutral) / error
+    if not np.isfinite(present.effect.neutral):
         t, freedom = _against(own, base)
     z = mixed.z_of(t, freedom, len(places), len(present.effect.forms))
-    return Trial(present, float(value), error, z, freedom, gain, alone, between)
+    return Trial(present, float(present.values[0]), error, z, freedom, gain, alone, between)
+
+
+def _places(own: Account, effect: int) -> dict[int, int]:
+    """Where an effect's parameters stand among an account's, by their number."""
+    free, first = own.mean.free, len(own.mean.law_free)
+    return {one.parameter: first + k for k, one in enumerate(free) if one.effect == effect}
+
+
+def errors_of(own: Account) -> dict[str, tuple[float, ...]]:
+    """Standard errors of the parameters of an account's effects, NaN where one is not fitted."""
+    out = {}
+    for k, present in enumerate(own.present):
+        places = _places(own, k)
+        out[present.effect.name] = tuple(
+            float(np.sqrt(_error_of(own, own.slopes, places[p])[0])) if p in places else np.nan
+            for p in range(len(present.values))
+        )
+    return out
 
 
 def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float, float]:
@@ -178,14 +172,14 @@ def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float,
 
     Cells whose model is right differ by noise alone, which the known covariance holds; what goes beyond comes on top.
     """
-    found = mixed.reckoned(own.found, own.components, slopes)
-    rows, heavy = own.mean.problem.rows, found.rows[row]
+    found = mixed.reckoned(own.found, slopes)
+    problem, heavy = own.mean.problem, found.rows[row]
     first, doubt, beyond = found.covariance[row, row], found.doubt[row], 0.0
     # Each frame's own numbers are fitted to its cells, which then scatter by less.
-    cells, left = rows.influence.shape[1], rows.influence.shape[1] - NUMBERS
+    cells, left = problem.influence.shape[1], problem.influence.shape[1] - NUMBERS
     if left > 0:
-        scatter = cells * cells / left * float(np.var(heavy @ rows.influence))
-        beyond = max(scatter - float(heavy @ rows.known @ heavy), 0.0)
+        scatter = cells * cells / left * float(np.var(heavy @ problem.influence))
+        beyond = max(scatter - float(heavy @ problem.known @ heavy), 0.0)
         doubt += 2 * scatter**2 / left if beyond else 0.0
     total = first + beyond
     return float(total), beyond, float(2 * total**2 / doubt) if doubt > 0 else np.inf
@@ -196,11 +190,8 @@ def _against(own: Account, base: Account) -> tuple[float, float]:
     its own, beside the base's parameters (Davidson & MacKinnon 1981, doi:10.2307/1911522)."""
     way = predicted(own.mean, own.theta) - predicted(base.mean, base.theta)
     slopes = np.concatenate([base.slopes, way[:, None]], 1)
-    row = slopes.shape[1] - 1
-    found = mixed.estimate(
-        base.mean.problem.rows.known, base.components, slopes, base.rest, base.found.weights.tau, restricted=True
-    )
-    part = base._replace(found=found, slopes=slopes)
-    variance, _, freedom = _error_of(part, slopes, row)
-    size = float(mixed.reckoned(found, base.components, slopes).rows[row] @ base.rest)
+    known, began = base.mean.problem.known, base.found
+    found = mixed.estimate(known, began.components, slopes, base.rest, began.tau, restricted=True)
+    variance, _, freedom = _error_of(base._replace(found=found), slopes, slopes.shape[1] - 1)
+    size = float(mixed.reckoned(found, slopes).rows[-1] @ base.rest)
     return size / float(np.sqrt(variance)), freedom

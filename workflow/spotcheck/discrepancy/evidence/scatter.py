@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, optimize, stats
 
-from spotcheck.discrepancy.evidence.components import root_of
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.model.effect import Effect
@@ -60,7 +59,9 @@ def scatters_of(numbers: FrameNumbers, design: Design, effects: Iterable[Effect]
             kept = kept_of(numbers, design, axes, fitted.variance)
             tested = scatter_of(numbers, design, axes, kept, narrowed(1 - len(kept) / len(every), len(axes)))
             gain = tested.gain if tested is not None else 0.0
-            yield Scatter(effect, *root_of(fitted.variance, fitted.error), float(np.sqrt(gain)), gain)
+            # Where a variance is less than its error, that of the root of one as large as its error.
+            error = fitted.error / (2 * np.sqrt(max(fitted.variance, fitted.error)))
+            yield Scatter(effect, float(np.sqrt(fitted.variance)), float(error), float(np.sqrt(gain)), gain)
 
 
 def narrowed(part: float, axes: int) -> float:

@@ -1,7 +1,7 @@
 """The search: effects are added one by one, the likeliest refitted, until none gains more."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from spotcheck.model.effect import Context, Effect, Place, Present
 
 # Steps of the fit of what was chosen: far from the truth brightness, width and shape are slow to part.
 MOST_STEPS = 24
+# What a search is about: frames with a fit, or levels.
+S = TypeVar("S")
 
 
 class State(NamedTuple):
@@ -186,8 +188,9 @@ def _named(one: Noisy, context: Context) -> Found | None:
 
 
 def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], context: Context):
-    """A state without the effects that do not hold everywhere, dropped the worst first; and those that do."""
-    while True:
+    """A state without the effects that do not hold everywhere, and those that do."""
+
+    def found_of(now: State) -> list[Found]:
         found = []
         for k, own in enumerate(now.fitted.model.present):
             rest = without(now, k, context)
@@ -198,7 +201,17 @@ def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], con
                 holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
             near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
             found.append(Found(own, gain, holding, near))
-        bad = [k for k, one in enumerate(found) if not one.holding.holds or one.holding.z2 < criteria.GAIN.value]
+        return found
+
+    return held(now, found_of, lambda now, k: without(now, k, context))
+
+
+def held(now: S, found_of: Callable[[S], list[Found]], without: Callable[[S, int], S]) -> tuple[S, list[Found]]:
+    """A state without the effects that do not hold everywhere, dropped the worst first; and those that do."""
+    while True:
+        found = found_of(now)
+        bad = [k for k, one in enumerate(found)
+               if not one.holding.holds or min(one.gain, one.holding.z2) < criteria.GAIN.value]  # fmt: skip
         if not bad:
             return now, found
-        now = without(now, max(bad, key=lambda k: found[k].holding.excess), context)
+        now = without(now, max(bad, key=lambda k: found[k].holding.excess))

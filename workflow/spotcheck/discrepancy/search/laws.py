@@ -7,7 +7,7 @@ import numpy as np
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.influence import influence_of, numbers_of
-from spotcheck.discrepancy.evidence.laws import Laws, Trial, laws_of
+from spotcheck.discrepancy.evidence.laws import Laws, Trial, errors_of, laws_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
@@ -18,10 +18,12 @@ from spotcheck.model.effect import Context, Effect, Present
 
 
 class Lawful(NamedTuple):
-    """Effects that were found on the frames' numbers, and what these say beside them."""
+    """Effects that were found on the frames' numbers, what these say beside them, and standard errors of the parameters
+    of laws, by the effect's name."""
 
     found: tuple[Found, ...]
     told: Laws
+    errors: dict[str, tuple[float, ...]]
 
 
 def search_laws(
@@ -40,19 +42,28 @@ def search_laws(
     while True:
         present = tuple(own.own for own in found)
         told = laws_of(numbers, design, baseline, fitted.model.sensor, crop_px, present, effects)
+        known = {own.present.effect.name for own in told.trials}
         of_centre = [
             Trial(Present(s.effect, s.effect.forms[0], (s.value,)), s.value, s.error, s.z, np.inf, s.gain, np.nan, 0.0)
             for s in told.scatters
-            if not any(s.effect.name == own.present.effect.name for own in told.trials)
+            if s.effect.name not in known
         ]
         trials = [own for own in (*told.trials, *of_centre) if _counts(own, context)]
         if not trials or len(found) == criteria.MOST.value:
-            return Lawful(tuple(found), told)
+            return _lawful(found, told)
         best = min(trials, key=lambda own: (np.isnan(own.alone), own.alone, -own.gain))
         near = {own.present.effect.name: float(own.alone - best.alone) for own in trials
                 if own is not best and own.alone - best.alone < criteria.RIVAL.value}  # fmt: skip
         holding = Holding(0.0, 1, float(best.z**2), best.error)
         found.append(Found(best.present, float(best.gain), holding, near))
+
+
+def _lawful(found: Sequence[Found], told: Laws) -> Lawful:
+    """What was found, with values and errors beside all that was found after it."""
+    errors = errors_of(told.base) if told.base else {}
+    last = {own.effect.name: own for own in (told.base.present if told.base else ())}
+    out = [one._replace(own=last.get(one.own.effect.name, one.own)) for one in found]
+    return Lawful(tuple(out), told, errors)
 
 
 def _counts(own: Trial, context: Context) -> bool:

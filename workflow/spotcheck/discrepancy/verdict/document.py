@@ -7,7 +7,7 @@ import numpy as np
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.detect import Detection
-from spotcheck.discrepancy.conclude.judgement import Gap, Judgement, Light
+from spotcheck.discrepancy.conclude.judgement import Gap, Judgement, Levels, Light
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.evidence.parts import SMALLEST
 from spotcheck.discrepancy.nuisance.sheet import Against
@@ -64,7 +64,7 @@ def document(
         "not_assessed": [{"effect": name, "why": why} for name, why in
                          ([("all", why_not)] if why_not else []) + list(judgement.not_assessed)],
         "sentence": "",
-    }  # fmt: skip
+    } | ({"levels": levels_block(judgement.levels)} if judgement.levels else {})  # fmt: skip
 
 
 def status_of(judgement: Judgement, effects: list[dict[str, Any]], alpha: float, tolerance: float) -> str:
@@ -260,6 +260,16 @@ def gap_block(gap: Gap | None) -> dict[str, Any]:
     if gap is None:
         return dict.fromkeys(GAP_KEYS) | {"on": None}
     return {key: number(getattr(gap, key)) for key in GAP_KEYS} | {"on": gap.on}
+
+
+def levels_block(own: Levels) -> dict[str, Any]:
+    """What levels of flats tell of the gain, and of their light."""
+    return {
+        "number": own.number,
+        "gain_dn_per_e": {"value": float(own.gain), "stderr": number(own.gain_error)},
+        "straight_line": {"value": float(own.line), "stderr": number(own.line_error)},
+        "light_scatter": float(own.scatter),
+    }
 
 
 def number(value: float | None) -> float | None:

@@ -26,6 +26,20 @@ LIKELIER = 1.5
 # p1 or p2 is told where effects move it by so many of its errors.
 MOVED = 3.0
 
+# Of flats, in place of what is said of spots.
+OF_LEVELS = {
+    "Model and measurement": "Flats and a linear sensor",
+    "model and measurement": "flats and a linear sensor",
+    "the spot's peak": "the highest signal",
+    "the peak": "the highest signal",
+    "the mean images": "the means",
+    "the mean image": "the means",
+    "these frames": "these levels",
+    "on unseen frames": "on unseen levels",
+}
+# A lamp that scatters by more than this from level to level is worth a word [part of its light].
+SCATTERS = 0.002
+
 
 def sentence(document: dict[str, Any]) -> str:
     """At most three lines, parted by line breaks; the document's own `sentence` is not read."""
@@ -33,14 +47,17 @@ def sentence(document: dict[str, Any]) -> str:
     if status == "not_assessed":
         lines = [_untested(document)]
     elif status == "consistent":
-        lines = [_agreed(document), _as_fitted(document), _not_proven(document)]
+        lines = [_agreed(document), _joined(_as_fitted(document), _gain(document)), _not_proven(document)]
     elif status == "unknown":
-        lines = [_opening(document), _unknown(document), _shown(document)]
+        lines = [_opening(document), _unknown(document), _joined(_shown(document), _gain(document))]
     else:
-        lines = [_opening(document), _effects(document), _joined(_closed(document), _advised(document),
-                                                                 _moved(document))]  # fmt: skip
+        last = _joined(_closed(document), _advised(document), _moved(document), _gain(document))
+        lines = [_opening(document), _effects(document), last]
     lines[0] = _joined(_contradicted(document), lines[0], _beware(document) if status != "not_assessed" else "")
-    return "\n".join(line for line in lines if line)
+    text = "\n".join(line for line in lines if line)
+    for spots, flats in OF_LEVELS.items() if "levels" in document else ():
+        text = text.replace(spots, flats)
+    return text
 
 
 # First line: is there a disagreement
@@ -243,6 +260,24 @@ def _moved(document: dict[str, Any]) -> str:
         moved.append(f"{name}{'' if moved else ' goes'} from {first} to {value_text(after, error, own['unit'])}")
     whom = "it" if len(document["effects"]) == 1 else "them"
     return f"With {whom} {', '.join(moved)}." if moved and document["status"] != "ambiguous" else ""
+
+
+def _gain(document: dict[str, Any]) -> str:
+    """Of levels of flats: K, with what was found or by a straight line, and how the light scatters."""
+    levels = document.get("levels")
+    if not levels:
+        return ""
+    own, line = (f"K = {value_text(levels[key]['value'], levels[key]['stderr'], 'DN/e-')}" for key in
+                 ("gain_dn_per_e", "straight_line"))  # fmt: skip
+    beside = f"a straight line through variance and mean up to 70 % of saturation gives {line}"
+    text = f"{own}, by {levels['number']} levels."
+    if document["status"] == "unknown":
+        text = f"{beside[0].upper()}{beside[1:]}."
+    elif document["effects"]:
+        text = f"With {'it' if len(document['effects']) == 1 else 'them'} {own}; {beside}."
+    scatter = levels["light_scatter"]
+    more = f"The light scatters by {percent_text(scatter)} from level to level." if scatter > SCATTERS else ""
+    return _joined(text, more)
 
 
 # Where nothing is added
