@@ -149,8 +149,10 @@ def fit_dark(histograms: Sequence[Histogram], gain: float, dead: float = 0.0) ->
     step, best = np.zeros(2), np.array([black, log_noise])
     at = best.copy()
     for _ in range(STEPS):
-        likelihood, score, here = _told(histograms, gain, dead, at[0], np.exp(at[1]))
-        if likelihood < reached:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            likelihood, score, here = _told(histograms, gain, dead, at[0], np.exp(at[1]))
+        # A step may lead where no reading would be kept: there is no likelihood.
+        if not likelihood >= reached:
             # Half a step back; what is less than the sums' own rounding is the end.
             step = step / 2
             if step @ information @ step < ENOUGH**2:

@@ -218,7 +218,7 @@ def _add_rings(out: xr.Dataset, canvas: Canvas, fits: Fits, own: Summed, side: i
     power = np.array(each)
     log_p = np.log(ORDERS) - np.nanmax(np.where(np.isfinite(power), power, 0.0), axis=0) / 2
     azimuthal = np.where(np.isfinite(radial), stats.norm.isf(np.exp(np.minimum(log_p, -1e-3)) / 2), np.nan)
-    azimuthal = np.where(log_p < -500, np.sqrt(-2 * log_p), azimuthal)
+    azimuthal = np.where(log_p < -500, np.sqrt(np.maximum(-2 * log_p, 0.0)), azimuthal)
     strongest = 1 + np.argmax(np.where(np.isfinite(power), power, 0.0), axis=0)
     dims = (*canvas.dims, "ring")
     _put(out, "z_radial", dims, canvas.spread(radial), "1", "z of the mean residual of a ring")
