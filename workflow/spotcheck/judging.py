@@ -62,11 +62,11 @@ def judge_dataset(
     Examples
     --------
     >>> import spotcheck
-    >>> verdict = spotcheck.judge_dataset("my-flats", simulations=200)
+    >>> verdict = spotcheck.judge_dataset("my-flats")
     >>> verdict["status"]
     'consistent'
     >>> print(verdict["sentence"])
-    Flats and darks agree with a linear sensor: mean and noise of every level lie on straight lines ...
+    Flats and a linear sensor agree: they differ by no more than noise does ...
     """
     dataset, before = load(folder), chosen()
     known = vocabulary.options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))

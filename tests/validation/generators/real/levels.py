@@ -60,10 +60,10 @@ def lines(verdicts: dict[str, dict[str, Any]]) -> list[str]:
     rows = []
     for name, (_, _, what) in PUT_IN.items():
         said = verdicts[name]
-        sets = " or ".join(" + ".join(names) for names in said["explanations"])
+        sets = " and ".join(" or ".join(own["candidates"]) for own in said["effects"])
         own = next((effect for effect in said["effects"] if effect["name"] == name), None)
         rows.append((name, what, _first(before.get(name)), _first(own), said["status"], sets))
-    return markdown(("put in", "that is", "as they are", "with it", "status", "explanations"), rows)
+    return markdown(("put in", "that is", "as they are", "with it", "status", "effects"), rows)
 
 
 def _first(effect: dict[str, Any] | None) -> str:

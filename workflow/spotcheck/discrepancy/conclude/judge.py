@@ -64,6 +64,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
 
 
 def untested(why: str) -> Judgement:
+    """Nothing but why not."""
     return Judgement(why, None, (), (), None, (), None, None, NOTHING, (), ())
 
 
