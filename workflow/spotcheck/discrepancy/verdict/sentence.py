@@ -14,6 +14,7 @@ from spotcheck.discrepancy.verdict.words import (
     probability_text,
     value_text,
 )
+from spotcheck.discrepancy.conclude.judgement import TOO_SMALL
 from spotcheck.model.effects import vocabulary
 
 SHEET_WORDS = {"gain_dn_per_e": "the gain", "read_noise_e": "the read noise", "black_level_dn": "the black level"}
@@ -170,7 +171,10 @@ def _short(own: dict[str, Any]) -> str:
 
 def _unknown(document: dict[str, Any]) -> str:
     """That nothing is named."""
-    failed = [own["effect"] for own in document["limits"] if own["why"] == NOT_FORETOLD]
+    failed, small = ([own["effect"] for own in document["limits"] if own["why"] == why] for why in
+                     (NOT_FORETOLD, TOO_SMALL))  # fmt: skip
+    if small:
+        return f"It would be explained by {list_text(small, ' or ')}, {TOO_SMALL}."
     what = (
         f"{list_text(failed)} seemed to explain it, but not on unseen frames"
         if failed
