@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.discrepancy.observe.frames import WIDEST, round_spot
+from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.observe.frames import round_spot
 from spotcheck.discrepancy.shots import Design, Shot
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law
@@ -45,7 +46,9 @@ def spots_of(shots: Sequence[Shot], sensor: SensorModel, top_hat: bool) -> np.nd
 def base_of(spots: np.ndarray, corners: np.ndarray, design: Design, baseline: Baseline, crop_px: int) -> Base | None:
     """The base through single spots; `corners` [frame, (left, top)] of the crops. None where no spot can be used."""
     trusted = spots[:, 4] > 0
-    trusted &= (spots[:, 3] < WIDEST * crop_px) & (np.abs(spots[:, 1:3] - crop_px / 2) < crop_px / 2).all(axis=1)
+    trusted &= (spots[:, 3] < criteria.WIDEST.value * crop_px) & (
+        np.abs(spots[:, 1:3] - crop_px / 2) < crop_px / 2
+    ).all(axis=1)
     if not trusted.any():
         return None
     amplitude, sigma = spots[:, 0].copy(), spots[:, 3].copy()

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.advise import Advice, advise
 from spotcheck.discrepancy.base import Base, base_of, spots_of
 from spotcheck.discrepancy.calibration import Kind
@@ -15,7 +16,6 @@ from spotcheck.discrepancy.extend import Findings, Tolerance, investigate
 from spotcheck.discrepancy.freed_named import gap_of_freed
 from spotcheck.discrepancy.name import present_of
 from spotcheck.discrepancy.noise import hot_pixels
-from spotcheck.discrepancy.observe.frames import WIDEST
 from spotcheck.discrepancy.saved import recalled, saved_of
 from spotcheck.discrepancy.shots import Design, Shot, design_of, held_out, together
 from spotcheck.discrepancy.stripes import beside_places, depth_error
@@ -75,7 +75,7 @@ def prepared(shots: Sequence[Shot], setting: Setting, kind: Kind) -> tuple[list[
     base = base_of(spots, corners, design, setting.baseline, kind.crop_px)
     if base is not None:
         return chosen, design, base
-    wide = bool((spots[:, 3] >= WIDEST * kind.crop_px).any())
+    wide = bool((spots[:, 3] >= criteria.WIDEST.value * kind.crop_px).any())
     return "no spot could be fitted in any frame" + (": it is as wide as its crop" if wide else "")
 
 

@@ -23,8 +23,6 @@ IN_FULL = 2
 NO_GAP = 0.02
 # Likelier by less than this is not worth a word.
 LIKELIER = 1.5
-# p1 or p2 is told where effects move it by so many of its errors.
-MOVED = 3.0
 
 
 def sentence(document: dict[str, Any]) -> str:
@@ -228,7 +226,7 @@ def _moved(document: dict[str, Any]) -> str:
     moved: list[str] = []
     for name, own in document["baseline_shift"].items():
         before, after, error = own["before"], own["after"], own["stderr"]
-        if before is None or after is None or not error or abs(after - before) <= MOVED * error:
+        if before is None or after is None or not error or abs(after - before) <= criteria.STATED.value * error:
             continue
         first = f"{before:.{max(digits_of(error), 0)}f}".replace("-", "−")
         moved.append(f"{name}{'' if moved else ' goes'} from {first} to {value_text(after, error, own['unit'])}")

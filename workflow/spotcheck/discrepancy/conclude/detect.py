@@ -18,14 +18,12 @@ from spotcheck.discrepancy.evidence.numbers import numbers_of
 from spotcheck.discrepancy.evidence.parts import Part, Standing, form_of, part_of, smallest_of, standing
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
+from spotcheck.discrepancy.nuisance.taken import DRAWS
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 
 # Crops that lie further apart than this [px] share no window of the sensor.
 LARGEST_WINDOW = 2048
-# Draws of the shape's coefficients by which it is told how much noise it takes, and their seed: many nodes share in
-# each sum, so that few do.
-DRAWS, SEED = 16, 1
 # All that is summed over cells: the mean (or the variance) of which cells, over which frames.
 SUMMARIES = (
     ("mean", "patch", "all"), ("mean", "block", "frame"), ("mean", "row", "all"),
@@ -87,7 +85,7 @@ def tested(looked: Looked, design: Design, numbers: Mapping[str, Standing] | Non
 
 def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Looked:
     """One pass over all frames."""
-    shapes = shapes_of(model, DRAWS, np.random.default_rng(SEED)) if isinstance(model, Fitted) else []
+    shapes = shapes_of(model, DRAWS, np.random.default_rng(0)) if isinstance(model, Fitted) else []
     plain = model.model if isinstance(model, Fitted) else model
     readings = Readings(frames, plain, shapes)
     scene = scene_of(frames, plain)

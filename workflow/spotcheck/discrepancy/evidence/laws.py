@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.accounts import (
     PLACES,
@@ -24,18 +25,13 @@ from spotcheck.discrepancy.evidence.accounts import (
 )
 from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
-from spotcheck.discrepancy.evidence.scatter import Scatter, scatters_of
+from spotcheck.discrepancy.evidence.scatter import FEWEST, Scatter, scatters_of
 from spotcheck.discrepancy.nuisance.fit import NUMBERS
 from spotcheck.discrepancy.observe.design import Design, missing
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, Present
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import SensorModel
-
-# Fewer frames than this leave nothing beside two numbers of a law and a scatter.
-FEWEST = 4
-# What a parameter of a form has to gain in −2 ln L against a form with fewer (Akaike's price).
-PRICE = 2.0
 
 
 class Trial(NamedTuple):
@@ -131,7 +127,7 @@ def _law_trial(problem: Problem, effect: Effect, base: Account, full: Account, b
         means = [mean_of(problem, own, base) for own in every]
         begun = starts_of(means, [base.found.tau, *beginnings(problem)])
         tried += [account(means[0], problem.components, restricted=False, start=own) for own in begun]
-    best = min(tried, key=lambda own: own.deviance + PRICE * len(own.mean.free))
+    best = min(tried, key=lambda own: own.deviance + criteria.PRICE.value * len(own.mean.free))
     sharp = again(best, problem.components, restricted=True)
     return _judged(sharp, base, full.deviance - best.deviance, again(best, bare).deviance)
 

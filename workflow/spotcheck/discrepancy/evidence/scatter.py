@@ -11,17 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, optimize, stats
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.model.effect import Effect
 
 # Which of a frame's numbers scatter, by component: along each axis with the same variance.
 AXES = {"gain": (0,), "centre": (2, 3)}
-# Part of the frames that the test leaves out, those furthest off: a few bad frames are no scatter of all.
-WORST = 0.1
 # Singular values of the sites' and exposures' places below this, of the largest, are none.
 NONE = 1e-9
-# Fewer degrees of freedom than this tell no variance.
+# Fewer degrees of freedom than this tell no variance, and so few frames leave nothing beside two numbers of a law.
 FEWEST = 4
 # Points of the grid on which the variance is first looked for, evenly in its logarithm.
 GRID = 60
@@ -107,7 +106,7 @@ def kept_of(numbers: FrameNumbers, design: Design, axes: tuple[int, ...], varian
     errors = (lift @ (known + variance * np.eye(len(known))) @ lift).reshape(len(every), each, len(every), each)
     # A frame alone at its site is off by nothing, with an error of nothing.
     far = [own @ np.linalg.pinv(errors[k, :, k], rcond=NONE, hermitian=True) @ own for k, own in enumerate(off)]
-    return np.sort(np.argsort(far, kind="stable")[: len(every) - int(WORST * len(every))])
+    return np.sort(np.argsort(far, kind="stable")[: len(every) - int(criteria.WORST.value * len(every))])
 
 
 def _apart(design: Design, axes: tuple[int, ...], frames: np.ndarray) -> np.ndarray:
