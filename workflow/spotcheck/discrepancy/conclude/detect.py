@@ -27,7 +27,7 @@ LARGEST_WINDOW = 2048
 # All that is summed over cells: the mean (or the variance) of which cells, over which frames.
 SUMMARIES = (
     ("mean", "patch", "all"), ("mean", "block", "frame"), ("mean", "row", "all"),
-    ("mean", "row", "frame"), ("mean", "column", "all"), ("mean", "level", "all"), ("mean", "level", "condition"),
+    ("mean", "row", "frame"), ("mean", "column", "all"), ("mean", "level", "all"), ("mean", "level", "exposure"),
     ("mean", "sector", "all"), ("variance", "frame", "all"), ("variance", "frame", "frame"),
     ("variance", "level", "all"),
 )  # fmt: skip
@@ -62,20 +62,20 @@ def detect(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: De
     """Test frames against a model. A `Model` has its frames' numbers fitted first. Of a `Fitted` what its learned shape
     takes counts as fitted, and its frames' numbers are not asked: laws on them are another question."""
     if isinstance(model, Fitted):
-        return tested(look(frames, model, design), design)
+        return tested(look(frames, model, design))
     numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)
     looked = look(frames, numbered.model, design)
-    return tested(looked, design, numbers_of(numbered, looked.scene.exposure_s, np.asarray(design.site)))
+    return tested(looked, numbers_of(numbered, looked.scene.exposure_s, np.asarray(design.site)))
 
 
-def tested(looked: Looked, design: Design, numbers: Mapping[str, Standing] | None = None) -> Detection:
+def tested(looked: Looked, numbers: Mapping[str, Standing] | None = None) -> Detection:
     """The test by all that was summed, and by what a law leaves of the frames' numbers.
 
     # ASSUME: a fit of the shape takes as much noise as its information says. Its likelihood is that of normal readings
     # in mean and variance, so below 0.6 DN of noise it takes more, and p-values beside a shape are too small.
     """
     pixels, sensor = [own.pixels for own in looked.frames], looked.model.sensor
-    found = [*cell_parts(looked, design), *field_parts(looked), *number_parts(looked, design, numbers or {})]
+    found = [*cell_parts(looked), *field_parts(looked), *number_parts(looked, numbers or {})]
     found.append(odd_pixels("readings: one frame", [[own] for own in looked.seen], [[own] for own in pixels], sensor))
     if len(pixels) > 1:
         found.append(odd_pixels("readings: all frames", [looked.seen], [pixels], sensor))
@@ -113,18 +113,18 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
     return Looked(frames, plain, scene, cells, powers, fields, seen)
 
 
-def groups_of(design: Design) -> dict[str, list[np.ndarray]]:
-    """Frames that share something, by what it is; where all of that are the same as before, none."""
-    count = len(np.asarray(design.site))
-    keys = {"all": np.zeros(count, int), "condition": design.condition, "site": design.site, "frame": np.arange(count)}
+def groups_of(scene: Scene) -> dict[str, list[np.ndarray]]:
+    """Frames that share something, by what it is; nothing where all share it or none."""
+    count = len(scene.exposure_s)
+    keys = {"all": np.zeros(count), "exposure": scene.exposure_s, "angle": scene.angle_deg, "frame": np.arange(count)}
     out = {name: [np.flatnonzero(key == own) for own in np.unique(key)] for name, key in keys.items()}
     last = {"all": 1, "frame": count}
     return {name: own for name, own in out.items() if name == "all" or 1 < len(own) <= last.get(name, count - 1)}
 
 
-def cell_parts(looked: Looked, design: Design) -> list[Part | None]:
+def cell_parts(looked: Looked) -> list[Part | None]:
     """All parts from sums over cells."""
-    out, groups = [], groups_of(design)
+    out, groups = [], groups_of(looked.scene)
     for what, kind, shared in SUMMARIES:
         if shared in groups:
             own = [pooled([looked.cells[int(k)][kind] for k in at]) for at in groups[shared]]
@@ -137,20 +137,20 @@ def cell_parts(looked: Looked, design: Design) -> list[Part | None]:
     return out
 
 
-def number_parts(looked: Looked, design: Design, numbers: Mapping[str, Standing]) -> list[Part | None]:
-    """All parts from the frames' numbers: each frame by itself, and brightness and width of each condition."""
-    out, groups = [], groups_of(design).get("condition", [])
+def number_parts(looked: Looked, numbers: Mapping[str, Standing]) -> list[Part | None]:
+    """All parts from the frames' numbers: each frame by itself, and brightness and width of each exposure and angle."""
+    out, groups = [], groups_of(looked.scene)
     for name, own in numbers.items():
-        form = form_of([own])
-        where = number_words(name, np.array([form.worst[2][0]]), looked.scene)
-        out.append(part_of(f"numbers: {name}, frame", form, where))
-        if groups and name != "centre":
-            member = np.array([np.isin(own.label[:, 0], at) for at in groups], float)
-            member /= np.sqrt(np.maximum(member.sum(axis=1, keepdims=True), 1.0))
-            none, label = np.zeros(len(member)), np.stack([np.arange(len(member))] * 2, 1)
-            form = form_of([Standing(member @ own.z, member @ own.taken, none, none, label)])
-            out.append(part_of(f"numbers: {name}, condition", form,
-                               number_words(name, groups[form.worst[2][0]], looked.scene)))  # fmt: skip
+        for shared in groups.keys() & ({"frame"} if name == "centre" else {"frame", "exposure", "angle"}):
+            every, told = groups[shared], own
+            if shared != "frame":
+                member = np.array([np.isin(own.label[:, 0], at) for at in every], float)
+                member /= np.sqrt(np.maximum(member.sum(axis=1, keepdims=True), 1.0))
+                none, label = np.zeros(len(every)), np.stack([np.arange(len(every))] * 2, 1)
+                told = Standing(member @ own.z, member @ own.taken, none, none, label)
+            form = form_of([told])
+            where = number_words(name, every[form.worst[2][0]], looked.scene)
+            out.append(part_of(f"numbers: {name}, {shared}", form, where))
     return out
 
 

@@ -58,7 +58,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         shift=_shift(declared, laws.told, seen, setting) if lawful else NOTHING,
         limits=limits_of(outcome, laws.told, design, usable, context),
         where=places_of(detection.parts),
-        rest=tested(left, design),
+        rest=tested(left),
         errors=errors_of(outcome.after) | laws.errors,
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
         black_level_dn=setting.sensor.black_level_dn,

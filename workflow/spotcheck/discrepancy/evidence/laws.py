@@ -168,9 +168,9 @@ def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float,
 
     Cells whose model is right differ by noise alone, which the known covariance holds; what goes beyond comes on top.
     """
-    found = mixed.reckoned(own.found, slopes)
-    problem, heavy = own.mean.problem, found.rows[row]
-    first, doubt, beyond = found.covariance[row, row], found.doubt[row], 0.0
+    covariance, made, doubts = mixed.reckoned(own.found, slopes)
+    problem, heavy = own.mean.problem, made[row]
+    first, doubt, beyond = covariance[row, row], doubts[row], 0.0
     # Each frame's own numbers are fitted to its cells, which then scatter by less.
     cells, left = problem.influence.shape[1], problem.influence.shape[1] - NUMBERS
     if left > 0:
@@ -189,5 +189,5 @@ def _against(own: Account, base: Account) -> tuple[float, float]:
     known, began = base.mean.problem.known, base.found
     found = mixed.estimate(known, began.components, slopes, base.rest, began.tau, restricted=True)
     variance, _, freedom = _error_of(base._replace(found=found), slopes, slopes.shape[1] - 1)
-    size = float(mixed.reckoned(found, slopes).rows[-1] @ base.rest)
+    size = float(mixed.reckoned(found, slopes)[1][-1] @ base.rest)
     return size / float(np.sqrt(variance)), freedom
