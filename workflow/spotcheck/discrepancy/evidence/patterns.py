@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.grain import completed, neighbours
 from spotcheck.discrepancy.evidence.pixels import CELLS, Ready
 from spotcheck.discrepancy.evidence.windows import Site, whole_of, windows_of
@@ -21,9 +22,6 @@ from spotcheck.model.effect import Context, Effect, Present
 ROUNDS = 8
 # Rows are told beyond this distance from the spot [σ]: nearer, fields on the light pass for them.
 BESIDE = 3.0
-# A pattern is there where its variance is so many errors from 0: the likelihood, which takes pixels for independent,
-# gains by what neighbours share.
-SURE = 5.0
 # Fewer places than this tell no variance.
 FEWEST = 30
 
@@ -53,7 +51,8 @@ class Variance(NamedTuple):
     @property
     def sure(self) -> bool:
         """Whether there is such a pattern beyond chance."""
-        return self.value > SURE * self.error
+        # The likelihood, which takes pixels for independent, gains by what neighbours share: it does not tell.
+        return self.value > criteria.SURE.value * self.error
 
 
 class Pattern(NamedTuple):

@@ -7,6 +7,7 @@ import numpy as np
 from scipy import fft
 from scipy.optimize import minimize
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.windows import Site
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Numbers
@@ -16,8 +17,6 @@ LONGEST = 2.0
 # The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps
 # of the grid the peak itself is wide.
 RING, WIDE = 1.3, 4
-# Phases of sites are one where their sum is this part of what it would be if all were equal.
-COHERENT = 0.7
 
 
 class Stripes(NamedTuple):
@@ -102,7 +101,7 @@ def phases(found: Stripes, centre: np.ndarray) -> list[Phase]:
         agrees = abs(mean) / max(float(np.average(np.abs(own), weights=found.weight)), 1e-300)
         out.append(Phase(form, float(abs(mean)), float(np.degrees(np.angle(mean))) % 360, float(agrees)))
     depth = float(np.sqrt(np.average(np.abs(found.amplitude) ** 2, weights=found.weight)))
-    return [own for own in out if own.agrees > COHERENT] or [Phase("site", depth, 0.0, 1.0)]
+    return [own for own in out if own.agrees > criteria.COHERENT.value] or [Phase("site", depth, 0.0, 1.0)]
 
 
 def waved(

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.estimate.noise import NoiseCurve
 
 # Bins are even in the root of the level, on which shot noise is even.
@@ -30,18 +31,16 @@ DARK_PART = 0.05
 # Neighbouring differences overlap: 1 + 4/4 + 4/16 squared correlations, so that a variance of n of them is known to
 # √(2 · 2.25/n).
 OVERLAP = 2.25
-# A bin whose variance is below this part of what the bins below it let expect, by this many standard errors, is where
-# the signal stops: it and all above go, and the one below, part of which has stopped.
-COLLAPSE, COLLAPSE_Z, FIRST = 0.6, 5.0, 6
-# Texture is a term of the fit where it is seen at this many standard errors: its freedom costs the gain half of its
-# precision. ASSUME: it follows (c L)² to this part of itself.
-TEXTURE_Z, FORM = 5.0, 0.01
+# The bins from which on noise may collapse.
+FIRST = 6
+# ASSUME: texture follows (c L)² to this part of itself.
+FORM = 0.01
 # Ends of the gain's interval in standard errors.
 ENDS = 2.0
 
 # Neighbours' noise is looked at as far as this [px]; a correlation of differences that is off white noise's by this
-# much is one; by as much as `NOT_WHITE` between next neighbours, the differences do not tell the noise.
-FARTHEST, CORRELATED, NOT_WHITE = 16, 0.06, 0.15
+# much is one.
+FARTHEST, CORRELATED = 16, 0.06
 
 
 class Gain(NamedTuple):
@@ -132,13 +131,16 @@ def _trimmed(difference: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def _unstopped(curve: NoiseCurve) -> NoiseCurve:
-    """A curve up to where its noise collapses."""
+    """A curve up to where its noise collapses: that bin and all above go, and the one below, part of which has
+    stopped."""
     for k in range(FIRST, curve.level.size):
         below = NoiseCurve(*(part[:k] for part in curve))
         fitted = _fitted(below, curve.level[0], 2)
         expected = max(fitted.value[0] + fitted.value[1] * (curve.level[k] - curve.level[0]), curve.variance[:k].max())
         error = curve.stderr[k] / curve.variance[k] * expected
-        if curve.variance[k] < COLLAPSE * expected and expected - curve.variance[k] > COLLAPSE_Z * error:
+        if curve.variance[k] < criteria.COLLAPSE.value * expected and (
+            expected - curve.variance[k] > criteria.SURE.value * error
+        ):
             return NoiseCurve(*(part[: k - 1] for part in curve))
     return curve
 
@@ -172,7 +174,8 @@ def gain_from_curve(curve: NoiseCurve, black_level: float) -> Gain | None:
     if curve.level.size < 5:
         return None
     plain, textured = (_fitted(curve, black_level, terms) for terms in (2, 3))
-    seen = textured.value[2] > TEXTURE_Z * np.sqrt(textured.covariance[2, 2])
+    # Its freedom costs the gain half of its precision.
+    seen = textured.value[2] > criteria.SURE.value * np.sqrt(textured.covariance[2, 2])
     fit = textured if seen else plain
     # The rest of a texture that does not follow its law exactly counts as gain.
     form = FORM * abs(textured.value[2]) * float(np.mean(curve.level - black_level)) if seen else 0.0
@@ -212,8 +215,8 @@ def correlated_px(image: np.ndarray, full_scale: float) -> Correlated:
             if product.size < FEWEST:
                 break
             off = float(product.mean()) + (0.5 if lag == 1 else 0.0)
-            # Three standard errors of a mean of products of white differences, which overlap.
-            if abs(off) > CORRELATED + 3 * np.sqrt(OVERLAP / product.size):
+            # Errors of a mean of products of white differences, which overlap.
+            if abs(off) > CORRELATED + criteria.STATED.value * np.sqrt(OVERLAP / product.size):
                 farthest = max(farthest, lag)
-                tells &= lag > 1 or abs(off) < NOT_WHITE
+                tells &= lag > 1 or abs(off) < criteria.NOT_WHITE.value
     return Correlated(farthest, bool(tells))

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.nuisance.noise_curve import (
     Correlated,
     Gain,
@@ -17,8 +18,6 @@ from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 # The rim of a frame, whose median is its dark level, in parts of its sides: a spot lies within.
 RIM = 0.05
-# A code that none of the pixels read, where its neighbours let expect so many, is missing: by chance once in 5e8.
-EXPECTED = 20.0
 # So many codes on either side let expect how often one is read; the side with fewer counts, as at the ends.
 NEIGHBOURS = 2
 
@@ -79,7 +78,7 @@ def skipped_codes(frames: Sequence[np.ndarray]) -> tuple[int, ...]:
         if count[code] == 0:
             # The nearest codes that are read at all: a table may skip every other one, or two in a row.
             below, above = read[read < code][-NEIGHBOURS:], read[read > code][:NEIGHBOURS]
-            if min(_expected(count, code, below), _expected(count, code, above)) > EXPECTED:
+            if min(_expected(count, code, below), _expected(count, code, above)) > criteria.EXPECTED.value:
                 out.append(code)
     return tuple(out)
 

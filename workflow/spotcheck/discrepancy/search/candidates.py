@@ -19,8 +19,6 @@ from spotcheck.model.effect import Context, Effect, Place, Present
 OF_PIXELS = frozenset(Place) - {Place.EXPOSURE, Place.WIDTH, Place.BRIGHTNESS, Place.NOISE, Place.SCATTER}
 # Frames on which starts and forms are compared, and how many effects are then looked at on all frames.
 SOME, LOOKED_AT = 12, 8
-# A first-order size of less than this part of what matters is not worth a fit: it is off by half at most.
-WORTH = 0.5
 
 
 class Candidate(NamedTuple):
@@ -114,10 +112,10 @@ def likeliest(
     hidden = {own.effect.name for own in tied}
     order = sorted((one for name, one in best.items() if name not in hidden), key=lambda one: -one[0])
     looked = [own for _, own in order[:LOOKED_AT]]
-    out = []
+    out, worth = [], criteria.FIRST_ORDER.value
     for own, score in zip(looked, scores(frames, fitted, looked), strict=True):
         asked = asked_for(own, score, context)
-        if not np.isfinite(own.effect.neutral) or asked.effect.excess(asked.values[0], context) >= WORTH:
+        if not np.isfinite(own.effect.neutral) or asked.effect.excess(asked.values[0], context) >= worth:
             out.append(Candidate(asked, promised(own, score)))
     return out, tied
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.pixels import Ready
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, shared
 from spotcheck.discrepancy.nuisance.numbers import expected_of
@@ -24,8 +25,6 @@ from spotcheck.model.effect import Context, Effect, Place
 STEP, STEP_OF_ONE = 0.12, 0.3
 # How far the nodes reach [σ], where a Gaussian has 2e-6 of its peak, and the price of second differences [1/peak²].
 REACH, PENALTY = 5.1, 1.0
-# A shape is asked for where it gains this many standard deviations more than noise would.
-ASKED = 5.0
 # An effect that is to stand in the place of a shape must gain this part of what the shape would.
 PART = 0.5
 
@@ -80,7 +79,7 @@ def with_shape(frames: Sequence[Frame], model: Model, context: Context | None = 
 def asked(declared: State, design: Design, learned: Fitted) -> float:
     """What −2 ln L gains by a learned shape beyond what it would by noise: less than 0 where none is asked for."""
     freedom = freedom_of(declared.frames, learned)
-    gain = declared.fitted.total - learned.total - freedom - ASKED * np.sqrt(2 * freedom)
+    gain = declared.fitted.total - learned.total - freedom - criteria.SURE.value * np.sqrt(2 * freedom)
     scatters = any(own.effect.place is Place.SCATTER for own in declared.fitted.model.present)
     if gain <= 0 or not scatters or len(np.unique(design.site)) < 2:
         return float(gain)

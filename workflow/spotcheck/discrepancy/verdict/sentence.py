@@ -24,8 +24,6 @@ IN_FULL = 2
 NO_GAP = 0.02
 # Likelier by less than this is not worth a word.
 LIKELIER = 1.5
-# p1 or p2 is told where effects move it by so many of its errors.
-MOVED = 3.0
 
 # Of flats, in place of what is said of spots.
 OF_LEVELS = {
@@ -258,7 +256,7 @@ def _moved(document: dict[str, Any]) -> str:
     moved: list[str] = []
     for name, own in document["baseline_shift"].items():
         before, after, error = own["before"], own["after"], own["stderr"]
-        if before is None or after is None or not error or abs(after - before) <= MOVED * error:
+        if before is None or after is None or not error or abs(after - before) <= criteria.STATED.value * error:
             continue
         first = f"{before:.{max(digits_of(error), 0)}f}".replace("-", "−")
         moved.append(f"{name}{'' if moved else ' goes'} from {first} to {value_text(after, error, own['unit'])}")
