@@ -7,11 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.nuisance.fit import (
-    NUDGE,
     SENSOR,
     SENSOR_NUMBERS,
     Fitted,
-    Free,
     changes_of,
     fit,
     nudged_of,
@@ -20,15 +18,6 @@ from spotcheck.discrepancy.nuisance.fit import (
 )
 from spotcheck.discrepancy.nuisance.taken import lacking, variance_of
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
-from spotcheck.model.sensor import SensorModel
-
-# Lowest read noise [e-] whose step is a part of itself, and the step of a black level [DN].
-LEAST_E, STEP_DN = 0.1, 0.01
-# Least gain in parts of the stated one.
-LEAST_GAIN = 0.1
-# A fit may move a number by so many stated errors: beyond, the sheet is of another camera, or what is missing in the
-# model passes for noise.
-FARTHEST = 10.0
 
 
 class Against(NamedTuple):
@@ -45,32 +34,14 @@ class Against(NamedTuple):
     z: float
 
 
-def free_of_sheet(sensor: SensorModel, stderr: Sequence[float]) -> tuple[Free, ...]:
-    """The numbers of a sheet that have an error, for `nuisance.fit`; `stderr` of gain [DN/e-], read noise [e-] and
-    black level [DN], 0 where a number is exact.
-
-    A fit with them is to start from a shape that is fitted (`fit_sheet`): what an unfitted one leaves passes for noise.
-    """
-    gain, noise = sensor.gain_dn_per_e, sensor.read_noise_e
-    least = (LEAST_GAIN * gain, 0.0, -np.inf)
-    steps = (NUDGE * gain, NUDGE * max(noise, LEAST_E), STEP_DN)
-    stated = (gain, noise, sensor.black_level_dn)
-    return tuple(
-        Free(SENSOR, p, max(stated[p] - FARTHEST * error, least[p]), stated[p] + FARTHEST * error, steps[p],
-             stated[p], 1 / error**2)
-        for p, error in enumerate(stderr)
-        if error > 0
-    )  # fmt: skip
-
-
-def fit_sheet(frames: Sequence[Frame], fitted: Fitted, free: Sequence[Free], workers: int = 2) -> Fitted:
-    """Fit on from a shape that is fitted, with numbers of the sheet among the free parameters.
+def fit_sheet(frames: Sequence[Frame], fitted: Fitted, workers: int = 2) -> Fitted:
+    """Fit on with the numbers of the sheet told beside what the shape takes.
 
     The shape takes noise up, one variance for each coefficient that the readings tell. Likelihood takes that for less
     noise; restricted likelihood (REML, Patterson & Thompson 1971) gives it back.
     """
-    first = fit(frames, fitted.model, fitted.penalty, free, workers=workers)
-    return fit(frames, first.model, first.penalty, free, workers=workers, tilt=tilt_of(frames, first))
+    first = fit(frames, fitted.model, fitted.penalty, fitted.free, workers=workers)
+    return fit(frames, first.model, first.penalty, first.free, workers=workers, tilt=tilt_of(frames, first))
 
 
 def tilt_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:

@@ -15,7 +15,7 @@ from spotcheck.discrepancy.nuisance.taken import leverage
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, deviance_of
 from spotcheck.discrepancy.search.candidates import at_frames, some_of, tied_of
-from spotcheck.discrepancy.search.forward import MOST_STEPS, Outcome, State, grow, outcome_of, quiet
+from spotcheck.discrepancy.search.forward import MOST_STEPS, Outcome, State, dark_of, grow, outcome_of, quiet
 from spotcheck.model import light_shape
 from spotcheck.model.effect import Context, Effect, Place
 
@@ -32,8 +32,10 @@ PART = 0.5
 
 def find(frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context) -> Outcome:
     """The search under the light that is right, from a model that declares its shape."""
-    learned = quiet(State(tuple(frames), with_shape(frames, model)), level=True)[0].fitted
-    declared = fit(frames, model._replace(sensor=learned.model.sensor), PENALTY)
+    # Under a level or a noise that is far off no shape is found.
+    dark = dark_of(frames, model, level=True)
+    learned = quiet(State(tuple(frames), with_shape(frames, dark)), level=True)[0].fitted
+    declared = fit(frames, learned.model._replace(baseline=model.baseline), PENALTY)
 
     def least(state: State) -> float:
         more = asked(state, design, learned)
@@ -41,18 +43,17 @@ def find(frames: Sequence[Frame], design: Design, model: Model, effects: Sequenc
             more = asked(state, design, with_shape(state.frames, state.fitted.model, context))
         return PART * more
 
-    stated = model.sensor
-    grown = grow(State(tuple(frames), declared), design, effects, context, stated.black_level_dn, least)
+    grown = grow(State(tuple(frames), declared), design, effects, context, least)
     state = grown.state
     beside = with_shape(state.frames, state.fitted.model, context)
     if grown.finished and asked(state, design, beside) <= 0:
-        return outcome_of(grown, declared, design, effects, context, stated.read_noise_e)
+        return outcome_of(grown, declared, design, effects, context)
     # Of one frame a shape can be nearly all that the declared light asked for.
     state = State(tuple(frames), learned)
     if len(frames) > 1:
         state = without_tied(State(grown.state.frames, beside), design, context)
-    grown = grow(state, design, effects, context, stated.black_level_dn)
-    return outcome_of(grown, learned, design, effects, context, stated.read_noise_e)
+    grown = grow(state, design, effects, context)
+    return outcome_of(grown, learned, design, effects, context)
 
 
 def without_tied(now: State, design: Design, context: Context) -> State:
