@@ -13,6 +13,8 @@ from spotcheck.discrepancy.observe.pixels import Frame, Numbers
 
 # Periods of more than so many σ are the shape's and the numbers'.
 LONGEST = 2.0
+# A sensor that reads every other line in its own way, or has a colour filter, has a pattern of 2 px of its own.
+SHORTEST_PX = 2.1
 # The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps
 # of the grid the peak itself is wide.
 RING, WIDE = 1.3, 4
@@ -44,7 +46,7 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     for own in sites:
         power += np.abs(fft.rfft2(own.pull, s=padded)) ** 2 * 2 / max(float(own.weight.sum()), 1e-300)
     radius = np.hypot(ky, kx)
-    sought = (radius > 1 / (LONGEST * sigma_px)) & (radius < 0.5)
+    sought = (radius > 1 / (LONGEST * sigma_px)) & (radius < 1 / SHORTEST_PX)
     if not sought.any():
         return None
     power[~sought] = 0

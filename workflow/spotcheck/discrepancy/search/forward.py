@@ -6,14 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.evidence.codes import gathers
 from spotcheck.discrepancy.evidence.noise import Noisy, level_of, levels_of, noises_of
 from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
 from spotcheck.discrepancy.observe.design import Design
+from spotcheck.discrepancy.observe.frames import TOP
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 from spotcheck.discrepancy.search.candidates import Candidate, Tied, ranked
 from spotcheck.discrepancy.search.holds import Holding, holding_of, pattern_of
 from spotcheck.model.effect import Context, Effect, Place, Present
+from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 # Steps of the fit of what was chosen: far from the truth brightness, width and shape are slow to part.
 MOST_STEPS = 24
@@ -70,6 +73,10 @@ def grow(
     """
     rivals, tied = dict[str, dict[str, float]](), list[Tied]()
     now, told = quiet(start, level=True)
+    # The brightest light lies above the level that is there, not above the stated one.
+    sensor = now.fitted.model.sensor
+    shift = sensor.black_level_dn - now.fitted.model.stated.sensor.black_level_dn
+    context = context._replace(peak_dn=max(context.peak_dn - shift / TOP, 1.0))
     usable = [e for e in effects if not (told and any(e.moves_level(form) for form in e.forms))]
     for step in range(int(criteria.MOST.value)):
         wanted = least(now)
@@ -215,6 +222,9 @@ def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], con
             else:
                 gain = rest.fitted.total - now.fitted.total
                 holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
+                if own.form in own.effect.rounded and gathers(now.frames, now.fitted.model, k):
+                    # A code speaks for itself: cells ask whether light has the right shape about it.
+                    holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5))
             near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
             found.append(Found(own, gain, holding, near))
         bad = [k for k, one in enumerate(found) if not one.holding.holds or one.holding.z2 < criteria.GAIN.value]
