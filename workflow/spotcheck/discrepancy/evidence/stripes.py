@@ -18,6 +18,9 @@ SHORTEST_PX = 2.1
 # The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps
 # of the grid the peak itself is wide.
 RING, WIDE = 1.3, 4
+# A peak is one of stripes where it is so many times the next beyond so many steps of the grid: light of many fine
+# details has many.
+NEXT, APART = 4.0, 8
 # Phases of sites are one where their sum is this part of what it would be if all were equal.
 COHERENT = 0.7
 
@@ -70,9 +73,13 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     chance = 2 * len(sites) + 2 * places + 2 * np.sqrt(2 * len(sites) * places)
     # Grains and rows have power of their own all about.
     steps = np.hypot((ky - ky[j, 0]) * padded[0], (kx - kx[0, i]) * padded[1])
+    mirrored = np.hypot((ky + ky[j, 0]) * padded[0], (kx + kx[0, i]) * padded[1])
+    others = power[sought & (np.minimum(steps, mirrored) > APART)]
+    lonely = not others.size or power[j, i] > NEXT * others.max()
     about = sought & (radius < RING * radius[j, i]) & (radius > radius[j, i] / RING) & (steps > WIDE)
     beside = float(np.median(power[about])) / (2 * len(sites)) if about.any() else 1.0
-    return Stripes(period, direction, amplitude, weight, max(-float(best.fun) / max(beside, 1.0) - chance, 0.0))
+    gain = max(-float(best.fun) / max(beside, 1.0) - chance, 0.0)
+    return Stripes(period, direction, amplitude, weight, gain if lonely else 0.0)
 
 
 def _amplitude(own: Site, k: np.ndarray) -> tuple[complex, float]:

@@ -82,7 +82,7 @@ def grow(
         wanted = least(now)
         found = ranked(now.frames, design, now.fitted, usable, context)
         tied = tied if step else found.tied
-        best = _best(now, [own for own in found.candidates if own.promise >= wanted], context)
+        best = best_of(now, [own for own in found.candidates if own.promise >= wanted], context)
         if best is None:
             return Grown(levelled(now, effects, context), rivals, tied, wanted <= criteria.GAIN.value)
         now, near = best
@@ -130,7 +130,7 @@ def groups_of(design: Design) -> np.ndarray:
     return design.exposure_s if design.exposures.size > 1 else design.angle_deg
 
 
-def _best(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, float]] | None:
+def best_of(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, float]] | None:
     """The state with the candidate that gains most when fitted, of so many that gain and matter; and by what others
     fall behind."""
     tried: list[tuple[float, str, State]] = []
