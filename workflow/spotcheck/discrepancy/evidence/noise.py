@@ -7,13 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize
 
-from spotcheck.discrepancy.nuisance.darkness import Darkness, darkness
+from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 from spotcheck.model.chain import View
 from spotcheck.model.effect import Context, Effect, Place, Present
-
-# Places in a `Darkness` of the numbers that dark pixels tell; the error of each is next.
-LEVEL, NOISE = Darkness._fields.index("black_level_dn"), Darkness._fields.index("read_noise_e")
 
 
 def strength_of(effect: Effect, stated_e: float, read_noise_e: float, context: Context) -> float:
@@ -50,7 +47,7 @@ def noises_of(
     if whole is None or not np.isfinite(whole.read_noise_stderr):
         return []
     stated_e, error = stated.sensor.read_noise_e, float(np.hypot(whole.read_noise_stderr, stated.stderr[1]))
-    q, told = agreement(frames, groups, model, NOISE)
+    q, told = agreement(frames, groups, model)
     out = []
     for effect in effects:
         if effect.place is Place.NOISE:
@@ -61,29 +58,27 @@ def noises_of(
     return out
 
 
-def level_of(frames: Sequence[Frame], groups: np.ndarray, model: Model, k: int) -> Noisy | None:
-    """What dark pixels say of the effect of a number, which moves the level; None where they do not tell it."""
-    rest, own = model.without(k), model.present[k]
-    dark, stated = darkness(frames, rest), model.stated
-    if dark is None or not np.isfinite(dark.black_level_stderr):
-        return None
-    shift = dark.black_level_dn - stated.sensor.black_level_dn
-    error = float(np.hypot(dark.black_level_stderr, stated.stderr[2]))
-    slope = own.values[0] / shift if shift else np.inf
-    return Noisy(own, abs(slope) * error, (shift / error) ** 2, *agreement(frames, groups, rest, LEVEL))
-
-
-def agreement(frames: Sequence[Frame], groups: np.ndarray, model: Model, of: int) -> tuple[float, int]:
-    """Q of what the dark pixels of each group of frames say `of` a number of the sensor, and how many groups do."""
+def agreement(frames: Sequence[Frame], groups: np.ndarray, model: Model) -> tuple[float, int]:
+    """Q of what the dark pixels of each group of frames say of the read noise, and how many groups do."""
     told: list[tuple[float, float]] = []
     for group in np.unique(groups):
         which = np.flatnonzero(groups == group)
         part = darkness([frames[int(k)] for k in which], model.take(which))
-        if part is not None:
-            value, error = part[of : of + 2]
-            told += [(value, error**-2)] if np.isfinite(error) else []
-    values, weight = np.array(told).reshape(-1, 2).T
-    return float(weight @ (values - weight @ values / max(weight.sum(), 1e-300)) ** 2), len(told)
+        if part is not None and np.isfinite(part.read_noise_stderr):
+            told.append((part.read_noise_e, part.read_noise_stderr**-2))
+    value, weight = np.array(told).reshape(-1, 2).T
+    return float(weight @ (value - weight @ value / max(weight.sum(), 1e-300)) ** 2), len(told)
+
+
+def level_of(frames: Sequence[Frame], model: Model, k: int) -> Noisy | None:
+    """What dark pixels say of the effect of a number, which moves the level; None where they do not tell it."""
+    own, stated = model.present[k], model.stated
+    dark = darkness(frames, model.without(k))
+    if dark is None or not np.isfinite(dark.black_level_stderr):
+        return None
+    shift = dark.black_level_dn - stated.sensor.black_level_dn
+    error = float(np.hypot(dark.black_level_stderr, stated.stderr[2]))
+    return Noisy(own, abs(own.values[0] / shift) * error if shift else np.inf, (shift / error) ** 2, 0.0, 1)
 
 
 def levels_of(effects: Sequence[Effect], shift_dn: float, view: View, context: Context) -> list[Present]:

@@ -21,6 +21,8 @@ RING, WIDE = 1.3, 4
 # A peak is one of stripes where it is so many times the next beyond so many steps of the grid: light of many fine
 # details has many.
 NEXT, APART = 4.0, 8
+# Of one frame alone light has fringes of its own, of dust and glass: up to this depth none are named.
+ALONE = 0.01
 # Phases of sites are one where their sum is this part of what it would be if all were equal.
 COHERENT = 0.7
 
@@ -79,6 +81,7 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     about = sought & (radius < RING * radius[j, i]) & (radius > radius[j, i] / RING) & (steps > WIDE)
     beside = float(np.median(power[about])) / (2 * len(sites)) if about.any() else 1.0
     gain = max(-float(best.fun) / max(beside, 1.0) - chance, 0.0)
+    lonely &= len(sites) > 1 or not sites[0].single or abs(amplitude[0]) > ALONE
     return Stripes(period, direction, amplitude, weight, gain if lonely else 0.0)
 
 

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, told
-from spotcheck.model.effect import Context, Place
+from spotcheck.model.effect import Context, Place, Present
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.sensor import SensorModel
 
@@ -94,11 +94,10 @@ class Fitted(NamedTuple):
 
 def free_of(model: Model, context: Context) -> tuple[Free, ...]:
     """The parameters of a model's effects that a fit may change: what scatters is told by its pattern, a shape is
-    learned, and where dark pixels tell the level they tell what moves it."""
+    learned."""
     out = []
     for e, own in enumerate(model.present):
-        of_dark = own.effect.moves_level(own.form) and not model.stated.free[2]
-        if own.effect.place in (Place.SCATTER, Place.SHAPE) or of_dark:
+        if own.effect.place in (Place.SCATTER, Place.SHAPE) or of_dark(model, own):
             continue
         starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
         bounds = own.effect.bounds(context)
@@ -110,6 +109,13 @@ def free_of(model: Model, context: Context) -> tuple[Free, ...]:
                 scale = 1.0 if parameter.unit == "deg" else scale
                 out.append(Free(e, p, float(bounds[p, 0]), float(bounds[p, 1]), NUDGE * scale))
     return tuple(out)
+
+
+def of_dark(model: Model, own: Present) -> bool:
+    """Whether dark pixels alone tell an effect: what moves the level of one frame, which a shape would take for its
+    own."""
+    alone = len(model.numbers.x) == 1 and model.baseline.learned is not None
+    return alone and own.effect.moves_level(own.form) and not model.stated.free[2]
 
 
 def free_of_sheet(model: Model) -> tuple[Free, ...]:

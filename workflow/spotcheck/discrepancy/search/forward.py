@@ -9,7 +9,7 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.codes import gathers
 from spotcheck.discrepancy.evidence.noise import Noisy, level_of, levels_of, noises_of
 from spotcheck.discrepancy.nuisance.darkness import darkness
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, of_dark
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.frames import TOP
 from spotcheck.discrepancy.observe.pixels import Frame, Model
@@ -206,28 +206,27 @@ def _of_dark(one: Noisy) -> Found:
 def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], context: Context):
     """A state without the effects that do not hold everywhere, dropped the worst first; and those that do."""
     while True:
-        found = []
-        for k, own in enumerate(now.fitted.model.present):
-            dark = (
-                level_of(now.frames, groups_of(design), now.fitted.model, k)
-                if own.effect.moves_level(own.form)
-                else None
-            )
-            if dark is not None:
-                found.append(_of_dark(dark))
-                continue
-            rest = without(now, k, context)
-            if own.effect.place is Place.SCATTER:
-                gain, holding = pattern_of(now.frames, design, rest.fitted, own, context)
-            else:
-                gain = rest.fitted.total - now.fitted.total
-                holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
-                if own.form in own.effect.rounded and gathers(now.frames, now.fitted.model, k):
-                    # A code speaks for itself: cells ask whether light has the right shape about it.
-                    holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5))
-            near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
-            found.append(Found(own, gain, holding, near))
+        found = [_held(now, k, design, rivals, context) for k in range(len(now.fitted.model.present))]
         bad = [k for k, one in enumerate(found) if not one.holding.holds or one.holding.z2 < criteria.GAIN.value]
         if not bad:
             return now, found
         now = without(now, max(bad, key=lambda k: found[k].holding.excess), context)
+
+
+def _held(now: State, k: int, design: Design, rivals: dict[str, dict[str, float]], context: Context) -> Found:
+    """The effect of a number, with what it gains and how it holds."""
+    model, own = now.fitted.model, now.fitted.model.present[k]
+    dark = level_of(now.frames, model, k) if of_dark(model, own) else None
+    if dark is not None:
+        return _of_dark(dark)
+    rest = without(now, k, context)
+    if own.effect.place is Place.SCATTER:
+        gain, holding = pattern_of(now.frames, design, rest.fitted, own, context)
+    else:
+        gain = rest.fitted.total - now.fitted.total
+        holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
+        if own.form in own.effect.rounded and gathers(now.frames, model, k):
+            # A code speaks for itself: cells ask whether light has the right shape about it.
+            holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5))
+    near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
+    return Found(own, gain, holding, near)
