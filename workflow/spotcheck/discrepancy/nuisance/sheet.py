@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.nuisance.fit import (
     SENSOR,
     SENSOR_NUMBERS,
@@ -15,9 +16,10 @@ from spotcheck.discrepancy.nuisance.fit import (
     nudged_of,
     splines_of,
     values_of,
+    values_of_sensor,
 )
 from spotcheck.discrepancy.nuisance.taken import lacking, variance_of
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, told
 
 
 class Against(NamedTuple):
@@ -60,13 +62,29 @@ def tilt_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
 def against_sheet(fitted: Fitted) -> tuple[Against, ...]:
     """By how much a fit moved the numbers of the sheet."""
     errors = np.sqrt(np.diag(fitted.covariance)[len(fitted.schur.left) - len(fitted.free) :])
-    out = []
-    for own, value, error in zip(fitted.free, values_of(fitted.model, fitted.free), errors, strict=True):
-        if own.effect == SENSOR:
-            stated = own.precision**-0.5
-            moved = float(value - own.centre)
-            # Sheet and frames are independent: a moved value has the variance that the sheet's loses by the frames.
-            scatter = np.sqrt(max(stated**2 - error**2, 1e-12 * stated**2))
-            name = SENSOR_NUMBERS[own.parameter]
-            out.append(Against(name, own.centre, stated, float(value), float(error), moved / stated, moved / scatter))
+    told = zip(fitted.free, values_of(fitted.model, fitted.free), errors, strict=True)
+    return tuple(_against(own.parameter, own.centre, own.precision**-0.5, float(value), float(error))
+                 for own, value, error in told if own.effect == SENSOR)  # fmt: skip
+
+
+def against_dark(frames: Sequence[Frame], model: Model) -> tuple[Against, ...]:
+    """By how much dark pixels move the numbers of the sheet that they alone tell."""
+    dark, stated = darkness(frames, model), model.stated
+    if dark is None:
+        return ()
+    told = {1: (dark.read_noise_e, dark.read_noise_stderr), 2: (dark.black_level_dn, dark.black_level_stderr)}
+    values, out = values_of_sensor(stated.sensor), []
+    for p, (value, error) in told.items():
+        if stated.stderr[p] > 0 and np.isfinite(error):
+            part = stated.stderr[p] ** 2 / (stated.stderr[p] ** 2 + error**2)
+            both = values[p] + part * (value - values[p])
+            out.append(_against(p, values[p], stated.stderr[p], both, error * part**0.5))
     return tuple(out)
+
+
+def _against(number: int, stated: float, stated_stderr: float, value: float, error: float) -> Against:
+    # Sheet and frames are independent: a moved value has the variance that the sheet's loses by the frames.
+    scatter = np.sqrt(max(stated_stderr**2 - error**2, 1e-12 * stated_stderr**2))
+    moved = value - stated
+    name = SENSOR_NUMBERS[number]
+    return Against(name, stated, stated_stderr, value, error, moved / stated_stderr, float(moved / scatter))
