@@ -22,6 +22,9 @@ from spotcheck.model.effect import Context, Effect, Present
 ROUNDS = 8
 # Rows are told beyond this distance from the spot [σ]: nearer, fields on the light pass for them.
 BESIDE = 3.0
+# Of one frame alone gains of pixels, and what the shape's splines cannot resolve, are fields as well: up to this
+# contrast none is named.
+ALONE = 0.05
 # Fewer places than this tell no variance.
 FEWEST = 30
 
@@ -73,9 +76,12 @@ def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], 
         ("field", "site"): variance_of(shared_by_sites(sites), known, neighbours(sites[0].grain)),
         ("row", "frame"): variance_of(rows),
     }
+    alone = len(sites) == 1 and sites[0].single
     for kind, told in found.items():
         if kind in kinds and told is not None and told.sure:
             effect, root = kinds[kind], float(np.sqrt(told.value))
+            if alone and kind == ("field", "site") and root < ALONE:
+                continue
             values = (root, *map(float, effect.starts(context)[0][1:]))
             if kind == ("field", "site"):
                 values = grained(effect, values, sites[0].grain, context)

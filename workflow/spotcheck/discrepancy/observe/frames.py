@@ -17,6 +17,8 @@ from spotcheck.model.sensor import SensorModel
 
 # From this part of readings at full scale on it is the clip that keeps a likelihood from its root.
 CLIPPED = 0.01
+# The first start of a level lies at this part of the peak: it is to be the brightest reading itself.
+TOP = 0.97
 # The brightest readings, beyond which some odd pixel may lie.
 ODD = 20
 
@@ -121,5 +123,4 @@ def context_of(frames: Sequence[Frame], design: Design, numbers: Numbers, settin
     own = bounds_context(base, setting.baseline, setting.sensor, float(frames[0].pixels.shape[0]),
                          min(shortest, longest), longest, design.reference_s)  # fmt: skip
     top = max(float(np.sort(f.pixels[np.isfinite(f.pixels)])[-ODD:][0]) for f in frames)
-    # The first start of a level lies at 0.97 of the peak: it is to be the brightest reading itself.
-    return own._replace(peak_dn=max(top - setting.sensor.black_level_dn, 1.0) / 0.97)
+    return own._replace(peak_dn=max(top - setting.sensor.black_level_dn, 1.0) / TOP)

@@ -8,7 +8,7 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
 from spotcheck.discrepancy.evidence.pixels import Ready, Score, screen
-from spotcheck.discrepancy.evidence.stripes import Stripes, phases, stripes_of, waved
+from spotcheck.discrepancy.evidence.stripes import phases, stripes_of, waved
 from spotcheck.discrepancy.evidence.windows import Site
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.observe.design import Design
@@ -55,32 +55,32 @@ def ranked(
     ready = Ready(frames, fitted, [])
     sites, rows = gathered(frames, design, ready)
     trials += [Candidate(own.own, own.told.gain, False) for own in patterns_of(sites, rows, usable, context)]
-    found = stripes_of(sites, context.sigma_px)
-    if found is not None and found.gain > 0:
-        for effect in usable:
-            if effect.spectral:
-                trials += _striped(frames, design, fitted.model.numbers, sites, effect, found)
+    trials += striped(frames, design, fitted.model.numbers, sites, usable, context)
     trials = [own for own in trials if own.promise >= criteria.GAIN.value]
     return Ranked(sorted(trials, key=lambda own: -own.promise), tied)
 
 
-def _striped(
+def striped(
     frames: Sequence[Frame],
     design: Design,
     numbers: Numbers,
     sites: Sequence[Site],
-    effect: Effect,
-    found: Stripes,
+    effects: Sequence[Effect],
+    context: Context,
 ) -> Iterator[Candidate]:
     """Stripes in the forms in which they may lie, each with its waves in the frames' views."""
+    found = stripes_of(sites, context.sigma_px)
+    if found is None or found.gain <= 0:
+        return
     with_waves = waved(frames, design, numbers, sites, found.period, found.direction)
     centre = np.array(
         [[own[design.site == s].mean() for own in (numbers.x, numbers.y)] for s in np.unique(design.site)]
     )
-    for own in phases(found, centre):
-        if own.form in effect.forms:
-            values = (own.depth, found.period, found.direction, own.phase)
-            yield Candidate(Present(effect, own.form, values), found.gain * own.agrees**2, True, with_waves)
+    for effect in (own for own in effects if own.spectral):
+        for own in phases(found, centre):
+            if own.form in effect.forms:
+                values = (own.depth, found.period, found.direction, own.phase)
+                yield Candidate(Present(effect, own.form, values), found.gain * own.agrees**2, True, with_waves)
 
 
 def starts_of(effects: Sequence[Effect], context: Context) -> list[Present]:

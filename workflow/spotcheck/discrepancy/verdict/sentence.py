@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.conclude.judgement import TOO_SMALL
 from spotcheck.discrepancy.verdict.document import LIGHT, NOT_FORETOLD
 from spotcheck.discrepancy.verdict.words import (
     condition_text,
@@ -14,7 +15,6 @@ from spotcheck.discrepancy.verdict.words import (
     probability_text,
     value_text,
 )
-from spotcheck.discrepancy.conclude.judgement import TOO_SMALL
 from spotcheck.model.effects import vocabulary
 
 SHEET_WORDS = {"gain_dn_per_e": "the gain", "read_noise_e": "the read noise", "black_level_dn": "the black level"}

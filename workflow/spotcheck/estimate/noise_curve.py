@@ -12,9 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.discrepancy import criteria
-from spotcheck.estimate.noise import NoiseCurve
-
 # Bins are even in the root of the level, on which shot noise is even.
 BINS = 25
 # Fewest differences in a bin: the variance of a bin is then known to 15 %.
@@ -31,16 +28,26 @@ DARK_PART = 0.05
 # Neighbouring differences overlap: 1 + 4/4 + 4/16 squared correlations, so that a variance of n of them is known to
 # √(2 · 2.25/n).
 OVERLAP = 2.25
-# The bins from which on noise may collapse.
-FIRST = 6
-# ASSUME: texture follows (c L)² to this part of itself.
-FORM = 0.01
+# A bin whose variance is below this part of what the bins below it let expect, by this many standard errors, is where
+# the signal stops: it and all above go, and the one below, part of which has stopped.
+COLLAPSE, COLLAPSE_Z, FIRST = 0.6, 5.0, 6
+# Texture is a term of the fit where it is seen at this many standard errors: its freedom costs the gain half of its
+# precision. ASSUME: it follows (c L)² to this part of itself.
+TEXTURE_Z, FORM = 5.0, 0.01
 # Ends of the gain's interval in standard errors.
 ENDS = 2.0
 
 # Neighbours' noise is looked at as far as this [px]; a correlation of differences that is off white noise's by this
-# much is one.
-FARTHEST, CORRELATED = 16, 0.06
+# much is one; by as much as `NOT_WHITE` between next neighbours, the differences do not tell the noise.
+FARTHEST, CORRELATED, NOT_WHITE = 16, 0.06, 0.15
+
+
+class NoiseCurve(NamedTuple):
+    """Variance [DN²] of single pixels against grey level [DN], with the standard error of each variance."""
+
+    level: np.ndarray
+    variance: np.ndarray
+    stderr: np.ndarray
 
 
 class Gain(NamedTuple):
@@ -131,16 +138,13 @@ def _trimmed(difference: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def _unstopped(curve: NoiseCurve) -> NoiseCurve:
-    """A curve up to where its noise collapses: that bin and all above go, and the one below, part of which has
-    stopped."""
+    """A curve up to where its noise collapses."""
     for k in range(FIRST, curve.level.size):
         below = NoiseCurve(*(part[:k] for part in curve))
         fitted = _fitted(below, curve.level[0], 2)
         expected = max(fitted.value[0] + fitted.value[1] * (curve.level[k] - curve.level[0]), curve.variance[:k].max())
         error = curve.stderr[k] / curve.variance[k] * expected
-        if curve.variance[k] < criteria.COLLAPSE.value * expected and (
-            expected - curve.variance[k] > criteria.SURE.value * error
-        ):
+        if curve.variance[k] < COLLAPSE * expected and expected - curve.variance[k] > COLLAPSE_Z * error:
             return NoiseCurve(*(part[: k - 1] for part in curve))
     return curve
 
@@ -174,8 +178,7 @@ def gain_from_curve(curve: NoiseCurve, black_level: float) -> Gain | None:
     if curve.level.size < 5:
         return None
     plain, textured = (_fitted(curve, black_level, terms) for terms in (2, 3))
-    # Its freedom costs the gain half of its precision.
-    seen = textured.value[2] > criteria.SURE.value * np.sqrt(textured.covariance[2, 2])
+    seen = textured.value[2] > TEXTURE_Z * np.sqrt(textured.covariance[2, 2])
     fit = textured if seen else plain
     # The rest of a texture that does not follow its law exactly counts as gain.
     form = FORM * abs(textured.value[2]) * float(np.mean(curve.level - black_level)) if seen else 0.0
@@ -215,8 +218,8 @@ def correlated_px(image: np.ndarray, full_scale: float) -> Correlated:
             if product.size < FEWEST:
                 break
             off = float(product.mean()) + (0.5 if lag == 1 else 0.0)
-            # Errors of a mean of products of white differences, which overlap.
-            if abs(off) > CORRELATED + criteria.STATED.value * np.sqrt(OVERLAP / product.size):
+            # Three standard errors of a mean of products of white differences, which overlap.
+            if abs(off) > CORRELATED + 3 * np.sqrt(OVERLAP / product.size):
                 farthest = max(farthest, lag)
-                tells &= lag > 1 or abs(off) < criteria.NOT_WHITE.value
+                tells &= lag > 1 or abs(off) < NOT_WHITE
     return Correlated(farthest, bool(tells))
