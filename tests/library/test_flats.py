@@ -152,6 +152,15 @@ def test_what_no_effect_explains_names_nothing():
     assert "something else is at work" in own["sentence"]
 
 
+def test_what_is_negligible_names_nothing_in_its_place():
+    """A bend of 0.003 is certain, but nothing that matters; a soft knee of six forms would do as well, and is no name
+    either."""
+    rest = ("black_clipping", "dark_offset", "photon_budget", "shutter_offset")
+    own = verdict(1, without=rest, bend=0.003)
+    assert own["status"] == "unknown" and own["effects"] == []
+    assert "It would be explained by nonlinearity, too small to matter." in own["sentence"]
+
+
 def test_errors_follow_the_light():
     """Standardised, a mean and a variance that the light moves together have unit covariance: by the matrix itself."""
     own, wide = series(3), Wide(7.0, 2.0, 1.5)

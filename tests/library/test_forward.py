@@ -8,7 +8,7 @@ from spotcheck.discrepancy.evidence.pixels import by_cell, screen
 from spotcheck.discrepancy.search.forward import State, grow, outcome_of
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
-from tests.library.small_light import BLACK, CONTEXT, NOISE, designed, fitted
+from tests.library.small_light import CONTEXT, designed, fitted
 
 TRIED = {"dark_offset": (1.0,), "nonlinearity": (0.02,), "excess_read_noise": (6.3,), "smear": (0.005,)}
 
@@ -54,8 +54,8 @@ def test_what_is_missing_is_found_on_light_that_is_no_gaussian(kinds, name, valu
     frames, fit, known = fitted(7, **kinds)
     known_effects = effects("dark_offset", "saturation", "excess_read_noise", "nonlinearity", "smear", "scatter_halo")
     context, design = CONTEXT._replace(peak_dn=kinds.get("clip", 679.0) / 0.97), designed(known)
-    grown = grow(State(tuple(frames), fit), design, known_effects, context, BLACK)
-    outcome = outcome_of(grown, fit, design, known_effects, context, NOISE)
+    grown = grow(State(tuple(frames), fit), design, known_effects, context)
+    outcome = outcome_of(grown, fit, design, known_effects, context)
     assert [one.own.effect.name for one in outcome.found] == ([name] if name else [])
     if name:
         (found,) = outcome.found

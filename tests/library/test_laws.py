@@ -72,9 +72,9 @@ def test_balanced_layout_is_the_analysis_of_variance():
     one, known = np.ones((sites * each, 1)), 1e-12 * np.eye(sites * each)
     found = components.estimate(known, parts, one, y.ravel() - y.mean(), np.array([0.1, 0.1]), restricted=True)
     np.testing.assert_allclose(found.tau, [(between - within) / each, within], rtol=1e-3)
-    own = components.reckoned(found, one)
-    assert own.covariance[0, 0] == pytest.approx(between / y.size, rel=1e-3)
-    assert 2 * own.covariance[0, 0] ** 2 / own.doubt[0] == pytest.approx(sites - 1, rel=1e-3)
+    covariance, _, doubt = components.reckoned(found, one)
+    assert covariance[0, 0] == pytest.approx(between / y.size, rel=1e-3)
+    assert 2 * covariance[0, 0] ** 2 / doubt[0] == pytest.approx(sites - 1, rel=1e-3)
 
 
 @pytest.mark.parametrize("restricted", [True, False])
@@ -123,6 +123,21 @@ def test_laws_are_recovered_without_noise():
         assert trial.present.form == true.form
         assert trial.gain > 50 and abs(trial.z) > 5
         assert out.full.deviance - trial.gain == pytest.approx(trial.alone, abs=0.1)
+
+
+def test_errors_of_all_parameters():
+    """40 sets with an amplitude of many errors and a phase: pulls of both by the base's own values and errors, mean and
+    variance by chance once in 1,000; the error of a phase ψ of an amplitude q in cos 2(γ − ψ) is that of q over 2q."""
+    own, rng, pulls = design(), np.random.default_rng(19), []
+    true = effect("angle_reflectance", 0.02, 30.0)
+    for _ in range(40):
+        out, _ = tried(drawn(rng, own, [true]), own, present=[true])
+        values, errors = out.base.present[0].values, laws.errors_of(out.base)["angle_reflectance"]
+        pulls.append((np.array(values) - true.values) / errors)
+        assert np.deg2rad(errors[1]) == pytest.approx(errors[0] / 0.04, rel=0.3)
+    assert np.all(abs(np.mean(pulls, 0)) < 3.3 / np.sqrt(40))
+    low, high = stats.chi2.ppf([5e-4, 1 - 5e-4], 40) / 40
+    assert np.all((np.mean(np.square(pulls), 0) > low) & (np.mean(np.square(pulls), 0) < high))
 
 
 def test_amplitude_and_phase():

@@ -5,8 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.evidence.influence import AZIMUTHS, CELLS, cells_of, influence_of, numbers_of
+from spotcheck.discrepancy.evidence.influence import CELLS, RADII, influence_of, numbers_of
 from spotcheck.discrepancy.evidence.laws import laws_of
+from spotcheck.discrepancy.evidence.pixels import AZIMUTHS, cells_of
 from spotcheck.discrepancy.nuisance.fit import contrasts, fit, sums_of
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
@@ -118,7 +119,7 @@ def test_a_scatter_of_the_centre():
 def test_cells():
     """Eight azimuths by three radii; each radius holds a third of a Gaussian's light, within errors of 0.5 %."""
     u, v = np.random.default_rng(1).standard_normal((2, 100_000))
-    cell = cells_of(u, v)
+    cell = cells_of(u, v, RADII)
     np.testing.assert_allclose(np.bincount(cell, minlength=CELLS), len(u) / CELLS, rtol=0.08)
     np.testing.assert_allclose(np.bincount(cell // AZIMUTHS) / len(u), 1 / 3, atol=0.005)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spotcheck.estimate import sensor as sensor_stage
-from spotcheck.estimate.noise import gain_from_curve, noise_curve
+from spotcheck.estimate.noise_curve import gain_from_curve, noise_curve
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE = 240

@@ -6,8 +6,8 @@ from scipy import linalg
 
 from spotcheck.discrepancy.nuisance import sheet, taken
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
-from spotcheck.discrepancy.nuisance.sheet import against_sheet, fit_sheet, free_of_sheet
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers
+from spotcheck.discrepancy.nuisance.sheet import against_sheet, fit_sheet
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, Sheet
 from spotcheck.model import light_shape
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import View
@@ -42,7 +42,8 @@ def case(seed: int, off=(0.0, 0.0, 0.0), faint=1.0, count=COUNT) -> tuple[list[F
 def drawn(seed: int, off=(0.0, 0.0, 0.0), errors=(1.0, 1.0, 1.0), faint=1.0) -> Fitted:
     """A case, fitted with so many times the sheet's errors."""
     frames, model, stated = case(seed, off, faint)
-    return fit_sheet(frames, fit(frames, model, 1e3), free_of_sheet(model.sensor, stated * errors))
+    model = model._replace(sheet=Sheet(model.sensor, tuple(stated * errors)))
+    return fit_sheet(frames, fit(frames, model, 1e3))
 
 
 def test_frames_correct_a_sheet_that_is_off():
@@ -76,7 +77,7 @@ def test_what_the_shape_takes_up(monkeypatch):
     + K² noise² + 1/12."""
     monkeypatch.setattr(taken, "DRAWS", 60)
     frames, model, error = case(6, count=1)
-    fitted = fit(frames, model, 1.0, free_of_sheet(model.sensor, error), steps=1)
+    fitted = fit(frames, model._replace(sheet=Sheet(model.sensor, tuple(error))), 1.0, steps=1)
     found = sheet.tilt_of(frames, fitted)
     seen = Expectation(frames, fitted.model).of(frames[0], 0)
     learned = fitted.model.baseline.learned

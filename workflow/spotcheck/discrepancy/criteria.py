@@ -12,11 +12,53 @@ class Criterion(NamedTuple):
     reason: str
 
 
+SURE = Criterion(
+    5.0,
+    "standard errors",
+    "what is found: effects, patterns, noise that collapses, texture, and a shape beyond what noise would gain",
+    "a hundred starts are tried, and of all chance finds the largest is near four",
+)
 GAIN = Criterion(
-    25.0,
+    SURE.value**2,
     "−2 ln L",
     "a search goes on with an effect that gains this much at least, and names none that gains less",
-    "five standard errors: a hundred starts are tried, and of all chance finds the largest is near four",
+    "it is what `SURE` gains",
+)
+FIRST_ORDER = Criterion(
+    0.5,
+    "1",
+    "a first-order size is taken for worth a fit, and a change for in proportion, where it is wrong by less than this",
+    "of effects that were put in, first-order sizes are off by half at most",
+)
+PRICE = Criterion(
+    2.0,
+    "−2 ln L",
+    "a form of a law is taken before another where it gains more by this for every parameter more",
+    "Akaike's price: forms with more parameters always gain something",
+)
+WORST = Criterion(
+    0.1,
+    "1",
+    "this part of the frames, the worst, has no say in whether brightness or place scatter",
+    "a few bad frames are no scatter of all",
+)
+COMMON_WIDTH = Criterion(
+    0.1,
+    "1",
+    "how well ln σ_g, what all frames have in common of it, is known to the laws",
+    "a learned shape may be wider or narrower than the declared one by some tenth, whose width alone is the law's",
+)
+COHERENT = Criterion(
+    0.7,
+    "1",
+    "stripes are fixed to the sensor or to the spot where the sites' phases add up to this part of what equal ones do",
+    "noise turns the phases of stripes that are just seen, by half a radian",
+)
+DRAWN = Criterion(
+    0.4,
+    "1",
+    "cells of which a learned shape takes more than this part are not asked in the test of what is left",
+    "a few draws tell what it takes to a third or so",
 )
 ROUNDED = Criterion(
     0.02,
@@ -67,10 +109,35 @@ LEFT = Criterion(
     "what is left beside all that is named matters where it is more than this",
     "half a code where an 8-bit camera is used to its full scale",
 )
+WIDEST = Criterion(
+    0.7,
+    "sides of a crop",
+    "no spot is fitted whose σ_g is more than this",
+    "a wider one cannot be told from a background",
+)
+COLLAPSE = Criterion(
+    0.6,
+    "1",
+    "the signal stops where noise has less than this part of the variance that darker levels let expect",
+    "what bends bends the noise by less over one bin; a clip leaves next to none",
+)
+NOT_WHITE = Criterion(
+    0.15,
+    "1",
+    "differences do not tell the noise where next neighbours correlate by this much more than white noise does",
+    "then a variance of differences is off by a quarter of itself or more",
+)
+EXPECTED = Criterion(
+    20.0,
+    "readings",
+    "a code that no pixel reads is missing where its neighbours let expect so many",
+    "by chance once in 5e8 codes",
+)
 STATED = Criterion(
     3.0,
     "standard errors",
     "the data sheet is contradicted where a number moves by so many of its stated errors; and by so many of its own the"
-    " power of what is left must exceed the tolerance, or it is not said to",
+    " power of what is left must exceed the tolerance, a law's parameter have moved, the light be no Gaussian, or it is"
+    " not said to",
     "within three errors a sheet is as good as it says",
 )

@@ -14,7 +14,7 @@ from scipy.ndimage import minimum_filter, uniform_filter
 
 from spotcheck import store
 from spotcheck.crops import cells, usable
-from spotcheck.estimate.noise import CUT_AT_SD, FEWEST, NoiseCurve
+from spotcheck.estimate.noise_curve import CUT_AT_SD, FEWEST, NoiseCurve
 
 # Pixels of a block's side: small enough that brightness and width of the spot change r by a plane only.
 SIDE = 10

@@ -10,6 +10,7 @@ import xarray as xr
 from spotcheck import store
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.by_spots import BySpots, seen_by_spots
+from spotcheck.estimate.noise_curve import ENDS
 from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.frames import Surround, full_scale
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
@@ -101,7 +102,8 @@ def resolve(
     for name in QUANTITIES:
         own, source = getattr(given, name, None), dataset.instrument.source(f"sensor.{name}")
         if source == "instrument.yaml" and own is not None:
-            found[name][SHEET] = Found(float(own), np.nan, source)
+            # An error of 0 says that none is stated.
+            found[name][SHEET] = Found(float(own), getattr(given, f"{name}_stderr", 0.0) or np.nan, source)
         else:
             default[name] = own
     for name, key in BY_FLATS.items():
@@ -121,8 +123,9 @@ def resolve(
         # No dark frame is dark: neither their level nor their noise means anything.
         for name in ("black_level_dn", "dark_current_e_per_s"):
             found[name].pop(FLATS, None)
-    black = _first(found["black_level_dn"], default.get("black_level_dn"))
-    _add_spots(found, seen_by_spots(crops, pairs or {}, black.value, highest), dataset.instrument.model.top_hat)
+    black = _first(found["black_level_dn"], None).value
+    seen = seen_by_spots(crops, pairs or {}, None if np.isnan(black) else black, highest)
+    _add_spots(found, seen, np.isnan(black), dataset.instrument.model.top_hat)
     ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
     ds.attrs["remark"] = remark
     for name, (units, long_name) in QUANTITIES.items():
@@ -170,11 +173,13 @@ def _used(name: str, found: Mapping[str, Found], default: float | None) -> Found
     return own
 
 
-def _add_spots(found: dict[str, dict[str, Found]], seen: BySpots, top_hat: bool) -> None:
+def _add_spots(found: dict[str, dict[str, Found]], seen: BySpots, no_black: bool, top_hat: bool) -> None:
     """What spots show, in electrons of the gain that is taken. Where the light itself has a plateau, readings that
     gather say nothing of the sensor unless their noise is gone."""
     if seen.gain is not None:
-        found["gain_dn_per_e"][SPOTS] = Found(seen.gain.gain, seen.gain.gain_stderr, seen.how)
+        # What texture could be there unseen counts as gain.
+        error = max(seen.gain.gain_stderr, (seen.gain.gain - seen.gain.low) / ENDS)
+        found["gain_dn_per_e"][SPOTS] = Found(seen.gain.gain, error, seen.how)
     gain = _first(found["gain_dn_per_e"], None)
     if np.isnan(gain.value):
         return
@@ -188,7 +193,18 @@ def _add_spots(found: dict[str, dict[str, Found]], seen: BySpots, top_hat: bool)
         noise = float(np.sqrt(floor)) / gain.value
         # σ = √floor/K: a floor of 0 within its error leaves a noise of 0 with the error of √floor_stderr.
         error = min(floor_error / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(floor_error)) / gain.value
+        if no_black:
+            # What dark pixels read may be the black level, or light with shot noise of its own.
+            least = max(floor - gain.value * max(seen.level_dn, 0.0), 0.0)
+            error = float(np.hypot(error, noise - np.sqrt(least) / gain.value))
         found["read_noise_e"][SPOTS] = Found(noise, float(np.hypot(error, noise * relative)), seen.how)
+
+
+def stderr_of(ds: xr.Dataset) -> tuple[float, float, float]:
+    """Standard errors of gain, read noise and black level of a sensor file; 0 where none is known."""
+    gain, noise, black = (float(np.nan_to_num(ds[f"{name}_stderr"])) for name in
+                          ("gain_dn_per_e", "read_noise_e", "black_level_dn"))  # fmt: skip
+    return gain, noise, black
 
 
 def model_of(ds: xr.Dataset) -> SensorModel | None:

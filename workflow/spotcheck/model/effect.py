@@ -158,6 +158,11 @@ class Effect(NamedTuple):
         """Whether another effect is a special case of this one."""
         return other.name in self.contains or other.place in self.contains
 
+    def moves_level(self, form: str) -> bool:
+        """Whether a form of it does what another black level would."""
+        subtracted = self.place is Place.DIGITAL and form == "subtracted"
+        return subtracted or (self.place is Place.PEDESTAL and self.uniform)
+
     def excess(self, strength: float, context: Context) -> float:
         """How far a strength is from where the effect vanishes, in units of what is negligible; infinite where nothing
         is. An effect without a neutral strength vanishes at its lowest."""

@@ -60,9 +60,9 @@ def lines(verdicts: dict[str, dict[str, Any]]) -> list[str]:
     rows = []
     for name, (_, _, what) in PUT_IN.items():
         said = verdicts[name]
-        listed = ", ".join(" or ".join(effect["candidates"]) for effect in said["effects"])
+        sets = " and ".join(" or ".join(own["candidates"]) for own in said["effects"])
         own = next((effect for effect in said["effects"] if effect["name"] == name), None)
-        rows.append((name, what, _first(before.get(name)), _first(own), said["status"], listed))
+        rows.append((name, what, _first(before.get(name)), _first(own), said["status"], sets))
     return markdown(("put in", "that is", "as they are", "with it", "status", "effects"), rows)
 
 

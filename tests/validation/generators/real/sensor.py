@@ -80,11 +80,10 @@ def page(verdicts: dict[str, dict[str, Any]]) -> str:
             "The same flats with a known effect put into their readings (the shutter's into their list, the light left "
             "out of it):", "",
             *levels.lines(verdicts), "",
-            "What was put in is in every best set, but for the shutter's, which at these levels only shot noise tells "
-            "from a pedestal. The bend's size is right; the offset's holds the intercept that faint levels have anyway "
-            "(see below). Where the status is `unknown`, what happens to the levels at an edge is not met, and the "
-            "edge lies higher than it was put: light varies over the frame, so pixels get there one after the "
-            "other.", "",
+            "What was put in is always among the names; the shutter's is tied with a pedestal, from which at these "
+            "levels only shot noise tells it. An offset holds the intercept that faint levels have anyway (see below), "
+            "too small to be named alone. A level is that before the bend, black level taken off: what is bent ends at "
+            "a level of its own.", "",
             "## Up to which level?", "",
             "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
             "because the response bends:", "",

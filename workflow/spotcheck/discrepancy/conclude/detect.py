@@ -18,18 +18,16 @@ from spotcheck.discrepancy.evidence.numbers import numbers_of
 from spotcheck.discrepancy.evidence.parts import Part, Standing, form_of, part_of, smallest_of, standing
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
+from spotcheck.discrepancy.nuisance.taken import DRAWS
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 
 # Crops that lie further apart than this [px] share no window of the sensor.
 LARGEST_WINDOW = 2048
-# Draws of the shape's coefficients by which it is told how much noise it takes, and their seed: many nodes share in
-# each sum, so that few do.
-DRAWS, SEED = 16, 1
 # All that is summed over cells: the mean (or the variance) of which cells, over which frames.
 SUMMARIES = (
     ("mean", "patch", "all"), ("mean", "block", "frame"), ("mean", "row", "all"),
-    ("mean", "row", "frame"), ("mean", "column", "all"), ("mean", "level", "all"), ("mean", "level", "condition"),
+    ("mean", "row", "frame"), ("mean", "column", "all"), ("mean", "level", "all"), ("mean", "level", "exposure"),
     ("mean", "sector", "all"), ("variance", "frame", "all"), ("variance", "frame", "frame"),
     ("variance", "level", "all"),
 )  # fmt: skip
@@ -70,20 +68,20 @@ def looked_at(frames: Sequence[Frame], model: Model | Numbered | Fitted, design:
     """All sums over frames, and the test by them."""
     if isinstance(model, Fitted):
         looked = look(frames, model, design)
-        return looked, tested(looked, design)
+        return looked, tested(looked)
     numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)
     looked = look(frames, numbered.model, design)
-    return looked, tested(looked, design, numbers_of(numbered, looked.scene.exposure_s, np.asarray(design.site)))
+    return looked, tested(looked, numbers_of(numbered, looked.scene.exposure_s, np.asarray(design.site)))
 
 
-def tested(looked: Looked, design: Design, numbers: Mapping[str, Standing] | None = None) -> Detection:
+def tested(looked: Looked, numbers: Mapping[str, Standing] | None = None) -> Detection:
     """The test by all that was summed, and by what a law leaves of the frames' numbers.
 
     # ASSUME: a fit of the shape takes as much noise as its information says. Its likelihood is that of normal readings
     # in mean and variance, so below 0.6 DN of noise it takes more, and p-values beside a shape are too small.
     """
     pixels, sensor = [own.pixels for own in looked.frames], looked.model.sensor
-    found = [*cell_parts(looked, design), *field_parts(looked), *number_parts(looked, design, numbers or {})]
+    found = [*cell_parts(looked), *field_parts(looked), *number_parts(looked, numbers or {})]
     found.append(odd_pixels("readings: one frame", [[own] for own in looked.seen], [[own] for own in pixels], sensor))
     if len(pixels) > 1:
         found.append(odd_pixels("readings: all frames", [looked.seen], [pixels], sensor))
@@ -93,7 +91,7 @@ def tested(looked: Looked, design: Design, numbers: Mapping[str, Standing] | Non
 
 def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Looked:
     """One pass over all frames."""
-    shapes = shapes_of(model, DRAWS, np.random.default_rng(SEED)) if isinstance(model, Fitted) else []
+    shapes = shapes_of(model, DRAWS, np.random.default_rng(0)) if isinstance(model, Fitted) else []
     plain = model.model if isinstance(model, Fitted) else model
     readings = Readings(frames, plain, shapes)
     scene = scene_of(frames, plain)
@@ -121,18 +119,18 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
     return Looked(frames, plain, scene, cells, powers, fields, seen)
 
 
-def groups_of(design: Design) -> dict[str, list[np.ndarray]]:
-    """Frames that share something, by what it is; where all of that are the same as before, none."""
-    count = len(np.asarray(design.site))
-    keys = {"all": np.zeros(count, int), "condition": design.condition, "site": design.site, "frame": np.arange(count)}
+def groups_of(scene: Scene) -> dict[str, list[np.ndarray]]:
+    """Frames that share something, by what it is; nothing where all share it or none."""
+    count = len(scene.exposure_s)
+    keys = {"all": np.zeros(count), "exposure": scene.exposure_s, "angle": scene.angle_deg, "frame": np.arange(count)}
     out = {name: [np.flatnonzero(key == own) for own in np.unique(key)] for name, key in keys.items()}
     last = {"all": 1, "frame": count}
     return {name: own for name, own in out.items() if name == "all" or 1 < len(own) <= last.get(name, count - 1)}
 
 
-def cell_parts(looked: Looked, design: Design) -> list[Part | None]:
+def cell_parts(looked: Looked) -> list[Part | None]:
     """All parts from sums over cells."""
-    out, groups = [], groups_of(design)
+    out, groups = [], groups_of(looked.scene)
     for what, kind, shared in SUMMARIES:
         if shared in groups:
             own = [pooled([looked.cells[int(k)][kind] for k in at]) for at in groups[shared]]
@@ -145,20 +143,20 @@ def cell_parts(looked: Looked, design: Design) -> list[Part | None]:
     return out
 
 
-def number_parts(looked: Looked, design: Design, numbers: Mapping[str, Standing]) -> list[Part | None]:
-    """All parts from the frames' numbers: each frame by itself, and brightness and width of each condition."""
-    out, groups = [], groups_of(design).get("condition", [])
+def number_parts(looked: Looked, numbers: Mapping[str, Standing]) -> list[Part | None]:
+    """All parts from the frames' numbers: each frame by itself, and brightness and width of each exposure and angle."""
+    out, groups = [], groups_of(looked.scene)
     for name, own in numbers.items():
-        form = form_of([own])
-        where = number_words(name, np.array([form.worst[2][0]]), looked.scene)
-        out.append(part_of(f"numbers: {name}, frame", form, where))
-        if groups and name != "centre":
-            member = np.array([np.isin(own.label[:, 0], at) for at in groups], float)
-            member /= np.sqrt(np.maximum(member.sum(axis=1, keepdims=True), 1.0))
-            none, label = np.zeros(len(member)), np.stack([np.arange(len(member))] * 2, 1)
-            form = form_of([Standing(member @ own.z, member @ own.taken, none, none, label)])
-            out.append(part_of(f"numbers: {name}, condition", form,
-                               number_words(name, groups[form.worst[2][0]], looked.scene)))  # fmt: skip
+        for shared in groups.keys() & ({"frame"} if name == "centre" else {"frame", "exposure", "angle"}):
+            every, told = groups[shared], own
+            if shared != "frame":
+                member = np.array([np.isin(own.label[:, 0], at) for at in every], float)
+                member /= np.sqrt(np.maximum(member.sum(axis=1, keepdims=True), 1.0))
+                none, label = np.zeros(len(every)), np.stack([np.arange(len(every))] * 2, 1)
+                told = Standing(member @ own.z, member @ own.taken, none, none, label)
+            form = form_of([told])
+            where = number_words(name, every[form.worst[2][0]], looked.scene)
+            out.append(part_of(f"numbers: {name}, {shared}", form, where))
     return out
 
 

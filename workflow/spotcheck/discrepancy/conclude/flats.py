@@ -7,7 +7,7 @@ from scipy import stats
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.detect import Detection
-from spotcheck.discrepancy.conclude.judgement import NOTHING, Gap, Judgement, Levels, Limit, untested
+from spotcheck.discrepancy.conclude.judgement import NOTHING, TOO_SMALL, Gap, Judgement, Levels, Limit, untested
 from spotcheck.discrepancy.conclude.limits import ONE_SIDED
 from spotcheck.discrepancy.conclude.places import Where
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
@@ -126,6 +126,6 @@ def limits(series: Series, after: LevelFit, found: Sequence[Found], effects: Seq
             error = search.errors_of(series, fit)[search.strength_at(fit, len(fit.model.present) - 1)]
             value = float(effect.neutral + abs(fit.model.present[-1].values[0] - effect.neutral) + ONE_SIDED * error)
             if after.deviance - fit.deviance >= criteria.GAIN.value:
-                why = "levels do not agree about it" if search.matters(series, fit) else "too small to matter"
+                why = "levels do not agree about it" if search.matters(series, fit) else TOO_SMALL
         out.append(Limit(effect.name, own.name, value, own.unit, why))
     return out

@@ -13,11 +13,12 @@ from spotcheck.discrepancy.conclude.unexplained import unexplained
 from spotcheck.discrepancy.conclude.unseen import Unseen, unseen
 from spotcheck.discrepancy.evidence.influence import numbers_of
 from spotcheck.discrepancy.evidence.laws import Laws, laws_of
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of_sheet
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.nuisance.sheet import Against, against_dark, against_sheet, fit_sheet
 from spotcheck.discrepancy.observe.design import Design, missing, view_of
 from spotcheck.discrepancy.observe.frames import Observed, Setting, observed
-from spotcheck.discrepancy.observe.pixels import Model, Numbers
+from spotcheck.discrepancy.observe.pixels import Model, Numbers, Sheet
 from spotcheck.discrepancy.observe.shots import Shot, parted
 from spotcheck.discrepancy.search.forward import Outcome
 from spotcheck.discrepancy.search.laws import search_laws
@@ -39,7 +40,8 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     why = {e.name: missing(e, seen.design, law=lawful) for e in effects if e.place is not Place.SHAPE}
     usable = [e for e in effects if why.get(e.name) == ""]
     frames, design, context = seen.frames, seen.design, seen.context
-    model = Model(setting.baseline, setting.sensor, (), seen.numbers)
+    model = Model(setting.baseline, setting.sensor, (), seen.numbers, Sheet(setting.sensor, setting.stderr))
+    # The sheet is declared with its errors.
     declared = fit(frames, model, PENALTY)
     outcome = find(frames, design, model, usable, context)
     laws = search_laws(outcome.frames, design, outcome.after, setting.baseline, context.crop_px, usable, context)
@@ -48,7 +50,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     compared = _compared(unseen_frames, seen, declared.model, outcome)
     every = {one.own.effect.name: one for one in (*outcome.found, *laws.found)}
     beyond = tuple(name for name, gain in compared.gains.items() if name in every and gain <= 0)
-    at_first, detection = looked_at(frames, model, design)
+    at_first, detection = looked_at(frames, declared.model if any(setting.stderr) else model, design)
     at_last, rest = looked_at(outcome.frames, outcome.after, design)
     learned = outcome.after.model.baseline.learned is not None
     wide = gauge_of(outcome.after.model).wide if learned else 1.0
@@ -58,7 +60,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         found=tuple(sorted(every.values(), key=lambda one: -compared.gap.by_effect.get(one.own.effect.name, 0.0))),
         beyond=beyond,
         light=light_of(outcome.after) if learned else None,
-        sheet=(),
+        sheet=sheet_of(outcome),
         unexplained=unexplained(at_last),
         gap=compared.gap,
         shift=_shift(declared, laws.told, seen, setting, wide) if lawful else NOTHING,
@@ -110,6 +112,16 @@ def _law(after: Model, laws: Laws, design: Design, wide: float) -> Law | None:
     law = Law(wide * own.p1, wide * (laser + own.p2) - laser, 1.0)
     peak, _ = spot_state(view_of(design), after.baseline, law, laws.base.present)
     return law._replace(peak=float(np.exp(np.mean(after.numbers.log_peak - np.log(np.ravel(peak))))))
+
+
+def sheet_of(outcome: Outcome) -> tuple[Against, ...]:
+    """By how much frames move the numbers of the sheet: by a fit, or by dark pixels where no effect is what these
+    tell."""
+    places = {own.own.effect.place for own in outcome.found}
+    told = () if Place.NOISE in places else against_dark(outcome.frames, outcome.after.model)
+    moved = any(own.own.effect.moves_level(own.own.form) for own in outcome.found)
+    found = against_sheet(fit_sheet(outcome.frames, outcome.after)) if free_of_sheet(outcome.after.model) else ()
+    return (*found, *(own for own in told if not (moved and own.name == "black_level_dn")))
 
 
 def errors_of(fitted: Fitted) -> dict[str, tuple[float, ...]]:

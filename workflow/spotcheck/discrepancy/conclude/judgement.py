@@ -19,6 +19,8 @@ from spotcheck.model.light_shape import LightShape
 
 # Why an effect was not found that the light's shape mimics: what scores verdicts looks for these words.
 TIED_WITH_SHAPE = "tied with the light's shape"
+# Why an effect was not found that is certainly there, and weaker than what a user would call anything.
+TOO_SMALL = "too small to matter"
 
 
 class Light(NamedTuple):

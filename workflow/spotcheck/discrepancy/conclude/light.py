@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import linalg, ndimage, optimize
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.judgement import Light
 from spotcheck.discrepancy.conclude.modes import Modes
 from spotcheck.discrepancy.nuisance.fit import Fitted, splines_of
@@ -36,8 +37,6 @@ NEAR, ABOVE, WRONG = 0.5, 2.0, 0.1
 # The whole shape is below 0 where it is so by so many standard deviations: 64 draws tell these, some 8,000 splines lie
 # within reach, and by Student's law one light in 2,000 does so by chance.
 BELOW = 6.0
-# Errors by which the power must differ from 0 before its orders are told: parts of noise mean nothing.
-SURE = 3.0
 # Part of the power that one order must have to be most of it.
 MOST = 0.5
 # How far below 0 the shape must fall for a person to be told [peaks]: at a kink splines themselves fall by 0.0015.
@@ -69,7 +68,7 @@ def light_of(fitted: Fitted, seed: int = 0) -> Light:
     power, error = _power(own, noise, area / total)
     parts = _orders(own, area) - np.mean([_orders(n, area) for n in noise], axis=0)
     parts = np.clip(parts, 0.0, None) / max(np.clip(parts, 0.0, None).sum(), 1e-300)
-    orders = parts[:ORDERS] if power > SURE * error else np.zeros(ORDERS)
+    orders = parts[:ORDERS] if power > criteria.STATED.value * error else np.zeros(ORDERS)
     below = whole + BELOW * np.sqrt(np.mean(noise**2, axis=0)) < 0
     lowest = float(whole[below].min()) if below.any() else max(float(whole.min()), 0.0)
     return Light(power, error, tuple(map(float, orders)), _axes(whole * area / total, u, v), lowest, shape)
@@ -77,7 +76,7 @@ def light_of(fitted: Fitted, seed: int = 0) -> Light:
 
 def described(light: Light, modes: Modes | None = None, declared: str = "a Gaussian's") -> str:
     """What a person is told of a light, from its share on and without a full stop."""
-    if light.power <= SURE * light.error:
+    if light.power <= criteria.STATED.value * light.error:
         most = max(light.power, 0.0) + 2 * light.error
         return f"less than {100 * most:.2g} % of the light lies elsewhere than {declared}"
     said = f"{100 * light.power:.2g} % of the light lies elsewhere than {declared}, {_pattern(light)}"

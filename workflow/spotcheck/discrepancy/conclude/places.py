@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.evidence.cells import AZIMUTHS, BLOCK, LEVELS, PATCH, RADII
+from spotcheck.discrepancy.evidence.cells import BLOCK, LEVELS, PATCH, RADII
 from spotcheck.discrepancy.evidence.parts import Part, smallest_of
+from spotcheck.discrepancy.evidence.pixels import AZIMUTHS
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 
 # So many places are told at most.

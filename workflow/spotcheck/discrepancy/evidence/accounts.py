@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, optimize
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.components import Component, Estimated
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
-from spotcheck.discrepancy.nuisance.fit import Free, changed, free_of, values_of
+from spotcheck.discrepancy.nuisance.fit import NUDGE, Free, changed, free_of, values_of
 from spotcheck.discrepancy.observe.design import Design, view_of
 from spotcheck.discrepancy.observe.pixels import Model, Numbers
 from spotcheck.model.baseline import Baseline
@@ -23,9 +24,6 @@ from spotcheck.model.sensor import SensorModel
 
 # Places of effects that act on a frame's brightness and width alone.
 PLACES = (Place.EXPOSURE, Place.WIDTH, Place.BRIGHTNESS)
-# Standard error of what all frames' ln σ_g have in common: the learned shape may be wider or narrower than the declared
-# one by some tenth, and only the declared one's width is the law's.
-COMMON_WIDTH = 0.1
 # Steps of a fit to the laws at most; the gain, relative to χ², that ends it.
 STEPS, ENOUGH = 40, 1e-7
 # Rounds of fitting laws and components in turn, and the gain in −2 ln L that ends them.
@@ -34,8 +32,6 @@ ROUNDS, SETTLED = 8, 1e-3
 LOOSE = 1.0
 # Fits whose rows differ by less than this [χ²] are one.
 SAME = 1.0
-# Relative step of slopes by p1 and by the reference width, of the latter.
-NUDGE = 1e-3
 
 
 class Problem(NamedTuple):
@@ -108,7 +104,7 @@ def problem_of(
     lift = linalg.block_diag(steps, np.concatenate([steps, np.full((1, frames), frames**-0.5)]))
     each = np.arange(4 * frames).reshape(frames, 4)[:, :2].T.ravel()
     known = lift @ numbers.covariance[np.ix_(each, each)] @ lift.T
-    known[-1, -1] += frames * COMMON_WIDTH**2
+    known[-1, -1] += frames * criteria.COMMON_WIDTH.value**2
     sites = (design.site[:, None] == np.unique(design.site)).astype(float)
     shared = {"site": sites, "frame": np.eye(frames)} if 1 < sites.shape[1] < frames else {"frame": np.eye(frames)}
     parts = {"brightness": lift[:, :frames], "width": lift[:, frames:]}

@@ -16,6 +16,8 @@ import numpy as np
 from numba import njit
 from scipy import linalg
 
+from spotcheck.discrepancy.evidence.pixels import AZIMUTHS
+from spotcheck.discrepancy.evidence.pixels import cells_of as about
 from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted
 from spotcheck.discrepancy.nuisance.taken import draws_of
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model
@@ -31,10 +33,10 @@ SUM, NORM, FOURTH, SQUARE, SQUARE_NORM, COUNT, TAKEN = range(7)
 NODES = 2000
 # Kinds of cells, and weights of the readings in their sums: plain, by an offset's score, by that of a part of the spot.
 KINDS = {"frame": 1, "block": 0, "patch": 0, "row": 1, "column": 1, "level": 1, "sector": 2}
-# Levels of light, even in its root; sides [px] of blocks and patches; sectors about the spot: azimuths, and bounds of
-# the radius [σ].
+# Levels of light, even in its root; sides [px] of blocks and patches; bounds of the radius of
+# sectors about the spot [σ].
 LEVELS, BLOCK, PATCH = 12, 8, 24
-AZIMUTHS, RADII = 8, np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0])
+RADII = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0])
 # A pixel whose variance is below this [DN²] repeats one number: the law of its z would be that of one reading in a
 # million, which the exact law of the oddest reading judges instead.
 CERTAIN = 1e-6
@@ -171,12 +173,12 @@ def cells_of(seen: Standard, brightest: float, corner: tuple[int, int]) -> dict[
     """The cells of a frame by kind. Levels are counted up to `brightest` [e-], blocks from `corner` (row, column)."""
     rows, columns = seen.row - corner[0], seen.column - corner[1]
     level = (np.sqrt(np.clip(seen.declared / brightest, 0.0, 1.0)) * LEVELS).astype(int)
-    turn = np.floor((np.arctan2(seen.v, seen.u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
+    sector = about(seen.u, seen.v, RADII)
     none = np.zeros_like(rows)
     labels = {
         "frame": (none, none), "block": (rows // BLOCK, columns // BLOCK), "patch": (rows // PATCH, columns // PATCH),
         "row": (rows, none), "column": (columns, none), "level": (np.minimum(level, LEVELS - 1), none),
-        "sector": (np.digitize(np.hypot(seen.u, seen.v), RADII), turn),
+        "sector": (sector // AZIMUTHS, sector % AZIMUTHS),
     }  # fmt: skip
     index, spans, first = np.empty((len(KINDS), seen.z.size), np.int32), [], 0
     for k, kind in enumerate(KINDS):

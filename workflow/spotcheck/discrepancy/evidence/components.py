@@ -146,17 +146,9 @@ def begun(known: np.ndarray, components: tuple[Component, ...]) -> np.ndarray:
     return START * np.array(means)
 
 
-class Reckoned(NamedTuple):
-    """Of parameters: covariance, the row of weights [parameter, row] that makes each of the rows, and the variance of
-    the variance of each."""
-
-    covariance: np.ndarray
-    rows: np.ndarray
-    doubt: np.ndarray
-
-
-def reckoned(found: Estimated, slopes: np.ndarray) -> Reckoned:
-    """Errors of parameters at estimated components, and how well those errors are known.
+def reckoned(found: Estimated, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Covariance of parameters at estimated components, weights [parameter, row] that make each of them of the rows,
+    and the variance of the variance of each.
 
     The errors of components that came out as 0 count as well: another set would have had some.
     """
@@ -165,7 +157,7 @@ def reckoned(found: Estimated, slopes: np.ndarray) -> Reckoned:
     rows = covariance @ slopes.T @ found.inverse
     by = [np.sum((rows @ own.members) ** 2, 1) for own in found.components]
     doubt = np.einsum("kp,kl,lp->p", by, _sure(found.information), by) if by else np.zeros(len(rows))
-    return Reckoned(covariance, rows, doubt)
+    return covariance, rows, doubt
 
 
 def z_of(t: float, freedom: float, parameters: int = 1, tries: int = 1) -> float:

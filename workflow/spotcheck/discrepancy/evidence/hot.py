@@ -13,6 +13,7 @@ from numba import njit
 from spotcheck.discrepancy.evidence.cells import Standard
 from spotcheck.discrepancy.evidence.fields import window_of
 from spotcheck.discrepancy.evidence.parts import SMALLEST, Part, smallest_of
+from spotcheck.discrepancy.observe.readings import POISSON_E, ROOT_HALF
 from spotcheck.model.sensor import SensorModel
 
 compiled = njit(cache=True, nogil=True, error_model="numpy")
@@ -22,11 +23,8 @@ LEVELS = 16
 # Pixels for which it is found how rare readings can be, each for as many others, and how many are sorted to choose
 # them: dark ones are most, and what they can read is in steps that depend on a tenth of an electron.
 NODES, SORTED = 300, 30_000
-# Above this mean [e-] Poisson's law passes for normal, with its skewness.
-POISSON_E = 3000.0
 # Chances of sums come from a Fourier transform and are good to so much.
 FINEST = 1e-13
-ROOT_HALF = math.sqrt(0.5)
 
 
 @compiled

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy.evidence.pixels import AZIMUTHS, cells_of
 from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of, splines_of
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
 
-# Cells: azimuths, and the radii [σ] within which a third and two thirds of a Gaussian's light lie.
-AZIMUTHS, RADII = 8, (0.90, 1.48)
+# Cells: the azimuths of all sectors, and the radii [σ] within which a third and two thirds of a Gaussian's light lie.
+RADII = (0.90, 1.48)
 CELLS = AZIMUTHS * (len(RADII) + 1)
 
 
@@ -54,7 +55,7 @@ def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
     for k, frame in enumerate(frames):
         seen = ready.of(frame, k)
         tells = told(frame, seen)
-        cell = cells_of(seen.u, seen.v)
+        cell = cells_of(seen.u, seen.v, RADII)
         parts = [*(ready.by_numbers(frame, k, seen) * tells.light)]
         parts += [mean * tells.mean + variance * tells.variance
                   for mean, variance in changes_of(frame, k, seen, nudged)]  # fmt: skip
@@ -69,9 +70,3 @@ def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
     basis = contrasts(model, len(nudged))
     left = basis.T @ others - fitted.schur.absorbed.T @ shape[:, :, 0].T
     return (basis @ np.linalg.solve(fitted.schur.left, left))[:few]
-
-
-def cells_of(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Cell of each point of the spot, u and v in σ."""
-    turn = np.floor((np.arctan2(v, u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
-    return turn + AZIMUTHS * np.searchsorted(RADII, np.hypot(u, v))

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.accounts import (
     PLACES,
@@ -24,18 +25,13 @@ from spotcheck.discrepancy.evidence.accounts import (
 )
 from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
-from spotcheck.discrepancy.evidence.scatter import Scatter, scatters_of
+from spotcheck.discrepancy.evidence.scatter import FEWEST, Scatter, scatters_of
 from spotcheck.discrepancy.nuisance.fit import NUMBERS
 from spotcheck.discrepancy.observe.design import Design, missing
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, Present
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import SensorModel
-
-# Fewer frames than this leave nothing beside two numbers of a law and a scatter.
-FEWEST = 4
-# What a parameter of a form has to gain in −2 ln L against a form with fewer (Akaike's price).
-PRICE = 2.0
 
 
 class Trial(NamedTuple):
@@ -131,7 +127,7 @@ def _law_trial(problem: Problem, effect: Effect, base: Account, full: Account, b
         means = [mean_of(problem, own, base) for own in every]
         begun = starts_of(means, [base.found.tau, *beginnings(problem)])
         tried += [account(means[0], problem.components, restricted=False, start=own) for own in begun]
-    best = min(tried, key=lambda own: own.deviance + PRICE * len(own.mean.free))
+    best = min(tried, key=lambda own: own.deviance + criteria.PRICE.value * len(own.mean.free))
     sharp = again(best, problem.components, restricted=True)
     return _judged(sharp, base, full.deviance - best.deviance, again(best, bare).deviance)
 
@@ -172,9 +168,9 @@ def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float,
 
     Cells whose model is right differ by noise alone, which the known covariance holds; what goes beyond comes on top.
     """
-    found = mixed.reckoned(own.found, slopes)
-    problem, heavy = own.mean.problem, found.rows[row]
-    first, doubt, beyond = found.covariance[row, row], found.doubt[row], 0.0
+    covariance, made, doubts = mixed.reckoned(own.found, slopes)
+    problem, heavy = own.mean.problem, made[row]
+    first, doubt, beyond = covariance[row, row], doubts[row], 0.0
     # Each frame's own numbers are fitted to its cells, which then scatter by less.
     cells, left = problem.influence.shape[1], problem.influence.shape[1] - NUMBERS
     if left > 0:
@@ -193,5 +189,5 @@ def _against(own: Account, base: Account) -> tuple[float, float]:
     known, began = base.mean.problem.known, base.found
     found = mixed.estimate(known, began.components, slopes, base.rest, began.tau, restricted=True)
     variance, _, freedom = _error_of(base._replace(found=found), slopes, slopes.shape[1] - 1)
-    size = float(mixed.reckoned(found, slopes).rows[-1] @ base.rest)
+    size = float(mixed.reckoned(found, slopes)[1][-1] @ base.rest)
     return size / float(np.sqrt(variance)), freedom

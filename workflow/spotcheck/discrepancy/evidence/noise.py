@@ -28,9 +28,9 @@ def strength_of(effect: Effect, stated_e: float, read_noise_e: float, context: C
 
 
 class Noisy(NamedTuple):
-    """An effect that adds noise, as dark pixels tell it; its strength's standard error; what −2 ln L gains: the square
-    of the read noise's distance from the stated one, in errors; and how groups of frames agree about it: Q, which is χ²
-    of one less than groups, and their number."""
+    """An effect that adds noise or moves the level, as dark pixels tell it; its strength's standard error; what −2 ln L
+    gains: the square of the distance from what the sheet states, in errors of both; and how groups of frames agree
+    about it: Q, which is χ² of one less than groups, and their number."""
 
     own: Present
     error: float
@@ -40,36 +40,45 @@ class Noisy(NamedTuple):
 
 
 def noises_of(
-    frames: Sequence[Frame],
-    groups: np.ndarray,
-    model: Model,
-    stated_e: float,
-    effects: Sequence[Effect],
-    context: Context,
+    frames: Sequence[Frame], groups: np.ndarray, model: Model, effects: Sequence[Effect], context: Context
 ) -> list[Noisy]:
-    """What dark pixels say of every effect at `Place.NOISE`, where the sheet states a read noise of `stated_e` [e-];
-    `groups` [frame] parts frames that must agree."""
-    whole = darkness(frames, model)
+    """What dark pixels say of every effect at `Place.NOISE`; `groups` [frame] parts frames that must agree."""
+    whole, stated = darkness(frames, model), model.stated
     if whole is None or not np.isfinite(whole.read_noise_stderr):
         return []
-    told = []
+    stated_e, error = stated.sensor.read_noise_e, float(np.hypot(whole.read_noise_stderr, stated.stderr[1]))
+    q, told = agreement(frames, groups, model)
+    out = []
+    for effect in effects:
+        if effect.place is Place.NOISE:
+            strength, more = (strength_of(effect, stated_e, whole.read_noise_e + d, context) for d in (0.0, error))
+            own = Present(effect, effect.forms[0], (strength,))
+            gain = ((whole.read_noise_e - stated_e) / error) ** 2
+            out.append(Noisy(own, abs(more - strength), gain, q, told))
+    return out
+
+
+def agreement(frames: Sequence[Frame], groups: np.ndarray, model: Model) -> tuple[float, int]:
+    """Q of what the dark pixels of each group of frames say of the read noise, and how many groups do."""
+    told: list[tuple[float, float]] = []
     for group in np.unique(groups):
         which = np.flatnonzero(groups == group)
         part = darkness([frames[int(k)] for k in which], model.take(which))
         if part is not None and np.isfinite(part.read_noise_stderr):
             told.append((part.read_noise_e, part.read_noise_stderr**-2))
     value, weight = np.array(told).reshape(-1, 2).T
-    q = float(weight @ (value - weight @ value / max(weight.sum(), 1e-300)) ** 2)
-    gain = ((whole.read_noise_e - stated_e) / whole.read_noise_stderr) ** 2
-    out = []
-    for effect in effects:
-        if effect.place is Place.NOISE:
-            strength, more = (
-                strength_of(effect, stated_e, whole.read_noise_e + d, context) for d in (0.0, whole.read_noise_stderr)
-            )
-            own = Present(effect, effect.forms[0], (strength,))
-            out.append(Noisy(own, abs(more - strength), gain, q, len(told)))
-    return out
+    return float(weight @ (value - weight @ value / max(weight.sum(), 1e-300)) ** 2), len(told)
+
+
+def level_of(frames: Sequence[Frame], model: Model, k: int) -> Noisy | None:
+    """What dark pixels say of the effect of a number, which moves the level; None where they do not tell it."""
+    own, stated = model.present[k], model.stated
+    dark = darkness(frames, model.without(k))
+    if dark is None or not np.isfinite(dark.black_level_stderr):
+        return None
+    shift = dark.black_level_dn - stated.sensor.black_level_dn
+    error = float(np.hypot(dark.black_level_stderr, stated.stderr[2]))
+    return Noisy(own, abs(own.values[0] / shift) * error if shift else np.inf, (shift / error) ** 2, 0.0, 1)
 
 
 def levels_of(effects: Sequence[Effect], shift_dn: float, view: View, context: Context) -> list[Present]:
@@ -78,7 +87,7 @@ def levels_of(effects: Sequence[Effect], shift_dn: float, view: View, context: C
     out = []
     for effect in effects:
         for form in effect.forms:
-            one = Present(effect, form, (1.0, *effect.starts(context)[0][1:])) if moves_level(effect, form) else None
+            one = Present(effect, form, (1.0, *effect.starts(context)[0][1:])) if effect.moves_level(form) else None
             if one is None:
                 continue
             by_one = float(np.mean(one.apply(view))) if effect.place is Place.PEDESTAL else -float(one.apply())
@@ -86,10 +95,3 @@ def levels_of(effects: Sequence[Effect], shift_dn: float, view: View, context: C
             if low <= shift_dn / by_one <= high:
                 out.append(one._replace(values=(shift_dn / by_one, *one.values[1:])))
     return out
-
-
-def moves_level(effect: Effect, form: str) -> bool:
-    """Whether an effect in a form does what another black level would."""
-    return (effect.place is Place.PEDESTAL and effect.uniform) or (
-        effect.place is Place.DIGITAL and form == "subtracted"
-    )

@@ -6,15 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.cells import COUNT, FOURTH, NORM, SQUARE, SQUARE_NORM, SUM, TAKEN, Cells
 
 # A p-value below this is not told from 0.
 SMALLEST = 1e-300
 # Excess kurtosis beyond which a cell's sum is that of a few rare readings, and has no law that two moments tell.
 MOST_PEAKED = 8.0
-# Of a learned shape a few draws tell what it takes, to a third or so: where it takes more than this part of a cell's
-# variance, what is left is not known.
-MOST_DRAWN = 0.4
 
 
 class Part(NamedTuple):
@@ -49,7 +47,7 @@ def standing(cells: Cells, *, squares: bool = False) -> Standing:
     kurtosis = sums[:, FOURTH] / np.maximum(norm**2, SMALLEST)
     if squares:
         drawn, taken, kurtosis = 0 * drawn, taken[:, :0], (12 + np.maximum(norm / count - 2, 0.0)) / count
-    good = (norm > SMALLEST) & (kurtosis < MOST_PEAKED) & (drawn < MOST_DRAWN)
+    good = (norm > SMALLEST) & (kurtosis < MOST_PEAKED) & (drawn < criteria.DRAWN.value)
     every = sums[:, SQUARE if squares else SUM] / np.sqrt(norm), taken, drawn, kurtosis, cells.label
     return Standing(*(own[good] for own in every))
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.grain import completed, neighbours
 from spotcheck.discrepancy.evidence.pixels import CELLS, Ready
 from spotcheck.discrepancy.evidence.windows import Site, whole_of, windows_of
@@ -21,9 +22,9 @@ from spotcheck.model.effect import Context, Effect, Present
 ROUNDS = 8
 # Rows are told beyond this distance from the spot [σ]: nearer, fields on the light pass for them.
 BESIDE = 3.0
-# A pattern is there where its variance is so many errors from 0: the likelihood, which takes pixels for independent,
-# gains by what neighbours share.
-SURE = 5.0
+# Of one frame alone gains of pixels, and what the shape's splines cannot resolve, are fields as well: up to this
+# contrast none is named.
+ALONE = 0.05
 # Fewer places than this tell no variance.
 FEWEST = 30
 
@@ -53,7 +54,8 @@ class Variance(NamedTuple):
     @property
     def sure(self) -> bool:
         """Whether there is such a pattern beyond chance."""
-        return self.value > SURE * self.error
+        # The likelihood, which takes pixels for independent, gains by what neighbours share: it does not tell.
+        return self.value > criteria.SURE.value * self.error
 
 
 class Pattern(NamedTuple):
@@ -74,9 +76,12 @@ def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], 
         ("field", "site"): variance_of(shared_by_sites(sites), known, neighbours(sites[0].grain)),
         ("row", "frame"): variance_of(rows),
     }
+    alone = len(sites) == 1 and sites[0].single
     for kind, told in found.items():
         if kind in kinds and told is not None and told.sure:
             effect, root = kinds[kind], float(np.sqrt(told.value))
+            if alone and kind == ("field", "site") and root < ALONE:
+                continue
             values = (root, *map(float, effect.starts(context)[0][1:]))
             if kind == ("field", "site"):
                 values = grained(effect, values, sites[0].grain, context)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.nuisance.fit import (
     NUMBERS,
@@ -29,8 +30,6 @@ from spotcheck.model.light_shape import LightShape
 # Cells in which an effect has to speak alike: azimuths, and the radius [σ] that parts near from far.
 AZIMUTHS, RADIUS = 8, 1.2
 CELLS = 2 * AZIMUTHS
-# A change is in proportion where −2 ln L drops as it should then, but for this part.
-STRAIGHT = 0.5
 
 
 class Score(NamedTuple):
@@ -62,7 +61,7 @@ class Score(NamedTuple):
     @property
     def straight(self) -> bool:
         """Whether readings follow the change in a straight line."""
-        return abs(self.drop - self.linear) <= STRAIGHT * abs(self.linear)
+        return abs(self.drop - self.linear) <= criteria.FIRST_ORDER.value * abs(self.linear)
 
     @property
     def size(self) -> float:
@@ -171,7 +170,7 @@ def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, w
     return shared(part, len(frames), workers)
 
 
-def cells_of(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Cell of each pixel [row, column]."""
+def cells_of(u: np.ndarray, v: np.ndarray, radii: Sequence[float] | np.ndarray = (RADIUS,)) -> np.ndarray:
+    """Cell of each point about the spot, u and v in σ: its azimuth, those of each ring behind those further in."""
     turn = np.floor((np.arctan2(v, u) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(int) % AZIMUTHS
-    return turn + AZIMUTHS * (np.hypot(u, v) > RADIUS)
+    return turn + AZIMUTHS * np.searchsorted(radii, np.hypot(u, v))

@@ -9,22 +9,21 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, optimize, stats
+from scipy import linalg, stats
 
+from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.evidence import components as mixed
+from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.model.effect import Effect
 
 # Which of a frame's numbers scatter, by component: along each axis with the same variance.
 AXES = {"gain": (0,), "centre": (2, 3)}
-# Part of the frames that the test leaves out, those furthest off: a few bad frames are no scatter of all.
-WORST = 0.1
 # Singular values of the sites' and exposures' places below this, of the largest, are none.
 NONE = 1e-9
-# Fewer degrees of freedom than this tell no variance.
+# Fewer degrees of freedom than this tell no variance, and so few frames leave nothing beside two numbers of a law.
 FEWEST = 4
-# Points of the grid on which the variance is first looked for, evenly in its logarithm.
-GRID = 60
 
 
 class Scatter(NamedTuple):
@@ -79,22 +78,17 @@ def scatter_of(
         return None
     known, values = _numbers(numbers, axes, frames)
     lift = np.kron(apart, np.eye(len(axes)))
-    noise, turn = np.linalg.eigh(part * (lift.T @ known @ lift))
-    square = (turn.T @ (lift.T @ values)) ** 2
-
-    def deviance(variance: float) -> float:
-        total = noise + part * variance
-        return float(np.sum(np.log(total) + square / total))
-
-    highest = float(square.max()) / part
-    # On a grid first: the likelihood may have more than one top.
-    grid = np.concatenate([[0.0], highest * np.geomspace(1e-8, 1.0, GRID)])
-    best = int(np.argmin([deviance(own) for own in grid]))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = optimize.minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 1e-6 * high})
-    variance = float(found.x) if found.fun < deviance(0.0) else 0.0
-    error = np.sqrt(2 / np.sum((part / (noise + part * variance)) ** 2))
-    return Variance(variance, float(error), max(deviance(0.0) - deviance(variance), 0.0))
+    known, rest = part * (lift.T @ known @ lift), lift.T @ values
+    scatter = (Component("", "frame", np.sqrt(part) * np.eye(len(rest))),)
+    none = np.zeros((len(rest), 0))
+    # From none, and from all: the likelihood may have more than one top.
+    found = [
+        mixed.estimate(known, scatter, none, rest, np.array([own]), restricted=False)
+        for own in (0.0, float(np.mean(rest**2)) / part)
+    ]
+    best = min(found, key=lambda own: own.deviance)
+    without = mixed.estimated(known, scatter, none, rest, np.zeros(1), restricted=False).deviance
+    return Variance(float(best.tau[0]), float(best.information[0, 0] ** -0.5), max(without - best.deviance, 0.0))
 
 
 def kept_of(numbers: FrameNumbers, design: Design, axes: tuple[int, ...], variance: float) -> np.ndarray:
@@ -107,7 +101,7 @@ def kept_of(numbers: FrameNumbers, design: Design, axes: tuple[int, ...], varian
     errors = (lift @ (known + variance * np.eye(len(known))) @ lift).reshape(len(every), each, len(every), each)
     # A frame alone at its site is off by nothing, with an error of nothing.
     far = [own @ np.linalg.pinv(errors[k, :, k], rcond=NONE, hermitian=True) @ own for k, own in enumerate(off)]
-    return np.sort(np.argsort(far, kind="stable")[: len(every) - int(WORST * len(every))])
+    return np.sort(np.argsort(far, kind="stable")[: len(every) - int(criteria.WORST.value * len(every))])
 
 
 def _apart(design: Design, axes: tuple[int, ...], frames: np.ndarray) -> np.ndarray:

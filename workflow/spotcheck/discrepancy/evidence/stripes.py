@@ -7,17 +7,23 @@ import numpy as np
 from scipy import fft
 from scipy.optimize import minimize
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.windows import Site
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Numbers
 
 # Periods of more than so many σ are the shape's and the numbers'.
 LONGEST = 2.0
+# A sensor that reads every other line in its own way, or has a colour filter, has a pattern of 2 px of its own.
+SHORTEST_PX = 2.1
 # The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps
 # of the grid the peak itself is wide.
 RING, WIDE = 1.3, 4
-# Phases of sites are one where their sum is this part of what it would be if all were equal.
-COHERENT = 0.7
+# A peak is one of stripes where it is so many times the next beyond so many steps of the grid: light of many fine
+# details has many.
+NEXT, APART = 4.0, 8
+# Of one frame alone light has fringes of its own, of dust and glass: up to this depth none are named.
+ALONE = 0.01
 
 
 class Stripes(NamedTuple):
@@ -44,7 +50,7 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     for own in sites:
         power += np.abs(fft.rfft2(own.pull, s=padded)) ** 2 * 2 / max(float(own.weight.sum()), 1e-300)
     radius = np.hypot(ky, kx)
-    sought = (radius > 1 / (LONGEST * sigma_px)) & (radius < 0.5)
+    sought = (radius > 1 / (LONGEST * sigma_px)) & (radius < 1 / SHORTEST_PX)
     if not sought.any():
         return None
     power[~sought] = 0
@@ -68,9 +74,14 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     chance = 2 * len(sites) + 2 * places + 2 * np.sqrt(2 * len(sites) * places)
     # Grains and rows have power of their own all about.
     steps = np.hypot((ky - ky[j, 0]) * padded[0], (kx - kx[0, i]) * padded[1])
+    mirrored = np.hypot((ky + ky[j, 0]) * padded[0], (kx + kx[0, i]) * padded[1])
+    others = power[sought & (np.minimum(steps, mirrored) > APART)]
+    lonely = not others.size or power[j, i] > NEXT * others.max()
     about = sought & (radius < RING * radius[j, i]) & (radius > radius[j, i] / RING) & (steps > WIDE)
     beside = float(np.median(power[about])) / (2 * len(sites)) if about.any() else 1.0
-    return Stripes(period, direction, amplitude, weight, max(-float(best.fun) / max(beside, 1.0) - chance, 0.0))
+    gain = max(-float(best.fun) / max(beside, 1.0) - chance, 0.0)
+    lonely &= len(sites) > 1 or not sites[0].single or abs(amplitude[0]) > ALONE
+    return Stripes(period, direction, amplitude, weight, gain if lonely else 0.0)
 
 
 def _amplitude(own: Site, k: np.ndarray) -> tuple[complex, float]:
@@ -102,7 +113,7 @@ def phases(found: Stripes, centre: np.ndarray) -> list[Phase]:
         agrees = abs(mean) / max(float(np.average(np.abs(own), weights=found.weight)), 1e-300)
         out.append(Phase(form, float(abs(mean)), float(np.degrees(np.angle(mean))) % 360, float(agrees)))
     depth = float(np.sqrt(np.average(np.abs(found.amplitude) ** 2, weights=found.weight)))
-    return [own for own in out if own.agrees > COHERENT] or [Phase("site", depth, 0.0, 1.0)]
+    return [own for own in out if own.agrees > criteria.COHERENT.value] or [Phase("site", depth, 0.0, 1.0)]
 
 
 def waved(

@@ -14,13 +14,14 @@ from scipy.special import gammaln, ndtr, xlogy
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, scatters
 from spotcheck.model.chain import View, true_exposure
 from spotcheck.model.effect import Place, Present
+from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 # Pixels are dark beyond so many σ_g of the spot's centre: a Gaussian of 1000 DN adds 1e-5 DN there.
 BEYOND = 6.0
 # Readings above the code that this part of them does not exceed are left out: hot pixels.
 KEPT = 0.998
-# Pixels of light within this part of the read noise [e-] count as of the same light: they add a ten-thousandth of the
-# noise's variance.
+# Pixels of light within this part of the noise of read-out and rounding [e-] count as of the same light: they add a
+# ten-thousandth of its variance.
 ALIKE = 0.03
 # Two numbers need three codes; fewer readings of the third than this, or information as ill-conditioned as that, tell
 # nothing.
@@ -56,11 +57,12 @@ class Histogram(NamedTuple):
 
 
 def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
-    """Of the dark pixels of all frames; None where there are too few."""
+    """Of the dark pixels of all frames, or where too few are among them of blocks beside; None where neither tells."""
     gain = model.sensor.gain_dn_per_e
     ready = Expectation(frames, model)
     dark: dict[tuple[int, float], list[np.ndarray]] = {}
-    step = max(ALIKE * model.sensor.read_noise_e, ALIKE)
+    # Rounding is noise as well: below it no finer light is told apart.
+    step = ALIKE * float(np.hypot(model.sensor.read_noise_e, np.sqrt(ROUNDING_VARIANCE) / gain))
     for k, frame in enumerate(frames):
         electrons = _electrons(ready, frame, k)
         own = ready.numbers_of(k)
@@ -76,9 +78,10 @@ def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
     own_histograms = [
         Histogram(level * step, offset, kept_counts(np.concatenate(parts))) for (level, offset), parts in dark.items()
     ]
-    if sum(own.read.sum() for own in own_histograms) < FEWEST:
-        return _around(frames, model, ready)
-    found = fit_dark(own_histograms, gain, _dead(model.present))
+    enough = sum(own.read.sum() for own in own_histograms) >= FEWEST
+    found = fit_dark(own_histograms, gain, _dead(model.present)) if enough else None
+    if found is None or np.isinf(found.black_level_stderr):
+        return _around(frames, model, ready) or found
     # Offsets of rows scatter dark pixels as read noise does.
     rows = sum(own.values[0] ** 2 for own in model.present if scatters(own.effect, "row")) / gain**2
     alone = np.sqrt(max(found.read_noise_e**2 - rows, (LEAST_DN / gain) ** 2))

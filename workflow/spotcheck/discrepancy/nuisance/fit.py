@@ -14,8 +14,9 @@ from scipy import linalg
 
 from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, told
-from spotcheck.model.effect import Context, Place
+from spotcheck.model.effect import Context, Place, Present
 from spotcheck.model.light_shape import LightShape
+from spotcheck.model.sensor import SensorModel
 
 NUMBERS = len(Numbers._fields)
 # The dear matrices of the normal equations are made at so many first steps, then at every so many, and kept between.
@@ -34,6 +35,13 @@ FARTHEST_SHAPE, HELD = 0.3, 1e-3
 NUDGE = 1e-3
 # In place of an effect: the sensor, and which of its numbers may be free.
 SENSOR, SENSOR_NUMBERS = -1, ("gain_dn_per_e", "read_noise_e", "black_level_dn")
+# Lowest read noise [e-] whose step is a part of itself, and the step of a black level [DN].
+LEAST_E, STEP_DN = 0.1, 0.01
+# Least gain in parts of the stated one.
+LEAST_GAIN = 0.1
+# A fit may move a number by so many stated errors: beyond, the sheet is of another camera, or what is missing in the
+# model passes for noise.
+FARTHEST_SHEET = 10.0
 
 
 class Free(NamedTuple):
@@ -85,11 +93,11 @@ class Fitted(NamedTuple):
 
 
 def free_of(model: Model, context: Context) -> tuple[Free, ...]:
-    """The parameters of a model's effects that a fit may change: what scatters is told by its pattern, and a shape is
+    """The parameters of a model's effects that a fit may change: what scatters is told by its pattern, a shape is
     learned."""
     out = []
     for e, own in enumerate(model.present):
-        if own.effect.place in (Place.SCATTER, Place.SHAPE):
+        if own.effect.place in (Place.SCATTER, Place.SHAPE) or of_dark(model, own):
             continue
         starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
         bounds = own.effect.bounds(context)
@@ -101,6 +109,34 @@ def free_of(model: Model, context: Context) -> tuple[Free, ...]:
                 scale = 1.0 if parameter.unit == "deg" else scale
                 out.append(Free(e, p, float(bounds[p, 0]), float(bounds[p, 1]), NUDGE * scale))
     return tuple(out)
+
+
+def of_dark(model: Model, own: Present) -> bool:
+    """Whether dark pixels alone tell an effect: what moves the level of one frame, which a shape would take for its
+    own."""
+    alone = len(model.numbers.x) == 1 and model.baseline.learned is not None
+    return alone and own.effect.moves_level(own.form) and not model.stated.free[2]
+
+
+def free_of_sheet(model: Model) -> tuple[Free, ...]:
+    """The numbers of a sheet that have an error and that nothing else tells: they are free in every fit, about what is
+    stated."""
+    stated = model.stated
+    values = values_of_sensor(stated.sensor)
+    least = (LEAST_GAIN * values[0], 0.0, -np.inf)
+    steps = (NUDGE * values[0], NUDGE * max(values[1], LEAST_E), STEP_DN)
+    out = []
+    for p, error in enumerate(stated.stderr):
+        if error > 0 and stated.free[p]:
+            far = FARTHEST_SHEET * error
+            low, high = max(values[p] - far, least[p]), values[p] + far
+            out.append(Free(SENSOR, p, low, high, steps[p], values[p], 1 / error**2))
+    return tuple(out)
+
+
+def values_of_sensor(sensor: SensorModel) -> list[float]:
+    """Gain, read noise and black level."""
+    return [float(getattr(sensor, name)) for name in SENSOR_NUMBERS]
 
 
 def changed(model: Model, free: Sequence[Free], values: Sequence[float]) -> Model:
@@ -257,8 +293,10 @@ def fit(
     tilt: np.ndarray | float = 0.0,
     near: Fitted | None = None,
 ) -> Fitted:
-    """Fit shape, numbers and free parameters from a start; `tilt` [parameter] is added to the parameters' scores: see
-    `sheet.tilt_of`. A fit that lies `near`, of the same frames, lends its matrices of shape and numbers."""
+    """Fit shape, numbers, free parameters and, behind them, what a sheet leaves open, from a start; `tilt` [parameter]
+    is added to the parameters' scores: see `sheet.tilt_of`. A fit that lies `near`, of the same frames, lends its
+    matrices of shape and numbers."""
+    free = (*(own for own in free if own.effect != SENSOR), *free_of_sheet(model))
     rough = penalty * normal.roughness(splines_of(model)[1])
     known, centre = (np.array([getattr(own, name) for own in free]) for name in ("precision", "centre"))
     basis = contrasts(model)
@@ -302,7 +340,7 @@ def fit(
     if lent is None or near is None:
         lent = _reduced(sums, rough, basis)
     schur = _bordered(lent, sums, basis, known)
-    return Fitted(best, tuple(free), total, schur, penalty, taken)
+    return Fitted(best, free, total, schur, penalty, taken)
 
 
 def _reduced(sums: Sums, rough: np.ndarray, basis: np.ndarray, held: float = 0.0) -> normal.Schur:

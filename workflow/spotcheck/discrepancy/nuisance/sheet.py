@@ -6,29 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy.nuisance.darkness import darkness
 from spotcheck.discrepancy.nuisance.fit import (
-    NUDGE,
     SENSOR,
     SENSOR_NUMBERS,
     Fitted,
-    Free,
     changes_of,
     fit,
     nudged_of,
     splines_of,
     values_of,
+    values_of_sensor,
 )
 from spotcheck.discrepancy.nuisance.taken import lacking, variance_of
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
-from spotcheck.model.sensor import SensorModel
-
-# Lowest read noise [e-] whose step is a part of itself, and the step of a black level [DN].
-LEAST_E, STEP_DN = 0.1, 0.01
-# Least gain in parts of the stated one.
-LEAST_GAIN = 0.1
-# A fit may move a number by so many stated errors: beyond, the sheet is of another camera, or what is missing in the
-# model passes for noise.
-FARTHEST = 10.0
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, told
 
 
 class Against(NamedTuple):
@@ -45,32 +36,14 @@ class Against(NamedTuple):
     z: float
 
 
-def free_of_sheet(sensor: SensorModel, stderr: Sequence[float]) -> tuple[Free, ...]:
-    """The numbers of a sheet that have an error, for `nuisance.fit`; `stderr` of gain [DN/e-], read noise [e-] and
-    black level [DN], 0 where a number is exact.
-
-    A fit with them is to start from a shape that is fitted (`fit_sheet`): what an unfitted one leaves passes for noise.
-    """
-    gain, noise = sensor.gain_dn_per_e, sensor.read_noise_e
-    least = (LEAST_GAIN * gain, 0.0, -np.inf)
-    steps = (NUDGE * gain, NUDGE * max(noise, LEAST_E), STEP_DN)
-    stated = (gain, noise, sensor.black_level_dn)
-    return tuple(
-        Free(SENSOR, p, max(stated[p] - FARTHEST * error, least[p]), stated[p] + FARTHEST * error, steps[p],
-             stated[p], 1 / error**2)
-        for p, error in enumerate(stderr)
-        if error > 0
-    )  # fmt: skip
-
-
-def fit_sheet(frames: Sequence[Frame], fitted: Fitted, free: Sequence[Free], workers: int = 2) -> Fitted:
-    """Fit on from a shape that is fitted, with numbers of the sheet among the free parameters.
+def fit_sheet(frames: Sequence[Frame], fitted: Fitted, workers: int = 2) -> Fitted:
+    """Fit on with the numbers of the sheet told beside what the shape takes.
 
     The shape takes noise up, one variance for each coefficient that the readings tell. Likelihood takes that for less
     noise; restricted likelihood (REML, Patterson & Thompson 1971) gives it back.
     """
-    first = fit(frames, fitted.model, fitted.penalty, free, workers=workers)
-    return fit(frames, first.model, first.penalty, free, workers=workers, tilt=tilt_of(frames, first))
+    first = fit(frames, fitted.model, fitted.penalty, fitted.free, workers=workers)
+    return fit(frames, first.model, first.penalty, first.free, workers=workers, tilt=tilt_of(frames, first))
 
 
 def tilt_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
@@ -89,13 +62,29 @@ def tilt_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
 def against_sheet(fitted: Fitted) -> tuple[Against, ...]:
     """By how much a fit moved the numbers of the sheet."""
     errors = np.sqrt(np.diag(fitted.covariance)[len(fitted.schur.left) - len(fitted.free) :])
-    out = []
-    for own, value, error in zip(fitted.free, values_of(fitted.model, fitted.free), errors, strict=True):
-        if own.effect == SENSOR:
-            stated = own.precision**-0.5
-            moved = float(value - own.centre)
-            # Sheet and frames are independent: a moved value has the variance that the sheet's loses by the frames.
-            scatter = np.sqrt(max(stated**2 - error**2, 1e-12 * stated**2))
-            name = SENSOR_NUMBERS[own.parameter]
-            out.append(Against(name, own.centre, stated, float(value), float(error), moved / stated, moved / scatter))
+    told = zip(fitted.free, values_of(fitted.model, fitted.free), errors, strict=True)
+    return tuple(_against(own.parameter, own.centre, own.precision**-0.5, float(value), float(error))
+                 for own, value, error in told if own.effect == SENSOR)  # fmt: skip
+
+
+def against_dark(frames: Sequence[Frame], model: Model) -> tuple[Against, ...]:
+    """By how much dark pixels move the numbers of the sheet that they alone tell."""
+    dark, stated = darkness(frames, model), model.stated
+    if dark is None:
+        return ()
+    told = {1: (dark.read_noise_e, dark.read_noise_stderr), 2: (dark.black_level_dn, dark.black_level_stderr)}
+    values, out = values_of_sensor(stated.sensor), []
+    for p, (value, error) in told.items():
+        if stated.stderr[p] > 0 and np.isfinite(error):
+            part = stated.stderr[p] ** 2 / (stated.stderr[p] ** 2 + error**2)
+            both = values[p] + part * (value - values[p])
+            out.append(_against(p, values[p], stated.stderr[p], both, error * part**0.5))
     return tuple(out)
+
+
+def _against(number: int, stated: float, stated_stderr: float, value: float, error: float) -> Against:
+    # Sheet and frames are independent: a moved value has the variance that the sheet's loses by the frames.
+    scatter = np.sqrt(max(stated_stderr**2 - error**2, 1e-12 * stated_stderr**2))
+    moved = value - stated
+    name = SENSOR_NUMBERS[number]
+    return Against(name, stated, stated_stderr, value, error, moved / stated_stderr, float(moved / scatter))

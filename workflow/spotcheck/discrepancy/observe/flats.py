@@ -84,4 +84,6 @@ def foretold(series: Series, model: Model) -> np.ndarray:
 
 def hidden(effect: Effect, series: Series) -> str:
     """Why levels cannot show an effect; "" where they can."""
+    if effect.scatter:
+        return effect.flats or "levels hold no scatter"
     return effect.flats or ("" if series.timed or "exposure" not in effect.needs else NEEDS["exposure"])

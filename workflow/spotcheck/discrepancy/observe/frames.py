@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Around, Frame, Numbers
 from spotcheck.discrepancy.observe.shots import Shot, design_of
@@ -14,10 +15,10 @@ from spotcheck.model.chain import Free, View, bounds_context
 from spotcheck.model.effect import Context
 from spotcheck.model.sensor import SensorModel
 
-# A spot wider than this part of its crop cannot be told from a background.
-WIDEST = 0.7
 # From this part of readings at full scale on it is the clip that keeps a likelihood from its root.
 CLIPPED = 0.01
+# The first start of a level lies at this part of the peak: it is to be the brightest reading itself.
+TOP = 0.97
 # The brightest readings, beyond which some odd pixel may lie.
 ODD = 20
 
@@ -97,10 +98,10 @@ def first_numbers(frames: Sequence[Frame], design: Design, setting: Setting) -> 
     for k, frame in enumerate(frames):
         found[k] = round_spot(frame.pixels, setting.sensor, setting.baseline.top_hat)
     side = np.array([frame.pixels.shape for frame in frames], float)
-    known = np.isfinite(found).all(axis=1) & (found[:, 3] < WIDEST * side.min(axis=1))
+    known = np.isfinite(found).all(axis=1) & (found[:, 3] < criteria.WIDEST.value * side.min(axis=1))
     known &= (np.abs(found[:, [2, 1]] - side / 2) < side / 2).all(axis=1)
     if not known.any():
-        wide = bool((found[:, 3] >= WIDEST * side.min(axis=1)).any())
+        wide = bool((found[:, 3] >= criteria.WIDEST.value * side.min(axis=1)).any())
         return "no spot could be fitted in any frame" + (": it is as wide as its crop" if wide else "")
     for k in map(int, np.flatnonzero(~known)):
         like = known & (design.condition == design.condition[k])
@@ -122,5 +123,4 @@ def context_of(frames: Sequence[Frame], design: Design, numbers: Numbers, settin
     own = bounds_context(base, setting.baseline, setting.sensor, float(frames[0].pixels.shape[0]),
                          min(shortest, longest), longest, design.reference_s)  # fmt: skip
     top = max(float(np.sort(f.pixels[np.isfinite(f.pixels)])[-ODD:][0]) for f in frames)
-    # The first start of a level lies at 0.97 of the peak: it is to be the brightest reading itself.
-    return own._replace(peak_dn=max(top - setting.sensor.black_level_dn, 1.0) / 0.97)
+    return own._replace(peak_dn=max(top - setting.sensor.black_level_dn, 1.0) / TOP)

@@ -47,13 +47,29 @@ class Numbers(NamedTuple):
     y: np.ndarray
 
 
+class Sheet(NamedTuple):
+    """A data sheet: the sensor as stated, the standard errors of its gain [DN/e-], read noise [e-] and black level [DN]
+    (0: exact), and which of the three a fit is to tell; the others are exact, or dark pixels tell them."""
+
+    sensor: SensorModel
+    stderr: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    free: tuple[bool, bool, bool] = (True, True, True)
+
+
 class Model(NamedTuple):
-    """The baseline with the light's shape, the sensor, effects, and the numbers of the frames."""
+    """The baseline with the light's shape, the sensor, effects, the numbers of the frames, and what the sensor was
+    stated to be (None: as it is)."""
 
     baseline: Baseline
     sensor: SensorModel
     present: tuple[Present, ...]
     numbers: Numbers
+    sheet: Sheet | None = None
+
+    @property
+    def stated(self) -> Sheet:
+        """What is stated of the sensor."""
+        return self.sheet or Sheet(self.sensor)
 
     def with_effect(self, own: Present) -> "Model":
         """The model with an effect more, behind the others."""

@@ -8,7 +8,7 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
 from spotcheck.discrepancy.evidence.pixels import Ready, Score, screen
-from spotcheck.discrepancy.evidence.stripes import Stripes, phases, stripes_of, waved
+from spotcheck.discrepancy.evidence.stripes import phases, stripes_of, waved
 from spotcheck.discrepancy.evidence.windows import Site
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.observe.design import Design
@@ -19,8 +19,6 @@ from spotcheck.model.effect import Context, Effect, Place, Present
 OF_PIXELS = frozenset(Place) - {Place.EXPOSURE, Place.WIDTH, Place.BRIGHTNESS, Place.NOISE, Place.SCATTER}
 # Frames on which starts and forms are compared, and how many effects are then looked at on all frames.
 SOME, LOOKED_AT = 12, 8
-# A first-order size of less than this part of what matters is not worth a fit: it is off by half at most.
-WORTH = 0.5
 
 
 class Candidate(NamedTuple):
@@ -57,32 +55,32 @@ def ranked(
     ready = Ready(frames, fitted, [])
     sites, rows = gathered(frames, design, ready)
     trials += [Candidate(own.own, own.told.gain, False) for own in patterns_of(sites, rows, usable, context)]
-    found = stripes_of(sites, context.sigma_px)
-    if found is not None and found.gain > 0:
-        for effect in usable:
-            if effect.spectral:
-                trials += _striped(frames, design, fitted.model.numbers, sites, effect, found)
+    trials += striped(frames, design, fitted.model.numbers, sites, usable, context)
     trials = [own for own in trials if own.promise >= criteria.GAIN.value]
     return Ranked(sorted(trials, key=lambda own: -own.promise), tied)
 
 
-def _striped(
+def striped(
     frames: Sequence[Frame],
     design: Design,
     numbers: Numbers,
     sites: Sequence[Site],
-    effect: Effect,
-    found: Stripes,
+    effects: Sequence[Effect],
+    context: Context,
 ) -> Iterator[Candidate]:
     """Stripes in the forms in which they may lie, each with its waves in the frames' views."""
+    found = stripes_of(sites, context.sigma_px)
+    if found is None or found.gain <= 0:
+        return
     with_waves = waved(frames, design, numbers, sites, found.period, found.direction)
     centre = np.array(
         [[own[design.site == s].mean() for own in (numbers.x, numbers.y)] for s in np.unique(design.site)]
     )
-    for own in phases(found, centre):
-        if own.form in effect.forms:
-            values = (own.depth, found.period, found.direction, own.phase)
-            yield Candidate(Present(effect, own.form, values), found.gain * own.agrees**2, True, with_waves)
+    for effect in (own for own in effects if own.spectral):
+        for own in phases(found, centre):
+            if own.form in effect.forms:
+                values = (own.depth, found.period, found.direction, own.phase)
+                yield Candidate(Present(effect, own.form, values), found.gain * own.agrees**2, True, with_waves)
 
 
 def starts_of(effects: Sequence[Effect], context: Context) -> list[Present]:
@@ -114,10 +112,10 @@ def likeliest(
     hidden = {own.effect.name for own in tied}
     order = sorted((one for name, one in best.items() if name not in hidden), key=lambda one: -one[0])
     looked = [own for _, own in order[:LOOKED_AT]]
-    out = []
+    out, worth = [], criteria.FIRST_ORDER.value
     for own, score in zip(looked, scores(frames, fitted, looked), strict=True):
         asked = asked_for(own, score, context)
-        if not np.isfinite(own.effect.neutral) or asked.effect.excess(asked.values[0], context) >= WORTH:
+        if not np.isfinite(own.effect.neutral) or asked.effect.excess(asked.values[0], context) >= worth:
             out.append(Candidate(asked, promised(own, score)))
     return out, tied
 

@@ -236,9 +236,11 @@ def search_levels(series: Series, effects: Sequence[Effect]) -> tuple[LevelFit, 
         out = []
         for k, own in enumerate(now.model.present):
             rest, tried = without(now, k), [in_place(series, now, e, k) for e in others(now)]
-            near = {names_of(fit)[-1]: max(fit.deviance - now.deviance, 0.0) for fit in tried if matters(series, fit)}
-            near = {name: d for name, d in near.items() if d < criteria.RIVAL.value}
-            out.append(Found(own, rest.deviance - now.deviance, holding_of(series, now, rest, k), near))
+            tried = [fit for fit in tried if fit.deviance < now.deviance + criteria.RIVAL.value]
+            near = {names_of(fit)[-1]: max(fit.deviance - now.deviance, 0.0) for fit in tried}
+            # What something negligible does as well is nothing that matters.
+            gain = rest.deviance - now.deviance if all(matters(series, fit) for fit in tried) else 0.0
+            out.append(Found(own, gain, holding_of(series, now, rest, k), near))
         return out
 
     plain = now = fit_levels(series, ())

@@ -6,14 +6,17 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.evidence.noise import Noisy, levels_of, moves_level, noises_of
+from spotcheck.discrepancy.evidence.codes import gathers
+from spotcheck.discrepancy.evidence.noise import Noisy, level_of, levels_of, noises_of
 from spotcheck.discrepancy.nuisance.darkness import darkness
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, of_dark
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame
+from spotcheck.discrepancy.observe.frames import TOP
+from spotcheck.discrepancy.observe.pixels import Frame, Model
 from spotcheck.discrepancy.search.candidates import Candidate, Tied, ranked
 from spotcheck.discrepancy.search.holds import Holding, holding_of, pattern_of
 from spotcheck.model.effect import Context, Effect, Place, Present
+from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 # Steps of the fit of what was chosen: far from the truth brightness, width and shape are slow to part.
 MOST_STEPS = 24
@@ -63,59 +66,63 @@ def grow(
     design: Design,
     effects: Sequence[Effect],
     context: Context,
-    black_dn: float,
     least: Callable[[State], float] = lambda state: 0.0,
 ) -> Grown:
-    """Add effects of pixels one by one, where the sheet states a black level of so many DN; given up where none gains
-    as much as is the `least` for a state.
+    """Add effects of pixels one by one; given up where none gains as much as is the `least` for a state.
 
     Noise and level of dark pixels come first: with too little noise in the model, every pedestal and every halo looks
     like more, and beside a wrong level nothing else can be told. What moves the level is asked last.
     """
     rivals, tied = dict[str, dict[str, float]](), list[Tied]()
     now, told = quiet(start, level=True)
-    usable = [e for e in effects if not (told and any(moves_level(e, form) for form in e.forms))]
+    # The brightest light lies above the level that is there, not above the stated one.
+    sensor = now.fitted.model.sensor
+    shift = sensor.black_level_dn - now.fitted.model.stated.sensor.black_level_dn
+    context = context._replace(peak_dn=max(context.peak_dn - shift / TOP, 1.0))
+    usable = [e for e in effects if not (told and any(e.moves_level(form) for form in e.forms))]
     for step in range(int(criteria.MOST.value)):
         wanted = least(now)
         found = ranked(now.frames, design, now.fitted, usable, context)
         tied = tied if step else found.tied
-        best = _best(now, [own for own in found.candidates if own.promise >= wanted], context)
+        best = best_of(now, [own for own in found.candidates if own.promise >= wanted], context)
         if best is None:
-            return Grown(levelled(now, black_dn, effects, context), rivals, tied, wanted <= criteria.GAIN.value)
+            return Grown(levelled(now, effects, context), rivals, tied, wanted <= criteria.GAIN.value)
         now, near = best
         rivals[now.fitted.model.present[-1].effect.name] = near
         now, _ = quiet(now, level=told, anew=True)
-    return Grown(levelled(now, black_dn, effects, context), rivals, tied, finished=True)
+    return Grown(levelled(now, effects, context), rivals, tied, finished=True)
 
 
-def levelled(now: State, stated_dn: float, effects: Sequence[Effect], context: Context) -> State:
-    """A state in which the black level is the stated one again, and what moves it an effect, where it is more than
-    nothing."""
-    sensor = now.fitted.model.sensor
-    shift = sensor.black_level_dn - stated_dn
-    dark = darkness(now.frames, now.fitted.model) if shift else None
+def levelled(now: State, effects: Sequence[Effect], context: Context) -> State:
+    """A state in which the black level is the stated one again where dark pixels tell another, and what moves it an
+    effect; within the sheet's error it stays as it is."""
+    model, stated = now.fitted.model, now.fitted.model.stated
+    shift = model.sensor.black_level_dn - stated.sensor.black_level_dn
+    dark = darkness(now.frames, model) if shift else None
     if dark is None:
         return now
-    model = now.fitted.model._replace(sensor=sensor._replace(black_level_dn=stated_dn))
-    tried = [now._replace(fitted=fit(now.frames, model, now.fitted.penalty, now.fitted.free))]
+    strong = (shift / np.hypot(dark.black_level_stderr, stated.stderr[2])) ** 2 >= criteria.GAIN.value
+    if not strong and stated.stderr[2]:
+        return now
+    model = model._replace(sensor=model.sensor._replace(black_level_dn=stated.sensor.black_level_dn))
     taken = {own.effect.name for own in model.present}
     usable = [effect for effect in effects if effect.name not in taken]
-    if (shift / dark.black_level_stderr) ** 2 >= criteria.GAIN.value:
-        for own in levels_of(usable, shift, now.frames[0].view, context):
-            if own.effect.excess(own.values[0], context) >= 1:
-                other = model.with_effect(own)
-                fitted = fit(now.frames, other, now.fitted.penalty, free_of(other, context), steps=MOST_STEPS)
-                tried.append(quiet(now._replace(fitted=fitted), level=False)[0])
-    return min(tried, key=lambda own: own.fitted.total)
+    others = [model.with_effect(own) for own in levels_of(usable, shift, now.frames[0].view, context)
+              if own.effect.excess(own.values[0], context) >= 1] if strong else []  # fmt: skip
+    tried = [_fitted(now, own, context) for own in others or [model]]
+    return min((quiet(own, level=False)[0] for own in tried), key=lambda own: own.fitted.total)
 
 
-def outcome_of(
-    grown: Grown, before: Fitted, design: Design, effects: Sequence[Effect], context: Context, stated_e: float
-) -> Outcome:
-    """What holds everywhere of what was added, and effects that add noise, where the sheet states a read noise of so
-    many e-."""
+def _fitted(now: State, model: Model, context: Context) -> State:
+    """A state with another model, fitted."""
+    free = free_of(model, context)
+    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free, steps=MOST_STEPS))
+
+
+def outcome_of(grown: Grown, before: Fitted, design: Design, effects: Sequence[Effect], context: Context) -> Outcome:
+    """What holds everywhere of what was added, and effects that add noise beside what the sheet states."""
     now, kept = _tested(grown.state, design, grown.rivals, context)
-    noisy = noises_of(now.frames, groups_of(design), now.fitted.model, stated_e, effects, context)
+    noisy = noises_of(now.frames, groups_of(design), now.fitted.model, effects, context)
     kept += [one for one in (_named(own, context) for own in noisy) if one is not None]
     return Outcome(now.frames, before, now.fitted, tuple(kept), tuple(grown.tied))
 
@@ -125,7 +132,7 @@ def groups_of(design: Design) -> np.ndarray:
     return design.exposure_s if design.exposures.size > 1 else design.angle_deg
 
 
-def _best(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, float]] | None:
+def best_of(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, float]] | None:
     """The state with the candidate that gains most when fitted, of so many that gain and matter; and by what others
     fall behind."""
     tried: list[tuple[float, str, State]] = []
@@ -158,50 +165,51 @@ def added(now: State, own: Candidate, context: Context) -> State:
 
 
 def without(now: State, k: int, context: Context) -> State:
-    """A state without the effect of a number, fitted again."""
-    model = now.fitted.model.without(k)
-    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free_of(model, context), steps=MOST_STEPS))
+    """A state without the effect of a number."""
+    return _fitted(now, now.fitted.model.without(k), context)
 
 
 def quiet(now: State, *, level: bool, anew: bool = False) -> tuple[State, bool]:
-    """A state under the read noise of its dark pixels, and with `level` their black level, and whether these are told;
+    """A state under the read noise of its dark pixels, and with `level` their black level, and whether these tell it;
     `anew`: fitted again in any case."""
-    dark, model = darkness(now.frames, now.fitted.model), now.fitted.model
-    sensor, told = model.sensor, dark is not None and bool(np.isfinite(dark.black_level_stderr))
-    if dark is not None:
-        # An error that is infinite is of what is not told.
-        if abs(dark.read_noise_e - sensor.read_noise_e) >= dark.read_noise_stderr:
-            sensor, anew = sensor._replace(read_noise_e=dark.read_noise_e), True
-        if level and abs(dark.black_level_dn - sensor.black_level_dn) >= dark.black_level_stderr:
-            sensor, anew = sensor._replace(black_level_dn=dark.black_level_dn), True
-    if not anew:
-        return now, told
-    model = model._replace(sensor=sensor)
-    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, now.fitted.free, steps=MOST_STEPS)), told
+    model, free = now.fitted.model, now.fitted.free
+    found = dark_of(now.frames, model, level=level)
+    if anew or (found.sensor, found.stated) != (model.sensor, model.stated):
+        now = now._replace(fitted=fit(now.frames, found, now.fitted.penalty, free, steps=MOST_STEPS))
+    return now, not found.stated.free[2]
+
+
+def dark_of(frames: Sequence[Frame], model: Model, *, level: bool) -> Model:
+    """A model with the read noise of dark pixels, and with `level` their black level, where they lie off by more than
+    their errors. They overrule the sheet; what they do not tell is as free as the sheet's errors leave it."""
+    dark, sensor, sheet = darkness(frames, model), model.sensor, model.stated
+    if dark is None:
+        return model
+    # An error that is infinite is of what is not told.
+    if abs(dark.read_noise_e - sensor.read_noise_e) >= dark.read_noise_stderr:
+        sensor = sensor._replace(read_noise_e=dark.read_noise_e)
+    if level and abs(dark.black_level_dn - sensor.black_level_dn) >= dark.black_level_stderr:
+        sensor = sensor._replace(black_level_dn=dark.black_level_dn)
+    free = (sheet.free[0], bool(np.isinf(dark.read_noise_stderr)), bool(np.isinf(dark.black_level_stderr)))
+    return model._replace(sensor=sensor, sheet=sheet._replace(free=free))
 
 
 def _named(one: Noisy, context: Context) -> Found | None:
-    """An effect that adds noise, where it is more than nothing and groups of frames agree about it."""
-    holding = Holding(one.q, max(one.groups, 1), one.gain, one.error)
+    """An effect that dark pixels tell, where it is more than nothing and groups of frames agree about it."""
+    found = _of_dark(one)
     matters = one.gain >= criteria.GAIN.value and one.own.effect.excess(one.own.values[0], context) >= 1
-    return Found(one.own, one.gain, holding, {}) if matters and holding.holds else None
+    return found if matters and found.holding.holds else None
+
+
+def _of_dark(one: Noisy) -> Found:
+    return Found(one.own, one.gain, Holding(one.q, max(one.groups, 1), one.gain, one.error), {})
 
 
 def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], context: Context):
     """A state without the effects that do not hold everywhere, and those that do."""
 
     def found_of(now: State) -> list[Found]:
-        found = []
-        for k, own in enumerate(now.fitted.model.present):
-            rest = without(now, k, context)
-            if own.effect.place is Place.SCATTER:
-                gain, holding = pattern_of(now.frames, design, rest.fitted, own, context)
-            else:
-                gain = rest.fitted.total - now.fitted.total
-                holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
-            near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
-            found.append(Found(own, gain, holding, near))
-        return found
+        return [_held(now, k, design, rivals, context) for k in range(len(now.fitted.model.present))]
 
     return held(now, found_of, lambda now, k: without(now, k, context))
 
@@ -215,3 +223,22 @@ def held(now: S, found_of: Callable[[S], list[Found]], without: Callable[[S, int
         if not bad:
             return now, found
         now = without(now, max(bad, key=lambda k: found[k].holding.excess))
+
+
+def _held(now: State, k: int, design: Design, rivals: dict[str, dict[str, float]], context: Context) -> Found:
+    """The effect of a number, with what it gains and how it holds."""
+    model, own = now.fitted.model, now.fitted.model.present[k]
+    dark = level_of(now.frames, model, k) if of_dark(model, own) else None
+    if dark is not None:
+        return _of_dark(dark)
+    rest = without(now, k, context)
+    if own.effect.place is Place.SCATTER:
+        gain, holding = pattern_of(now.frames, design, rest.fitted, own, context)
+    else:
+        gain = rest.fitted.total - now.fitted.total
+        holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
+        if own.form in own.effect.rounded and gathers(now.frames, model, k):
+            # A code speaks for itself: cells ask whether light has the right shape about it.
+            holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5))
+    near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
+    return Found(own, gain, holding, near)

@@ -8,32 +8,37 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.evidence.patterns import gathered
 from spotcheck.discrepancy.evidence.pixels import Ready
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, shared
 from spotcheck.discrepancy.nuisance.numbers import expected_of
 from spotcheck.discrepancy.nuisance.taken import leverage
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, deviance_of
-from spotcheck.discrepancy.search.candidates import at_frames, some_of, tied_of
-from spotcheck.discrepancy.search.forward import MOST_STEPS, Outcome, State, grow, outcome_of, quiet
+from spotcheck.discrepancy.search.candidates import at_frames, some_of, striped, tied_of
+from spotcheck.discrepancy.search.forward import MOST_STEPS, Outcome, State, best_of, dark_of, grow, outcome_of, quiet
 from spotcheck.model import light_shape
 from spotcheck.model.effect import Context, Effect, Place
 
 # Distance of the nodes of a learned shape [σ]: twice as coarse, splines leave effects that are not there. Of one frame
-# alone a shape so fine would be its stripes and grains.
-STEP, STEP_OF_ONE = 0.12, 0.3
+# alone a shape so fine would be its stripes and grains; stripes are looked for beside one that is coarser still.
+STEP, STEP_OF_ONE, COARSE = 0.12, 0.3, 0.6
 # How far the nodes reach [σ], where a Gaussian has 2e-6 of its peak, and the price of second differences [1/peak²].
 REACH, PENALTY = 5.1, 1.0
-# A shape is asked for where it gains this many standard deviations more than noise would.
-ASKED = 5.0
 # An effect that is to stand in the place of a shape must gain this part of what the shape would.
 PART = 0.5
 
 
 def find(frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context) -> Outcome:
     """The search under the light that is right, from a model that declares its shape."""
-    learned = quiet(State(tuple(frames), with_shape(frames, model)), level=True)[0].fitted
-    declared = fit(frames, model._replace(sensor=learned.model.sensor), PENALTY)
+    # Under a level or a noise that is far off no shape is found.
+    dark = dark_of(frames, model, level=True)
+    lit = of_one(frames, design, dark, effects, context) if len(frames) == 1 else State(tuple(frames), with_shape(
+        frames, dark))  # fmt: skip
+    lit, _ = quiet(lit, level=True)
+    learned = lit.fitted
+    declared = fit(frames, learned.model._replace(baseline=model.baseline, present=()), PENALTY)
 
     def least(state: State) -> float:
         more = asked(state, design, learned)
@@ -41,18 +46,30 @@ def find(frames: Sequence[Frame], design: Design, model: Model, effects: Sequenc
             more = asked(state, design, with_shape(state.frames, state.fitted.model, context))
         return PART * more
 
-    stated = model.sensor
-    grown = grow(State(tuple(frames), declared), design, effects, context, stated.black_level_dn, least)
+    grown = grow(State(tuple(frames), declared), design, effects, context, least)
     state = grown.state
     beside = with_shape(state.frames, state.fitted.model, context)
     if grown.finished and asked(state, design, beside) <= 0:
-        return outcome_of(grown, declared, design, effects, context, stated.read_noise_e)
+        return outcome_of(grown, declared, design, effects, context)
     # Of one frame a shape can be nearly all that the declared light asked for.
-    state = State(tuple(frames), learned)
+    state = lit
     if len(frames) > 1:
         state = without_tied(State(grown.state.frames, beside), design, context)
-    grown = grow(state, design, effects, context, stated.black_level_dn)
-    return outcome_of(grown, learned, design, effects, context, stated.read_noise_e)
+    grown = grow(state, design, effects, context)
+    return outcome_of(grown, learned, design, effects, context)
+
+
+def of_one(frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context) -> State:
+    """One frame alone beside a shape that is learned, and stripes, where there are any: a shape that may be as fine as
+    they are is fitted beside them."""
+    coarse, _ = quiet(State(tuple(frames), with_shape(frames, model, step=COARSE)), level=True)
+    sites, _ = gathered(coarse.frames, design, Ready(coarse.frames, coarse.fitted, []))
+    found = striped(coarse.frames, design, coarse.fitted.model.numbers, sites, effects, context)
+    best = best_of(coarse, list(found), context)
+    now = best[0] if best else coarse
+    # The coarse shape leaves much that passes for noise.
+    begun = now.fitted.model._replace(sensor=model.sensor, sheet=model.sheet)
+    return now._replace(fitted=with_shape(now.frames, begun, context))
 
 
 def without_tied(now: State, design: Design, context: Context) -> State:
@@ -70,17 +87,23 @@ def without_tied(now: State, design: Design, context: Context) -> State:
     return now._replace(fitted=with_shape(now.frames, model._replace(present=kept), context))
 
 
-def with_shape(frames: Sequence[Frame], model: Model, context: Context | None = None) -> Fitted:
+def with_shape(
+    frames: Sequence[Frame], model: Model, context: Context | None = None, step: float | None = None
+) -> Fitted:
     """A fit of a model beside a shape that is learned."""
-    shape = light_shape.empty(STEP if len(frames) > 1 else STEP_OF_ONE, REACH)
+    shape = light_shape.empty(step or (STEP if len(frames) > 1 else STEP_OF_ONE), REACH)
     model = model._replace(baseline=model.baseline._replace(learned=shape))
-    return fit(frames, model, PENALTY, free_of(model, context) if context else (), steps=MOST_STEPS)
+    learned = fit(frames, model, PENALTY, steps=MOST_STEPS)
+    if context is None or not model.present:
+        return learned
+    # From an empty shape effects would take what is the shape's.
+    return fit(frames, learned.model, PENALTY, free_of(model, context), steps=MOST_STEPS)
 
 
 def asked(declared: State, design: Design, learned: Fitted) -> float:
     """What −2 ln L gains by a learned shape beyond what it would by noise: less than 0 where none is asked for."""
     freedom = freedom_of(declared.frames, learned)
-    gain = declared.fitted.total - learned.total - freedom - ASKED * np.sqrt(2 * freedom)
+    gain = declared.fitted.total - learned.total - freedom - criteria.SURE.value * np.sqrt(2 * freedom)
     scatters = any(own.effect.place is Place.SCATTER for own in declared.fitted.model.present)
     if gain <= 0 or not scatters or len(np.unique(design.site)) < 2:
         return float(gain)

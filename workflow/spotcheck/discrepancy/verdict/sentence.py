@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.conclude.judgement import TOO_SMALL
 from spotcheck.discrepancy.verdict.document import LIGHT, NOT_FORETOLD
 from spotcheck.discrepancy.verdict.words import (
     condition_text,
@@ -23,8 +24,6 @@ IN_FULL = 2
 NO_GAP = 0.02
 # Likelier by less than this is not worth a word.
 LIKELIER = 1.5
-# p1 or p2 is told where effects move it by so many of its errors.
-MOVED = 3.0
 
 # Of flats, in place of what is said of spots.
 OF_LEVELS = {
@@ -170,7 +169,10 @@ def _short(own: dict[str, Any]) -> str:
 
 def _unknown(document: dict[str, Any]) -> str:
     """That nothing is named."""
-    failed = [own["effect"] for own in document["limits"] if own["why"] == NOT_FORETOLD]
+    failed, small = ([own["effect"] for own in document["limits"] if own["why"] == why] for why in
+                     (NOT_FORETOLD, TOO_SMALL))  # fmt: skip
+    if small:
+        return f"It would be explained by {list_text(small, ' or ')}, {TOO_SMALL}."
     what = (
         f"{list_text(failed)} seemed to explain it, but not on unseen frames"
         if failed
@@ -254,7 +256,7 @@ def _moved(document: dict[str, Any]) -> str:
     moved: list[str] = []
     for name, own in document["baseline_shift"].items():
         before, after, error = own["before"], own["after"], own["stderr"]
-        if before is None or after is None or not error or abs(after - before) <= MOVED * error:
+        if before is None or after is None or not error or abs(after - before) <= criteria.STATED.value * error:
             continue
         first = f"{before:.{max(digits_of(error), 0)}f}".replace("-", "−")
         moved.append(f"{name}{'' if moved else ' goes'} from {first} to {value_text(after, error, own['unit'])}")

@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.estimate.noise import NoiseCurve
-
 # Bins are even in the root of the level, on which shot noise is even.
 BINS = 25
 # Fewest differences in a bin: the variance of a bin is then known to 15 %.
@@ -42,6 +40,14 @@ ENDS = 2.0
 # Neighbours' noise is looked at as far as this [px]; a correlation of differences that is off white noise's by this
 # much is one; by as much as `NOT_WHITE` between next neighbours, the differences do not tell the noise.
 FARTHEST, CORRELATED, NOT_WHITE = 16, 0.06, 0.15
+
+
+class NoiseCurve(NamedTuple):
+    """Variance [DN²] of single pixels against grey level [DN], with the standard error of each variance."""
+
+    level: np.ndarray
+    variance: np.ndarray
+    stderr: np.ndarray
 
 
 class Gain(NamedTuple):
