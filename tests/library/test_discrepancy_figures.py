@@ -176,10 +176,12 @@ def test_rings_stand_out_by_their_noise(named):
     assert float(named.ds["z_threshold"]) == pytest.approx(stats.norm.isf(0.01 / 2 / cells))
 
 
-def test_tests_of_detection_are_told_as_z(named):
-    parts = named.own.detection.parts
-    assert [str(name).split(":")[0] for name in named.ds["part"].values] == [part.name.split(":")[0] for part in parts]
-    np.testing.assert_allclose(stats.norm.sf(named.ds["part_z"]), [part.p_value for part in parts], rtol=1e-6)
+def test_tests_of_detection_are_told_as_z(tmp_path):
+    """Each by name, with the z of its places together."""
+    parts = tuple(own._replace(z=z) for own, z in zip(detected(1e-12).parts, (7.0, 0.3), strict=True))
+    this = made(tmp_path, fitted(off(detection=detected(1e-12)._replace(parts=parts)), **ONE), **ONE)
+    assert [str(name).split(":")[0] for name in this.ds["part"].values] == [part.name.split(":")[0] for part in parts]
+    np.testing.assert_array_equal(this.ds["part_z"], [7.0, 0.3])
 
 
 def drawn(own: Made) -> tuple[dict[str, str], dict[str, str]]:
