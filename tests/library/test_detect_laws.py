@@ -17,6 +17,7 @@ from spotcheck.discrepancy.evidence.cells import (
     TAKEN,
     Cells,
     Readings,
+    Standard,
     cells_of,
     pooled,
     whitened,
@@ -100,19 +101,44 @@ def window() -> np.ndarray:
     return np.exp(-((x - 28) ** 2 + (y - 33) ** 2) / (4 * 6.0**2))
 
 
-def test_power_of_rings():
-    """Mean and variance over 400 fields of white noise under a spot, skewed as of few electrons (κ₃ 1, κ₄ 1.5): each
-    of 7 means within 4 standard errors, each spread within 4 of its own. False alarms: some 1 in 1000."""
+def test_pairs_of_pixels():
+    """Mean and variance of the sums over pairs in 400 fields of noise under a spot, skewed as of few electrons (κ₃ 1,
+    κ₄ 1.5), of which a fit takes three modes: each of 3 means within 4 standard errors, each spread within 4 of its
+    own. False alarms: some 1 in 1000."""
     rng = np.random.default_rng(3)
     a = window()
+    modes = np.linalg.qr(rng.standard_normal((a.size, 3)) * a.reshape(-1, 1))[0]
+    taken = fields.taken_of(modes.T, a.shape, a.ravel())
     z = []
     for _ in range(400):
-        noise = rng.gamma(4.0, 0.5, a.shape) - 2
-        power = fields.power_of(fields.Field(a * noise, a**2, a**4 * 1.5, np.zeros(len(fields.RINGS) - 1)))
-        z.append((power.value - power.mean) / np.sqrt(power.variance))
+        noise = rng.gamma(4.0, 0.5, a.size) - 2
+        noise -= modes @ (modes.T @ noise)
+        pairs = fields.pairs_of(fields.field_of([one_frame(noise, a.shape)], [a.ravel()], [taken]))
+        z.append((pairs.value - pairs.mean) / np.sqrt(pairs.variance))
     assert np.abs(np.mean(z, axis=0)).max() < 4 / 20
-    # The squares' own spread: kurtosis up to some 6 in the ring of fewest modes.
+    # Their own spread: kurtosis up to some 6 where pairs reach over the spot.
     assert np.abs(np.std(z, axis=0) - 1).max() < 4 * np.sqrt(8 / 400) / 2
+
+
+def one_frame(z: np.ndarray, shape: tuple[int, int]) -> Standard:
+    """A frame of which only z is known."""
+    row, column = (own.ravel() for own in np.indices(shape))
+    return Standard(z, *[np.ones(z.size)] * 8, row, column, z, z, shape)
+
+
+def test_pairs_against_brute_force():
+    """Σ aᵢzᵢ K(i − j) aⱼzⱼ over i ≠ j on a window that closes on itself, and twice Σ aᵢ² K² aⱼ²."""
+    rng = np.random.default_rng(4)
+    a, z = rng.uniform(0, 1, (6, 7)), rng.standard_normal((6, 7))
+    pairs = fields.pairs_of(fields.Field(a * z, a**2, np.zeros((2, 3))))
+    y, x = (own.ravel() for own in np.indices(a.shape))
+    apart = [np.minimum(abs(p[:, None] - p), n - abs(p[:, None] - p)) for p, n in ((y, 6), (x, 7))]
+    for k, grain in enumerate(fields.GRAINS):
+        kernel = np.exp(-(apart[0] ** 2 + apart[1] ** 2) / (2 * grain**2)) - np.eye(42)
+        product = (a * z).ravel()
+        assert pairs.value[k] - pairs.mean[k] == pytest.approx(product @ kernel @ product)
+        square = (a**2).ravel()
+        assert pairs.variance[k] == pytest.approx(2 * square @ kernel**2 @ square)
 
 
 @pytest.mark.parametrize("count", [1, 6])
@@ -124,7 +150,7 @@ def test_chance_of_a_peak(count):
     a = window()
     p = []
     for _ in range(400):
-        own = [fields.Field(a * rng.standard_normal(a.shape), a**2, 0 * a, np.zeros(7)) for _ in range(count)]
+        own = [fields.Field(a * rng.standard_normal(a.shape), a**2, np.zeros((2, 3))) for _ in range(count)]
         p.append(fields.peak_part("", own).p_value)
     for level in (0.05, 0.2, 0.5):
         assert stats.binomtest(int((np.array(p) < level).sum()), 400, level).pvalue > 1e-3
@@ -353,7 +379,7 @@ def test_the_largest_reading_is_no_rarer_than_it_should_be():
         ("mean: column, all", lambda k, x, y: 0.15 * (-1.0) ** x),
         ("mean: patch, all", lambda k, x, y: 0.4 * np.sign(x - 30) * np.sign(y - 30)),
         ("mean: block, frame", lambda k, x, y: 2.0 * (k == 7) * np.sign(np.sin(x / 4)) * np.sign(np.sin(y / 4))),
-        ("spectrum: frames", lambda k, x, y: 0.5 * (-1.0) ** (x + y + k)),
+        ("grain: frame", lambda k, x, y: 0.5 * (-1.0) ** (x + y + k)),
         ("variance: frame, frame", lambda k, x, y: 3.0 * (k == 7) * np.where((7 * x + 3 * y) % 11 < 5, 1, -1)),
     ],
 )

@@ -28,7 +28,7 @@ FIRST_ORDER = Criterion(
     0.5,
     "1",
     "a first-order size is taken for worth a fit, and a change for in proportion, where it is wrong by less than this",
-    "of effects that were put in, first-order sizes are off by half at most",
+    "first-order sizes of what is there are off by half at most",
 )
 PRICE = Criterion(
     2.0,
@@ -52,7 +52,7 @@ COHERENT = Criterion(
     0.7,
     "1",
     "stripes are fixed to the sensor or to the spot where the sites' phases add up to this part of what equal ones do",
-    "noise turns the phases of stripes that are just seen, by half a radian",
+    "equal phases that noise scatters by 0.8 rad add up to 0.73",
 )
 DRAWN = Criterion(
     0.4,
@@ -119,13 +119,13 @@ COLLAPSE = Criterion(
     0.6,
     "1",
     "the signal stops where noise has less than this part of the variance that darker levels let expect",
-    "what bends bends the noise by less over one bin; a clip leaves next to none",
+    "a response that bends takes less from one bin to the next; a clip leaves next to nothing",
 )
 NOT_WHITE = Criterion(
     0.15,
     "1",
     "differences do not tell the noise where next neighbours correlate by this much more than white noise does",
-    "then a variance of differences is off by a quarter of itself or more",
+    "such frames were smoothed, sharpened or compressed: their differences are not those of single pixels",
 )
 EXPECTED = Criterion(
     20.0,

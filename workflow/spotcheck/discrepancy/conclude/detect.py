@@ -46,14 +46,14 @@ class Detection(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """All sums over the frames of a model: where these are, cells of each frame by kind, powers of the frames, fields
+    """All sums over the frames of a model: where these are, cells of each frame by kind, pairs of its pixels, fields
     of the sites; and the readings as they were standardised, without what fits take of them."""
 
     frames: Sequence[Frame]
     model: Model
     scene: Scene
     cells: list[dict[str, Cells]]
-    powers: list[spectra.Power]
+    pairs: list[spectra.Pairs]
     fields: list[spectra.Field]
     seen: list[Standard]
 
@@ -95,7 +95,7 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
     plain = model.model if isinstance(model, Fitted) else model
     readings = Readings(frames, plain, shapes)
     scene = scene_of(frames, plain)
-    seen, cells, powers, weighed = [], [], [], []
+    seen, cells, pairs, weighed = [], [], [], []
     taken: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
     for k, condition in enumerate(np.asarray(design.condition)):
         own = readings.of(k)
@@ -104,11 +104,11 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
         key = int(condition), own.shape
         if key not in taken:
             taken[key] = (
-                spectra.taken_power(lost, own.shape, even),
-                spectra.taken_power(lost, own.shape, own.relative),
+                spectra.taken_of(lost, own.shape, even),
+                spectra.taken_of(lost, own.shape, own.relative),
             )
         cells.append(cells_of(own, scene.brightest, scene.corner))
-        powers.append(spectra.power_of(spectra.field_of([own], [even], [taken[key][0]])))
+        pairs.append(spectra.pairs_of(spectra.field_of([own], [even], [taken[key][0]])))
         weighed.append(taken[key][1])
         seen.append(own._replace(taken=np.empty(0), drawn=np.empty(0)))
     fields = []
@@ -116,7 +116,7 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
         at = np.flatnonzero(np.asarray(design.site) == place)
         weights = [seen[k].relative for k in at]
         fields.append(spectra.field_of([seen[k] for k in at], weights, [weighed[k] for k in at]))
-    return Looked(frames, plain, scene, cells, powers, fields, seen)
+    return Looked(frames, plain, scene, cells, pairs, fields, seen)
 
 
 def groups_of(scene: Scene) -> dict[str, list[np.ndarray]]:
@@ -162,8 +162,8 @@ def number_parts(looked: Looked, numbers: Mapping[str, Standing]) -> list[Part |
 
 def field_parts(looked: Looked) -> list[Part | None]:
     """All parts from spectra."""
-    out = [spectra.rings_part("spectrum: frames", looked.powers, even=True)]
-    out.append(spectra.rings_part("spectrum: sites", [spectra.power_of(own) for own in looked.fields], even=False))
+    out = [spectra.grain_part("grain: frame", looked.pairs)]
+    out.append(spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in looked.fields]))
     seen = looked.seen
     if len(looked.fields) == 1 or max(spectra.window_of(seen)[1]) < LARGEST_WINDOW:
         every = looked.fields if len(looked.fields) == 1 else [

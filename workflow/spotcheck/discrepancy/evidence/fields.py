@@ -1,8 +1,8 @@
-"""Spectra of what is left: power by ring of spatial frequency, and its highest peak.
+"""What is left as a field: do neighbours look alike, and is there a peak in its spectrum.
 
-A field a z with z of variance 1 has the power |F(k)|², F = Σ a z e^(−2πi k·r), whose sum over a ring is the quadratic
-form Σ aᵢzᵢ K(i − j) aⱼzⱼ with the ring's own kernel K: mean K(0) Σa² less what the frames' numbers take, variance
-2 Σ aᵢ² K² aⱼ² + K(0)² Σ a⁴κ₄. Both are sums over lags, exact on a window that is not padded.
+Of a field a z with z of variance 1 the products of all pairs of pixels, weighed by a kernel K of their distance, add up
+to Σ aᵢzᵢ K(i − j) aⱼzⱼ over i ≠ j: mean 0 less what fits take, variance 2 Σ aᵢ² K² aⱼ², whatever the law of z. Both are
+sums over lags, on a window that closes on itself.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from scipy import fft, special
 from spotcheck.discrepancy.evidence.cells import Standard
 from spotcheck.discrepancy.evidence.parts import Part, lower, smallest_of, upper
 
-# Bounds between rings of spatial frequency [cycles/px]; below the first, blocks and numbers tell more.
-RINGS = np.array([0.03, 0.06, 0.1, 0.16, 0.25, 0.36, 0.5, 0.72])
+# Standard deviations of the kernels [px]; of wider structure cells tell more.
+GRAINS = (0.7, 2.0, 5.6)
 # Peaks are sought from this part of the light's own frequency on [cycles per width of the light]: below, the spot's
 # numbers take part, and cosine and sine are no longer alike.
 LOWEST = 0.35
@@ -25,16 +25,16 @@ PADDED = 2
 
 
 class Field(NamedTuple):
-    """Sums over frames in one window [row, column]: a z, a² and a⁴κ₄; and power by ring that fits take [ring]."""
+    """Sums over frames in one window [row, column]: a z and a²; and of pairs what fits take, and of half their variance
+    [2, grain]."""
 
     pull: np.ndarray
     weight: np.ndarray
-    fourth: np.ndarray
     taken: np.ndarray
 
 
-class Power(NamedTuple):
-    """Sum over rings, its mean and its variance [ring]."""
+class Pairs(NamedTuple):
+    """Sum over pairs of pixels, Σ a² on top, its mean and its variance [grain]."""
 
     value: np.ndarray
     mean: np.ndarray
@@ -42,27 +42,26 @@ class Power(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def rings_of(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ring of each frequency of a half plane [ky, kx] (0: none), how often each counts, and squares of the rings'
-    kernels [ring, lag row, lag column]."""
-    ky, kx = fft.fftfreq(rows)[:, None], fft.rfftfreq(columns)[None, :]
-    ring = np.digitize(np.hypot(ky, kx), RINGS)
-    ring[ring == len(RINGS)] = 0
-    twice = np.where((kx > 0) & ~np.isclose(kx, 0.5), 2.0, 1.0) + 0 * ky
-    full = np.digitize(np.hypot(ky, fft.fftfreq(columns)[None, :]), RINGS)
-    kernels = [(fft.ifft2(full == r).real * rows * columns) ** 2 for r in range(1, len(RINGS))]
-    return ring, twice, np.stack(kernels)
+def kernels_of(rows: int, columns: int) -> np.ndarray:
+    """K [grain, lag row, lag column]."""
+    y, x = (np.minimum(np.arange(n), n - np.arange(n)) for n in (rows, columns))
+    kernels = np.stack([np.exp(-(y[:, None] ** 2 + x**2) / (2 * grain**2)) for grain in GRAINS])
+    kernels[:, 0, 0] = 0
+    return kernels
 
 
-def _by_ring(power: np.ndarray, ring: np.ndarray) -> np.ndarray:
-    return np.bincount(ring.ravel(), power.ravel(), len(RINGS))[1:]
+def _alike(fields: np.ndarray) -> np.ndarray:
+    """Σ over pairs of pixels, by lag, of fields [field, row, column]."""
+    return fft.irfft2((np.abs(fft.rfft2(fields)) ** 2).sum(axis=0), s=fields.shape[1:])
 
 
-def taken_power(taken: np.ndarray, shape: tuple[int, int], weight: np.ndarray) -> np.ndarray:
-    """Power [ring] that fits take of the field `weight` z of a frame; `taken` [column, pixel] as of `Standard`, draws
-    beside it."""
-    ring, twice, _ = rings_of(*shape)
-    return _by_ring((np.abs(fft.rfft2((taken * weight).reshape(-1, *shape))) ** 2).sum(axis=0) * twice, ring)
+def taken_of(taken: np.ndarray, shape: tuple[int, int], weight: np.ndarray) -> np.ndarray:
+    """What fits take of the pairs of the field `weight` z of a frame, and of half their variance [2, grain]; `taken`
+    [column, pixel] as of `Standard`, draws beside it."""
+    fields, kernels = (taken * weight).reshape(-1, *shape), kernels_of(*shape)
+    both = fft.rfft2(fields) * fft.rfft2(kernels)[:, None]
+    square = [np.sum((fft.irfft2(own, s=shape) * weight.reshape(shape)) ** 2) for own in both]
+    return np.stack([np.tensordot(kernels, _alike(fields), 2), square])
 
 
 def window_of(frames: Sequence[Standard]) -> tuple[tuple[int, int], tuple[int, int], list[tuple[slice, slice]]]:
@@ -78,52 +77,40 @@ def window_of(frames: Sequence[Standard]) -> tuple[tuple[int, int], tuple[int, i
 def field_of(frames: Sequence[Standard], weights: Sequence[np.ndarray], taken: Sequence[np.ndarray]) -> Field:
     """The field that frames share, each in its place on the sensor."""
     _, size, places = window_of(frames)
-    out = np.zeros((3, *size))
+    out = np.zeros((2, *size))
     for own, weight, at in zip(frames, weights, places, strict=True):
-        square = weight * weight
-        for total, values in zip(out, (weight * own.z, square, square * square * own.fourth), strict=True):
+        for total, values in zip(out, (weight * own.z, weight * weight), strict=True):
             total[at] += values.reshape(own.shape)
-    # The power that a frame's numbers take does not depend on the window but for the rings' number of modes.
-    more = out[0].size / frames[0].z.size
-    return Field(out[0], out[1], out[2], sum(taken, np.zeros(len(RINGS) - 1)) * more)
+    # What one frame's numbers take of the variance of pairs they take in all frames.
+    more = [np.array([[1.0], [out[1].sum() / max(float(own @ own), 1e-300)]]) for own in weights]
+    every = [own * factor for own, factor in zip(taken, more, strict=False)]
+    return Field(out[0], out[1], sum(every, np.zeros((2, len(GRAINS)))))
 
 
-def power_of(field: Field) -> Power:
-    """Power by ring of a field, and its law."""
-    rows, columns = field.pull.shape
-    ring, twice, kernels = rings_of(rows, columns)
-    value = _by_ring(np.abs(fft.rfft2(field.pull)) ** 2 * twice, ring)
-    modes = _by_ring(twice, ring)
-    lags = fft.irfft2(np.abs(fft.rfft2(field.weight)) ** 2, s=(rows, columns))
-    mean = modes * field.weight.sum() - field.taken
-    # What the numbers take is gone from the quadratic form's eigenvalues, in proportion.
-    left = np.divide(mean, mean + field.taken, out=np.zeros_like(mean), where=mean > 0)
-    variance = (2 * np.tensordot(kernels, lags, 2) + modes**2 * field.fourth.sum()) * left
-    return Power(value, mean, variance)
+def pairs_of(field: Field) -> Pairs:
+    """Pairs of a field, and their law."""
+    kernels, total = kernels_of(*field.pull.shape), float(field.weight.sum())
+    mean, every = total - field.taken[0], np.tensordot(kernels**2, _alike(field.weight[None]), 2)
+    variance = 2 * np.maximum(every - field.taken[1], 0.1 * every)
+    return Pairs(total + np.tensordot(kernels, _alike(field.pull[None]), 2), mean, variance)
 
 
-def rings_part(name: str, powers: Sequence[Power], *, even: bool) -> Part | None:
-    """Whether the power of some ring, summed over independent fields, each in units of what it should have, is off on
-    either side; `even`: beside what all rings have too much, for fields of even weight, whose rings are independent."""
-    units = [np.where(own.mean > 0, own.mean, np.inf) for own in powers]
-    value = np.sum([own.value / unit for own, unit in zip(powers, units, strict=True)], axis=0)
-    mean = np.sum([own.mean > 0 for own in powers], axis=0)
-    variance = np.sum([own.variance / unit**2 for own, unit in zip(powers, units, strict=True)], axis=0)
+def grain_part(name: str, pairs: Sequence[Pairs]) -> Part | None:
+    """Whether pixels look more or less alike than they should, over some grain, in independent fields together, each in
+    units of what it should have."""
+    units = [np.where(own.mean > 0, own.mean, np.inf) for own in pairs]
+    value = np.sum([own.value / unit for own, unit in zip(pairs, units, strict=True)], axis=0)
+    mean = np.sum([own.mean > 0 for own in pairs], axis=0)
+    variance = np.sum([own.variance / unit**2 for own, unit in zip(pairs, units, strict=True)], axis=0)
     good = variance > 0
     if not good.any():
         return None
-    value, mean, variance = value[good], mean[good], variance[good]
-    if even:
-        told = mean**2 / variance
-        value, variance = value / np.average(value / mean, weights=told), variance * (1 - told / told.sum())
+    value, mean, variance, grain = value[good], mean[good], variance[good], np.array(GRAINS)[good]
     p = np.minimum(2 * np.minimum(upper(value, mean, variance), lower(value, mean, variance)), 1.0)
-    z = (value - mean) / np.sqrt(variance)
+    z, beyond = (value - mean) / np.sqrt(variance), 2 * mean / variance * (value - mean)
     j = int(np.argmin(p))
-    low, high = RINGS[:-1][good][j], RINGS[1:][good][j]
-    where = f"structure of {1 / high:.1f} to {1 / low:.1f} px"
-    beyond = 2 * mean[j] / variance[j] * (value[j] - mean[j])
-    size = float(np.sign(beyond) * np.sqrt(abs(beyond)))
-    return Part(name, float(z[j]), smallest_of(float(p[j]), p.size), where, size)
+    size = float(np.sign(beyond[j]) * np.sqrt(abs(beyond[j])))
+    return Part(name, float(z[j]), smallest_of(float(p[j]), p.size), f"grain of {grain[j]:.2g} px", size)
 
 
 def peak_part(name: str, fields: Sequence[Field]) -> Part | None:
