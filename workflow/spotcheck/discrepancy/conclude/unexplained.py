@@ -56,11 +56,12 @@ class _Blocks(NamedTuple):
 
 
 def unexplained(frames: Sequence[Frame], fitted: Fitted, design: Design, seed: int = 0) -> Unexplained:
-    """Measure what a fit with a learned shape leaves."""
+    """Measure what a fit leaves, beside what a learned shape takes of the noise."""
     readings = Readings(frames, fitted.model)
     peak = np.exp(fitted.model.numbers.log_peak)
     condition = np.asarray(design.condition)
-    shapes = shapes_of(fitted, DRAWS, np.random.default_rng(seed))
+    learned = fitted.model.baseline.learned is not None
+    shapes = shapes_of(fitted, DRAWS, np.random.default_rng(seed)) if learned else []
     blocks, parts = [], {}
     for k in range(len(frames)):
         seen = readings.of(k)
@@ -69,7 +70,8 @@ def unexplained(frames: Sequence[Frame], fitted: Fitted, design: Design, seed: i
         c = int(condition[k])
         if c not in parts:
             # Frames of one condition are so alike that the shape takes the same part of their noise.
-            parts[c] = _taken_by_shape(seen, own, shapes) / max(float(own.variance.sum()), 1e-300)
+            taken = _taken_by_shape(seen, own, shapes) if shapes else 0.0
+            parts[c] = taken / max(float(own.variance.sum()), 1e-300)
     left = [own.variance * max(1 - parts[int(c)], 0.0) - own.taken for own, c in zip(blocks, condition, strict=True)]
     excess = [own.mean**2 - v for own, v in zip(blocks, left, strict=True)]
     count = sum(len(own) for own in excess)
