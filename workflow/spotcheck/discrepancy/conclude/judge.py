@@ -68,7 +68,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         where=places_of(detection.parts),
         off=unexplained(at_first).size,
         rest=rest,
-        errors=errors_of(outcome.after) | laws.errors,
+        errors=errors_of(outcome) | laws.errors,
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
         black_level_dn=setting.sensor.black_level_dn,
         fits=_fits(searched, kept, seen, unseen_frames, declared.model, outcome, laws.told, wide),
@@ -124,13 +124,18 @@ def sheet_of(outcome: Outcome) -> tuple[Against, ...]:
     return (*found, *(own for own in told if not (moved and own.name == "black_level_dn")))
 
 
-def errors_of(fitted: Fitted) -> dict[str, tuple[float, ...]]:
-    """Standard errors of the parameters of a fit's effects, NaN where one is not fitted."""
+def errors_of(outcome: Outcome) -> dict[str, tuple[float, ...]]:
+    """Standard errors of the parameters of a fit's effects, NaN where one is not fitted; of a strength that dark pixels
+    tell, theirs."""
+    fitted = outcome.after
     errors = np.sqrt(np.diag(fitted.covariance)[len(fitted.schur.left) - len(fitted.free) :])
     out = {own.effect.name: [np.nan] * len(own.values) for own in fitted.model.present}
     for free, error in zip(fitted.free, errors, strict=True):
         if free.effect >= 0:
             out[fitted.model.present[free.effect].effect.name][free.parameter] = float(error)
+    for found in outcome.found:
+        own = out.get(found.own.effect.name, [0.0])
+        own[0] = found.holding.error if np.isnan(own[0]) else own[0]
     return {name: tuple(own) for name, own in out.items()}
 
 
