@@ -267,7 +267,6 @@ CASES: dict[str, Callable[[], Case]] = {
 # What the verdict gets wrong today, and why; each is a defect of the engine.
 WRONG = {
     "8 bit": "a shape without any power is learned where nothing is missing",
-    "saturated spots on a pedestal": "the end of the converter is named once more, as saturation",
     "hot cluster brighter than the spot": "the cluster passes for saturated light",
 }
 
