@@ -266,9 +266,7 @@ CASES: dict[str, Callable[[], Case]] = {
 
 # What the verdict gets wrong today, and why; each is a defect of the engine.
 WRONG = {
-    "no data sheet of the noise": "with gain and noise from the frames p is 4e-3 to 1e-22 where nothing is missing",
     "8 bit": "a shape without any power is learned where nothing is missing",
-    "saturated spots on a pedestal": "the end of the converter is named once more, as saturation",
     "hot cluster brighter than the spot": "the cluster passes for saturated light",
 }
 
