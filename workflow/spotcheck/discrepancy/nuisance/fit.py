@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, told
+from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, scatters, told
 from spotcheck.model.effect import Context, Place
 from spotcheck.model.light_shape import LightShape
 
@@ -34,6 +34,11 @@ FARTHEST_SHAPE, HELD = 0.3, 1e-3
 NUDGE = 1e-3
 # In place of an effect: the sensor, and which of its numbers may be free.
 SENSOR, SENSOR_NUMBERS = -1, ("gain_dn_per_e", "read_noise_e", "black_level_dn")
+# In place of an effect: by which part of itself the level at which a signal stops differs from pixel to pixel; and the
+# least and the most that it may be: a thousandth is lost in read noise, more than a tenth is no level.
+UNEVEN, LEAST_UNEVEN, MOST_UNEVEN = -2, 1e-3, 0.1
+# The least contrast of a field: at 0 the variance, which goes with its square, would not lead away.
+LEAST_FIELD = 2e-3
 
 
 class Free(NamedTuple):
@@ -85,36 +90,42 @@ class Fitted(NamedTuple):
 
 
 def free_of(model: Model, context: Context) -> tuple[Free, ...]:
-    """The parameters of a model's effects that a fit may change: what scatters is told by its pattern, and a shape is
-    learned."""
+    """The parameters of a model's effects that a fit may change: a shape is learned, and of what scatters, variance
+    tells a field's strength alone."""
     out = []
     for e, own in enumerate(model.present):
-        if own.effect.place in (Place.SCATTER, Place.SHAPE):
+        if own.effect.place is Place.SHAPE or (own.effect.scatter and not scatters(own.effect, "field")):
             continue
         starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
         bounds = own.effect.bounds(context)
         for p, parameter in enumerate(own.effect.parameters):
             # A strength that means do not tell, noise does where it is one of noise.
             told = own.effect.place is Place.NOISE or parameter.name not in own.effect.idle.get(own.form, ())
+            if own.effect.scatter:
+                told, bounds[0, 0] = p == 0, max(bounds[0, 0], LEAST_FIELD)
             if told:
                 scale = max(abs(own.values[p]), float(np.median(starts[:, p])), 1e-12)
                 scale = 1.0 if parameter.unit == "deg" else scale
                 out.append(Free(e, p, float(bounds[p, 0]), float(bounds[p, 1]), NUDGE * scale))
+    if any(own.effect.place is Place.WELL for own in model.present):
+        out.append(Free(UNEVEN, 0, LEAST_UNEVEN, MOST_UNEVEN, NUDGE * model.uneven))
     return tuple(out)
 
 
 def changed(model: Model, free: Sequence[Free], values: Sequence[float]) -> Model:
     """A model with other values of its free parameters, kept within their bounds."""
     every = [list(own.values) for own in model.present]
-    sensor = model.sensor
+    sensor, uneven = model.sensor, model.uneven
     for own, value in zip(free, values, strict=True):
         value = float(np.clip(value, own.low, own.high))
-        if own.effect == SENSOR:
+        if own.effect == UNEVEN:
+            uneven = value
+        elif own.effect == SENSOR:
             sensor = sensor._replace(**{SENSOR_NUMBERS[own.parameter]: value})
         else:
             every[own.effect][own.parameter] = value
     present = tuple(own._replace(values=tuple(v)) for own, v in zip(model.present, every, strict=True))
-    return model._replace(present=present, sensor=sensor)
+    return model._replace(present=present, sensor=sensor, uneven=uneven)
 
 
 def values_of(model: Model, free: Sequence[Free]) -> np.ndarray:
@@ -123,6 +134,8 @@ def values_of(model: Model, free: Sequence[Free]) -> np.ndarray:
 
 
 def _value(model: Model, own: Free) -> float:
+    if own.effect == UNEVEN:
+        return model.uneven
     if own.effect == SENSOR:
         return float(getattr(model.sensor, SENSOR_NUMBERS[own.parameter]))
     return model.present[own.effect].values[own.parameter]

@@ -63,9 +63,10 @@ def grow(
     context: Context,
     black_dn: float,
     least: Callable[[State], float] = lambda state: 0.0,
+    gain: float = 0.0,
 ) -> Grown:
-    """Add effects of pixels one by one, where the sheet states a black level of so many DN; given up where none gains
-    as much as is the `least` for a state.
+    """Add effects of pixels one by one, where the sheet states a black level of so many DN, that promise a `gain`; given
+    up where none gains as much as is the `least` for a state.
 
     Noise and level of dark pixels come first: with too little noise in the model, every pedestal and every halo looks
     like more, and beside a wrong level nothing else can be told. What moves the level is asked last.
@@ -77,7 +78,7 @@ def grow(
         wanted = least(now)
         found = ranked(now.frames, design, now.fitted, usable, context)
         tied = tied if step else found.tied
-        best = _best(now, [own for own in found.candidates if own.promise >= wanted], context)
+        best = _best(now, [own for own in found.candidates if own.promise >= max(wanted, gain)], context)
         if best is None:
             return Grown(levelled(now, black_dn, effects, context), rivals, tied, wanted <= criteria.GAIN.value)
         now, near = best
@@ -158,7 +159,7 @@ def added(now: State, own: Candidate, context: Context) -> State:
 def without(now: State, k: int, context: Context) -> State:
     """A state without the effect of a number, fitted again."""
     model = now.fitted.model.without(k)
-    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free_of(model, context), steps=MOST_STEPS))
+    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free_of(model, context)))
 
 
 def quiet(now: State, *, level: bool, anew: bool = False) -> tuple[State, bool]:
@@ -190,11 +191,10 @@ def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], con
     while True:
         found = []
         for k, own in enumerate(now.fitted.model.present):
-            rest = without(now, k, context)
             if own.effect.place is Place.SCATTER:
-                gain, holding = pattern_of(now.frames, design, rest.fitted, own, context)
+                own, gain, holding = pattern_of(now.frames, design, now.fitted, own, context)
             else:
-                gain = rest.fitted.total - now.fitted.total
+                gain = without(now, k, context).fitted.total - now.fitted.total
                 holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
             near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
             found.append(Found(own, gain, holding, near))

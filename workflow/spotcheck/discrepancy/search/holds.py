@@ -41,14 +41,17 @@ class Holding(NamedTuple):
 
 
 def pattern_of(
-    frames: Sequence[Frame], design: Design, beside: Fitted, own: Present, context: Context
-) -> tuple[float, Holding]:
-    """What a pattern gains beside a fit without it, and whether all cells of the spot tell the same."""
-    sites, rows = gathered(frames, design, Ready(frames, beside, []))
+    frames: Sequence[Frame], design: Design, fitted: Fitted, own: Present, context: Context
+) -> tuple[Present, float, Holding]:
+    """A pattern as products of frames tell it, whatever their weights; what it gains, and whether all cells of the spot
+    tell the same."""
+    sites, rows = gathered(frames, design, Ready(frames, fitted, []))
     for found in patterns_of(sites, rows, [own.effect], context):
-        told = found.told
-        return told.gain, Holding(told.q, told.cells, min(told.gain, (told.value / told.error) ** 2), found.error)
-    return 0.0, Holding(0.0, 1, 0.0, np.inf)
+        if found.own.effect.excess(found.own.values[0], context) >= 1:
+            told = found.told
+            holding = Holding(told.q, told.cells, min(told.gain, (told.value / told.error) ** 2), found.error)
+            return found.own, told.gain, holding
+    return own, 0.0, Holding(0.0, 1, 0.0, np.inf)
 
 
 def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int, gain: float) -> Holding:
