@@ -56,11 +56,12 @@ class _Blocks(NamedTuple):
 
 
 def unexplained(frames: Sequence[Frame], fitted: Fitted, design: Design, seed: int = 0) -> Unexplained:
-    """Measure what a fit with a learned shape leaves."""
+    """Measure what a fit leaves."""
     readings = Readings(frames, fitted.model)
     peak = np.exp(fitted.model.numbers.log_peak)
     condition = np.asarray(design.condition)
-    shapes = shapes_of(fitted, DRAWS, np.random.default_rng(seed))
+    learned = fitted.model.baseline.learned is not None
+    shapes = shapes_of(fitted, DRAWS, np.random.default_rng(seed)) if learned else []
     blocks, parts = [], {}
     for k in range(len(frames)):
         seen = readings.of(k)
@@ -129,4 +130,4 @@ def _taken_by_shape(seen: Standard, blocks: _Blocks, shapes: Sequence[LightShape
     for shape in shapes:
         moved = np.bincount(index, share * shape(u, v), len(blocks.mean)) / BLOCK**2
         total += float(moved @ moved)
-    return total / len(shapes)
+    return total / max(len(shapes), 1)

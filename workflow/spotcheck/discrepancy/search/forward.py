@@ -18,6 +18,9 @@ from spotcheck.model.effect import Context, Effect, Place, Present
 # Steps of the fit of what was chosen: far from the truth brightness, width and shape are slow to part.
 MOST_STEPS = 24
 
+# From so many squared standard errors on, what a strength gains is no longer looked at by a fit without it.
+SURE = 2500.0
+
 
 class State(NamedTuple):
     """Frames, with the waves of stripes that were found, and a fit."""
@@ -65,8 +68,8 @@ def grow(
     least: Callable[[State], float] = lambda state: 0.0,
     gain: float = 0.0,
 ) -> Grown:
-    """Add effects of pixels one by one, where the sheet states a black level of so many DN, that promise a `gain`; given
-    up where none gains as much as is the `least` for a state.
+    """Add effects of pixels one by one, where the sheet states a black level of so many DN, that promise a `gain`;
+    given up where none gains as much as is the `least` for a state.
 
     Noise and level of dark pixels come first: with too little noise in the model, every pedestal and every halo looks
     like more, and beside a wrong level nothing else can be told. What moves the level is asked last.
@@ -194,8 +197,11 @@ def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], con
             if own.effect.place is Place.SCATTER:
                 own, gain, holding = pattern_of(now.frames, design, now.fitted, own, context)
             else:
-                gain = without(now, k, context).fitted.total - now.fitted.total
-                holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
+                holding = holding_of(now.frames, groups_of(design), now.fitted, k)
+                gain = holding.z2
+                if not SURE <= gain < np.inf:
+                    gain = without(now, k, context).fitted.total - now.fitted.total
+                    holding = holding._replace(z2=min(gain, holding.z2))
             near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
             found.append(Found(own, gain, holding, near))
         bad = [k for k, one in enumerate(found) if not one.holding.holds or one.holding.z2 < criteria.GAIN.value]

@@ -54,9 +54,9 @@ def pattern_of(
     return own, 0.0, Holding(0.0, 1, 0.0, np.inf)
 
 
-def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int, gain: float) -> Holding:
-    """Test the effect of a number in a fitted model; `groups` [frame] parts frames, by exposure or by site. `gain` is
-    what −2 ln L loses without it."""
+def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int) -> Holding:
+    """Test the effect of a number in a fitted model; `groups` [frame] parts frames, by exposure or by site. z² is
+    infinite where the strength vanishes nowhere."""
     strength = next((own for own in fitted.free if own.effect == effect and own.parameter == 0), None)
     value = fitted.model.present[effect].values[0]
     if strength is None:
@@ -77,7 +77,7 @@ def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effe
     error = abs(step) / np.sqrt(max(own.information, 1e-300))
     neutral = fitted.model.present[effect].effect.neutral
     wald = ((value - neutral) / error) ** 2 if np.isfinite(neutral) else np.inf
-    return Holding(q, int(told.sum()), float(min(gain, wald)), float(error))
+    return Holding(q, int(told.sum()), float(wald), float(error))
 
 
 def _without(fitted: Fitted, at: int) -> Fitted:

@@ -78,18 +78,19 @@ def searched(
     declared = fit(frames, model._replace(sensor=learned.model.sensor), PENALTY, free_of(model, context), MOST_STEPS)
     plain = len(model.present)
 
+    last: list[tuple[Fitted, float]] = []
+
     def beside(state: State) -> Fitted:
         own = state.fitted.model
         return learned if len(own.present) == plain else with_shape(state.frames, own, context)
 
-    def least(state: State) -> float:
-        more = asked(state, design, learned, context)
-        if more <= 0 and len(state.fitted.model.present) > plain:
-            more = asked(state, design, beside, context)
-        return PART * more
+    def more(state: State) -> float:
+        if not last or last[0][0] is not state.fitted:
+            last[:] = [(state.fitted, asked(state, design, (lambda own: learned, beside), context))]
+        return last[0][1]
 
-    grown = grow(State(tuple(frames), declared), design, effects, context, black, least, gain)
-    if grown.finished and asked(grown.state, design, beside, context) <= 0:
+    grown = grow(State(tuple(frames), declared), design, effects, context, black, lambda own: PART * more(own), gain)
+    if grown.finished and more(grown.state) <= 0:
         return Lit(grown, declared, learned=False)
     # Of one frame a shape can be nearly all that the declared light asked for.
     state = State(tuple(frames), learned)
@@ -114,7 +115,7 @@ def completed(
     start = fit(frames, told._replace(numbers=began), PENALTY, free_of(told, context), MOST_STEPS)
     state = State(tuple(frames), start)
     if not lit.learned:
-        if asked(state, design, lambda own: with_shape(own.frames, own.fitted.model, context), context) <= 0:
+        if asked(state, design, (lambda own: with_shape(own.frames, own.fitted.model, context),), context) <= 0:
             return Lit(grow(state, design, effects, context, black), start, learned=False)
         state = without_tied(State(frames, with_shape(frames, start.model, context)), design, context)
     return Lit(grow(state, design, effects, context, black), start, learned=True)
@@ -152,7 +153,7 @@ def with_fields(frames: Sequence[Frame], model: Model, effects: Sequence[Effect]
         if scatters(effect, "field") and effect.scatter is not None and effect.scatter.shared == "site":
             rest = effect.starts(context)[0][1:]
             tried = [model.with_effect(Present(effect, effect.forms[0], (c, *rest))) for c in CONTRASTS]
-            model = min(tried, key=lambda own: _deviance(frames, own))
+            model = min(tried, key=lambda own: deviance(frames, own))
     return model
 
 
@@ -180,20 +181,24 @@ def with_shape(
     return fit(frames, model, PENALTY, free_of(model, context) if context else (), steps=steps)
 
 
-def asked(
-    declared: State, design: Design, learned: Fitted | Callable[[State], Fitted], context: Context
-) -> float:
-    """What −2 ln L gains by a learned shape beyond what it would by noise: less than 0 where none is asked for."""
+def asked(declared: State, design: Design, shapes: Sequence[Callable[[State], Fitted]], context: Context) -> float:
+    """What −2 ln L gains by a learned shape beyond what it would by noise: less than 0 where none is asked for.
+    `shapes`: fits with one, the next asked where the one before does not gain."""
     fields = [own for own in declared.fitted.model.present if scatters(own.effect, "field")]
     if len(np.unique(design.site)) > 1 and any(own.effect.excess(own.values[0], context) >= 1 for own in fields):
         # What pixels share is taken up by a shape as well: it must foretell other sites.
-        return 2 * foretold(declared, design, context)
-    learned = learned(declared) if callable(learned) else learned
-    freedom = freedom_of(declared.frames, learned)
-    return float(declared.fitted.total - learned.total - freedom - ASKED * np.sqrt(2 * freedom))
+        return 2 * foretold(declared, design)
+    more = 0.0
+    for shape in shapes:
+        learned = shape(declared)
+        freedom = freedom_of(declared.frames, learned)
+        more = float(declared.fitted.total - learned.total - freedom - ASKED * np.sqrt(2 * freedom))
+        if more > 0:
+            break
+    return more
 
 
-def foretold(declared: State, design: Design, context: Context) -> float:
+def foretold(declared: State, design: Design) -> float:
     """What −2 ln L of every other site gains by a shape that is learned from the rest."""
     model = declared.fitted.model
     own = np.isin(design.site, np.unique(design.site)[::2])
@@ -201,15 +206,11 @@ def foretold(declared: State, design: Design, context: Context) -> float:
     some = with_shape([declared.frames[k] for k in told], model.take(told), steps=TOLD)
     frames, plain = [declared.frames[k] for k in others], model.take(others)
     shaped = plain._replace(baseline=model.baseline._replace(learned=some.model.baseline.learned))
-    return deviance(frames, plain) - deviance(frames, shaped)
+    # The plain numbers are fitted as they are; those of the other half's shape may lie off by what all share.
+    return deviance(frames, plain) - deviance(frames, fit_numbers(frames, shaped).model)
 
 
 def deviance(frames: Sequence[Frame], model: Model) -> float:
-    """−2 ln L of frames but for constants, each with its own numbers under a shape that stands."""
-    return _deviance(frames, fit_numbers(frames, model).model)
-
-
-def _deviance(frames: Sequence[Frame], model: Model) -> float:
     """−2 ln L of frames but for constants."""
     ready = Expectation(frames, model)
     return sum(deviance_of(frame, ready.of(frame, k)) for k, frame in enumerate(frames))
