@@ -278,18 +278,21 @@ def fit(
     apart, few = basis.shape[1], NUMBERS * len(frames)
     lent = near.schur.first(apart) if near is not None else None
     best, total, taken, halved = model, np.inf, 0, 0
-    lowest: tuple[float, Model] = np.inf, model
+    lowest: tuple[float, Model, Sums | None] = np.inf, model, None
     shape, others = np.zeros(0), np.zeros(0)
     far = False
     for taken in range(1, steps + 2):
         renewed = lent is None or (near is None and taken <= RENEWED) or taken % AGAIN == 0
         sums = sums_of(frames, model, free, curved=renewed, by_variance=not far, workers=workers)
-        if taken == 1 and sums.chi2 > FAR:
+        by_means = far or (taken == 1 and sums.chi2 > FAR)
+        if by_means and not far:
             sums = sums_of(frames, model, free, curved=renewed, by_variance=False, workers=workers)
         bent, off = normal.product(rough, coefficients_of(model)), centre - values_of(model, free)
         prior = float(known @ off**2) + 2 * float(np.sum(tilt * off))
         now = sums.deviance + float(coefficients_of(model) @ bent) + prior
-        lowest = (now, model) if now < lowest[0] else lowest
+        if now < lowest[0]:
+            whole = (renewed or near is not None) and not by_means
+            lowest = now, model, sums if whole else None
         if not now <= total and halved < HALVINGS and not far:
             halved += 1
             shape, others = shape / 2, others / 2
@@ -309,9 +312,9 @@ def fit(
         part = min(bold(others, free), FARTHEST_SHAPE / np.abs(shape).max(initial=FARTHEST_SHAPE))
         shape, others, halved = part * shape, part * others, 0
         model = stepped(best, shape, others, free)
-    total, best = lowest
     # Scores and errors need the matrices of the model that was found, or what shape takes exceeds what there is.
-    sums = sums_of(frames, best, free, curved=near is None, workers=workers)
+    total, best, last = lowest
+    sums = last or sums_of(frames, best, free, curved=near is None, workers=workers)
     if lent is None or near is None:
         lent = _reduced(sums, rough, basis)
     schur = _bordered(lent, sums, basis, known)

@@ -31,7 +31,7 @@ ASKED = 5.0
 # effect that is named by them must gain so much at least: what gains less, all frames tell better.
 FEW, PLAIN, GAIN_OF_SOME = 24, 0.5, 400.0
 # Steps that tell a shape which is to foretell other sites: beside what is fitted it is linear.
-TOLD = 4
+TOLD = 2
 # Contrasts among which that of a nameless field begins.
 CONTRASTS = (0.01, 0.03, 0.1, 0.3, 0.9)
 # An effect that is to stand in the place of a shape must gain this part of what the shape would.
