@@ -54,9 +54,9 @@ def drawn(
 
     `pedestal` [DN] of light, a `clip` [DN] of the signal with its noise, the light's `shape` (u, v [σ]); `speckle`, a
     field of each site (contrast, grain [px]), `skewed` by the gamma law of summed speckle patterns or else normal;
-    levels of the clip that differ by `uneven` parts from pixel to pixel; `prnu` of the sensor's pixels; offsets of rows [DN rms] anew in each
-    frame; `stripes` (depth, period [px], direction [deg]) that stay on the "sensor", with the "spot", or have a phase
-    of their own at each "site".
+    levels of the clip that differ by `uneven` parts from pixel to pixel; `prnu` of the sensor's pixels; offsets of rows
+    [DN rms] anew in each frame; `stripes` (depth, period [px], direction [deg]) that stay on the "sensor", with the
+    "spot", or have a phase of their own at each "site".
     """
     rng, others = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     y, x = np.mgrid[:SIDE, :SIDE].astype(float)

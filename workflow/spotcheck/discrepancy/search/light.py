@@ -117,7 +117,7 @@ def completed(
     if not lit.learned:
         if asked(state, design, (lambda own: with_shape(own.frames, own.fitted.model, context),), context) <= 0:
             return Lit(grow(state, design, effects, context, black), start, learned=False)
-        state = without_tied(State(frames, with_shape(frames, start.model, context)), design, context)
+        state = without_tied(State(state.frames, with_shape(frames, start.model, context)), design, context)
     return Lit(grow(state, design, effects, context, black), start, learned=True)
 
 
