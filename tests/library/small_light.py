@@ -1,6 +1,7 @@
 """Small frames of a beam that is no Gaussian, drawn by numpy alone, and the engine's start on them."""
 
 import numpy as np
+from scipy import stats
 
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.observe.design import Design
@@ -47,22 +48,27 @@ def waves(x, y, stripes, turn: float) -> np.ndarray:
 
 def drawn(
     seed: int, sites: int = 4, pedestal=0.0, clip=np.inf, read=NOISE, shape=beam, speckle=(0.0, 1.0), prnu=0.0,
-    rows=0.0, stripes=(0.0, 9.0, 30.0), stay="sensor", spread=1.0,
+    rows=0.0, stripes=(0.0, 9.0, 30.0), stay="sensor", spread=1.0, uneven=0.0, skewed=False,
 ):  # fmt: skip
     """Frames [frame, row, column], and of each exposure, peak, width and centre (up to `spread` px from the middle).
 
     `pedestal` [DN] of light, a `clip` [DN] of the signal with its noise, the light's `shape` (u, v [σ]); `speckle`, a
-    field of each site (contrast, grain [px]); `prnu` of the sensor's pixels; offsets of rows [DN rms] anew in each
-    frame; `stripes` (depth, period [px], direction [deg]) that stay on the "sensor", with the "spot", or have a phase
-    of their own at each "site".
+    field of each site (contrast, grain [px]), `skewed` by the gamma law of summed speckle patterns or else normal;
+    levels of the clip that differ by `uneven` parts from pixel to pixel; `prnu` of the sensor's pixels; offsets of rows
+    [DN rms] anew in each frame; `stripes` (depth, period [px], direction [deg]) that stay on the "sensor", with the
+    "spot", or have a phase of their own at each "site".
     """
     rng, others = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     y, x = np.mgrid[:SIDE, :SIDE].astype(float)
     frames, known = [], []
     gains = 1 + prnu * others.standard_normal(x.shape)
+    levels = clip * (1 + uneven * others.standard_normal(x.shape)) if uneven else clip
     for _ in range(sites):
         x0, y0 = SIDE / 2 + spread * rng.uniform(-1, 1, 2)
-        factor = gains * (1 + speckle[0] * field(others, speckle[1])) if speckle[0] else gains
+        grains = speckle[0] * field(others, speckle[1]) if speckle[0] else np.zeros(x.shape)
+        if skewed:
+            grains = stats.gamma.ppf(stats.norm.cdf(grains / speckle[0]), speckle[0] ** -2.0) * speckle[0] ** 2 - 1
+        factor = gains * (1 + grains)
         turn = others.uniform(0, 2 * np.pi) if stay == "site" else 1.0
         off = (x0, y0) if stay == "spot" else (0.0, 0.0)
         factor = factor * waves(x - off[0], y - off[1], stripes, turn)
@@ -70,7 +76,7 @@ def drawn(
             peak = peak * rng.uniform(0.95, 1.05)
             light = peak * shape((x - x0) / width, (y - y0) / width) * factor
             electrons = rng.poisson((np.maximum(light, 0.0) + pedestal) / GAIN)
-            signal = np.minimum(GAIN * (electrons + read * rng.standard_normal(x.shape)), clip) + BLACK
+            signal = np.minimum(GAIN * (electrons + read * rng.standard_normal(x.shape)), levels) + BLACK
             signal = signal + rows * others.standard_normal((SIDE, 1))
             frames.append(np.clip(np.rint(signal), 0, FULL))
             known.append((t, peak, width, x0, y0))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 from spotcheck.discrepancy.observe.pixels import Expectation
 from spotcheck.model.baseline import Baseline
@@ -22,7 +23,7 @@ def effects(*kinds) -> tuple[Present, ...]:
     return tuple(Present(vocabulary()[name], form, values) for name, form, values in kinds)
 
 
-@pytest.mark.parametrize(("kinds", "count"), [((), 1), ((GHOST,), 2), ((BLUR,), 12), ((GHOST, BLUR), 24)])
+@pytest.mark.parametrize(("kinds", "count"), [((), 1), ((GHOST,), 2), ((BLUR,), 5), ((GHOST, BLUR), 10)])
 def test_light_is_the_sum_of_its_copies(kinds, count):
     """Each a spot of its own, drawn where it was moved to."""
     one = np.ones((1, 1, 1))
@@ -34,6 +35,19 @@ def test_light_is_the_sum_of_its_copies(kinds, count):
     moved = [view._replace(x0=view.x0 + dx, y0=view.y0 + dy) for dx, dy, _ in copies]
     want = sum(weight * light(own, baseline, base, ())[0] for own, (_, _, weight) in zip(moved, copies, strict=True))
     np.testing.assert_allclose(light(view, baseline, base, effects(*kinds))[0], want, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("length", [0.5, 2.9, 3.1, 13.5, 26.9, 27.1, 40.0])
+def test_a_path_has_as_many_copies_as_its_length_asks_for(length):
+    """The mean of a Gaussian over a path along x, against its closed form, on both sides of where a copy is added."""
+    one, sigma = np.ones((1, 1, 1)), 6.0
+    x = np.arange(60.0)[None, None]
+    view = View(x, 0 * one, 28 * one, 0 * one, one, one, one, 0 * one, 0 * one, 1.0, 1.0, 0.0, 0.0, 50.0, 1.0)
+    copies = copies_of(view, effects(("motion_blur", "", (length, 0.0))), one, sigma * one).each
+    got = sum(weight * np.exp(-((x - 28 - dx) ** 2) / (2 * sigma**2)) for dx, _, weight in copies)
+    ends = (erf((x - 28 + sign * length / 2) / (sigma * np.sqrt(2))) for sign in (1, -1))
+    want = sigma * np.sqrt(np.pi / 2) / length * np.subtract(*ends)
+    np.testing.assert_allclose(got, want, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("kinds", [(), (GHOST,), (GHOST, STRIPES), (BLUR, GHOST, STRIPES), (ELLIPSE, GHOST)])

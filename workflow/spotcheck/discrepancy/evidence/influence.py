@@ -44,6 +44,24 @@ def numbers_of(fitted: Fitted, influence: np.ndarray | None = None, more: np.nda
     return FrameNumbers(values, covariance * np.outer(unit, unit), cells)
 
 
+def as_cells_agree(numbers: FrameNumbers, condition: np.ndarray) -> FrameNumbers:
+    """Numbers with errors as large as cells of the spot disagree: fields that neighbouring pixels share, which weights
+    take for noise of each, are told by no other means. What all frames of one condition [frame] have in common is no
+    noise."""
+    cells, left = numbers.influence.shape[1], numbers.influence.shape[1] - NUMBERS
+    _, group, count = np.unique(condition, return_inverse=True, return_counts=True)
+    alike = count[group] > 1
+    if left <= 0 or not alike.any():
+        return numbers
+    own = numbers.influence.reshape(len(condition), NUMBERS, cells)
+    common = np.stack([own[group == k].mean(axis=0) for k in range(len(count))])[group]
+    freedom = np.where(alike, 1 - 1 / count[group], 1.0)[:, None]
+    scatter = (cells**2 / left * np.var(own - common, axis=2) / freedom)[alike].sum(axis=0)
+    known = np.diag(numbers.covariance).reshape(-1, NUMBERS)[alike].sum(axis=0)
+    root = np.tile(np.sqrt(np.maximum(scatter / known, 1.0)), len(condition))
+    return numbers._replace(covariance=numbers.covariance * np.outer(root, root))
+
+
 def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
     """Steps of the frames' numbers [frame × number, cell], centres in σ, that each cell of the spot asks for: the
     solution of the normal equations for the scores of its pixels, those of all frames together."""

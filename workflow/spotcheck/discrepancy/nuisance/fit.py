@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, told
+from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, scatters, told
 from spotcheck.model.effect import Context, Place, Present
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.sensor import SensorModel
@@ -42,6 +42,11 @@ LEAST_GAIN = 0.1
 # A fit may move a number by so many stated errors: beyond, the sheet is of another camera, or what is missing in the
 # model passes for noise.
 FARTHEST_SHEET = 10.0
+# In place of an effect: by which part of itself the level at which a signal stops differs from pixel to pixel; and the
+# least and the most that it may be: a thousandth is lost in read noise, more than a tenth is no level.
+UNEVEN, LEAST_UNEVEN, MOST_UNEVEN = -2, 1e-3, 0.1
+# The least contrast of a field: at 0 the variance, which goes with its square, would not lead away.
+LEAST_FIELD = 2e-3
 
 
 class Free(NamedTuple):
@@ -93,21 +98,26 @@ class Fitted(NamedTuple):
 
 
 def free_of(model: Model, context: Context) -> tuple[Free, ...]:
-    """The parameters of a model's effects that a fit may change: what scatters is told by its pattern, a shape is
-    learned."""
+    """The parameters of a model's effects that a fit may change: a shape is learned, and of what scatters, variance
+    tells a field's strength alone."""
     out = []
     for e, own in enumerate(model.present):
-        if own.effect.place in (Place.SCATTER, Place.SHAPE) or of_dark(model, own):
+        pattern = own.effect.scatter and not scatters(own.effect, "field")
+        if own.effect.place is Place.SHAPE or pattern or of_dark(model, own):
             continue
         starts = np.abs(np.array([*own.effect.starts(context), own.values], float))
         bounds = own.effect.bounds(context)
         for p, parameter in enumerate(own.effect.parameters):
             # A strength that means do not tell, noise does where it is one of noise.
             told = own.effect.place is Place.NOISE or parameter.name not in own.effect.idle.get(own.form, ())
+            if own.effect.scatter:
+                told, bounds[0, 0] = p == 0, max(bounds[0, 0], LEAST_FIELD)
             if told:
                 scale = max(abs(own.values[p]), float(np.median(starts[:, p])), 1e-12)
                 scale = 1.0 if parameter.unit == "deg" else scale
                 out.append(Free(e, p, float(bounds[p, 0]), float(bounds[p, 1]), NUDGE * scale))
+    if any(own.effect.place is Place.WELL for own in model.present):
+        out.append(Free(UNEVEN, 0, LEAST_UNEVEN, MOST_UNEVEN, NUDGE * model.uneven))
     return tuple(out)
 
 
@@ -142,15 +152,17 @@ def values_of_sensor(sensor: SensorModel) -> list[float]:
 def changed(model: Model, free: Sequence[Free], values: Sequence[float]) -> Model:
     """A model with other values of its free parameters, kept within their bounds."""
     every = [list(own.values) for own in model.present]
-    sensor = model.sensor
+    sensor, uneven = model.sensor, model.uneven
     for own, value in zip(free, values, strict=True):
         value = float(np.clip(value, own.low, own.high))
-        if own.effect == SENSOR:
+        if own.effect == UNEVEN:
+            uneven = value
+        elif own.effect == SENSOR:
             sensor = sensor._replace(**{SENSOR_NUMBERS[own.parameter]: value})
         else:
             every[own.effect][own.parameter] = value
     present = tuple(own._replace(values=tuple(v)) for own, v in zip(model.present, every, strict=True))
-    return model._replace(present=present, sensor=sensor)
+    return model._replace(present=present, sensor=sensor, uneven=uneven)
 
 
 def values_of(model: Model, free: Sequence[Free]) -> np.ndarray:
@@ -159,6 +171,8 @@ def values_of(model: Model, free: Sequence[Free]) -> np.ndarray:
 
 
 def _value(model: Model, own: Free) -> float:
+    if own.effect == UNEVEN:
+        return model.uneven
     if own.effect == SENSOR:
         return float(getattr(model.sensor, SENSOR_NUMBERS[own.parameter]))
     return model.present[own.effect].values[own.parameter]
@@ -303,18 +317,21 @@ def fit(
     apart, few = basis.shape[1], NUMBERS * len(frames)
     lent = near.schur.first(apart) if near is not None else None
     best, total, taken, halved = model, np.inf, 0, 0
-    lowest: tuple[float, Model] = np.inf, model
+    lowest: tuple[float, Model, Sums | None] = np.inf, model, None
     shape, others = np.zeros(0), np.zeros(0)
     far = False
     for taken in range(1, steps + 2):
         renewed = lent is None or (near is None and taken <= RENEWED) or taken % AGAIN == 0
         sums = sums_of(frames, model, free, curved=renewed, by_variance=not far, workers=workers)
-        if taken == 1 and sums.chi2 > FAR:
+        by_means = far or (taken == 1 and sums.chi2 > FAR)
+        if by_means and not far:
             sums = sums_of(frames, model, free, curved=renewed, by_variance=False, workers=workers)
         bent, off = normal.product(rough, coefficients_of(model)), centre - values_of(model, free)
         prior = float(known @ off**2) + 2 * float(np.sum(tilt * off))
         now = sums.deviance + float(coefficients_of(model) @ bent) + prior
-        lowest = (now, model) if now < lowest[0] else lowest
+        if now < lowest[0]:
+            whole = (renewed or near is not None) and not by_means
+            lowest = now, model, sums if whole else None
         if not now <= total and halved < HALVINGS and not far:
             halved += 1
             shape, others = shape / 2, others / 2
@@ -334,9 +351,9 @@ def fit(
         part = min(bold(others, free), FARTHEST_SHAPE / np.abs(shape).max(initial=FARTHEST_SHAPE))
         shape, others, halved = part * shape, part * others, 0
         model = stepped(best, shape, others, free)
-    total, best = lowest
     # Scores and errors need the matrices of the model that was found, or what shape takes exceeds what there is.
-    sums = sums_of(frames, best, free, curved=near is None, workers=workers)
+    total, best, last = lowest
+    sums = last or sums_of(frames, best, free, curved=near is None, workers=workers)
     if lent is None or near is None:
         lent = _reduced(sums, rough, basis)
     schur = _bordered(lent, sums, basis, known)

@@ -17,6 +17,8 @@ LEAST_VARIANCE = 0.01
 LIGHT = frozenset(Place) - {Place.CHARGE, Place.WELL, Place.NOISE, Place.RESPONSE, Place.DIGITAL, Place.SCATTER}
 # Relative steps of width and place [σ] by which their slopes are taken.
 NUDGE = 1e-4
+# By which part of itself a level is raised to tell what its scatter does to a reading.
+RAISED = 1e-3
 
 
 class Around(NamedTuple):
@@ -57,14 +59,16 @@ class Sheet(NamedTuple):
 
 
 class Model(NamedTuple):
-    """The baseline with the light's shape, the sensor, effects, the numbers of the frames, and what the sensor was
-    stated to be (None: as it is)."""
+    """The baseline with the light's shape, the sensor, effects, the numbers of the frames; what the sensor was stated
+    to be (None: as it is); and by which part of itself the level at which a signal stops differs from pixel to pixel
+    (rms), where an effect stops it."""
 
     baseline: Baseline
     sensor: SensorModel
     present: tuple[Present, ...]
     numbers: Numbers
     sheet: Sheet | None = None
+    uneven: float = 0.01
 
     @property
     def stated(self) -> Sheet:
@@ -112,7 +116,8 @@ class Expectation:
         highest = 4 * max(brightest, min(model.sensor.full_scale_dn, 65535.0)) / model.sensor.gain_dn_per_e
         behind = [own for own in model.present if own.effect.place not in LIGHT or own.form == "electronic"]
         behind = [own for own in behind if own.effect.place is not Place.CHARGE and not _is_uneven(own)]
-        self.behind = model.sensor, highest, behind
+        stops = [own for own in behind if own.effect.place is Place.WELL]
+        self.behind = model.sensor, highest, behind, model.uneven if stops else 0.0
         self.same_light = like is not None and _same_light(like.model, model)
         self.law: ReadingLaw
         self.table: np.ndarray
@@ -121,6 +126,12 @@ class Expectation:
         else:
             contrast = sum(own.values[0] ** 2 for own in model.present if scatters(own.effect, "field")) ** 0.5
             plain = reading_law(model.sensor, behind, frames[0].view, highest)
+            if stops:
+                # ASSUME: the levels of pixels scatter normally about the effect's, and by little.
+                higher = [_raised(own, 1 + RAISED) if own in stops else own for own in behind]
+                raised = reading_law(model.sensor, higher, frames[0].view, highest)
+                scatter = (model.uneven / RAISED * (raised.mean - plain.mean)) ** 2
+                plain = plain._replace(variance=plain.variance + scatter)
             self.law = through_field(plain, contrast, model.sensor.gain_dn_per_e)
             # Of rows that scatter the chain gives the variance within a row.
             rows = sum(own.values[0] ** 2 for own in model.present if scatters(own.effect, "row"))
@@ -186,6 +197,11 @@ class Expectation:
         )
         steps = [(self.light(frame, numbers)[0][0] - seen.spot) / NUDGE for numbers in moved]
         return np.stack([seen.spot, *steps])
+
+
+def _raised(own: Present, factor: float) -> Present:
+    """An effect with its strength times a factor."""
+    return own._replace(values=(factor * own.values[0], *own.values[1:]))
 
 
 def scatters(effect: Effect, of: str) -> bool:

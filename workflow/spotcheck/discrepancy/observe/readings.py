@@ -119,14 +119,16 @@ def _averaged(electrons, mean, variance):
 def look_up(electrons, first, step, table, out):
     """Columns of a table [column, node] at mean electrons [row, column of pixels], into `out` [column, row, column]."""
     last = table.shape[1] - 2
+    # Columns of one node side by side: a pixel asks for all of them.
+    table = np.ascontiguousarray(table.T)
     for r in range(electrons.shape[0]):
         for k in range(electrons.shape[1]):
             e = electrons[r, k]
             place = ((np.sqrt(e) if e >= 0 else -np.sqrt(-e)) - first) / step
             i = min(max(int(place), 0), last)
             part = min(max(place - i, 0.0), 1.0)
-            for c in range(table.shape[0]):
-                out[c, r, k] = table[c, i] + part * (table[c, i + 1] - table[c, i])
+            for c in range(table.shape[1]):
+                out[c, r, k] = table[i, c] + part * (table[i + 1, c] - table[i, c])
 
 
 class Cumulants(NamedTuple):

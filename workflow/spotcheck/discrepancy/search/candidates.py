@@ -150,11 +150,11 @@ def asked_for(own: Present, score: Score, context: Context) -> Present:
 
 def some_of(design: Design) -> np.ndarray:
     """A few frames: of each condition one, in turn of each site."""
-    order = np.lexsort((np.arange(len(design.site)), _nth(design.condition)))
+    order = np.lexsort((np.arange(len(design.site)), nth(design.condition)))
     return np.sort(order[:SOME])
 
 
-def _nth(labels: np.ndarray) -> np.ndarray:
+def nth(labels: np.ndarray) -> np.ndarray:
     """How many have the same label before each."""
     out, seen = np.zeros(len(labels), int), dict[int, int]()
     for k, own in enumerate(labels.tolist()):

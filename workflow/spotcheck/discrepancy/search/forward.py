@@ -23,6 +23,9 @@ MOST_STEPS = 24
 # What a search is about: frames with a fit, or levels.
 S = TypeVar("S")
 
+# From so many squared standard errors on, what a strength gains is no longer looked at by a fit without it.
+CERTAIN = 2500.0
+
 
 class State(NamedTuple):
     """Frames, with the waves of stripes that were found, and a fit."""
@@ -67,8 +70,10 @@ def grow(
     effects: Sequence[Effect],
     context: Context,
     least: Callable[[State], float] = lambda state: 0.0,
+    gain: float = 0.0,
 ) -> Grown:
-    """Add effects of pixels one by one; given up where none gains as much as is the `least` for a state.
+    """Add effects of pixels one by one that promise a `gain`; given up where none gains as much as is the `least` for a
+    state.
 
     Noise and level of dark pixels come first: with too little noise in the model, every pedestal and every halo looks
     like more, and beside a wrong level nothing else can be told. What moves the level is asked last.
@@ -84,7 +89,7 @@ def grow(
         wanted = least(now)
         found = ranked(now.frames, design, now.fitted, usable, context)
         tied = tied if step else found.tied
-        best = best_of(now, [own for own in found.candidates if own.promise >= wanted], context)
+        best = best_of(now, [own for own in found.candidates if own.promise >= max(wanted, gain)], context)
         if best is None:
             return Grown(levelled(now, effects, context), rivals, tied, wanted <= criteria.GAIN.value)
         now, near = best
@@ -165,8 +170,9 @@ def added(now: State, own: Candidate, context: Context) -> State:
 
 
 def without(now: State, k: int, context: Context) -> State:
-    """A state without the effect of a number."""
-    return _fitted(now, now.fitted.model.without(k), context)
+    """A state without the effect of a number, fitted again."""
+    model = now.fitted.model.without(k)
+    return now._replace(fitted=fit(now.frames, model, now.fitted.penalty, free_of(model, context)))
 
 
 def quiet(now: State, *, level: bool, anew: bool = False) -> tuple[State, bool]:
@@ -231,12 +237,14 @@ def _held(now: State, k: int, design: Design, rivals: dict[str, dict[str, float]
     dark = level_of(now.frames, model, k) if of_dark(model, own) else None
     if dark is not None:
         return _of_dark(dark)
-    rest = without(now, k, context)
     if own.effect.place is Place.SCATTER:
-        gain, holding = pattern_of(now.frames, design, rest.fitted, own, context)
+        own, gain, holding = pattern_of(now.frames, design, now.fitted, own, context)
     else:
-        gain = rest.fitted.total - now.fitted.total
-        holding = holding_of(now.frames, groups_of(design), now.fitted, k, gain)
+        holding = holding_of(now.frames, groups_of(design), now.fitted, k)
+        gain = holding.z2
+        if not CERTAIN <= gain < np.inf:
+            gain = without(now, k, context).fitted.total - now.fitted.total
+            holding = holding._replace(z2=min(gain, holding.z2))
         if own.form in own.effect.rounded and gathers(now.frames, model, k):
             # A code speaks for itself: cells ask whether light has the right shape about it.
             holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5))

@@ -41,19 +41,22 @@ class Holding(NamedTuple):
 
 
 def pattern_of(
-    frames: Sequence[Frame], design: Design, beside: Fitted, own: Present, context: Context
-) -> tuple[float, Holding]:
-    """What a pattern gains beside a fit without it, and whether all cells of the spot tell the same."""
-    sites, rows = gathered(frames, design, Ready(frames, beside, []))
+    frames: Sequence[Frame], design: Design, fitted: Fitted, own: Present, context: Context
+) -> tuple[Present, float, Holding]:
+    """A pattern as products of frames tell it, whatever their weights; what it gains, and whether all cells of the spot
+    tell the same."""
+    sites, rows = gathered(frames, design, Ready(frames, fitted, []))
     for found in patterns_of(sites, rows, [own.effect], context):
-        told = found.told
-        return told.gain, Holding(told.q, told.cells, min(told.gain, (told.value / told.error) ** 2), found.error)
-    return 0.0, Holding(0.0, 1, 0.0, np.inf)
+        if found.own.effect.excess(found.own.values[0], context) >= 1:
+            told = found.told
+            holding = Holding(told.q, told.cells, min(told.gain, (told.value / told.error) ** 2), found.error)
+            return found.own, told.gain, holding
+    return own, 0.0, Holding(0.0, 1, 0.0, np.inf)
 
 
-def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int, gain: float) -> Holding:
-    """Test the effect of a number in a fitted model; `groups` [frame] parts frames, by exposure or by site. `gain` is
-    what −2 ln L loses without it."""
+def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int) -> Holding:
+    """Test the effect of a number in a fitted model; `groups` [frame] parts frames, by exposure or by site. z² is
+    infinite where the strength vanishes nowhere."""
     strength = next((own for own in fitted.free if own.effect == effect and own.parameter == 0), None)
     value = fitted.model.present[effect].values[0]
     if strength is None:
@@ -74,7 +77,7 @@ def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effe
     error = abs(step) / np.sqrt(max(own.information, 1e-300))
     neutral = fitted.model.present[effect].effect.neutral
     wald = ((value - neutral) / error) ** 2 if np.isfinite(neutral) else np.inf
-    return Holding(q, int(told.sum()), float(min(gain, wald)), float(error))
+    return Holding(q, int(told.sum()), float(wald), float(error))
 
 
 def _without(fitted: Fitted, at: int) -> Fitted:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.evidence.influence import influence_of, numbers_of
+from spotcheck.discrepancy.evidence.influence import as_cells_agree, influence_of, numbers_of
 from spotcheck.discrepancy.evidence.laws import Laws, Trial, errors_of, laws_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.observe.design import Design
@@ -37,7 +37,7 @@ def search_laws(
 ) -> Lawful:
     """Effects that act on brightness, width and place of whole frames, from a fit in which these are free; `baseline`
     has the laws that are declared."""
-    numbers = numbers_of(fitted, influence_of(frames, fitted))
+    numbers = as_cells_agree(numbers_of(fitted, influence_of(frames, fitted)), design.condition)
     found: list[Found] = []
     while True:
         present = tuple(own.own for own in found)

@@ -14,9 +14,10 @@ def stretch(view, dx, dy, *, ratio, zero, form):
 def squeeze(dx, dy, ratio, axis):
     """Displacements shortened along `axis` [rad] and lengthened across it, area unchanged."""
     root, cos, sin = np.sqrt(ratio), np.cos(axis), np.sin(axis)
-    along, across = (dx * cos + dy * sin) / root, (dy * cos - dx * sin) * root
-    # Back in the camera's own axes, so that another ellipse finds its direction.
-    return along * cos - across * sin, along * sin + across * cos
+    # Shortened along, lengthened across, and turned back into the camera's own axes, so that another ellipse finds its
+    # direction: one symmetric matrix, of which dx and dy that lie along one axis each make a single sum.
+    xx, yy, xy = cos * cos / root + sin * sin * root, sin * sin / root + cos * cos * root, cos * sin * (1 / root - root)
+    return dx * xx + dy * xy, dx * xy + dy * yy
 
 
 EFFECT = Effect(

@@ -4,14 +4,16 @@ import numpy as np
 
 from spotcheck.model.effect import Effect, Parameter, Place
 
-# Gauss–Legendre nodes over the path; a plateau's edge needs more of them than a smooth spot.
-NODES = 12
+# Gauss–Legendre nodes over the path: the most, the fewest, and the stretch [px] of a path that brings one more. A
+# plateau's edge needs more of them than a smooth spot; of a path that is short beside a pixel three tell all.
+NODES, FEWEST, EACH_PX = 12, 3, 3.0
 
 
 def path(view, *, speed, direction):
     """Shifts [px] along the path, centred on the spot, and their weights; `speed` [px/s], `direction` [deg]."""
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
     angle, half = np.deg2rad(direction), speed * view.exposure_s / 2
+    count = int(min(FEWEST + 2 * np.max(half) // EACH_PX, NODES))
+    nodes, weights = np.polynomial.legendre.leggauss(count)
     return [
         (half * node * np.cos(angle), half * node * np.sin(angle), w / 2)
         for node, w in zip(nodes, weights, strict=True)
