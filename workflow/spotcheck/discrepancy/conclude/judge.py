@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from spotcheck.discrepancy.conclude.advise import advise
 from spotcheck.discrepancy.conclude.detect import looked_at
 from spotcheck.discrepancy.conclude.judgement import NOTHING, Fits, Judgement, Shift, untested
 from spotcheck.discrepancy.conclude.light import gauge_of, in_gauge, light_of
@@ -54,6 +55,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     at_last, rest = looked_at(outcome.frames, outcome.after, design)
     learned = outcome.after.model.baseline.learned is not None
     wide = gauge_of(outcome.after.model).wide if learned else 1.0
+    fits = _fits(searched, kept, seen, unseen_frames, declared.model, outcome, laws.told, wide)
     return Judgement(
         why_not="",
         detection=detection,
@@ -71,7 +73,8 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         errors=errors_of(outcome) | laws.errors,
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
         black_level_dn=setting.sensor.black_level_dn,
-        fits=_fits(searched, kept, seen, unseen_frames, declared.model, outcome, laws.told, wide),
+        advice=advise(outcome, fits.law, design, context),
+        fits=fits,
     )
 
 

@@ -36,12 +36,13 @@ class State(NamedTuple):
 
 class Found(NamedTuple):
     """An effect that was found, with what it gains, how it holds everywhere, and the effects that do nearly as well in
-    its place: by name, what they fall behind by."""
+    its place: by name, what they fall behind by, and as they were fitted there, the nearest first."""
 
     own: Present
     gain: float
     holding: Holding
     rivals: dict[str, float]
+    instead: tuple[Present, ...] = ()
 
 
 class Outcome(NamedTuple):
@@ -54,12 +55,19 @@ class Outcome(NamedTuple):
     tied: tuple[Tied, ...]
 
 
+class Rival(NamedTuple):
+    """An effect as it was fitted in another's place, and what it falls behind by in −2 ln L."""
+
+    behind: float
+    own: Present
+
+
 class Grown(NamedTuple):
     """A state to which effects were added; by name of each, what others fell behind by; what is tied with the light's
     shape; and whether nothing more is to be found, or the search was given up."""
 
     state: State
-    rivals: dict[str, dict[str, float]]
+    rivals: dict[str, dict[str, Rival]]
     tied: list[Tied]
     finished: bool
 
@@ -78,7 +86,7 @@ def grow(
     Noise and level of dark pixels come first: with too little noise in the model, every pedestal and every halo looks
     like more, and beside a wrong level nothing else can be told. What moves the level is asked last.
     """
-    rivals, tied = dict[str, dict[str, float]](), list[Tied]()
+    rivals, tied = dict[str, dict[str, Rival]](), list[Tied]()
     now, told = quiet(start, level=True)
     # The brightest light lies above the level that is there, not above the stated one.
     sensor = now.fitted.model.sensor
@@ -137,7 +145,7 @@ def groups_of(design: Design) -> np.ndarray:
     return design.exposure_s if design.exposures.size > 1 else design.angle_deg
 
 
-def best_of(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, float]] | None:
+def best_of(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, Rival]] | None:
     """The state with the candidate that gains most when fitted, of so many that gain and matter; and by what others
     fall behind."""
     tried: list[tuple[float, str, State]] = []
@@ -155,10 +163,10 @@ def best_of(now: State, candidates: Sequence[Candidate], context: Context) -> tu
         return None
     tried.sort(key=lambda one: -one[0])
     first = tried[0]
-    near: dict[str, float] = {}
-    for gain, name, _ in tried[1:]:
+    near: dict[str, Rival] = {}
+    for gain, name, state in tried[1:]:
         if name != first[1]:
-            near[name] = min(near.get(name, np.inf), first[0] - gain)
+            near.setdefault(name, Rival(first[0] - gain, state.fitted.model.present[-1]))
     return first[2], near
 
 
@@ -211,7 +219,7 @@ def _of_dark(one: Noisy) -> Found:
     return Found(one.own, one.gain, Holding(one.q, max(one.groups, 1), one.gain, one.error), {})
 
 
-def _tested(now: State, design: Design, rivals: dict[str, dict[str, float]], context: Context):
+def _tested(now: State, design: Design, rivals: dict[str, dict[str, Rival]], context: Context):
     """A state without the effects that do not hold everywhere, and those that do."""
 
     def found_of(now: State) -> list[Found]:
@@ -231,7 +239,7 @@ def held(now: S, found_of: Callable[[S], list[Found]], without: Callable[[S, int
         now = without(now, max(bad, key=lambda k: found[k].holding.excess))
 
 
-def _held(now: State, k: int, design: Design, rivals: dict[str, dict[str, float]], context: Context) -> Found:
+def _held(now: State, k: int, design: Design, rivals: dict[str, dict[str, Rival]], context: Context) -> Found:
     """The effect of a number, with what it gains and how it holds."""
     model, own = now.fitted.model, now.fitted.model.present[k]
     dark = level_of(now.frames, model, k) if of_dark(model, own) else None
@@ -248,5 +256,6 @@ def _held(now: State, k: int, design: Design, rivals: dict[str, dict[str, float]
         if own.form in own.effect.rounded and gathers(now.frames, model, k):
             # A code speaks for itself: cells ask whether light has the right shape about it.
             holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5))
-    near = {name: d for name, d in rivals.get(own.effect.name, {}).items() if d < criteria.RIVAL.value}
-    return Found(own, gain, holding, near)
+    near = [one for one in rivals.get(own.effect.name, {}).values() if one.behind < criteria.RIVAL.value]
+    behind = {one.own.effect.name: one.behind for one in near}
+    return Found(own, gain, holding, behind, tuple(one.own for one in near))
