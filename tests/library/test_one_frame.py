@@ -68,21 +68,15 @@ def test_what_a_sheet_leaves_open_is_free_in_every_fit():
     assert free_of_sheet(model) == free_of_sheet(model._replace(sheet=Sheet(SENSOR))) == ()
 
 
-@pytest.mark.parametrize(
-    ("errors", "kinds", "names"),
-    [
-        (STATED, {}, []),
-        (STATED, {"clip": 560.0}, ["saturation"]),
-        ((0.0, 0.0, 0.0), {}, ["excess_read_noise"]),
-    ],
-)
-def test_a_gain_that_is_off_gives_no_name_and_takes_none(errors, kinds, names):
-    """Twelve frames, a gain stated 15 % too low, so that dark pixels have more noise in electrons than is stated: beside
-    errors of 6 % and 10 % that is no effect, beside an exact sheet it is."""
+@pytest.mark.parametrize(("kinds", "names"), [({}, []), ({"clip": 560.0}, ["saturation"])])
+def test_a_gain_that_is_off_gives_no_name_and_takes_none(kinds, names):
+    """Twelve frames, a gain stated 15 % too low, so that dark pixels have more noise in electrons than is stated: no
+    effect beside errors of 6 % and 10 %. A shape so fine takes a sixth of the bright pixels' noise, by which the gain
+    is off."""
     images, known = drawn(11, **kinds)
     frames, model = started(images, known)
     sensor = SENSOR._replace(gain_dn_per_e=0.85 * GAIN)
-    model = bare(model)._replace(sensor=sensor, sheet=Sheet(sensor, errors))
+    model = bare(model)._replace(sensor=sensor, sheet=Sheet(sensor, STATED))
     tried = effects("saturation", "excess_read_noise", "dark_offset")
     context = CONTEXT._replace(peak_dn=kinds.get("clip", 679.0) / 0.97)
     outcome = find(frames, designed(known), model, tried, context)
