@@ -146,6 +146,9 @@ def changed(model: Model, free: Sequence[Free], values: Sequence[float]) -> Mode
     for own, value in zip(free, values, strict=True):
         value = float(np.clip(value, own.low, own.high))
         if own.effect == SENSOR:
+            if own.parameter == 0 and not model.stated.free[1]:
+                # Dark pixels tell their noise in DN, whatever the gain.
+                sensor = sensor._replace(read_noise_e=sensor.read_noise_e * sensor.gain_dn_per_e / value)
             sensor = sensor._replace(**{SENSOR_NUMBERS[own.parameter]: value})
         else:
             every[own.effect][own.parameter] = value
