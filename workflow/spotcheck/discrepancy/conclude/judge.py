@@ -129,7 +129,7 @@ def sheet_of(outcome: Outcome) -> tuple[Against, ...]:
 
 def errors_of(outcome: Outcome) -> dict[str, tuple[float, ...]]:
     """Standard errors of the parameters of a fit's effects, NaN where one is not fitted; of a strength that dark pixels
-    tell, theirs."""
+    or a code tell, theirs."""
     fitted = outcome.after
     errors = np.sqrt(np.diag(fitted.covariance)[len(fitted.schur.left) - len(fitted.free) :])
     out = {own.effect.name: [np.nan] * len(own.values) for own in fitted.model.present}
@@ -138,7 +138,7 @@ def errors_of(outcome: Outcome) -> dict[str, tuple[float, ...]]:
             out[fitted.model.present[free.effect].effect.name][free.parameter] = float(error)
     for found in outcome.found:
         own = out.get(found.own.effect.name, [0.0])
-        own[0] = found.holding.error if np.isnan(own[0]) else own[0]
+        own[0] = float(np.fmin(own[0], found.holding.error))
     return {name: tuple(own) for name, own in out.items()}
 
 

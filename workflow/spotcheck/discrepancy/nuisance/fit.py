@@ -158,6 +158,9 @@ def changed(model: Model, free: Sequence[Free], values: Sequence[float]) -> Mode
         if own.effect == UNEVEN:
             uneven = value
         elif own.effect == SENSOR:
+            if own.parameter == 0 and not model.stated.free[1]:
+                # Dark pixels tell their noise in DN, whatever the gain.
+                sensor = sensor._replace(read_noise_e=sensor.read_noise_e * sensor.gain_dn_per_e / value)
             sensor = sensor._replace(**{SENSOR_NUMBERS[own.parameter]: value})
         else:
             every[own.effect][own.parameter] = value
