@@ -78,8 +78,8 @@ def grow(
     now, told = quiet(start, level=True)
     usable = [e for e in effects if not (told and any(moves_level(e, form) for form in e.forms))]
     for step in range(int(criteria.MOST.value)):
-        wanted = least(now)
         found = ranked(now.frames, design, now.fitted, usable, context)
+        wanted = least(now) if found.candidates else 0.0
         tied = tied if step else found.tied
         best = _best(now, [own for own in found.candidates if own.promise >= max(wanted, gain)], context)
         if best is None:
