@@ -94,8 +94,8 @@ def grow(
     context = context._replace(peak_dn=max(context.peak_dn - shift / TOP, 1.0))
     usable = [e for e in effects if not (told and any(e.moves_level(form) for form in e.forms))]
     for step in range(int(criteria.MOST.value)):
-        wanted = least(now)
         found = ranked(now.frames, design, now.fitted, usable, context)
+        wanted = least(now) if found.candidates else 0.0
         tied = tied if step else found.tied
         best = best_of(now, [own for own in found.candidates if own.promise >= max(wanted, gain)], context)
         if best is None:
