@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.advise import advise
 from spotcheck.discrepancy.conclude.detect import looked_at
-from spotcheck.discrepancy.conclude.judgement import NOTHING, Fits, Judgement, Shift, untested
-from spotcheck.discrepancy.conclude.light import gauge_of, in_gauge, light_of
+from spotcheck.discrepancy.conclude.judgement import NOTHING, Fits, Judgement, Light, Shift, untested
+from spotcheck.discrepancy.conclude.light import Seen, gauge_of, in_gauge, light_of, present_of, seen_of
 from spotcheck.discrepancy.conclude.limits import limits_of
 from spotcheck.discrepancy.conclude.places import places_of
 from spotcheck.discrepancy.conclude.unexplained import unexplained
@@ -25,7 +26,7 @@ from spotcheck.discrepancy.search.forward import Outcome
 from spotcheck.discrepancy.search.laws import search_laws
 from spotcheck.discrepancy.search.light import PENALTY, find
 from spotcheck.model.chain import Law, spot_state
-from spotcheck.model.effect import NEEDS, Effect, Place
+from spotcheck.model.effect import NEEDS, Context, Effect, Place
 
 
 def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) -> Judgement:
@@ -53,15 +54,16 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     beyond = tuple(name for name, gain in compared.gains.items() if name in every and gain <= 0)
     at_first, detection = looked_at(frames, declared.model if any(setting.stderr) else model, design)
     at_last, rest = looked_at(outcome.frames, outcome.after, design)
-    learned = outcome.after.model.baseline.learned is not None
-    wide = gauge_of(outcome.after.model).wide if learned else 1.0
-    fits = _fits(searched, kept, seen, unseen_frames, declared.model, outcome, laws.told, wide)
+    within = seen_of(outcome.frames, outcome.after.model)
+    light = _light(outcome.after, within, effects, context)
+    wide = gauge_of(outcome.after.model, within).wide if outcome.after.model.baseline.learned is not None else 1.0
+    fits = _fits(searched, kept, seen, unseen_frames, declared.model, outcome, laws.told, within, wide)
     return Judgement(
         why_not="",
         detection=detection,
         found=tuple(sorted(every.values(), key=lambda one: -compared.gap.by_effect.get(one.own.effect.name, 0.0))),
         beyond=beyond,
-        light=light_of(outcome.after) if learned else None,
+        light=light,
         sheet=sheet_of(outcome),
         unexplained=unexplained(at_last),
         gap=compared.gap,
@@ -76,6 +78,15 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         advice=advise(outcome, fits.law, design, context),
         fits=fits,
     )
+
+
+def _light(fitted: Fitted, within: Seen, effects: Sequence[Effect], context: Context) -> Light | None:
+    """The learned shape, where there is one, it is told, and its power is more than an effect calls nothing."""
+    if fitted.model.baseline.learned is None:
+        return None
+    light = light_of(fitted, within)
+    own, told = present_of(light, effects), light.power > criteria.STATED.value * light.error
+    return light if told and own is not None and own.effect.excess(light.power, context) >= 1 else None
 
 
 def _compared(kept: Observed | None, seen: Observed, before: Model, outcome: Outcome) -> Unseen:
@@ -94,11 +105,12 @@ def _fits(
     before: Model,
     outcome: Outcome,
     laws: Laws,
+    within: Seen,
     wide: float,
 ) -> Fits:
     """The fits as pictures and the extended model take them."""
     after = outcome.after.model
-    after = after if after.baseline.learned is None else in_gauge(after)
+    after = after if after.baseline.learned is None else in_gauge(after, within)
     unseen_numbers = Numbers(*(np.zeros(0) for _ in Numbers._fields))
     if unseen_frames is not None:
         unseen_numbers = fit_numbers(unseen_frames.frames, after._replace(numbers=unseen_frames.numbers)).model.numbers

@@ -6,7 +6,7 @@ orthogonal to B, ∂B/∂x, ∂B/∂y and ∂B/∂σ, and lengths are in the σ 
 coefficients, brought to the same gauge, tell errors, and what noise adds to a size.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from spotcheck.discrepancy.conclude.judgement import Light
 from spotcheck.discrepancy.conclude.modes import Modes
 from spotcheck.discrepancy.nuisance.fit import Fitted, splines_of
 from spotcheck.discrepancy.nuisance.taken import draws_of
-from spotcheck.discrepancy.observe.pixels import Model, Numbers
+from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
 from spotcheck.model import chain
 from spotcheck.model.chain import Free, View
 from spotcheck.model.effect import Effect, Place, Present
@@ -56,14 +56,42 @@ class Gauge(NamedTuple):
 REST = Gauge(1.0, 1.0, 0.0, 0.0)
 
 
-def light_of(fitted: Fitted, seed: int = 0) -> Light:
+class Seen(NamedTuple):
+    """What pixels see of a spot: from `left` to `right` and from `top` to `bottom` of its centre [σ]. Beyond, a learned
+    shape is anything, and the declared one stands."""
+
+    left: float = -np.inf
+    right: float = np.inf
+    top: float = -np.inf
+    bottom: float = np.inf
+
+    def __call__(self, u, v) -> np.ndarray:
+        """Whether places are seen."""
+        return (u >= self.left) & (u <= self.right) & (v >= self.top) & (v <= self.bottom)
+
+
+ALL = Seen()
+
+
+def seen_of(frames: Sequence[Frame], model: Model) -> Seen:
+    """What the pixels of some frame at least see."""
+    own, width = model.numbers, np.exp(model.numbers.log_width)
+    ends = [[(axis.min(), axis.max()) for axis in (frame.view.x, frame.view.y)] for frame in frames]
+    (left, right), (top, bottom) = np.moveaxis(np.array(ends), 0, -1)
+    return Seen(
+        float(((left - own.x) / width).min()), float(((right - own.x) / width).max()),
+        float(((top - own.y) / width).min()), float(((bottom - own.y) / width).max()),
+    )  # fmt: skip
+
+
+def light_of(fitted: Fitted, seen: Seen = ALL, seed: int = 0) -> Light:
     """What a fit with a learned shape found of the light; `power` scatters about 0 where there is nothing but noise."""
-    model, gauge = fitted.model, gauge_of(fitted.model)
-    shape = gauged(model, gauge)
+    model, gauge = fitted.model, gauge_of(fitted.model, seen)
+    shape = gauged(model, gauge, seen)
     u, v, area = _rings(shape.reach)
     declared, own = _declared(model, u, v, REST), shape(u, v)
     whole = own + declared
-    noise = _noise(fitted, gauge, shape, u, v, seed)
+    noise = _noise(fitted, gauge, shape, u, v, seed) * seen(gauge.wide * u + gauge.x, gauge.wide * v + gauge.y)
     total = float((whole * area).sum())
     power, error = _power(own, noise, area / total)
     parts = _orders(own, area) - np.mean([_orders(n, area) for n in noise], axis=0)
@@ -125,25 +153,25 @@ def attributes_of(light: Light) -> dict[str, Any]:
     }
 
 
-def in_gauge(model: Model) -> Model:
+def in_gauge(model: Model, seen: Seen = ALL) -> Model:
     """A model in the gauge of its shape: the same light, as a verdict gives it.
 
     # ASSUME: A and w are so near to 1, and (a, b) to 0, that effects which go with a spot's peak, width or stretched
     # coordinates need no other values.
     """
-    gauge, own = gauge_of(model), model.numbers
+    gauge, own = gauge_of(model, seen), model.numbers
     width = np.exp(own.log_width)
     numbers = Numbers(own.log_peak + np.log(gauge.bright), own.log_width + np.log(gauge.wide),
                       own.x + gauge.x * width, own.y + gauge.y * width)  # fmt: skip
-    return model._replace(baseline=model.baseline._replace(learned=gauged(model, gauge)), numbers=numbers)
+    return model._replace(baseline=model.baseline._replace(learned=gauged(model, gauge, seen)), numbers=numbers)
 
 
-def gauge_of(model: Model) -> Gauge:
+def gauge_of(model: Model, seen: Seen = ALL) -> Gauge:
     """The gauge of a model's learned shape."""
     learned = model.baseline.learned
     assert learned is not None
     u, v, area = _rings(learned.reach)
-    whole, heavy = _declared(model, u, v, REST) + learned(u, v), np.sqrt(area)
+    whole, heavy = _declared(model, u, v, REST) + learned(u, v) * seen(u, v), np.sqrt(area)
 
     def off(own: np.ndarray) -> np.ndarray:
         return (heavy * (whole - _declared(model, u, v, _gauge(own)))).ravel()
@@ -151,7 +179,7 @@ def gauge_of(model: Model) -> Gauge:
     return _gauge(optimize.least_squares(off, np.zeros(4), xtol=1e-10, ftol=1e-12).x)
 
 
-def gauged(model: Model, gauge: Gauge) -> LightShape:
+def gauged(model: Model, gauge: Gauge, seen: Seen = ALL) -> LightShape:
     """What the whole shape of a model has beside the declared one in a gauge: with all peaks times A, widths times w
     and centres moved by (a, b) σ it is the same light."""
     learned = model.baseline.learned
@@ -162,7 +190,8 @@ def gauged(model: Model, gauge: Gauge) -> LightShape:
     # B as it was, seen from the gauge.
     before = Gauge(1 / gauge.bright, 1 / gauge.wide, -gauge.x / gauge.wide, -gauge.y / gauge.wide)
     apart = _declared(model, u, v, before) - _declared(model, u, v, REST)
-    return through(apart + _seen(learned, gauge, u, v), learned.step)
+    inside = seen(gauge.wide * u + gauge.x, gauge.wide * v + gauge.y)
+    return through(apart + _seen(learned, gauge, u, v) * inside, learned.step)
 
 
 def through(values: np.ndarray, step: float) -> LightShape:

@@ -17,8 +17,8 @@ HIGHEST, EXPLAINED = 4, 0.9
 STEP, HALF = 0.12, 5.1
 # Widths of the mode of order 0 [σ] and directions [deg] that a search starts from.
 WIDTHS, TURNS = np.linspace(0.5, 1.1, 13), np.arange(0.0, 90.0, 15.0)
-# A mode that holds less than this part of the light is not told.
-LEAST = 0.01
+# A mode that holds less than this part of the light is not told, and a sum of more modes than so many is no picture.
+LEAST, MOST = 0.01, 4
 
 
 class Modes(NamedTuple):
@@ -50,6 +50,8 @@ def modes_of(light: Light) -> Modes | None:
         return None
     parts = weights / weights.sum()
     told = sorted(((float(p), own) for p, own in zip(parts, _orders(), strict=True) if p >= LEAST), reverse=True)
+    if len(told) > MOST:
+        return None
     return Modes({own: p for p, own in told}, float(best[0]), float(best[1] % 180), float(explained))
 
 
