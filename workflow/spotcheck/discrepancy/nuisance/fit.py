@@ -31,8 +31,8 @@ FARTHEST = (0.5, 0.3, 1.0, 1.0)
 # The farthest for the shape [peaks], and part of the median coefficient's information that every coefficient gets on
 # top in a step: where all frames are clipped they tell next to nothing, and a straight line leads far off.
 FARTHEST_SHAPE, HELD = 0.3, 1e-3
-# Part of a parameter's value, or of its start, by which slopes are taken.
-NUDGE = 1e-3
+# Part of a parameter's value, or of its start, by which slopes are taken; a direction has no size of its own [deg].
+NUDGE, TURN = 1e-3, 20.0
 # In place of an effect: the sensor, and which of its numbers may be free.
 SENSOR, SENSOR_NUMBERS = -1, ("gain_dn_per_e", "read_noise_e", "black_level_dn")
 # Lowest read noise [e-] whose step is a part of itself, and the step of a black level [DN].
@@ -114,11 +114,19 @@ def free_of(model: Model, context: Context) -> tuple[Free, ...]:
                 told, bounds[0, 0] = p == 0, max(bounds[0, 0], LEAST_FIELD)
             if told:
                 scale = max(abs(own.values[p]), float(np.median(starts[:, p])), 1e-12)
-                scale = 1.0 if parameter.unit == "deg" else scale
+                scale = TURN if parameter.unit == "deg" else scale
                 out.append(Free(e, p, float(bounds[p, 0]), float(bounds[p, 1]), NUDGE * scale))
     if any(own.effect.place is Place.WELL for own in model.present):
         out.append(Free(UNEVEN, 0, LEAST_UNEVEN, MOST_UNEVEN, NUDGE * model.uneven))
     return tuple(out)
+
+
+def of_noise(model: Model, own: Free) -> bool:
+    """Whether a parameter changes noise, and means next to nothing."""
+    if own.effect < 0:
+        return own.effect == UNEVEN or SENSOR_NUMBERS[own.parameter] == "read_noise_e"
+    effect = model.present[own.effect].effect
+    return effect.place is Place.NOISE or effect.scatter is not None
 
 
 def of_dark(model: Model, own: Present) -> bool:
@@ -350,7 +358,9 @@ def fit(
             break
         score = np.concatenate([basis.T @ sums.others[:few], sums.others[few:] + known * off + tilt])
         shape, moved = _bordered(lent, sums, basis, known).solve(sums.shape - bent, score)
-        others = np.concatenate([basis @ moved[:apart], moved[apart:]])
+        # What means do not tell waits.
+        wait = np.array([by_means and of_noise(model, own) for own in free], bool)
+        others = np.concatenate([basis @ moved[:apart], np.where(wait, 0.0, moved[apart:])])
         part = min(bold(others, free), FARTHEST_SHAPE / np.abs(shape).max(initial=FARTHEST_SHAPE))
         shape, others, halved = part * shape, part * others, 0
         model = stepped(best, shape, others, free)

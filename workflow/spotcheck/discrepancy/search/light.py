@@ -64,10 +64,10 @@ def find(frames: Sequence[Frame], design: Design, model: Model, effects: Sequenc
     """
     few = some_sites(design)
     if len(few) > PLAIN * len(frames):
-        lit = searched(frames, design, with_fields(frames, model, effects, context), effects, context)
+        lit = searched(frames, design, with_fields(frames, design, model, effects, context), effects, context)
     else:
         some, own = [frames[k] for k in few], model.take(few)
-        own = with_fields(some, own, effects, context)
+        own = with_fields(some, design.take(few), own, effects, context)
         lit = searched(some, design.take(few), own, effects, context, GAIN_OF_SOME)
         lit = completed(frames, design, model, lit, few, effects, context)
     return outcome_of(lit.grown, lit.before, design, effects, context)
@@ -172,11 +172,13 @@ def some_sites(design: Design) -> np.ndarray:
     return np.flatnonzero(np.isin(design.site, kept))
 
 
-def with_fields(frames: Sequence[Frame], model: Model, effects: Sequence[Effect], context: Context) -> Model:
+def with_fields(
+    frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context
+) -> Model:
     """A model with every field that each site has anew: as long as it is not tested it stands for whatever the model
     misses in proportion to the light. Without it one effect of a few per cent makes all others look surer than they
-    are."""
-    if len(frames) < 2:
+    are. At a single site a field is whatever the light's shape may be."""
+    if len(np.unique(design.site)) < 2:
         return model
     for effect in effects:
         if scatters(effect, "field") and effect.scatter is not None and effect.scatter.shared == "site":
