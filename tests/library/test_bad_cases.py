@@ -266,7 +266,7 @@ CASES: dict[str, Callable[[], Case]] = {
 
 # What the verdict gets wrong today, and why; each is a defect of the engine.
 WRONG = {
-    "8 bit": "a shape without any power is learned where nothing is missing",
+    "two spots": "light of the second spot, which dark pixels beside the first see, passes for read noise",
     "hot cluster brighter than the spot": "the cluster passes for saturated light",
 }
 

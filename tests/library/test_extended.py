@@ -336,9 +336,6 @@ def written(model: Extended, base: Path) -> Extended:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, reason="a ghost is taken for a learned shape, of a power below 0, as crops end at 3.5 σ"
-)
 def test_a_ghost_in_crops_that_end_early():
     """Two angles: the shape's nodes reach beyond the crop, where nothing holds it."""
     own = judged(small.ghost)[0]
