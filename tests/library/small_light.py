@@ -111,4 +111,4 @@ def fitted(seed: int, **kinds: float) -> tuple[list[Frame], Fitted, np.ndarray]:
     """Frames, the engine's fit of shape and numbers, and the truth of each frame."""
     images, known = drawn(seed, **kinds)
     frames, model = started(images, known)
-    return frames, fit(frames, model, PENALTY, workers=1), known
+    return frames, fit(frames, model, PENALTY), known

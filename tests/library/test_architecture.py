@@ -125,6 +125,16 @@ def test_files_stay_small():
     assert [p.name for p in texts if len(p.read_text(encoding="utf-8").splitlines()) >= 1000] == []
 
 
+def test_rooms_of_the_verdict_are_small():
+    """No file of theirs is over 400 lines, and no function over 60."""
+    for path in FILES:
+        if "spotcheck.discrepancy." in module_of(path):
+            assert len(path.read_text(encoding="utf-8").splitlines()) <= 400, path.name
+            for node in ast.walk(tree_of(path)):
+                if isinstance(node, ast.FunctionDef):
+                    assert node.end_lineno - node.lineno < 60, (path.name, node.name)
+
+
 def public(path: Path) -> list[ast.FunctionDef | ast.ClassDef]:
     """Functions, classes and methods whose name does not start with an underscore, at module or class level."""
     out = []

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from spotcheck.discrepancy.nuisance import fit
+from spotcheck.discrepancy.nuisance import threads
 from tests.library.test_bad_cases import CASES, judged, written
 
 
@@ -13,7 +13,7 @@ def test_equal_frames_give_equal_verdicts(tmp_path, monkeypatch):
     """Byte by byte, of two threads and of one, with an effect named."""
     folder = written(CASES["a copy beside the only spot"](), tmp_path)
     one, two = judged(folder, tmp_path / "one"), judged(folder, tmp_path / "two")
-    monkeypatch.setattr(fit, "ThreadPoolExecutor", lambda workers: ThreadPoolExecutor(1))
+    monkeypatch.setattr(threads, "ThreadPoolExecutor", lambda workers: ThreadPoolExecutor(1))
     alone = judged(folder, tmp_path / "alone")
     assert one.keys() == two.keys() == alone.keys() and len(one) == 7
     assert b"ghost_reflection" in one["verdict.json"]

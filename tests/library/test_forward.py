@@ -28,9 +28,9 @@ def test_scores_of_what_is_not_there_are_normal():
             fit.model.with_effect(Present(vocabulary()[name], vocabulary()[name].forms[0], values))
             for name, values in TRIED.items()
         ]
-        scores = screen(frames, fit, others, workers=1)
+        scores = screen(frames, fit, others)
         z.append([score.z for score in scores])
-        score, information = by_cell(frames, fit, others[0], scores[0], workers=1)
+        score, information = by_cell(frames, fit, others[0], scores[0])
         assert score.sum() == pytest.approx(scores[0].score, abs=0.02 * np.sqrt(scores[0].information))
         assert information.sum() == pytest.approx(scores[0].information, rel=0.01)
     for name, own in zip(TRIED, np.transpose(z), strict=True):

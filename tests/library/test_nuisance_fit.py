@@ -59,7 +59,7 @@ def test_a_declared_shape_alone():
         images, known = drawn(seed, shape=gaussian)
         frames, model = started(images, known)
         model = model._replace(baseline=model.baseline._replace(learned=None))
-        own = fit(frames, model, PENALTY, workers=1)
+        own = fit(frames, model, PENALTY)
         truth = np.stack([np.log(known[:, 1]), np.log(known[:, 2]), known[:, 3], known[:, 4]])
         off = np.stack(own.model.numbers) - truth
         off[2:] /= known[:, 2]
@@ -80,12 +80,12 @@ def test_a_fit_near_another_finds_the_same(learned):
     frames, model = started(images, known)
     if not learned:
         model = model._replace(baseline=model.baseline._replace(learned=None))
-    without = fit(frames, model, PENALTY, workers=1)
+    without = fit(frames, model, PENALTY)
     offset = Present(vocabulary()["dark_offset"], "light", (1.0,))
     more = without.model._replace(present=(offset,))
     free = free_of(more, CONTEXT)
-    near = fit(frames, more, PENALTY, free, workers=1, near=without)
-    fresh = fit(frames, more, PENALTY, free, workers=1, steps=16)
+    near = fit(frames, more, PENALTY, free, near=without)
+    fresh = fit(frames, more, PENALTY, free, steps=16)
     assert without.total - fresh.total > 1000
     assert near.total == pytest.approx(fresh.total, abs=0.5)
     (one,), (two,) = values_of(near.model, free), values_of(fresh.model, free)

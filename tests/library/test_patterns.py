@@ -31,7 +31,7 @@ def told(seed: int, *, learned: bool = True, sites: int = SITES, exposures: int 
     if not learned:
         model = model._replace(baseline=model.baseline._replace(learned=None))
     design = designed(known).take(own)
-    return gathered(frames, design, Ready(frames, fit(frames, model, PENALTY, workers=1), []))
+    return gathered(frames, design, Ready(frames, fit(frames, model, PENALTY), []))
 
 
 def variances(seed: int, **kinds) -> dict[str, Variance]:

@@ -20,7 +20,7 @@ def sought(seed: int, *, learned: bool, **kinds):
     if not learned:
         model = model._replace(baseline=model.baseline._replace(learned=None))
     design = designed(known)
-    sites, _ = gathered(frames, design, Ready(frames, fit(frames, model, PENALTY, workers=1), []))
+    sites, _ = gathered(frames, design, Ready(frames, fit(frames, model, PENALTY), []))
     return stripes_of(sites, CONTEXT.sigma_px), known[::3, 3:]
 
 

@@ -22,7 +22,7 @@ def one_frame():
     images, known = drawn(3, sites=1)
     frames, model = started(images[2:], known[2:])
     model = model._replace(baseline=model.baseline._replace(learned=light_shape.empty(STEP, 3.5)))
-    return frames[0], fit(frames, model, 1.0, workers=1)
+    return frames[0], fit(frames, model, 1.0)
 
 
 def test_draws_have_the_shapes_covariance():

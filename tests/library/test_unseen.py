@@ -14,7 +14,7 @@ def found(seed: int, own: Present, **kinds):
     """A fit with a learned shape and an effect, of one set of frames; frames of another with start and design."""
     frames, before, _ = fitted(seed, **kinds)
     model = before.model.with_effect(own)
-    after = fit(frames, model, PENALTY, free_of(model, CONTEXT), workers=1)
+    after = fit(frames, model, PENALTY, free_of(model, CONTEXT))
     images, known = drawn(seed + 1000, **kinds)
     others, start = started(images, known)
     declared = start._replace(baseline=start.baseline._replace(learned=None))

@@ -60,7 +60,7 @@ def shape_of(frames, model) -> Fitted:
     """A fit with nodes each 0.3 σ, from numbers that are already near."""
     numbered = fit_numbers(frames, model).model
     empty = light_shape.empty(0.3, 5.1)
-    return fit(frames, numbered._replace(baseline=numbered.baseline._replace(learned=empty)), 1.0, workers=1)
+    return fit(frames, numbered._replace(baseline=numbered.baseline._replace(learned=empty)), 1.0)
 
 
 def power(sets: int) -> None:

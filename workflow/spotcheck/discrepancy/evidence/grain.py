@@ -15,7 +15,8 @@ from scipy.optimize import minimize_scalar
 from spotcheck.discrepancy.evidence.pixels import CELLS, Ready
 from spotcheck.discrepancy.evidence.windows import LAGS, Site, evened, placed, products, whole_of, windows_of
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, changes_of, contrasts, shared
+from spotcheck.discrepancy.nuisance.fit import NUMBERS, changes_of, contrasts
+from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
 from spotcheck.model.light_shape import LightShape
@@ -112,7 +113,7 @@ class Drawn:
                     row += (mean * change[0] * tells.sure).sum(axis=(1, 2))
             return [shape, numbers]
 
-        shape, numbers = shared(part, len(self.frames), 2)
+        shape, numbers = shared(part, len(self.frames))
         basis = contrasts(ready.fitted.model, more)
         solved = [ready.fitted.schur.solve(x, basis.T @ n) for x, n in zip(shape.T, numbers.T, strict=True)]
         return np.stack([own[0] for own in solved], 1), np.stack([basis @ own[1] for own in solved], 1)

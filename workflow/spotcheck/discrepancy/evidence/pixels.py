@@ -20,10 +20,10 @@ from spotcheck.discrepancy.nuisance.fit import (
     coefficients_of,
     contrasts,
     nudged_of,
-    shared,
     splines_of,
 )
 from spotcheck.discrepancy.nuisance.taken import lacking, variance_of
+from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, deviance_of, told
 from spotcheck.model.light_shape import LightShape
 
@@ -69,14 +69,14 @@ class Score(NamedTuple):
         return self.score / max(self.information, 1e-300)
 
 
-def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model], workers: int = 2) -> list[Score]:
+def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model]) -> list[Score]:
     """Score and information of each other model."""
     ready = Ready(frames, fitted, others)
 
     def part(which: np.ndarray) -> list[np.ndarray]:
         return _sums(frames, ready, which)
 
-    score, raw, drop, shape, numbers, pull, own = shared(part, len(frames), workers)
+    score, raw, drop, shape, numbers, pull, own = shared(part, len(frames))
     basis = contrasts(fitted.model, len(fitted.free))
     pull[:, 0] -= fitted.penalty * normal.product(normal.roughness(ready.side), coefficients_of(fitted.model))
     right = fitted.schur.solve(pull[:, 0], basis.T @ own)
@@ -144,7 +144,7 @@ def _sums(frames: Sequence[Frame], ready: Ready, which: np.ndarray):
     return [score, raw, drop, shape, numbers, pull, own]
 
 
-def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, workers: int = 2):
+def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score):
     """Score and information [frame, cell] of a change, in 8 azimuths, near and far from the spot's centre."""
     ready, few = Ready(frames, fitted, [other]), NUMBERS * len(frames)
     surface = LightShape(ready.step, own.shape.reshape(ready.side, ready.side))
@@ -167,7 +167,7 @@ def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, w
             score[k], information[k] = (np.bincount(cell, part.ravel(), CELLS) for part in told_here)
         return [score, information]
 
-    return shared(part, len(frames), workers)
+    return shared(part, len(frames))
 
 
 def cells_of(u: np.ndarray, v: np.ndarray, radii: Sequence[float] | np.ndarray = (RADIUS,)) -> np.ndarray:

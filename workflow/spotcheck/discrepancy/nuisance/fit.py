@@ -5,14 +5,14 @@ it shares with the frames' numbers (all brighter, all wider, all moved) is the s
 Where the model learns no shape, the declared one stands and all numbers are free.
 """
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from spotcheck.discrepancy.nuisance import normal
+from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, scatters, told
 from spotcheck.model.effect import Context, Place, Present
 from spotcheck.model.light_shape import LightShape
@@ -196,7 +196,6 @@ def sums_of(
     *,
     curved: bool,
     by_variance: bool = True,
-    workers: int = 2,
 ) -> Sums:
     """All sums under a model; `curved`: those of shape and numbers too; without `by_variance` means alone tell."""
     ready = Expectation(frames, model)
@@ -205,15 +204,8 @@ def sums_of(
     def part(which: np.ndarray) -> Sums:
         return _part(frames, model, ready, others, which, curved, by_variance)
 
-    sums = Sums(*shared(part, len(frames), workers))
+    sums = Sums(*shared(part, len(frames)))
     return sums._replace(chi2=sums.chi2 / sum(np.count_nonzero(np.isfinite(own.pixels)) for own in frames))
-
-
-def shared(part: Callable[[np.ndarray], Sequence[Any]], frames: int, workers: int) -> list[Any]:
-    """Sums of what several threads make of some frames each."""
-    with ThreadPoolExecutor(workers) as pool:
-        done = list(pool.map(part, np.array_split(np.arange(frames), min(workers, frames))))
-    return [sum(own[1:], own[0]) for own in zip(*done, strict=True)]
 
 
 def nudged(model: Model, own: Free) -> tuple[Model, float]:
@@ -314,13 +306,11 @@ def fit(
     penalty: float,
     free: Sequence[Free] = (),
     steps: int = 8,
-    workers: int = 2,
     tilt: np.ndarray | float = 0.0,
     near: Fitted | None = None,
 ) -> Fitted:
-    """Fit shape, numbers, free parameters and, behind them, what a sheet leaves open, from a start; `tilt` [parameter]
-    is added to the parameters' scores: see `sheet.tilt_of`. A fit that lies `near`, of the same frames, lends its
-    matrices of shape and numbers."""
+    """Fit shape, numbers, free parameters and, behind them, what a sheet leaves open. `tilt` [parameter] is added to the
+    parameters' scores (`sheet.tilt_of`); a fit that lies `near`, of the same frames, lends its matrices."""
     free = (*(own for own in free if own.effect != SENSOR), *free_of_sheet(model))
     rough = penalty * normal.roughness(splines_of(model)[1])
     known, centre = (np.array([getattr(own, name) for own in free]) for name in ("precision", "centre"))
@@ -329,14 +319,13 @@ def fit(
     lent = near.schur.first(apart) if near is not None else None
     best, total, taken, halved = model, np.inf, 0, 0
     lowest: tuple[float, Model, Sums | None] = np.inf, model, None
-    shape, others = np.zeros(0), np.zeros(0)
-    far = False
+    shape, others, far = np.zeros(0), np.zeros(0), False
     for taken in range(1, steps + 2):
         renewed = lent is None or (near is None and taken <= RENEWED) or taken % AGAIN == 0
-        sums = sums_of(frames, model, free, curved=renewed, by_variance=not far, workers=workers)
+        sums = sums_of(frames, model, free, curved=renewed, by_variance=not far)
         by_means = far or (taken == 1 and sums.chi2 > FAR)
         if by_means and not far:
-            sums = sums_of(frames, model, free, curved=renewed, by_variance=False, workers=workers)
+            sums = sums_of(frames, model, free, curved=renewed, by_variance=False)
         bent, off = normal.product(rough, coefficients_of(model)), centre - values_of(model, free)
         prior = float(known @ off**2) + 2 * float(np.sum(tilt * off))
         now = sums.deviance + float(coefficients_of(model) @ bent) + prior
@@ -358,15 +347,15 @@ def fit(
             break
         score = np.concatenate([basis.T @ sums.others[:few], sums.others[few:] + known * off + tilt])
         shape, moved = _bordered(lent, sums, basis, known).solve(sums.shape - bent, score)
-        # What means do not tell waits.
-        wait = np.array([by_means and of_noise(model, own) for own in free], bool)
-        others = np.concatenate([basis @ moved[:apart], np.where(wait, 0.0, moved[apart:])])
+        # What means do not tell waits while they lead.
+        moves = [not (by_means and of_noise(model, own)) for own in free]
+        others = np.concatenate([basis @ moved[:apart], moved[apart:] * moves])
         part = min(bold(others, free), FARTHEST_SHAPE / np.abs(shape).max(initial=FARTHEST_SHAPE))
         shape, others, halved = part * shape, part * others, 0
         model = stepped(best, shape, others, free)
     # Scores and errors need the matrices of the model that was found, or what shape takes exceeds what there is.
     total, best, last = lowest
-    sums = last or sums_of(frames, best, free, curved=near is None, workers=workers)
+    sums = last or sums_of(frames, best, free, curved=near is None)
     if lent is None or near is None:
         lent = _reduced(sums, rough, basis)
     schur = _bordered(lent, sums, basis, known)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
+from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers
 
 # Steps at most, and the squared length of a step in its own errors that ends a frame's fit.
@@ -31,26 +32,36 @@ def fit_numbers(frames: Sequence[Frame], model: Model) -> Numbered:
     """Fit the numbers of all frames, from those of the model."""
     numbers = Numbers(*(np.array(v, float) for v in model.numbers))
     ready = Expectation(frames, model)
+    ready.model = model._replace(numbers=numbers)
     information = np.empty((len(frames), 4, 4))
-    for k, frame in enumerate(frames):
-        ready.model = model._replace(numbers=numbers)
-        for _ in range(STEPS):
-            seen = ready.of(frame, k)
-            known = np.isfinite(frame.pixels)
-            spread = np.sqrt(seen.variance)
-            slopes = (ready.by_numbers(frame, k, seen) * (seen.slope / spread) * known).reshape(len(numbers), -1)
-            z = np.where(known, (frame.pixels - seen.mean) / spread, 0.0).ravel()
-            own, score = slopes @ slopes.T, slopes @ z
-            width = float(np.exp(numbers.log_width[k]))
-            information[k] = own / np.outer([1, 1, width, width], [1, 1, width, width])
-            step = linalg.lstsq(own, score)[0]
-            length = float(step @ own @ step)
-            step *= min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-300))
-            for value, change in zip(numbers, step * [1, 1, width, width], strict=True):
-                value[k] += change
-            if length < ENOUGH:
-                break
+
+    def part(which: np.ndarray) -> list[float]:
+        for k in which:
+            information[k] = _fit_one(frames[k], k, ready, numbers)
+        return [0.0]
+
+    shared(part, len(frames))
     return Numbered(model._replace(numbers=numbers), information)
+
+
+def _fit_one(frame: Frame, k: int, ready: Expectation, numbers: Numbers) -> np.ndarray:
+    """Move a frame's numbers to where they fit; returns their information."""
+    for _ in range(STEPS):
+        seen = ready.of(frame, k)
+        known = np.isfinite(frame.pixels)
+        spread = np.sqrt(seen.variance)
+        slopes = (ready.by_numbers(frame, k, seen) * (seen.slope / spread) * known).reshape(len(numbers), -1)
+        z = np.where(known, (frame.pixels - seen.mean) / spread, 0.0).ravel()
+        own, score = slopes @ slopes.T, slopes @ z
+        width = float(np.exp(numbers.log_width[k]))
+        step = linalg.lstsq(own, score)[0]
+        length = float(step @ own @ step)
+        step *= min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-300))
+        for value, change in zip(numbers, step * [1, 1, width, width], strict=True):
+            value[k] += change
+        if length < ENOUGH:
+            break
+    return own / np.outer([1, 1, width, width], [1, 1, width, width])
 
 
 def expected_of(frames: Sequence[Frame], model: Model) -> list[Expected]:

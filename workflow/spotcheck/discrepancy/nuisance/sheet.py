@@ -36,14 +36,14 @@ class Against(NamedTuple):
     z: float
 
 
-def fit_sheet(frames: Sequence[Frame], fitted: Fitted, workers: int = 2) -> Fitted:
+def fit_sheet(frames: Sequence[Frame], fitted: Fitted) -> Fitted:
     """Fit on with the numbers of the sheet told beside what the shape takes.
 
     The shape takes noise up, one variance for each coefficient that the readings tell. Likelihood takes that for less
     noise; restricted likelihood (REML, Patterson & Thompson 1971) gives it back.
     """
-    first = fit(frames, fitted.model, fitted.penalty, fitted.free, workers=workers)
-    return fit(frames, first.model, first.penalty, first.free, workers=workers, tilt=tilt_of(frames, first))
+    first = fit(frames, fitted.model, fitted.penalty, fitted.free)
+    return fit(frames, first.model, first.penalty, first.free, tilt=tilt_of(frames, first))
 
 
 def tilt_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:

@@ -12,9 +12,10 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.patterns import gathered
 from spotcheck.discrepancy.evidence.pixels import Ready
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, shared
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.nuisance.taken import leverage
+from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, deviance_of, scatters
 from spotcheck.discrepancy.search.candidates import at_frames, nth, some_of, striped, tied_of
@@ -268,4 +269,4 @@ def freedom_of(frames: Sequence[Frame], fitted: Fitted) -> float:
             total += float(leverage(ready.variance, float(ready.peaks[k]), seen, tells).sum())
         return [np.array(total)]
 
-    return float(shared(part, len(frames), 2)[0])
+    return float(shared(part, len(frames))[0])
