@@ -309,8 +309,8 @@ def fit(
     tilt: np.ndarray | float = 0.0,
     near: Fitted | None = None,
 ) -> Fitted:
-    """Fit shape, numbers, free parameters and, behind them, what a sheet leaves open. `tilt` [parameter] is added to the
-    parameters' scores (`sheet.tilt_of`); a fit that lies `near`, of the same frames, lends its matrices."""
+    """Fit shape, numbers, free parameters and, behind them, what a sheet leaves open. `tilt` [parameter] is added to
+    the parameters' scores (`sheet.tilt_of`); a fit that lies `near`, of the same frames, lends its matrices."""
     free = (*(own for own in free if own.effect != SENSOR), *free_of_sheet(model))
     rough = penalty * normal.roughness(splines_of(model)[1])
     known, centre = (np.array([getattr(own, name) for own in free]) for name in ("precision", "centre"))
