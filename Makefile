@@ -87,7 +87,7 @@ validate-second: $(READY)
 # The table of names on real light. Real beams and frames lie beside the repository; without them their sets are left out.
 # LIGHT="--jobs 40" for fewer sets, LIGHT=--publish to write the table into workflow/docs/.
 validate-light: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run light --hours 3 --workers $(CORES) $(LIGHT)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run names --hours 1.5 --workers $(CORES) $(LIGHT)
 
 # Flats of a real sensor, as they are and with a known effect put into their readings, and their page. Needs the frames beside
 # the repository. REAL=--publish writes the page into workflow/docs/.

@@ -1,6 +1,6 @@
 """The command: as many jobs of a generator as the time allows, then its report.
 
-`python -m tests.validation.run rig|second|real|light [--hours 2] [--workers 2] [--jobs N] [--first SEED]
+`python -m tests.validation.run rig|second|real|light|names [--hours 2] [--workers 2] [--jobs N] [--first SEED]
 [--kinds one,strong] [--report] [--publish] [--verbose]`. A later call at the same commit goes on where the last one
 stopped.
 """
@@ -17,6 +17,8 @@ from itertools import islice
 
 from tests.validation import judge, outcome, records
 from tests.validation.protocol import Generator, Job, Record, generator
+
+GENERATORS = ("rig", "second", "real", "light", "names")
 
 
 def main() -> None:
@@ -47,7 +49,9 @@ def main() -> None:
 def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.validation.run", description=__doc__)
-    parser.add_argument("generator", choices=("rig", "second", "real", "light"), help="what makes the data sets")
+    parser.add_argument(
+        "generator", choices=("rig", "second", "real", "light", "names"), help="what makes the data sets"
+    )
     parser.add_argument("--hours", type=float, default=2.0, help="begin nothing after this time (default 2)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--jobs", type=int, help="look no further than the first so many jobs")

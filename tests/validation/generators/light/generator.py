@@ -6,10 +6,9 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tests.validation.generators.light import beams, before, score
+from tests.validation.generators.light import beams, score
 from tests.validation.generators.light.draw import write_job
 from tests.validation.generators.light.plan import plan
-from tests.validation.generators.rig import generator as rig
 from tests.validation.protocol import Job, Record
 from tests.validation.records import ROOT
 
@@ -30,13 +29,7 @@ def needs_files(job: Job) -> bool:
 
 
 def write(job: Job, folder: Path, truth: Path) -> bool:
-    """A set and its truth; False where its files are missing. Of a set on which the engine before was scored the truth
-    knows what became of it."""
-    if job.kind.startswith(f"{before.WORD}:"):
-        made = rig.write(job._replace(kind=job.kind.removeprefix(f"{before.WORD}:")), folder, truth)
-        known = json.loads(truth.read_text(encoding="utf-8")) if made else {}
-        truth.write_text(json.dumps(known | {"before": before.rows()[job.seed]["outcome"]}) + "\n", encoding="utf-8")
-        return made
+    """A set and its truth; False where its files are missing."""
     if needs_files(job) and not beams.there():
         return False
     truth.write_text(json.dumps(write_job(job, folder), indent=1, default=float) + "\n", encoding="utf-8")

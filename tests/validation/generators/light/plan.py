@@ -2,8 +2,8 @@
 
 Kinds, beside those of the protocol: `light:<light>` (no effect, light that is no Gaussian),
 `one:<effect>:<light>:<level>` and `tied:<effect>:<light>:<level>`, `two:<a>+<b>:<light>:<level>`,
-`outside:<mechanism>:<light>:<level>`, `sheet:<quantity>:<effect or none>:<off>`, `hene:<what>`, and `before:<kind of
-the rig>` for sets on which the engine before was scored; a level is a multiple of the bound.
+`outside:<mechanism>:<light>:<level>`, `sheet:<quantity>:<effect or none>:<off>` and `hene:<what>`; a level is a
+multiple of the bound.
 """
 
 from collections.abc import Iterator
@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from tests.validation.generators.light import before, outside
+from tests.validation.generators.light import outside
 from tests.validation.generators.second.effects import VOCABULARY
 from tests.validation.protocol import Job, dealt
 
-# 2,000 jobs give every row of the table some 150 sets at least, but for those of real frames, which are nine.
+# 1,700 jobs give every row of the table some 150 sets at least, but for those of real frames, which are nine.
 SHARES = {
     "null": 11, "plain": 10, "strong default": 10, "strong one_exposure": 10, "strong single_frame": 11, "ten": 10,
     "others": 1, "outside real": 10, "outside gauss": 8, "tied": 7, "two": 8, "hene": 8, "sheet": 6,
-    "before": 20,
 }  # fmt: skip
 # Null sets on Gaussian light, by design.
 NULL_DESIGNS = {"default": 2, "one_exposure": 2, "single_frame": 1}
@@ -72,12 +71,8 @@ def plan(first: int) -> Iterator[Job]:
         "hene": ((f"hene:{what}", f"frame {k}") for k, what in cycle(_frames())),
         "sheet": _sheets(),
     }  # fmt: skip
-    old = iter(before.jobs(first))
     for number, name in enumerate(dealt(SHARES)):
-        if name in streams:
-            yield Job(number, first + number, *next(streams[name]))
-        elif own := next(old, None):
-            yield own._replace(number=number)
+        yield Job(number, first + number, *next(streams[name]))
 
 
 def pairs(names: tuple[str, ...]) -> list[str]:

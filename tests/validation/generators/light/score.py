@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from tests.validation.figure import Figure, Range
-from tests.validation.generators.light import before
+from tests.validation.generators.names import before
 from tests.validation.intervals import bootstrap
 from tests.validation.outcome import word_for
 from tests.validation.protocol import Record
