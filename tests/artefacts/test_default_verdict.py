@@ -69,5 +69,5 @@ def test_p1_and_p2_agree_with_the_truth_within_their_errors(verdict, truth):
 
 def test_sentence_says_what_is_named_and_what_moved(verdict):
     lines = verdict["sentence"].splitlines()
-    assert len(lines) <= 3 and "saturation" in lines[1] and "p1 from" in verdict["sentence"]
+    assert len(lines) <= 3 and "saturation" in lines[1] and "p1 goes from" in verdict["sentence"]
     assert verdict["gap"]["closed"] > 0.99
