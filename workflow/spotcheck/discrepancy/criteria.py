@@ -115,24 +115,6 @@ WIDEST = Criterion(
     "no spot is fitted whose σ_g is more than this",
     "a wider one cannot be told from a background",
 )
-COLLAPSE = Criterion(
-    0.6,
-    "1",
-    "the signal stops where noise has less than this part of the variance that darker levels let expect",
-    "a response that bends takes less from one bin to the next; a clip leaves next to nothing",
-)
-NOT_WHITE = Criterion(
-    0.15,
-    "1",
-    "differences do not tell the noise where next neighbours correlate by this much more than white noise does",
-    "such frames were smoothed, sharpened or compressed: their differences are not those of single pixels",
-)
-EXPECTED = Criterion(
-    20.0,
-    "readings",
-    "a code that no pixel reads is missing where its neighbours let expect so many",
-    "by chance once in 5e8 codes",
-)
 STATED = Criterion(
     3.0,
     "standard errors",

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model
 
 # Readings gather where a code is read so many times as often as the mean of as many codes below it.
 GATHER, BELOW = 4.0, 6
-# Noise is gone where so large a part of it is left at most, told by so many errors.
-LEFT, SURE = 0.5, 5.0
+# Noise is gone where so large a part of it is left at most.
+LEFT = 0.5
 # Side [px] of the squares in which noise is told, and how near to the code their mean must be [DN].
 SIDE, NEAR_DN = 3, 1.0
 # Noise below this [DN²] is rounding: it leaves one code or two by itself.
@@ -41,4 +42,4 @@ def gathers(frames: Sequence[Frame], model: Model, k: int) -> bool:
         return False
     # Variance of a square's mean square, of normal noise, in units of its mean.
     z = (1 - left / noise) * np.sqrt(squares * (SIDE**2 - 1) / 2)
-    return bool(left < LEFT * noise and z > SURE)
+    return bool(left < LEFT * noise and z > criteria.SURE.value)
