@@ -92,17 +92,17 @@ def _rings(
 def _parts(part: Figure, ds: xr.Dataset, limit: float) -> int:
     """The tests of detection, the oddest on top; how many stand out."""
     ax = part.subplots()
-    z, names = ds["part_z"].values, [str(name) for name in ds["part"].values]
+    z, names = np.abs(ds["part_z"].values), [str(name) for name in ds["part"].values]
     few = np.argsort(-z)[:MOST_PARTS]
     y = -np.arange(len(few))
     clear = z[few] > limit
-    ax.barh(y, np.maximum(z[few], 0.0), height=0.7, color=[style.SIMULATED if own else "0.6" for own in clear])
+    ax.barh(y, np.maximum(z[few], 1.0), height=0.7, color=[style.SIMULATED if own else "0.6" for own in clear])
     ax.axvline(limit, color="black", linewidth=0.9, linestyle=(0, (5, 3)))
-    ax.set_xlim(0, max(1.5 * limit, 1.08 * float(z[few].max(initial=1.0))))
+    ax.set(xscale="log", xlim=(1.0, max(1.5 * limit, 2 * float(z[few].max(initial=1.0)))))
     ax.set_yticks(y, [names[k] for k in few], fontsize=7.5)
     ax.tick_params(axis="y", length=0)
     ax.grid(False, axis="y")
-    ax.set_xlabel("z")
+    ax.set_xlabel("|z|")
     return int((z > limit).sum())
 
 
