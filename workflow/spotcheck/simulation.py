@@ -161,8 +161,6 @@ def simulate_extended(
     model file's; raises `InputError` for a model that does not fit the instrument or the design.
     """
     baseline = of_instrument(dataset.instrument, dataset.exposures)
-    if model.light is not None:
-        baseline = baseline._replace(learned=model.light)
     if not dataset.exposures:
         # As in the verdict: without exposures nobody knows what a dark current per second brings.
         sensor = sensor._replace(dark_current_e_per_s=0.0)
@@ -216,7 +214,7 @@ def _window(centre: np.ndarray, side: int, pixels: int) -> tuple[int, int]:
 def _extended_frames(
     dataset: Dataset,
     model: Extended,
-    baseline: Baseline,
+    declared: Baseline,
     sensor: SensorModel,
     centres: np.ndarray,
     window: tuple[np.ndarray, np.ndarray],
@@ -228,8 +226,9 @@ def _extended_frames(
     for k, (index, row) in enumerate(dataset.cells()):
         view = _view(dataset, row, k, model, centres[k], window)
         base: Law | Free | None = model.law
+        own = model.spots.get(_site(dataset, row, model))
+        baseline = declared if not model.lights else declared._replace(learned=model.light_of(own))
         if base is None:
-            own = model.spots.get(_site(dataset, row, model))
             # A frame without a usable spot is simulated as one without light.
             peak, width = (0.0, 1.0) if own is None else (own.peak_dn, own.sigma_px)
             base = Free(np.full((1, 1, 1), peak), np.full((1, 1, 1), width))

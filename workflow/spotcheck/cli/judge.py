@@ -7,7 +7,7 @@ from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import open_set, tolerance_of
 from spotcheck.discrepancy.conclude.judge import judge
 from spotcheck.discrepancy.conclude.judgement import untested
-from spotcheck.discrepancy.conclude.light import attributes_of, described
+from spotcheck.discrepancy.conclude.light import attributes_of, described, described_by_pose
 from spotcheck.discrepancy.conclude.modes import modes_of
 from spotcheck.discrepancy.verdict.document import document
 from spotcheck.discrepancy.verdict.extended import extended_of
@@ -42,6 +42,8 @@ def run(args: argparse.Namespace) -> None:
         judgement = untested(ready) if isinstance(ready, str) else judge(ready.shots, ready.setting, known)
     light = judgement.light
     words = described(light, modes_of(light)) if light else ""
+    if len(judgement.lights) > 1:
+        words = described_by_pose(judgement.lights)
     beware = "" if isinstance(ready, str) else ready.beware
     verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak, light_words=words,
                        beware=beware)  # fmt: skip
@@ -54,9 +56,13 @@ def run(args: argparse.Namespace) -> None:
     else:
         extended = extended_of(judgement, ready.setting, found.instrument, known)
         store.write_text(args.model, text_of(extended, found.name, verdict["status"]))
+    axes = [axis for axis in found.axes if axis.name not in ("exposure", "repeat")]
+    seen = [] if judgement.fits is None else judgement.fits.poses()
+    poses = {axis.name: (axis.units, [own[k] for own in seen]) for k, axis in enumerate(axes)} if seen else {}
     told = {"title": f"The light's shape, learned from {found.name}", "dataset": found.name, "code": code}
-    if light is not None and extended is not None and extended.light is not None:
-        written_light(extended.light, args.light, **told, inputs=inputs, attributes=attributes_of(light))
+    if light is not None and extended is not None and extended.lights:
+        written_light(extended.lights, args.light, **told, inputs=inputs, poses=poses,
+                      attributes=attributes_of(light))  # fmt: skip
     else:
         no_light(args.light, "the declared shape of the light stands", **told, inputs=inputs)
     write_verdict(verdict, args.output)

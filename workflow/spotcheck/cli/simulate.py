@@ -61,7 +61,7 @@ def _extended(args: argparse.Namespace, found: dataset.Dataset) -> None:
         raise InputError("simulate: --model holds all parameters; give either it, or --calibration and --fits")
     path = Path(args.model)
     model = read_model(path)
-    light = [] if model.light is None else [path.with_name(LIGHT)]
+    light = [path.with_name(LIGHT)] if model.lights else []
     with store.read(args.sensor) as sensor:
         own = model_of(sensor)
     if own is None:

@@ -30,7 +30,9 @@ def draw(results: Results) -> style.Drawing:
     ds = results.get("light")
     inside = np.abs(ds["u"].values) <= SHOWN
     u = ds["u"].values[inside]
-    s = ds["s"].values[np.ix_(inside, inside)]
+    # Of several lights that which is least as declared is drawn.
+    every = ds["s"].values[:, inside][:, :, inside]
+    s = every[int(np.argmax(np.abs(every).sum(axis=(1, 2))))]
     before = declared(results, u, u)
     after, end = before + s, 100 * float(np.abs(s).max())
     figure = style.new(4.6, 1.05 * style.WIDTH)

@@ -1,7 +1,7 @@
 """model.yaml: the extended model in one file, which `spotcheck simulate` runs as it is.
 
 It holds the baseline's numbers, the effects that a verdict added, and where the spots lie. What the instrument fixes
-(photon budget, top hat, sensor) stays in instrument.yaml; a shape of the light that was learned is in light.nc beside.
+(photon budget, top hat, sensor) stays in instrument.yaml; shapes of the light that were learned are in light.nc beside.
 """
 
 import json
@@ -17,7 +17,7 @@ from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law, bounds_context
 from spotcheck.model.effect import Context, Effect, Parameter, Place, Present
 from spotcheck.model.effects import vocabulary
-from spotcheck.model.light_file import LIGHT, read_light
+from spotcheck.model.light_file import LIGHT, read_lights
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.sensor import SensorModel
 from spotcheck.schema import breach_of, read_keys
@@ -37,18 +37,20 @@ class Site(NamedTuple):
 
 
 class Spot(NamedTuple):
-    """Centre of a spot [px of the sensor]; without a law also its peak [DN] and σ_g [px]."""
+    """Centre of a spot [px of the sensor]; without a law also its peak [DN] and σ_g [px]; and which of several learned
+    lights it has, from 0 on (None: there is one at most)."""
 
     x_px: float
     y_px: float
     peak_dn: float | None = None
     sigma_px: float | None = None
+    light: int | None = None
 
 
 class Extended(NamedTuple):
     """The extended model: the baseline's law (None: each spot has its own peak and width), the exposure [s] at which
     the law's peak is given and that at which the spread law keeps the width, rows and columns of the sensor's frame,
-    the effects in order, the spots, and the light's learned shape (None: the instrument's)."""
+    the effects in order, the spots, and the light's learned shapes (none: the instrument's)."""
 
     law: Law | None
     longest_s: float
@@ -57,7 +59,11 @@ class Extended(NamedTuple):
     columns: int
     present: tuple[Present, ...]
     spots: Mapping[Site, Spot]
-    light: LightShape | None = None
+    lights: tuple[LightShape, ...] = ()
+
+    def light_of(self, spot: Spot | None) -> LightShape | None:
+        """The learned shape of a spot's light; of one that is not known the first."""
+        return self.lights[(spot and spot.light) or 0] if self.lights else None
 
 
 def site_of(frame: Frame, conditions: Sequence[str], lawful: bool) -> Site:
@@ -127,7 +133,7 @@ def _lines(model: Extended, dataset: str, status: str) -> Iterator[str]:
     yield f"status: {status}"
     yield f"frame: {{rows_px: {model.rows}, columns_px: {model.columns}}}"
     yield f"exposure: {{longest_s: {model.longest_s:.9g}, reference_s: {model.reference_s:.9g}}}"
-    if model.light is not None:
+    if model.lights:
         yield f"light: {LIGHT}"
     if model.law is not None:
         yield "law:"
@@ -173,7 +179,7 @@ def read_model(path: Path) -> Extended:
     spots = {}
     for k, own in enumerate(content.get("spots", ())):
         site, spot = _spot(own)
-        if law is None and None in spot:
+        if law is None and None in (spot.peak_dn, spot.sigma_px):
             raise InputError(f"{path.name}: spots.{k} lacks peak_dn or sigma_px, which every spot needs without a law")
         if law is not None and {"exposure_s", "peak_dn", "sigma_px"} & set(own):
             raise InputError(f"{path.name}: spots.{k} has exposure_s, peak_dn or sigma_px, which the law gives")
@@ -186,7 +192,10 @@ def read_model(path: Path) -> Extended:
     names = [own.effect.name for own in present]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path.name}: effect {twice[0]} stands twice; keep one of them")
-    light = _light(path, content.get("light"), present)
+    lights = _lights(path, content.get("light"), present)
+    for k, spot in enumerate(spots.values()):
+        if len(lights) > 1 and not 0 <= (-1 if spot.light is None else spot.light) < len(lights):
+            raise InputError(f"{path.name}: spots.{k}.light must say which of {len(lights)} lights it has, from 0 on")
     frame, exposure = content["frame"], content["exposure"]
     return Extended(
         None if law is None else Law(float(law["p1_px"]), float(law["p2_px"]), float(law["peak_dn"])),
@@ -196,30 +205,30 @@ def read_model(path: Path) -> Extended:
         int(frame["columns_px"]),
         present,
         spots,
-        light,
+        lights,
     )
 
 
-def _light(path: Path, file: str | None, present: Sequence[Present]) -> LightShape | None:
-    """The learned shape: that of a file, where an effect stands for it."""
+def _lights(path: Path, file: str | None, present: Sequence[Present]) -> tuple[LightShape, ...]:
+    """The learned shapes: those of a file, where an effect stands for them."""
     learned = [own.effect.name for own in present if own.effect.place is Place.SHAPE]
     if learned and file is None:
         raise InputError(
             f"{path.name}: key light is missing; {learned[0]} needs the file of its shape, such as {LIGHT}"
         )
     if file is None:
-        return None
+        return ()
     if not learned:
         raise InputError(
             f"{path.name}: key light names {file}, but no effect stands for its shape; add one, or drop it"
         )
-    return read_light(path.parent / file)
+    return read_lights(path.parent / file)
 
 
 def _spot(own: dict[str, Any]) -> tuple[Site, Spot]:
     conditions = tuple(sorted(own.get("conditions", {}).items()))
     site = Site(own.get("angle_deg"), own.get("exposure_s"), int(own["repeat"]), conditions)
-    return site, Spot(own["x_px"], own["y_px"], own.get("peak_dn"), own.get("sigma_px"))
+    return site, Spot(own["x_px"], own["y_px"], own.get("peak_dn"), own.get("sigma_px"), own.get("light"))
 
 
 def _present(own: dict[str, Any], where: str) -> Present:

@@ -55,15 +55,17 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     at_first, detection = looked_at(frames, declared.model if any(setting.stderr) else model, design)
     at_last, rest = looked_at(outcome.frames, outcome.after, design)
     within = seen_of(outcome.frames, outcome.after.model)
-    light = _light(outcome.after, within, effects, context)
-    wide = gauge_of(outcome.after.model, within).wide if outcome.after.model.baseline.learned is not None else 1.0
+    lights = lights_of(outcome.after, within, effects, context)
+    wide = float(np.exp(np.mean([np.log(gauge_of(outcome.after.model, own, k).wide) for k, own in enumerate(within)]
+                                or [0.0])))  # fmt: skip
     fits = _fits(searched, kept, seen, unseen_frames, declared.model, outcome, laws.told, within, wide)
     return Judgement(
         why_not="",
         detection=detection,
         found=tuple(sorted(every.values(), key=lambda one: -compared.gap.by_effect.get(one.own.effect.name, 0.0))),
         beyond=beyond,
-        light=light,
+        light=max(lights, key=lambda own: own.power, default=None),
+        lights=lights,
         sheet=sheet_of(outcome),
         unexplained=unexplained(at_last),
         gap=compared.gap,
@@ -80,13 +82,14 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     )
 
 
-def _light(fitted: Fitted, within: Seen, effects: Sequence[Effect], context: Context) -> Light | None:
-    """The learned shape, where there is one, it is told, and its power is more than an effect calls nothing."""
-    if fitted.model.baseline.learned is None:
-        return None
-    light = light_of(fitted, within)
-    own, told = present_of(light, effects), light.power > criteria.STATED.value * light.error
-    return light if told and own is not None and own.effect.excess(light.power, context) >= 1 else None
+def lights_of(fitted: Fitted, within: Sequence[Seen], effects: Sequence[Effect], context: Context) -> tuple[Light, ...]:
+    """The learned lights, where the shape of one at least is told, and its power more than an effect calls nothing."""
+    lights = tuple(light_of(fitted, own, k) for k, own in enumerate(within))
+    for light in lights:
+        own, told = present_of(light, effects), light.power > criteria.STATED.value * light.error
+        if told and own is not None and own.effect.excess(light.power, context) >= 1:
+            return lights
+    return ()
 
 
 def _compared(kept: Observed | None, seen: Observed, before: Model, outcome: Outcome) -> Unseen:
@@ -94,7 +97,18 @@ def _compared(kept: Observed | None, seen: Observed, before: Model, outcome: Out
     if kept is None:
         numbers = outcome.after.model.numbers
         return unseen(outcome.frames, seen.design, numbers, before, outcome.after, "the frames themselves")
-    return unseen(kept.frames, kept.design, kept.numbers, before, outcome.after, "unseen repeats")
+    after = outcome.after._replace(model=_for(kept, seen, outcome.after.model))
+    return unseen(kept.frames, kept.design, kept.numbers, before, after, "unseen repeats")
+
+
+def _for(kept: Observed, seen: Observed, model: Model) -> Model:
+    """A model of frames that were seen for others, each under the light of its pose."""
+    if model.lights is None:
+        return model
+    light = dict(zip(seen.design.pose.tolist(), model.lights.which.tolist(), strict=True))
+    # A pose that no searched frame had has no light of its own.
+    which = np.array([light.get(pose, 0) for pose in kept.design.pose.tolist()])
+    return model._replace(lights=model.lights._replace(which=which))
 
 
 def _fits(
@@ -105,15 +119,16 @@ def _fits(
     before: Model,
     outcome: Outcome,
     laws: Laws,
-    within: Seen,
+    within: Sequence[Seen],
     wide: float,
 ) -> Fits:
     """The fits as pictures and the extended model take them."""
     after = outcome.after.model
-    after = after if after.baseline.learned is None else in_gauge(after, within)
+    after = after if after.lights is None else in_gauge(after, within)
     unseen_numbers = Numbers(*(np.zeros(0) for _ in Numbers._fields))
     if unseen_frames is not None:
-        unseen_numbers = fit_numbers(unseen_frames.frames, after._replace(numbers=unseen_frames.numbers)).model.numbers
+        own = _for(unseen_frames, seen, after)._replace(numbers=unseen_frames.numbers)
+        unseen_numbers = fit_numbers(unseen_frames.frames, own).model.numbers
     shots = (*searched, *(kept if unseen_frames is not None else ()))
     law = _law(after, laws, seen.design, wide)
     return Fits(tuple(shots), outcome.frames, seen.design, before, after, unseen_numbers, law)

@@ -12,7 +12,7 @@ from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
-from spotcheck.discrepancy.observe.shots import Shot
+from spotcheck.discrepancy.observe.shots import Shot, or_nan
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.model.chain import Law
 from spotcheck.model.light_shape import LightShape
@@ -114,6 +114,14 @@ class Fits(NamedTuple):
     unseen: Numbers
     law: Law | None
 
+    def poses(self) -> list[tuple[float, ...]]:
+        """Fibre angle and declared conditions under which each of several lights was seen, NaN where not recorded."""
+        lights = self.after.lights
+        if lights is None or len(lights.coefficients) < 2:
+            return []
+        first = [self.shots[int(np.flatnonzero(lights.which == k)[0])] for k in range(len(lights.coefficients))]
+        return [(or_nan(shot.angle_deg), *map(or_nan, shot.conditions)) for shot in first]
+
 
 class Levels(NamedTuple):
     """What levels of flats tell beside effects: how many there are, K [DN/e-] with its error under all that was found,
@@ -133,7 +141,8 @@ class Judgement(NamedTuple):
 
     - `found`: effects, the one that closes most first.
     - `beyond`: names of found effects of which frames that had no part in the search were not told better.
-    - `light`: None where the declared shape stands.
+    - `light`: the one that is least as declared; None where the declared shape stands. `lights`: all that were learned,
+      in the order of the fits.
     - `errors`: standard errors of all parameters of a found effect, by its name; NaN where one has none. Of effects
       that are missing here (scatter) the strength's alone is known, from `Found`.
     - `off`: how far the mean image is from the declared model, as rms in peaks, noise taken off; None: unknown.
@@ -160,6 +169,7 @@ class Judgement(NamedTuple):
     off: float | None = None
     rest: Detection | None = None
     advice: tuple[Advice, ...] = ()
+    lights: tuple[Light, ...] = ()
     not_assessed: tuple[tuple[str, str], ...] = ()
     levels: Levels | None = None
     black_level_dn: float = 0.0

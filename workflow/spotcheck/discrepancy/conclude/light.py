@@ -73,25 +73,31 @@ class Seen(NamedTuple):
 ALL = Seen()
 
 
-def seen_of(frames: Sequence[Frame], model: Model) -> Seen:
-    """What the pixels of some frame at least see."""
+def seen_of(frames: Sequence[Frame], model: Model) -> list[Seen]:
+    """Of every light that is learned, what the pixels of some of its frames at least see."""
     own, width = model.numbers, np.exp(model.numbers.log_width)
     ends = [[(axis.min(), axis.max()) for axis in (frame.view.x, frame.view.y)] for frame in frames]
     (left, right), (top, bottom) = np.moveaxis(np.array(ends), 0, -1)
-    return Seen(
-        float(((left - own.x) / width).min()), float(((right - own.x) / width).max()),
-        float(((top - own.y) / width).min()), float(((bottom - own.y) / width).max()),
-    )  # fmt: skip
+    low, high = ((left - own.x) / width, (top - own.y) / width), ((right - own.x) / width, (bottom - own.y) / width)
+    out: list[Seen] = []
+    if model.lights is None:
+        return out
+    for light in range(len(model.lights.coefficients)):
+        at = model.lights.which == light
+        (left, top), (right, bottom) = [v[at].min() for v in low], [v[at].max() for v in high]
+        out.append(Seen(float(left), float(right), float(top), float(bottom)))
+    return out
 
 
-def light_of(fitted: Fitted, seen: Seen = ALL, seed: int = 0) -> Light:
-    """What a fit with a learned shape found of the light; `power` scatters about 0 where there is nothing but noise."""
-    model, gauge = fitted.model, gauge_of(fitted.model, seen)
-    shape = gauged(model, gauge, seen)
+def light_of(fitted: Fitted, seen: Seen = ALL, light: int = 0, seed: int = 0) -> Light:
+    """What a fit with learned shapes found of one of its lights; `power` scatters about 0 where there is nothing but
+    noise."""
+    model, gauge = fitted.model, gauge_of(fitted.model, seen, light)
+    shape = gauged(model, gauge, seen, light)
     u, v, area = _rings(shape.reach)
     declared, own = _declared(model, u, v, REST), shape(u, v)
     whole = own + declared
-    noise = _noise(fitted, gauge, shape, u, v, seed) * seen(gauge.wide * u + gauge.x, gauge.wide * v + gauge.y)
+    noise = _noise(fitted, light, gauge, shape, u, v, seed) * seen(gauge.wide * u + gauge.x, gauge.wide * v + gauge.y)
     total = float((whole * area).sum())
     power, error = _power(own, noise, area / total)
     parts = _orders(own, area) - np.mean([_orders(n, area) for n in noise], axis=0)
@@ -138,6 +144,16 @@ def present_of(light: Light, effects: Iterable[Effect]) -> Present | None:
     return None if effect is None else Present(effect, effect.forms[0], values)
 
 
+def described_by_pose(lights: Sequence[Light]) -> str:
+    """What a person is told of lights that differ from pose to pose."""
+    powers = [100 * max(own.power, 0.0) for own in lights]
+    worst = described(max(lights, key=lambda own: own.power))
+    return (
+        f"it has another shape in each of {len(lights)} poses, {min(powers):.2g} to {max(powers):.2g} %"
+        f" of the light elsewhere than a Gaussian's; where it is most, {worst}"
+    )
+
+
 def attributes_of(light: Light) -> dict[str, Any]:
     """What describes a light in its file."""
     major, minor, direction = light.axes
@@ -153,23 +169,27 @@ def attributes_of(light: Light) -> dict[str, Any]:
     }
 
 
-def in_gauge(model: Model, seen: Seen = ALL) -> Model:
-    """A model in the gauge of its shape: the same light, as a verdict gives it.
+def in_gauge(model: Model, seen: Sequence[Seen] = (ALL,)) -> Model:
+    """A model in the gauge of each of its shapes: the same light, as a verdict gives it.
 
     # ASSUME: A and w are so near to 1, and (a, b) to 0, that effects which go with a spot's peak, width or stretched
     # coordinates need no other values.
     """
-    gauge, own = gauge_of(model, seen), model.numbers
-    width = np.exp(own.log_width)
-    numbers = Numbers(own.log_peak + np.log(gauge.bright), own.log_width + np.log(gauge.wide),
-                      own.x + gauge.x * width, own.y + gauge.y * width)  # fmt: skip
-    return model._replace(baseline=model.baseline._replace(learned=gauged(model, gauge, seen)), numbers=numbers)
+    own, lights, width = model.numbers, model.lights, np.exp(model.numbers.log_width)
+    assert lights is not None
+    gauges = [gauge_of(model, mine, k) for k, mine in enumerate(seen)]
+    shapes = [gauged(model, gauge, mine, k) for k, (gauge, mine) in enumerate(zip(gauges, seen, strict=True))]
+    bright, wide, x, y = np.array(gauges)[lights.which].T
+    numbers = Numbers(own.log_peak + np.log(bright), own.log_width + np.log(wide), own.x + x * width, own.y + y * width)
+    side = max(len(shape.coefficients) for shape in shapes)
+    # A shape that reaches less far is 0 beyond.
+    padded = [np.pad(shape.coefficients, (side - len(shape.coefficients)) // 2) for shape in shapes]
+    return model._replace(lights=lights._replace(coefficients=np.array(padded)), numbers=numbers)
 
 
-def gauge_of(model: Model, seen: Seen = ALL) -> Gauge:
-    """The gauge of a model's learned shape."""
-    learned = model.baseline.learned
-    assert learned is not None
+def gauge_of(model: Model, seen: Seen = ALL, light: int = 0) -> Gauge:
+    """The gauge of one of a model's learned shapes."""
+    learned = _learned(model, light)
     u, v, area = _rings(learned.reach)
     whole, heavy = _declared(model, u, v, REST) + learned(u, v) * seen(u, v), np.sqrt(area)
 
@@ -179,11 +199,10 @@ def gauge_of(model: Model, seen: Seen = ALL) -> Gauge:
     return _gauge(optimize.least_squares(off, np.zeros(4), xtol=1e-10, ftol=1e-12).x)
 
 
-def gauged(model: Model, gauge: Gauge, seen: Seen = ALL) -> LightShape:
-    """What the whole shape of a model has beside the declared one in a gauge: with all peaks times A, widths times w
-    and centres moved by (a, b) σ it is the same light."""
-    learned = model.baseline.learned
-    assert learned is not None
+def gauged(model: Model, gauge: Gauge, seen: Seen = ALL, light: int = 0) -> LightShape:
+    """What one of the whole shapes of a model has beside the declared one in a gauge: with all peaks times A, widths
+    times w and centres moved by (a, b) σ it is the same light."""
+    learned = _learned(model, light)
     side = 2 * int(np.ceil(learned.reach / (gauge.wide * learned.step))) + 1
     nodes = learned.step * (np.arange(side) - (side - 1) / 2)
     u, v = nodes[None, :], nodes[:, None]
@@ -192,6 +211,11 @@ def gauged(model: Model, gauge: Gauge, seen: Seen = ALL) -> LightShape:
     apart = _declared(model, u, v, before) - _declared(model, u, v, REST)
     inside = seen(gauge.wide * u + gauge.x, gauge.wide * v + gauge.y)
     return through(apart + _seen(learned, gauge, u, v) * inside, learned.step)
+
+
+def _learned(model: Model, light: int) -> LightShape:
+    assert model.lights is not None
+    return LightShape(model.lights.step, model.lights.coefficients[light])
 
 
 def through(values: np.ndarray, step: float) -> LightShape:
@@ -229,7 +253,7 @@ def _declared(model: Model, u, v, gauge: Gauge) -> np.ndarray:
     return chain.light(view, model.baseline._replace(learned=None), base, profiles)[0][0]
 
 
-def _noise(fitted: Fitted, gauge: Gauge, shape: LightShape, u, v, seed: int) -> np.ndarray:
+def _noise(fitted: Fitted, light: int, gauge: Gauge, shape: LightShape, u, v, seed: int) -> np.ndarray:
     """Draws of the noise of a gauged shape [draw, ring, direction], without what the gauge takes of it.
 
     # ASSUME: the shape's noise beside known numbers of frames; what these add sums to 0 over frames, and little of it
@@ -242,7 +266,7 @@ def _noise(fitted: Fitted, gauge: Gauge, shape: LightShape, u, v, seed: int) -> 
     flat = np.reshape(taken, (4, -1))
     radius = np.hypot(u, v).ravel()
     projected = linalg.solve((flat * radius) @ flat.T, flat * radius, assume_a="pos")
-    drawn = draws_of(fitted.schur, splines_of(fitted.model)[1], DRAWS, np.random.default_rng(seed))
+    drawn = draws_of(fitted.schur, splines_of(fitted.model)[1], DRAWS, np.random.default_rng(seed))[:, light]
     noise = np.array([_seen(LightShape(shape.step, own), gauge, u, v).ravel() for own in drawn])
     return (noise - (noise @ projected.T) @ flat).reshape(-1, *u.shape)
 

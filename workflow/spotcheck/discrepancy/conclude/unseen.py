@@ -45,7 +45,7 @@ def unseen(frames: Sequence[Frame], design: Design, numbers: Numbers, before: Mo
     floor /= sum(own.size for own in noise)
     start, end = distance(frames, first, noise), distance(frames, last, noise)
     shaped = start
-    if final.baseline.learned is not None:
+    if final.lights is not None:
         shaped = distance(frames, expected_of(frames, final._replace(present=())), noise)
     excess = max(start.square - floor, 1e-12)
     fewer = {

@@ -20,10 +20,9 @@ from spotcheck.discrepancy.evidence.pixels import AZIMUTHS
 from spotcheck.discrepancy.evidence.pixels import cells_of as about
 from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted
 from spotcheck.discrepancy.nuisance.taken import draws_of
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Lights, Model
 from spotcheck.discrepancy.observe.readings import cumulants_of, look_up
 from spotcheck.model.chain import Free, light, true_exposure
-from spotcheck.model.light_shape import LightShape
 
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 
@@ -72,7 +71,7 @@ class Standard(NamedTuple):
 class Readings:
     """A model made ready to standardise the readings of its frames; `shapes` are draws of what a learned one takes."""
 
-    def __init__(self, frames: Sequence[Frame], model: Model, shapes: Sequence[LightShape] = ()):
+    def __init__(self, frames: Sequence[Frame], model: Model, shapes: Sequence[Lights] = ()):
         self.frames, self.model, self.shapes = frames, model, shapes
         self.ready = Expectation(frames, model)
         law = self.ready.law
@@ -87,8 +86,9 @@ class Readings:
         seen, own, shape = self.ready.of(frame, k), self.ready.numbers_of(k), frame.pixels.shape
         # A learned shape follows the readings' noise: weights and levels that follow it would, too.
         view = frame.view._replace(x0=own.x, y0=own.y)
-        plain = model.baseline._replace(learned=None)
-        declared = light(view, plain, Free(np.exp(own.log_peak), np.exp(own.log_width)), model.present)[0].ravel()
+        declared = light(view, model.baseline, Free(np.exp(own.log_peak), np.exp(own.log_width)), model.present)[
+            0
+        ].ravel()
         dark = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
         electrons = np.broadcast_to((seen.spot + seen.beside) / model.sensor.gain_dn_per_e + dark, (1, *shape))[0]
         fourth = np.empty((1, *shape))
@@ -100,7 +100,7 @@ class Readings:
         offset = seen.slope.ravel() * weight
         # A change s of the shape changes a reading by peak · slope · s.
         unit = offset * float(np.exp(own.log_peak).item()) / np.sqrt(max(len(self.shapes), 1))
-        drawn = [unit * np.broadcast_to(s(seen.u[None], seen.v[None])[0], shape).ravel() for s in self.shapes]
+        drawn = [unit * np.broadcast_to(s.of(k)(seen.u[None], seen.v[None])[0], shape).ravel() for s in self.shapes]
         row, column = (np.rint(np.broadcast_to(axis, (1, *shape))).astype(np.int64).ravel()
                        for axis in (frame.view.y, frame.view.x))  # fmt: skip
         return Standard(
@@ -120,19 +120,20 @@ def whitened(slopes: np.ndarray) -> np.ndarray:
     return (axes * root).T @ slopes
 
 
-def shapes_of(fitted: Fitted, count: int, rng: np.random.Generator) -> list[LightShape]:
+def shapes_of(fitted: Fitted, count: int, rng: np.random.Generator) -> list[Lights]:
     """Shapes x + x' whose variance at any place is what a learned shape takes of noise there; none, none is learned."""
-    learned = fitted.model.baseline.learned
-    if learned is None:
+    lights = fitted.model.lights
+    if lights is None:
         return []
-    side = len(learned.coefficients)
+    side = lights.side
     second = np.diff(np.eye(side), 2, axis=0)
     out = []
     for drawn in draws_of(fitted.schur, side, count, rng):
         # P is the sum of squared second differences along both axes.
-        bent = second.T @ rng.standard_normal((side - 2, side)) + rng.standard_normal((side, side - 2)) @ second
-        smooth = linalg.cho_solve_banded((fitted.schur.factor, True), np.sqrt(fitted.penalty) * bent.ravel())
-        out.append(LightShape(learned.step, drawn + smooth.reshape(side, side)))
+        bent = [second.T @ rng.standard_normal((side - 2, side)) + rng.standard_normal((side, side - 2)) @ second
+                for _ in drawn]  # fmt: skip
+        smooth = linalg.cho_solve_banded((fitted.schur.factor, True), np.sqrt(fitted.penalty) * np.ravel(bent))
+        out.append(lights._replace(coefficients=drawn + smooth.reshape(drawn.shape)))
     return out
 
 

@@ -15,11 +15,10 @@ from scipy.optimize import minimize_scalar
 from spotcheck.discrepancy.evidence.pixels import CELLS, Ready
 from spotcheck.discrepancy.evidence.windows import LAGS, Site, evened, placed, products, whole_of, windows_of
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, changes_of, contrasts
+from spotcheck.discrepancy.nuisance.fit import NUMBERS, changes_of, coefficients_of, contrasts, rows_of
 from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
-from spotcheck.model.light_shape import LightShape
 
 # The finest and the coarsest grain [px]: below, all pixels are on their own; the other is the farthest lag's.
 FINEST, COARSEST = 0.2, 20.0
@@ -100,7 +99,8 @@ class Drawn:
         few, more = NUMBERS * len(self.frames), len(ready.nudged)
 
         def part(which: np.ndarray) -> list[np.ndarray]:
-            shape, numbers = np.zeros((ready.side**2, kinds)), np.zeros((few + more, kinds))
+            size = coefficients_of(ready.fitted.model).size
+            shape, numbers = np.zeros((size, kinds)), np.zeros((few + more, kinds))
             for k in which:
                 frame = self.frames[k]
                 seen, tells = ready.of(frame, k)
@@ -108,7 +108,8 @@ class Drawn:
                 lights = mean * (tells.slope * tells.sure)
                 slopes = ready.plain.by_numbers(frame, k, seen).reshape(NUMBERS, -1)
                 numbers[NUMBERS * k : NUMBERS * (k + 1)] = slopes @ lights.reshape(kinds, -1).T
-                normal.project(seen.u, seen.v, ready.step, ready.side, ready.peaks[k] * seen.factor * lights, shape)
+                own = shape[rows_of(ready.fitted.model, k)]
+                normal.project(seen.u, seen.v, ready.step, ready.side, ready.peaks[k] * seen.factor * lights, own)
                 for row, change in zip(numbers[few:], changes_of(frame, k, seen, ready.nudged), strict=True):
                     row += (mean * change[0] * tells.sure).sum(axis=(1, 2))
             return [shape, numbers]
@@ -126,9 +127,7 @@ class Drawn:
         mean = a * self.of(k)
         light = np.tensordot(self.others[NUMBERS * k : NUMBERS * (k + 1)].T, ready.plain.by_numbers(frame, k, seen), 1)
         for own, coefficients in zip(light, self.shapes.T, strict=True):
-            if ready.side:
-                surface = LightShape(ready.step, coefficients.reshape(ready.side, ready.side))
-                own += ready.peaks[k] * seen.factor * surface(seen.u[None], seen.v[None])[0]
+            own += ready.made_up(coefficients, k, seen)
         rest = mean - tells.slope * light
         for sizes, change in zip(self.others[few:], changes_of(frame, k, seen, ready.nudged), strict=True):
             rest -= sizes[:, None, None] * change[0]

@@ -11,12 +11,24 @@ import numpy as np
 
 from spotcheck.discrepancy.evidence.pixels import AZIMUTHS, cells_of
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted, changes_of, contrasts, nudged_of, splines_of
+from spotcheck.discrepancy.nuisance.fit import (
+    NUMBERS,
+    Fitted,
+    changes_of,
+    coefficients_of,
+    contrasts,
+    count_of,
+    nudged_of,
+    rows_of,
+    splines_of,
+)
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
 
 # Cells: the azimuths of all sectors, and the radii [σ] within which a third and two thirds of a Gaussian's light lie.
 RADII = (0.90, 1.48)
 CELLS = AZIMUTHS * (len(RADII) + 1)
+# Variance of what nobody knows of the numbers of one light against those of another, logs and centres in σ.
+UNKNOWN = 1.0
 
 
 class FrameNumbers(NamedTuple):
@@ -34,8 +46,12 @@ def numbers_of(fitted: Fitted, influence: np.ndarray | None = None, more: np.nda
     frame × number], centres in σ, of what the weights do not know, such as noise that the pixels of a row share."""
     values = np.stack(fitted.model.numbers)
     frames = values.shape[1]
-    basis, steps = contrasts(fitted.model), NUMBERS * (frames - (fitted.model.baseline.learned is not None))
-    covariance = basis @ fitted.covariance[:steps, :steps] @ basis.T
+    basis, model = contrasts(fitted.model), fitted.model
+    covariance = basis @ fitted.covariance[: basis.shape[1], : basis.shape[1]] @ basis.T
+    if count_of(model) > 1 and model.lights is not None:
+        # Of lights that each have a shape of their own nobody knows which is brighter or wider.
+        alike = model.lights.which[:, None] == model.lights.which
+        covariance = covariance + UNKNOWN * np.kron(alike, np.eye(NUMBERS))
     if more is not None:
         covariance = covariance + basis @ (basis.T @ more @ basis) @ basis.T
     width = np.exp(values[1])
@@ -69,7 +85,7 @@ def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
     step, side = splines_of(model)
     ready = Expectation(frames, model)
     nudged = nudged_of(frames, ready, fitted.free)
-    shape, others = np.zeros((CELLS, side * side, 1)), np.zeros((few + len(nudged), CELLS))
+    shape, others = np.zeros((CELLS, coefficients_of(model).size, 1)), np.zeros((few + len(nudged), CELLS))
     for k, frame in enumerate(frames):
         seen = ready.of(frame, k)
         tells = told(frame, seen)
@@ -84,7 +100,7 @@ def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
         for c in range(CELLS):
             own = np.where(cell == c, light, 0.0)[None]
             for u, v, weight in seen.copies:
-                normal.project(u, v, step, side, weight * own, shape[c])
+                normal.project(u, v, step, side, weight * own, shape[c, rows_of(model, k)])
     basis = contrasts(model, len(nudged))
     left = basis.T @ others - fitted.schur.absorbed.T @ shape[:, :, 0].T
     return (basis @ np.linalg.solve(fitted.schur.left, left))[:few]

@@ -78,6 +78,9 @@ def level_of(frames: Sequence[Frame], model: Model, k: int) -> Noisy | None:
         return None
     shift = dark.black_level_dn - stated.sensor.black_level_dn
     error = float(np.hypot(dark.black_level_stderr, stated.stderr[2]))
+    if model.lights is not None and len(model.lights.level) > 1:
+        # Lights that have levels of their own tell what these have in common as well as they agree.
+        error = float(np.hypot(error, np.std(model.lights.level, ddof=1) / np.sqrt(len(model.lights.level))))
     return Noisy(own, abs(own.values[0] / shift) * error if shift else np.inf, (shift / error) ** 2, 0.0, 1)
 
 

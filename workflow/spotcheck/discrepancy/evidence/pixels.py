@@ -20,11 +20,13 @@ from spotcheck.discrepancy.nuisance.fit import (
     coefficients_of,
     contrasts,
     nudged_of,
+    roughness_of,
+    rows_of,
     splines_of,
 )
-from spotcheck.discrepancy.nuisance.taken import lacking, variance_of
+from spotcheck.discrepancy.nuisance.taken import lacking, variances_of
 from spotcheck.discrepancy.nuisance.threads import shared
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, deviance_of, told
+from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, deviance_of, told
 from spotcheck.model.light_shape import LightShape
 
 # Cells in which an effect has to speak alike: azimuths, and the radius [σ] that parts near from far.
@@ -78,7 +80,7 @@ def screen(frames: Sequence[Frame], fitted: Fitted, others: Sequence[Model]) -> 
 
     score, raw, drop, shape, numbers, pull, own = shared(part, len(frames))
     basis = contrasts(fitted.model, len(fitted.free))
-    pull[:, 0] -= fitted.penalty * normal.product(normal.roughness(ready.side), coefficients_of(fitted.model))
+    pull[:, 0] -= fitted.penalty * normal.product(roughness_of(fitted.model), coefficients_of(fitted.model))
     right = fitted.schur.solve(pull[:, 0], basis.T @ own)
     out = []
     for c in range(len(others)):
@@ -102,26 +104,34 @@ class Ready:
         self.plain = Expectation(frames, fitted.model)
         self.others = [Expectation(frames, other, self.plain) for other in others]
         self.nudged = nudged_of(frames, self.plain, fitted.free)
-        self.variance = variance_of(fitted.schur, self.step, self.side)
+        self.variances = variances_of(fitted)
 
     def of(self, frame: Frame, k: int):
         """What a frame should read and tells, with what its variance's score lacks given back."""
         seen = self.plain.of(frame, k)
         tells = told(frame, seen)
-        lacks = lacking(self.variance, float(self.peaks[k]), seen, tells)
+        lacks = lacking(self.variances[k], float(self.peaks[k]), seen, tells)
         tells = tells._replace(variance=tells.variance + lacks, light=tells.light + lacks * seen.growth)
         return seen, tells
+
+    def made_up(self, shape: np.ndarray, k: int, seen: Expected) -> np.ndarray | float:
+        """Light [row, column] of frame `k` by which coefficients of all shapes change it [DN]."""
+        if not self.side:
+            return 0.0
+        own = LightShape(self.step, shape[rows_of(self.fitted.model, k)].reshape(self.side, self.side))
+        return self.peaks[k] * seen.factor * own(seen.u[None], seen.v[None])[0]
 
 
 def _sums(frames: Sequence[Frame], ready: Ready, which: np.ndarray):
     """Of some frames: scores and information [trial], what trials share with the shape [coefficient, trial] and with
     all else that is fitted [number, trial], and the scores of both."""
     count, few, side = len(ready.others), NUMBERS * len(frames), ready.side
+    size = coefficients_of(ready.fitted.model).size
     score, raw, drop = np.zeros(count), np.zeros(count), np.zeros(count)
-    shape, pull = np.zeros((side * side, count)), np.zeros((side * side, 1))
+    shape, pull = np.zeros((size, count)), np.zeros((size, 1))
     numbers, own = np.zeros((few + len(ready.nudged), count)), np.zeros(few + len(ready.nudged))
     for k in which:
-        frame, at = frames[k], slice(NUMBERS * k, NUMBERS * (k + 1))
+        frame, at, light = frames[k], slice(NUMBERS * k, NUMBERS * (k + 1)), rows_of(ready.fitted.model, k)
         seen, tells = ready.of(frame, k)
         peak = ready.peaks[k] * seen.factor
         slopes = ready.plain.by_numbers(frame, k, seen).reshape(NUMBERS, -1)
@@ -129,7 +139,7 @@ def _sums(frames: Sequence[Frame], ready: Ready, which: np.ndarray):
         own[at] = slopes @ tells.light.ravel()
         own[few:] += [tells.score(*change) for change in free]
         for u, v, weight in seen.copies:
-            normal.project(u, v, ready.step, side, (weight * peak * tells.light)[None], pull)
+            normal.project(u, v, ready.step, side, (weight * peak * tells.light)[None], pull[light])
         before, lights = deviance_of(frame, seen), np.empty((count, *frame.pixels.shape))
         for c, other in enumerate(ready.others):
             then = other.of(frame, k, seen)
@@ -140,14 +150,13 @@ def _sums(frames: Sequence[Frame], ready: Ready, which: np.ndarray):
             lights[c] = tells.with_light(*change)
             numbers[few:, c] += [tells.information(change, one) for one in free]
         numbers[at] = slopes @ lights.reshape(count, -1).T
-        normal.project(seen.u, seen.v, ready.step, side, peak * lights, shape)
+        normal.project(seen.u, seen.v, ready.step, side, peak * lights, shape[light])
     return [score, raw, drop, shape, numbers, pull, own]
 
 
 def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score):
     """Score and information [frame, cell] of a change, in 8 azimuths, near and far from the spot's centre."""
     ready, few = Ready(frames, fitted, [other]), NUMBERS * len(frames)
-    surface = LightShape(ready.step, own.shape.reshape(ready.side, ready.side))
 
     def part(which: np.ndarray) -> list[np.ndarray]:
         score, information = np.zeros((len(frames), CELLS)), np.zeros((len(frames), CELLS))
@@ -155,7 +164,7 @@ def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score):
             seen, tells = ready.of(frames[k], k)
             after = ready.others[0].of(frames[k], k, seen)
             slopes = ready.plain.by_numbers(frames[k], k, seen)
-            made_up = ready.peaks[k] * seen.factor * surface(seen.u[None], seen.v[None])[0] if ready.side else 0.0
+            made_up = ready.made_up(own.shape, k, seen)
             made_up = made_up + np.tensordot(own.others[NUMBERS * k : NUMBERS * (k + 1)], slopes, 1)
             mean = after.mean - seen.mean - tells.slope * made_up
             variance = after.variance - seen.variance - tells.growth * made_up

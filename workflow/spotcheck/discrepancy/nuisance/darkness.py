@@ -72,7 +72,7 @@ def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
         )
         # A learned shape may lie a little below 0 out there.
         level = np.maximum(np.rint(light / step), 0).astype(int)
-        offset = _offset(frame.view, model.present)
+        offset = _offset(frame.view, model.present) + model.level(k)
         for which in np.unique(level):
             dark.setdefault((int(which), offset), []).append(readings[level == which])
     own_histograms = [
@@ -89,6 +89,23 @@ def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
     return found._replace(read_noise_e=float(alone), read_noise_stderr=float(error))
 
 
+def with_levels(frames: Sequence[Frame], model: Model) -> Model:
+    """A model of several lights with the level of each as dark pixels tell it, about the median of all."""
+    lights = model.lights
+    if lights is None or len(lights.level) < 2:
+        return model
+    flat, told = model._replace(lights=lights._replace(level=0 * lights.level)), []
+    for light in range(len(lights.level)):
+        which = np.flatnonzero(lights.which == light)
+        dark = darkness([frames[int(k)] for k in which], flat.take(which))
+        told.append(dark.black_level_dn if dark is not None and np.isfinite(dark.black_level_stderr) else np.nan)
+    if not np.isfinite(told).any():
+        return model
+    level = np.nan_to_num(np.array(told) - np.nanmedian(told))
+    same = np.abs(level - lights.level).max() < ROUNDED_DN
+    return model if same else model._replace(lights=lights._replace(level=level))
+
+
 def _around(frames: Sequence[Frame], model: Model, ready: Expectation) -> Darkness | None:
     """The black level from means of blocks far from the spot, where the pixels do not reach so far; noise is not told.
 
@@ -101,7 +118,8 @@ def _around(frames: Sequence[Frame], model: Model, ready: Expectation) -> Darkne
         own = ready.numbers_of(k)
         distance = np.hypot(frame.around.x - own.x, frame.around.y - own.y).ravel() / np.exp(own.log_width.item())
         electrons = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
-        offset = _offset(frame.view, model.present) + model.sensor.gain_dn_per_e * float(np.mean(electrons))
+        offset = _offset(frame.view, model.present) + model.level(k)
+        offset = offset + model.sensor.gain_dn_per_e * float(np.mean(electrons))
         levels.append(frame.around.mean[distance > BEYOND] - offset)
     blocks = np.concatenate(levels) if levels else np.zeros(0)
     if blocks.size < FEWEST_BLOCKS:
@@ -116,7 +134,7 @@ def _around(frames: Sequence[Frame], model: Model, ready: Expectation) -> Darkne
 def _electrons(ready: Expectation, frame: Frame, k: int) -> np.ndarray:
     """Mean electrons of each pixel of a frame."""
     model = ready.model
-    spot, beside = ready.light(frame, ready.numbers_of(k))
+    spot, beside = ready.light(frame, k, ready.numbers_of(k))
     out = (spot + beside) / model.sensor.gain_dn_per_e
     out = out + model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
     for own in model.present:

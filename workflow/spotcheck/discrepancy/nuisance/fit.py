@@ -15,7 +15,6 @@ from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, scatters, told
 from spotcheck.model.effect import Context, Place, Present
-from spotcheck.model.light_shape import LightShape
 from spotcheck.model.sensor import SensorModel
 
 NUMBERS = len(Numbers._fields)
@@ -129,11 +128,15 @@ def of_noise(model: Model, own: Free) -> bool:
     return effect.place is Place.NOISE or effect.scatter is not None
 
 
+def lone(model: Model) -> bool:
+    """Whether each frame has a learned light of its own."""
+    return model.lights is not None and len(model.lights.coefficients) == len(model.numbers.x)
+
+
 def of_dark(model: Model, own: Present) -> bool:
-    """Whether dark pixels alone tell an effect: what moves the level of one frame, which a shape would take for its
-    own."""
-    alone = len(model.numbers.x) == 1 and model.baseline.learned is not None
-    return alone and own.effect.moves_level(own.form) and not model.stated.free[2]
+    """Whether dark pixels alone tell an effect: what moves the level, which the shape of a frame's own light would take
+    for its own."""
+    return lone(model) and own.effect.moves_level(own.form) and not model.stated.free[2]
 
 
 def free_of_sheet(model: Model) -> tuple[Free, ...]:
@@ -242,7 +245,7 @@ def _part(
 ) -> Sums:
     """The sums of some frames."""
     (step, side), few, more = splines_of(model), NUMBERS * len(frames), len(nudged)
-    size = side * side
+    size = coefficients_of(model).size
     shape, others = np.zeros((size, 1)), np.zeros(few + more)
     behind, cross, own = np.zeros((size, more)), np.zeros((few, more)), np.zeros((more, more))
     gram, joined, dense = (
@@ -250,7 +253,7 @@ def _part(
     )
     deviance = chi2 = 0.0
     for k in which:
-        frame = frames[k]
+        frame, light = frames[k], rows_of(model, k)
         seen = ready.of(frame, k)
         tells = told(frame, seen, by_variance=by_variance)
         deviance += tells.deviance
@@ -261,42 +264,58 @@ def _part(
         others[at] = flat @ tells.light.ravel()
         # The score is that of all copies of the spot; in the matrices, which only lead there, the first stands for all.
         for u, v, weight in seen.copies:
-            normal.project(u, v, step, side, (weight * factor * tells.light)[None], shape)
+            normal.project(u, v, step, side, (weight * factor * tells.light)[None], shape[light])
         if curved:
-            normal.gather(seen.u, seen.v, step, side, factor**2 * tells.sure_light, gram)
-            block, sure = np.zeros((size, NUMBERS)), slopes * tells.sure_light
+            normal.gather(seen.u, seen.v, step, side, factor**2 * tells.sure_light, gram[light])
+            block, sure = np.zeros((side * side, NUMBERS)), slopes * tells.sure_light
             normal.project(seen.u, seen.v, step, side, factor * sure, block)
-            joined[:, at] = block
+            joined[light, at] = block
             dense[at, at] = sure.reshape(NUMBERS, -1) @ flat.T
         if nudged:
             changes = changes_of(frame, k, seen, nudged)
             others[few:] += [tells.score(*change) for change in changes]
             lights = np.stack([tells.with_light(*change) for change in changes])
-            normal.project(seen.u, seen.v, step, side, factor * lights, behind)
+            normal.project(seen.u, seen.v, step, side, factor * lights, behind[light])
             cross[at] = flat @ lights.reshape(more, -1).T
             own += [[tells.information(one, two) for two in changes] for one in changes]
     return Sums(deviance, chi2, shape[:, 0], others, behind, cross, own, gram, joined, dense)
 
 
 def splines_of(model: Model) -> tuple[float, int]:
-    """Step [σ] of the learned shape's splines and how many lie along each axis: none where no shape is learned."""
-    learned = model.baseline.learned
-    return (learned.step, len(learned.coefficients)) if learned is not None else (1.0, 0)
+    """Step [σ] of the learned shapes' splines and how many lie along each axis: none where no shape is learned."""
+    return (model.lights.step, model.lights.side) if model.lights is not None else (1.0, 0)
 
 
 def coefficients_of(model: Model) -> np.ndarray:
-    """Coefficients of the learned shape, one behind the other."""
-    learned = model.baseline.learned
-    return np.zeros(0) if learned is None else learned.coefficients.ravel()
+    """Coefficients of the learned shapes, one behind the other."""
+    return np.zeros(0) if model.lights is None else model.lights.coefficients.ravel()
+
+
+def count_of(model: Model) -> int:
+    """How many lights have a learned shape; 1 where none has."""
+    return 1 if model.lights is None else len(model.lights.coefficients)
+
+
+def rows_of(model: Model, k: int) -> slice:
+    """Which of the coefficients are those of frame `k`."""
+    return slice(0) if model.lights is None else model.lights.rows(k)
+
+
+def roughness_of(model: Model) -> np.ndarray:
+    """The penalty's matrix, banded, at a penalty of 1."""
+    return normal.roughness(splines_of(model)[1], count_of(model))
 
 
 def contrasts(model: Model, more: int = 0) -> np.ndarray:
-    """Orthonormal steps of all frames' numbers [number, step], which sum to 0 over the frames where a shape is learned;
-    `more` numbers behind them are free."""
-    frames = len(model.numbers.x)
-    apart = np.eye(frames)
-    if model.baseline.learned is not None:
-        apart = np.linalg.svd(apart - 1 / frames)[0][:, : frames - 1]
+    """Orthonormal steps of all frames' numbers [number, step], which sum to 0 over the frames of each light where its
+    shape is learned; `more` numbers behind them are free."""
+    apart = np.eye(len(model.numbers.x))
+    if model.lights is not None:
+        parts = []
+        for light in np.unique(model.lights.which):
+            own = np.flatnonzero(model.lights.which == light)
+            parts.append(apart[:, own] @ np.linalg.svd(np.eye(own.size) - 1 / own.size)[0][:, : own.size - 1])
+        apart = np.hstack(parts)
     return linalg.block_diag(np.kron(apart, np.eye(NUMBERS)), np.eye(more))
 
 
@@ -312,7 +331,7 @@ def fit(
     """Fit shape, numbers, free parameters and, behind them, what a sheet leaves open. `tilt` [parameter] is added to
     the parameters' scores (`sheet.tilt_of`); a fit that lies `near`, of the same frames, lends its matrices."""
     free = (*(own for own in free if own.effect != SENSOR), *free_of_sheet(model))
-    rough = penalty * normal.roughness(splines_of(model)[1])
+    rough = penalty * roughness_of(model)
     known, centre = (np.array([getattr(own, name) for own in free]) for name in ("precision", "centre"))
     basis = contrasts(model)
     apart, few = basis.shape[1], NUMBERS * len(frames)
@@ -338,7 +357,7 @@ def fit(
             model = stepped(best, shape, others, free)
             continue
         if lent is None or renewed:
-            lent = _reduced(sums, rough, basis, HELD)
+            lent = _reduced(model, sums, rough, basis, HELD)
         done = (total - now < ENOUGH and not far) or taken > steps
         if now <= total or far:
             best, total = model, now
@@ -357,17 +376,17 @@ def fit(
     total, best, last = lowest
     sums = last or sums_of(frames, best, free, curved=near is None)
     if lent is None or near is None:
-        lent = _reduced(sums, rough, basis)
+        lent = _reduced(best, sums, rough, basis)
     schur = _bordered(lent, sums, basis, known)
     return Fitted(best, free, total, schur, penalty, taken)
 
 
-def _reduced(sums: Sums, rough: np.ndarray, basis: np.ndarray, held: float = 0.0) -> normal.Schur:
+def _reduced(model: Model, sums: Sums, rough: np.ndarray, basis: np.ndarray, held: float = 0.0) -> normal.Schur:
     """Shape and numbers; `held`: so much of the median coefficient's information on top."""
-    band = normal.banded(sums.gram, round(len(sums.gram) ** 0.5)) + rough
+    band = normal.banded(sums.gram, splines_of(model)[1]) + rough
     if held and band.size:
         band[0] += held * np.median(band[0])
-    return normal.schur(band, sums.joined @ basis, basis.T @ sums.dense @ basis)
+    return normal.schur(band, sums.joined @ basis, basis.T @ sums.dense @ basis, count_of(model))
 
 
 def _bordered(lent: normal.Schur, sums: Sums, basis: np.ndarray, known: np.ndarray) -> normal.Schur:
@@ -388,8 +407,8 @@ def stepped(model: Model, shape: np.ndarray, numbers: np.ndarray, free: Sequence
     step = numbers[:last].reshape(-1, NUMBERS).T
     width = np.exp(own.log_width)
     moved = Numbers(own.log_peak + step[0], own.log_width + step[1], own.x + width * step[2], own.y + width * step[3])
-    learned = model.baseline.learned
-    if learned is not None:
-        learned = LightShape(learned.step, learned.coefficients + shape.reshape(learned.coefficients.shape))
-    model = model._replace(baseline=model.baseline._replace(learned=learned), numbers=moved)
+    lights = model.lights
+    if lights is not None:
+        lights = lights._replace(coefficients=lights.coefficients + shape.reshape(lights.coefficients.shape))
+    model = model._replace(lights=lights, numbers=moved)
     return changed(model, free, values_of(model, free) + numbers[last:])

@@ -156,8 +156,8 @@ def project_points(u, v, step, side, values, out):
 
 
 def banded(gram: np.ndarray, side: int) -> np.ndarray:
-    """`gram` in scipy's lower banded form [diagonal, coefficient]."""
-    out = np.zeros((3 * side + 4, side * side))
+    """`gram` in scipy's lower banded form [diagonal, coefficient], of one light behind the other."""
+    out = np.zeros((3 * side + 4, len(gram)))
     for a in range(4):
         for b in range(-3, 4):
             if a * side + b >= 0:
@@ -165,8 +165,9 @@ def banded(gram: np.ndarray, side: int) -> np.ndarray:
     return out
 
 
-def roughness(side: int) -> np.ndarray:
-    """Σ of squared second differences along both axes, as a lower banded form [diagonal, coefficient]."""
+def roughness(side: int, lights: int = 1) -> np.ndarray:
+    """Σ of squared second differences along both axes, as a lower banded form [diagonal, coefficient], of so many
+    lights one behind the other."""
     out = np.zeros((3 * side + 4, side * side))
     if not side:
         return out
@@ -179,7 +180,7 @@ def roughness(side: int) -> np.ndarray:
         outer = np.zeros((side, side))
         outer[: side - gap] += np.diag(one, -gap)[:, None]
         out[gap * side] += outer.ravel()
-    return out
+    return np.tile(out, lights)
 
 
 def product(band: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -236,10 +237,13 @@ def solve(information: np.ndarray, score: np.ndarray) -> np.ndarray:
     return unit * linalg.solve(damped, unit * score, assume_a="sym")
 
 
-def schur(band: np.ndarray, joined: np.ndarray, dense: np.ndarray) -> Schur:
-    """Factor G and reduce D."""
+def schur(band: np.ndarray, joined: np.ndarray, dense: np.ndarray, lights: int = 1) -> Schur:
+    """Factor G and reduce D. Of several lights, one behind the other, each meets few of the numbers."""
     factor = linalg.cholesky_banded(band, lower=True, check_finite=False) if band.size else band
-    absorbed = solve_banded(factor, joined)
+    absorbed = np.zeros_like(joined)
+    for rows in np.array_split(np.arange(len(joined)), lights):
+        met = joined[rows].any(axis=0)
+        absorbed[np.ix_(rows, met)] = solve_banded(factor[:, rows], joined[np.ix_(rows, met)])
     given = joined.T @ absorbed
     return Schur(factor, absorbed, given, dense - given)
 

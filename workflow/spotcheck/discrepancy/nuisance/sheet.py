@@ -14,11 +14,10 @@ from spotcheck.discrepancy.nuisance.fit import (
     changes_of,
     fit,
     nudged_of,
-    splines_of,
     values_of,
     values_of_sensor,
 )
-from spotcheck.discrepancy.nuisance.taken import lacking, variance_of
+from spotcheck.discrepancy.nuisance.taken import lacking, variances_of
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, told
 
 
@@ -50,11 +49,11 @@ def tilt_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
     """What the score of each free parameter lacks for what the shape takes up of the noise."""
     ready = Expectation(frames, fitted.model)
     nudged = nudged_of(frames, ready, fitted.free)
-    variance = variance_of(fitted.schur, *splines_of(fitted.model))
+    variances = variances_of(fitted)
     out, peaks = np.zeros(len(fitted.free)), np.exp(fitted.model.numbers.log_peak)
     for k, frame in enumerate(frames):
         seen = ready.of(frame, k)
-        lacks = lacking(variance, float(peaks[k]), seen, told(frame, seen))
+        lacks = lacking(variances[k], float(peaks[k]), seen, told(frame, seen))
         out += [np.vdot(lacks, change[1]) for change in changes_of(frame, k, seen, nudged)]
     return out
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
+from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.normal import Schur
 from spotcheck.discrepancy.observe.pixels import Expected, Told
 from spotcheck.model.light_shape import LightShape
@@ -21,10 +22,10 @@ BETWEEN, BEYOND = 2, 2
 
 
 def draws_of(schur: Schur, side: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Coefficients [draw, row, column] ~ N(0, S⁻¹), S the shape's information with its penalty."""
+    """Coefficients [draw, light, row, column] ~ N(0, S⁻¹), S the shapes' information with its penalty."""
     turned = transposed(schur.factor)
-    drawn = linalg.solve_banded((0, len(turned) - 1), turned, rng.standard_normal((side * side, count)))
-    return drawn.T.reshape(count, side, side)
+    drawn = linalg.solve_banded((0, len(turned) - 1), turned, rng.standard_normal((turned.shape[1], count)))
+    return drawn.T.reshape(count, -1, side, side)
 
 
 def transposed(factor: np.ndarray) -> np.ndarray:
@@ -50,16 +51,21 @@ class OverCells(NamedTuple):
         return np.where(inside, self.means[np.clip(row, 0, side - 1), np.clip(column, 0, side - 1)], 0.0)
 
 
-def variance_of(schur: Schur, step: float, side: int) -> OverCells | None:
-    """Variance of the learned shape [squared peaks] over the spot, the same at each call; None where none is
-    learned."""
-    if not side:
-        return None
-    drawn = draws_of(schur, side, DRAWS, np.random.default_rng(0))
-    cells = side + 2 * BEYOND
-    at = step * ((np.arange(BETWEEN * cells) + 0.5) / BETWEEN - cells / 2)
-    square = np.mean([LightShape(step, own)(at[None, None], at[None, :, None])[0] ** 2 for own in drawn], axis=0)
-    return OverCells(step, square.reshape(cells, BETWEEN, cells, BETWEEN).mean(axis=(1, 3)))
+def variances_of(fitted: Fitted) -> list[OverCells | None]:
+    """Of every frame the variance of its learned shape [squared peaks] over the spot, the same at each call; None where
+    none is learned."""
+    lights = fitted.model.lights
+    if lights is None:
+        return [None] * len(fitted.model.numbers.x)
+    drawn = draws_of(fitted.schur, lights.side, DRAWS, np.random.default_rng(0))
+    cells = lights.side + 2 * BEYOND
+    at = lights.step * ((np.arange(BETWEEN * cells) + 0.5) / BETWEEN - cells / 2)
+    each: list[OverCells | None] = []
+    for light in np.moveaxis(drawn, 1, 0):
+        shapes = (LightShape(lights.step, own)(at[None, None], at[None, :, None])[0] for own in light)
+        square = np.mean([shape**2 for shape in shapes], axis=0)
+        each.append(OverCells(lights.step, square.reshape(cells, BETWEEN, cells, BETWEEN).mean(axis=(1, 3))))
+    return [each[light] for light in lights.which]
 
 
 def leverage(variance: OverCells | None, peak: float, seen: Expected, tells: Told) -> np.ndarray:

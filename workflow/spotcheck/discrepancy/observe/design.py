@@ -10,13 +10,15 @@ from spotcheck.model.effect import Effect
 
 class Design(NamedTuple):
     """Of every frame [frame]: its site and its condition (numbers from 0 on), fibre angle [deg], exposure [s], and
-    place in the order of acquisition (0 to 1); NaN where not known."""
+    place in the order of acquisition (0 to 1), NaN where not known; and its pose, all of its condition but the
+    exposure, in words."""
 
     site: np.ndarray
     condition: np.ndarray
     angle_deg: np.ndarray
     exposure_s: np.ndarray
     order: np.ndarray
+    pose: np.ndarray
 
     def take(self, frames: np.ndarray) -> "Design":
         """The design of some of the frames."""

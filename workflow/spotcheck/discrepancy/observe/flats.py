@@ -66,7 +66,7 @@ def series_of(found: Transfer, full_scale_dn: float) -> Series | None:
         # Both ends are seen: a fit is to be tried between levels, not beyond them.
         unseen=(place % EVERY == 1) & (place < len(kept) - 1),
         timed=timed,
-        view=view_of(Design(0 * place, place, 0.0 * part, part * longest, 0 * part + 0.5)),
+        view=view_of(Design(0 * place, place, 0.0 * part, part * longest, 0 * part + 0.5, place)),
         context=bounds_context(base, baseline, sensor, 1.0, float(part.min()) * longest, longest, longest),
         model=Model(baseline, sensor, (), Numbers(slope, np.log([ENDLESS]), np.zeros(1), np.zeros(1))),
     )

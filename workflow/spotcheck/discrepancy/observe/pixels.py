@@ -9,6 +9,7 @@ from spotcheck.discrepancy.observe.readings import ReadingLaw, compiled, look_up
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, View, copies_of, light, modulation, round_again, true_exposure
 from spotcheck.model.effect import Effect, Place, Present
+from spotcheck.model.light_shape import LightShape
 from spotcheck.model.sensor import SensorModel
 
 # No model is surer of a reading than this [DN²]: where a clip leaves no noise, one odd pixel would decide all.
@@ -58,10 +59,35 @@ class Sheet(NamedTuple):
     free: tuple[bool, bool, bool] = (True, True, True)
 
 
+class Lights(NamedTuple):
+    """Shapes that are learned: the distance of their nodes [σ], coefficients [light, row, column] in peaks, which light
+    each frame has [frame], and by how much the level under each lies above the sensor's [DN]: several lights come with
+    stray light of their own."""
+
+    step: float
+    coefficients: np.ndarray
+    which: np.ndarray
+    level: np.ndarray
+
+    @property
+    def side(self) -> int:
+        """Splines along each axis."""
+        return self.coefficients.shape[1]
+
+    def of(self, k: int) -> LightShape:
+        """The shape of frame `k`."""
+        return LightShape(self.step, self.coefficients[self.which[k]])
+
+    def rows(self, k: int) -> slice:
+        """Where the coefficients of frame `k` lie among all of them."""
+        size = self.side**2
+        return slice(int(self.which[k]) * size, (int(self.which[k]) + 1) * size)
+
+
 class Model(NamedTuple):
-    """The baseline with the light's shape, the sensor, effects, the numbers of the frames; what the sensor was stated
-    to be (None: as it is); and by which part of itself the level at which a signal stops differs from pixel to pixel
-    (rms), where an effect stops it."""
+    """The baseline, the sensor, effects, the numbers of the frames; what the sensor was stated to be (None: as it is);
+    by which part of itself the level at which a signal stops differs from pixel to pixel (rms), where an effect stops
+    it; and the light's shapes where they are learned, in place of one that was measured before."""
 
     baseline: Baseline
     sensor: SensorModel
@@ -69,6 +95,15 @@ class Model(NamedTuple):
     numbers: Numbers
     sheet: Sheet | None = None
     uneven: float = 0.01
+    lights: Lights | None = None
+
+    def baseline_of(self, k: int) -> Baseline:
+        """The baseline with the light of frame `k`."""
+        return self.baseline if self.lights is None else self.baseline._replace(learned=self.lights.of(k))
+
+    def level(self, k: int) -> float:
+        """By how much the level of frame `k` lies above the sensor's [DN]."""
+        return 0.0 if self.lights is None else float(self.lights.level[self.lights.which[k]])
 
     @property
     def stated(self) -> Sheet:
@@ -85,7 +120,8 @@ class Model(NamedTuple):
 
     def take(self, frames: np.ndarray) -> "Model":
         """The model of some of its frames."""
-        return self._replace(numbers=Numbers(*(own[frames] for own in self.numbers)))
+        lights = self.lights and self.lights._replace(which=self.lights.which[frames])
+        return self._replace(numbers=Numbers(*(own[frames] for own in self.numbers)), lights=lights)
 
 
 class Expected(NamedTuple):
@@ -141,11 +177,11 @@ class Expectation:
         """A frame's own numbers as the chain takes them, each [1, 1, 1]."""
         return Numbers(*(np.full((1, 1, 1), float(v[k])) for v in self.model.numbers))
 
-    def light(self, frame: Frame, own: Numbers):
-        """Light of the spot and beside it [DN], each [row, column] of one frame."""
+    def light(self, frame: Frame, k: int, own: Numbers):
+        """Light of the spot and beside it [DN], each [row, column] of frame `k` with numbers of its own."""
         base = Free(np.exp(own.log_peak), np.exp(own.log_width))
         view = frame.view._replace(x0=own.x, y0=own.y)
-        return light(view, self.model.baseline, base, self.model.present)
+        return light(view, self.model.baseline_of(k), base, self.model.present)
 
     def of(self, frame: Frame, k: int, like: Expected | None = None) -> Expected:
         """What every pixel of frame `k` should read; `like` is what the model of the same light expects."""
@@ -154,7 +190,7 @@ class Expectation:
         if like is not None and self.same_light:
             spot, beside, u, v, copies, factor = (like.spot[None], *like[5:])
         else:
-            spot, beside = self.light(frame, own)
+            spot, beside = self.light(frame, k, own)
             u, v = self._place(view, own, 0.0, 0.0)
             every = copies_of(view, model.present, np.exp(own.log_peak), np.exp(own.log_width)).each
             copies = ((u, v, 1.0),)
@@ -164,7 +200,9 @@ class Expectation:
             factor = factor if np.ndim(factor) == 0 else factor[0]
         electrons = (spot + beside) / model.sensor.gain_dn_per_e
         electrons = electrons + model.sensor.dark_current_e_per_s * true_exposure(view, model.present)
-        charge = electrons
+        level = model.level(k)
+        # ASSUME: a level of a light's own lies where the sensor is linear, so that it counts as charge.
+        charge = electrons + level / model.sensor.gain_dn_per_e if level else electrons
         for effect in model.present:
             if effect.effect.place is Place.CHARGE:
                 charge = effect.apply(view, charge)
@@ -176,6 +214,7 @@ class Expectation:
         if charge is not electrons:
             # What was moved there brings no shot noise of its own.
             out[1] -= out[2] ** 2 * model.sensor.gain_dn_per_e**2 * (charge - electrons)[0]
+            np.maximum(out[1], LEAST_VARIANCE, out=out[1])
         mean, variance, slope, growth = out
         spot = np.broadcast_to(spot, (1, *shape))[0]
         return Expected(mean, variance, slope, growth, spot, beside, u, v, copies, factor)
@@ -195,7 +234,7 @@ class Expectation:
             own._replace(x=own.x + NUDGE * width),
             own._replace(y=own.y + NUDGE * width),
         )
-        steps = [(self.light(frame, numbers)[0][0] - seen.spot) / NUDGE for numbers in moved]
+        steps = [(self.light(frame, k, numbers)[0][0] - seen.spot) / NUDGE for numbers in moved]
         return np.stack([seen.spot, *steps])
 
 
@@ -218,7 +257,8 @@ def _same_light(one: Model, other: Model) -> bool:
     """Whether two models, of which one was made from the other, have the same light."""
     lights = [[own for own in model.present if own.effect.place in LIGHT and own.form != "electronic"]
               for model in (one, other)]  # fmt: skip
-    return one.baseline is other.baseline and one.numbers is other.numbers and lights[0] == lights[1]
+    same = one.baseline is other.baseline and one.lights is other.lights and one.numbers is other.numbers
+    return same and lights[0] == lights[1]
 
 
 class Told(NamedTuple):

@@ -123,11 +123,10 @@ def likeliest(
 def tied_of(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) -> list[Tied]:
     """Effects of which a free shape takes all but a small part of the information: under the declared shape, which
     splines follow exactly; a learned one has structure as fine as they are."""
-    learned = fitted.model.baseline.learned
-    if learned is None:
+    lights = fitted.model.lights
+    if lights is None:
         return []
-    declared = learned._replace(coefficients=0 * learned.coefficients)
-    model = fitted.model._replace(baseline=fitted.model.baseline._replace(learned=declared))
+    model = fitted.model._replace(lights=lights._replace(coefficients=0 * lights.coefficients))
     plain = fit(frames, model, fitted.penalty, fitted.free, steps=0)
     parts = [score.information / max(score.if_known, 1e-300) for score in scores(frames, plain, trials)]
     return [Tied(own.effect, p) for own, p in zip(trials, parts, strict=True) if p < criteria.TIED.value]

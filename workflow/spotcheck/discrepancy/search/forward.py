@@ -8,7 +8,7 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.codes import gathers
 from spotcheck.discrepancy.evidence.noise import Noisy, level_of, levels_of, noises_of
-from spotcheck.discrepancy.nuisance.darkness import darkness
+from spotcheck.discrepancy.nuisance.darkness import darkness, with_levels
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, of_dark
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.frames import TOP
@@ -141,8 +141,8 @@ def outcome_of(grown: Grown, before: Fitted, design: Design, effects: Sequence[E
 
 
 def groups_of(design: Design) -> np.ndarray:
-    """What parts frames that must agree about an effect: their exposure, or where all have one their angle."""
-    return design.exposure_s if design.exposures.size > 1 else design.angle_deg
+    """What parts frames that must agree about an effect: their exposure, or where all have one their pose."""
+    return design.exposure_s if design.exposures.size > 1 else design.pose
 
 
 def best_of(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, Rival]] | None:
@@ -188,7 +188,8 @@ def quiet(now: State, *, level: bool, anew: bool = False) -> tuple[State, bool]:
     `anew`: fitted again in any case."""
     model, free = now.fitted.model, now.fitted.free
     found = dark_of(now.frames, model, level=level)
-    if anew or (found.sensor, found.stated) != (model.sensor, model.stated):
+    moved = found.lights is not model.lights
+    if anew or moved or (found.sensor, found.stated) != (model.sensor, model.stated):
         now = now._replace(fitted=fit(now.frames, found, now.fitted.penalty, free, steps=MOST_STEPS))
     return now, not found.stated.free[2]
 
@@ -196,6 +197,7 @@ def quiet(now: State, *, level: bool, anew: bool = False) -> tuple[State, bool]:
 def dark_of(frames: Sequence[Frame], model: Model, *, level: bool) -> Model:
     """A model with the read noise of dark pixels, and with `level` their black level, where they lie off by more than
     their errors. They overrule the sheet; what they do not tell is as free as the sheet's errors leave it."""
+    model = with_levels(frames, model) if level else model
     dark, sensor, sheet = darkness(frames, model), model.sensor, model.stated
     if dark is None:
         return model

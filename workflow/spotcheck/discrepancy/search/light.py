@@ -4,7 +4,7 @@ Where the declared shape is right, effects of its own kind (an ellipse, a halo) 
 learned shape only what no static shape could be.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.nuisance.taken import leverage
 from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, deviance_of, scatters
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Lights, Model, Numbers, deviance_of, scatters
 from spotcheck.discrepancy.search.candidates import at_frames, nth, some_of, striped, tied_of
 from spotcheck.discrepancy.search.forward import (
     MOST_STEPS,
@@ -41,7 +41,7 @@ REACH, PENALTY = 5.1, 1.0
 # The search begins with whole sites of so many frames [frames], where these are no more than that part of all; and an
 # effect that is named by them must gain so much at least: what gains less, all frames tell better.
 FEW, PLAIN, GAIN_OF_SOME = 24, 0.5, 400.0
-# Steps that tell a shape which is to foretell other sites: beside what is fitted it is linear.
+# Steps that tell a shape which is to foretell other sites, or one that begins near: beside what is fitted it is linear.
 TOLD = 2
 # Contrasts among which that of a nameless field begins.
 CONTRASTS = (0.01, 0.03, 0.1, 0.3, 0.9)
@@ -50,12 +50,12 @@ PART = 0.5
 
 
 class Lit(NamedTuple):
-    """What was found under the light that is right, the same without what was found, and whether that light is a shape
-    that is learned."""
+    """What was found under the light that is right, the same without what was found, and which frames share a learned
+    light [frame] (None: the declared one stands)."""
 
     grown: Grown
     before: Fitted
-    learned: bool
+    share: np.ndarray | None
 
 
 def find(frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context) -> Outcome:
@@ -74,6 +74,12 @@ def find(frames: Sequence[Frame], design: Design, model: Model, effects: Sequenc
     return outcome_of(lit.grown, lit.before, design, effects, context)
 
 
+def shares_of(design: Design) -> list[np.ndarray]:
+    """Which frames may share a light that is learned [frame], the simplest first: all of them, or those of one pose."""
+    pose = np.unique(design.pose, return_inverse=True)[1]
+    return [np.zeros(len(pose), int), *([pose] if pose.any() else [])]
+
+
 def searched(
     frames: Sequence[Frame],
     design: Design,
@@ -83,51 +89,74 @@ def searched(
     gain: float = 0.0,
 ) -> Lit:
     """The search under the declared light and, where effects that gain so much do not explain the frames, beside a
-    learned shape."""
+    shape that is learned: one for all frames, or where that is not enough one for each pose."""
     # Under a level or a noise that is far off no shape is found.
-    dark = dark_of(frames, model, level=True)
-    if len(frames) == 1:
-        lit = of_one(frames, design, dark, effects, context)
-    else:
-        lit = State(tuple(frames), with_shape(frames, dark, context))
-    lit, _ = quiet(lit, level=True)
-    learned = lit.fitted
-    plainly = learned.model._replace(baseline=model.baseline, present=model.present)
-    declared = fit(frames, plainly, PENALTY, free_of(plainly, context), MOST_STEPS)
-    plain = len(model.present)
-
-    last: list[tuple[Fitted, float]] = []
-
-    def beside(state: State) -> Fitted:
-        own = state.fitted.model
-        return learned if len(own.present) == plain else with_shape(state.frames, own, context)
-
-    def more(state: State) -> float:
-        if not last or last[0][0] is not state.fitted:
-            last[:] = [(state.fitted, asked(state, design, (lambda own: learned, beside), context))]
-        return last[0][1]
-
-    grown = grow(State(tuple(frames), declared), design, effects, context, lambda own: PART * more(own), gain)
-    if grown.finished and more(grown.state) <= 0:
-        return Lit(grown, declared, learned=False)
-    # Of one frame a shape can be nearly all that the declared light asked for.
-    state = lit
-    if len(frames) > 1:
-        state = without_tied(State(grown.state.frames, beside(grown.state)), design, context)
-    return Lit(grow(state, design, effects, context, gain=gain), learned, learned=True)
+    dark, shares = dark_of(frames, model, level=True), shares_of(design)
+    first = begun(frames, design, dark, shares[0], effects, context)
+    plainly = first.fitted.model._replace(lights=None, present=model.present)
+    state = State(tuple(frames), fit(frames, plainly, PENALTY, free_of(plainly, context), MOST_STEPS))
+    share: np.ndarray | None = None
+    for later in (shares, shares[1:], []):
+        before, more = state.fitted, _More(later, design, context, first if share is None else None)
+        grown = grow(state, design, effects, context, more.part, gain)
+        if not later or (grown.finished and more(grown.state) <= 0):
+            break
+        share, now = later[0], grown.state
+        if share is shares[0] and len(now.fitted.model.present) == len(model.present):
+            state = first
+        elif lonely(share):
+            state = begun(now.frames, design, now.fitted.model, share, effects, context)
+        else:
+            state = State(now.frames, with_shape(now.frames, now.fitted.model, context, share=share))
+        # Of one frame a shape can be nearly all that the declared light asked for.
+        state = state if len(frames) == 1 else without_tied(state, design, context)
+    return Lit(grown, before, share)
 
 
-def of_one(frames: Sequence[Frame], design: Design, model: Model, effects: Sequence[Effect], context: Context) -> State:
-    """One frame alone beside a shape that is learned, and stripes, where there are any: a shape that may be as fine as
-    they are is fitted beside them."""
-    coarse, _ = quiet(State(tuple(frames), with_shape(frames, model, step=COARSE)), level=True)
+class _More:
+    """What −2 ln L of a state gains by a light that is learned and shared as `shares` say, the first that gains; kept
+    from call to call for the state that was asked last. `first`: the fit of a light common to all where there is no
+    effect more than it has."""
+
+    def __init__(self, shares: Sequence[np.ndarray], design: Design, context: Context, first: State | None):
+        self.shares, self.design, self.context, self.first = shares, design, context, first
+        self.last: tuple[Fitted | None, float] = (None, 0.0)
+
+    def __call__(self, now: State) -> float:
+        if self.last[0] is not now.fitted:
+            self.last = now.fitted, asked(now, self.design, self.shares, self.context, self.first)
+        return self.last[1]
+
+    def part(self, now: State) -> float:
+        """What an effect must gain that is to stand in the place of that light."""
+        return PART * self(now)
+
+
+def lonely(share: np.ndarray) -> bool:
+    """Whether each frame would have a light of its own."""
+    return len(np.unique(share)) == len(share)
+
+
+def begun(
+    frames: Sequence[Frame],
+    design: Design,
+    model: Model,
+    share: np.ndarray,
+    effects: Sequence[Effect],
+    context: Context,
+) -> State:
+    """A state beside a light that is learned, under the noise and the level of its dark pixels. Where each frame has a
+    light of its own, stripes come first: a shape that may be as fine as they are is fitted beside them."""
+    if not lonely(share):
+        return quiet(State(tuple(frames), with_shape(frames, model, context, share=share)), level=True)[0]
+    coarse, _ = quiet(State(tuple(frames), with_shape(frames, model, step=COARSE, share=share)), level=True)
     sites, _ = gathered(coarse.frames, design, Ready(coarse.frames, coarse.fitted, []))
     found = striped(coarse.frames, design, coarse.fitted.model.numbers, sites, effects, context)
     best = best_of(coarse, list(found), context)
     now = best[0] if best else coarse
     # The coarse shape leaves much that passes for noise.
-    begun = now.fitted.model._replace(sensor=model.sensor, sheet=model.sheet)
-    return now._replace(fitted=with_shape(now.frames, begun, context))
+    fresh = now.fitted.model._replace(sensor=model.sensor, sheet=model.sheet)
+    return quiet(now._replace(fitted=with_shape(now.frames, fresh, context, share=share)), level=True)[0]
 
 
 def completed(
@@ -140,15 +169,30 @@ def completed(
     context: Context,
 ) -> Lit:
     """The search on all frames, from what some of them told."""
-    told = lit.grown.state.fitted.model
-    began = numbers_from(model, told, few, design)
-    start = fit(frames, told._replace(numbers=began), PENALTY, free_of(told, context), MOST_STEPS)
-    state = State(tuple(frames), start)
-    if not lit.learned:
-        if asked(state, design, (lambda own: with_shape(own.frames, own.fitted.model, context),), context) <= 0:
-            return Lit(grow(state, design, effects, context), start, learned=False)
-        state = without_tied(State(state.frames, with_shape(frames, start.model, context)), design, context)
-    return Lit(grow(state, design, effects, context), start, learned=True)
+    told, shares = lit.grown.state.fitted.model, shares_of(design)
+    lights = None if lit.share is None or told.lights is None else spread_over(told.lights, few, design)
+    began = told._replace(numbers=numbers_from(model, told, few, design), lights=lights)
+    start = fit(frames, began, PENALTY, free_of(began, context), MOST_STEPS)
+    state, stage = State(tuple(frames), start), 0 if lights is None else 1 + bool(lights.which.any())
+    share = lights.which if lights is not None else None
+    while asked(state, design, shares[stage:], context) > 0:
+        share, stage = shares[stage], stage + 1
+        state = State(state.frames, with_shape(frames, state.fitted.model, context, share=share))
+        state = without_tied(state, design, context)
+    return Lit(grow(state, design, effects, context), start, share)
+
+
+def spread_over(told: Lights, few: np.ndarray, design: Design) -> Lights:
+    """Lights of some frames for all of them; a pose of which there was none begins as all others on average."""
+    if not told.which.any():
+        return told._replace(which=np.zeros(len(design.pose), int))
+    poses, which = np.unique(design.pose, return_inverse=True)
+    known = {str(design.pose[k]): int(light) for k, light in zip(few, told.which, strict=True)}
+    shapes, levels = (
+        np.array([own[known[str(pose)]] if str(pose) in known else own.mean(axis=0) for pose in poses])
+        for own in (told.coefficients, told.level)
+    )
+    return told._replace(coefficients=shapes, which=which, level=levels)
 
 
 def numbers_from(model: Model, told: Model, few: np.ndarray, design: Design) -> Numbers:
@@ -178,8 +222,8 @@ def with_fields(
 ) -> Model:
     """A model with every field that each site has anew: as long as it is not tested it stands for whatever the model
     misses in proportion to the light. Without it one effect of a few per cent makes all others look surer than they
-    are. At a single site a field is whatever the light's shape may be."""
-    if len(np.unique(design.site)) < 2:
+    are. Where each pose has a single site a field is whatever the light's shape may be."""
+    if len(np.unique(design.site)) == len(np.unique(design.pose)):
         return model
     for effect in effects:
         if scatters(effect, "field") and effect.scatter is not None and effect.scatter.shared == "site":
@@ -209,45 +253,72 @@ def with_shape(
     model: Model,
     context: Context | None = None,
     *,
+    share: np.ndarray | None = None,
     step: float | None = None,
     steps: int = MOST_STEPS,
 ) -> Fitted:
-    """A fit of a model beside a shape that is learned."""
-    shape = light_shape.empty(step or (STEP if len(frames) > 1 else STEP_OF_ONE), REACH)
-    model = model._replace(baseline=model.baseline._replace(learned=shape))
-    if context is None:
-        return fit(frames, model, PENALTY, steps=steps)
-    if any(own.effect.scatter is None for own in model.present):
-        # From an empty shape effects would take what is the shape's.
-        model = fit(frames, model, PENALTY, steps=steps).model
-    return fit(frames, model, PENALTY, free_of(model, context), steps=steps)
+    """A fit of a model beside a shape that is learned, for all frames or as they `share` it [frame]; from a shape of
+    its own, where it has one that is as fine."""
+    share = np.zeros(len(frames), int) if share is None else share
+    own = step or (STEP_OF_ONE if lonely(share) else STEP)
+    lights, count = model.lights, int(share.max()) + 1
+    if lights is not None and lights.step == own and len(lights.coefficients) == 1:
+        level = np.repeat(lights.level, count)
+        model = model._replace(lights=Lights(own, np.repeat(lights.coefficients, count, axis=0), share, level))
+    else:
+        empty = light_shape.empty(own, REACH).coefficients
+        level = np.zeros(count) if lights is None or len(lights.level) != count else lights.level
+        model = model._replace(lights=Lights(own, np.zeros((count, *empty.shape)), share, level))
+        if context is not None and any(own.effect.scatter is None for own in model.present):
+            # From an empty shape effects would take what is the shape's.
+            model = fit(frames, model, PENALTY, steps=steps).model
+    free = () if context is None else free_of(model, context)
+    return fit(frames, model, PENALTY, free, steps=steps)
 
 
-def asked(declared: State, design: Design, shapes: Sequence[Callable[[State], Fitted]], context: Context) -> float:
-    """What −2 ln L gains by a learned shape beyond what it would by noise: less than 0 where none is asked for.
-    `shapes`: fits with one, the next asked where the one before does not gain."""
-    fields = [own for own in declared.fitted.model.present if scatters(own.effect, "field")]
-    if len(np.unique(design.site)) > 1 and any(own.effect.excess(own.values[0], context) >= 1 for own in fields):
-        # What pixels share is taken up by a shape as well: it must foretell other sites.
-        return 2 * foretold(declared, design)
+def asked(
+    now: State, design: Design, shares: Sequence[np.ndarray], context: Context, first: State | None = None
+) -> float:
+    """What −2 ln L gains by a learned light beyond what it would by noise, of the first way to share it that gains;
+    less than 0 where none is asked for. `first`: a state with a light for all, where it has the effects of this one."""
+    fields = [own for own in now.fitted.model.present if scatters(own.effect, "field")]
+    # What pixels share is taken up by a shape as well: it must foretell other sites.
+    strong = any(own.effect.excess(own.values[0], context) >= 1 for own in fields)
     more = 0.0
-    for shape in shapes:
-        learned = shape(declared)
-        freedom = freedom_of(declared.frames, learned)
-        more = float(declared.fitted.total - learned.total - freedom - criteria.SURE.value * np.sqrt(2 * freedom))
+    for share in shares:
+        if strong and len(np.unique(design.site)) > 1:
+            more = 2 * foretold(now, design, share)
+        else:
+            same = first is not None and len(first.fitted.model.present) == len(now.fitted.model.present)
+            if share.any() or not same or first is None:
+                # From a light that all share it is not far to those of each pose.
+                steps = TOLD if share.any() and now.fitted.model.lights is not None else MOST_STEPS
+                learned = with_shape(now.frames, now.fitted.model, context, share=share, steps=steps)
+            else:
+                learned = first.fitted
+            freedom = freedom_of(now.frames, learned) - freedom_of(now.frames, now.fitted)
+            more = float(
+                now.fitted.total - learned.total - freedom - criteria.SURE.value * np.sqrt(2 * max(freedom, 1))
+            )
         if more > 0:
             break
     return more
 
 
-def foretold(declared: State, design: Design) -> float:
-    """What −2 ln L of every other site gains by a shape that is learned from the rest."""
-    model = declared.fitted.model
-    own = np.isin(design.site, np.unique(design.site)[::2])
+def foretold(now: State, design: Design, share: np.ndarray) -> float:
+    """What −2 ln L of every other site gains by a light that is learned from the rest; less than 0 where one light has
+    a single site."""
+    model, own = now.fitted.model, np.zeros(len(share), bool)
+    for light in np.unique(share):
+        sites = np.unique(design.site[share == light])
+        if len(sites) < 2:
+            return -np.inf
+        own |= (share == light) & np.isin(design.site, sites[::2])
     told, others = np.flatnonzero(own), np.flatnonzero(~own)
-    some = with_shape([declared.frames[k] for k in told], model.take(told), steps=TOLD)
-    frames, plain = [declared.frames[k] for k in others], model.take(others)
-    shaped = plain._replace(baseline=model.baseline._replace(learned=some.model.baseline.learned))
+    some = with_shape([now.frames[k] for k in told], model.take(told), share=share[told], steps=TOLD).model.lights
+    assert some is not None
+    frames, plain = [now.frames[k] for k in others], model.take(others)
+    shaped = plain._replace(lights=some._replace(which=share[others]))
     # The plain numbers are fitted as they are; those of the other half's shape may lie off by what all share.
     return deviance(frames, plain) - deviance(frames, fit_numbers(frames, shaped).model)
 
@@ -266,7 +337,7 @@ def freedom_of(frames: Sequence[Frame], fitted: Fitted) -> float:
         total = 0.0
         for k in which:
             seen, tells = ready.of(frames[k], k)
-            total += float(leverage(ready.variance, float(ready.peaks[k]), seen, tells).sum())
+            total += float(leverage(ready.variances[k], float(ready.peaks[k]), seen, tells).sum())
         return [np.array(total)]
 
     return float(shared(part, len(frames))[0])

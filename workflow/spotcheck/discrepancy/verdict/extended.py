@@ -7,10 +7,11 @@ import numpy as np
 from spotcheck.discrepancy.conclude.judgement import Fits, Judgement
 from spotcheck.discrepancy.conclude.light import present_of
 from spotcheck.discrepancy.observe.frames import Setting
-from spotcheck.discrepancy.observe.shots import Shot
+from spotcheck.discrepancy.observe.shots import Shot, pose_of
 from spotcheck.instrument import Instrument
 from spotcheck.model.effect import Context, Effect, Present
 from spotcheck.model.extended import Extended, Site, Spot, context_of, within_bounds
+from spotcheck.model.light_shape import LightShape
 
 # A spot has some light and some width, however badly a frame was fitted [DN, px].
 LEAST = 1e-3
@@ -22,7 +23,7 @@ def extended_of(judgement: Judgement, setting: Setting, instrument: Instrument, 
     fits = judgement.fits
     assert fits is not None
     exposures = [float(t) for t in fits.design.exposures]
-    shape = None if judgement.light is None else present_of(judgement.light, effects)
+    shape, lights = None if judgement.light is None else present_of(judgement.light, effects), fits.after.lights
     plain = Extended(
         fits.law,
         max(exposures, default=1.0),
@@ -31,7 +32,7 @@ def extended_of(judgement: Judgement, setting: Setting, instrument: Instrument, 
         setting.columns,
         (),
         _spots(fits, instrument),
-        None if shape is None else fits.after.baseline.learned,
+        () if shape is None or lights is None else tuple(LightShape(lights.step, own) for own in lights.coefficients),
     )
     context = context_of(plain, setting.baseline, setting.sensor, instrument.crop_px, exposures)
     named = [one.own for one in judgement.found if one.own.effect.name not in judgement.beyond]
@@ -53,13 +54,16 @@ def _spots(fits: Fits, instrument: Instrument) -> dict[Site, Spot]:
     """Where the spot of each site lies, on average over its frames; without a law each frame has a spot of its own."""
     seen, unseen = fits.after.numbers, fits.unseen
     log_peak, log_width, x, y = (np.concatenate(own) for own in zip(seen, unseen, strict=True))
-    lawful = fits.law is not None
+    lawful, lights = fits.law is not None, fits.after.lights
+    which: dict[str, int] = {}
+    if lights is not None and len(lights.coefficients) > 1:
+        which = dict(zip(fits.design.pose.tolist(), lights.which.tolist(), strict=True))
     members: dict[Site, list[int]] = {}
     for k, shot in enumerate(fits.shots):
         members.setdefault(_site(shot, instrument, lawful), []).append(k)
     out = {}
     for site, own in members.items():
-        spot = Spot(float(np.mean(x[own])), float(np.mean(y[own])))
+        spot = Spot(float(np.mean(x[own])), float(np.mean(y[own])), light=which.get(pose_of(fits.shots[own[0]])))
         if not lawful:
             peak, sigma = (float(max(np.exp(np.mean(v[own])), LEAST)) for v in (log_peak, log_width))
             spot = spot._replace(peak_dn=peak, sigma_px=sigma)
