@@ -5,7 +5,7 @@ from scipy import stats
 
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
+from spotcheck.discrepancy.observe.pixels import Frame, Lights, Model, Numbers
 from spotcheck.model import light_shape
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import View
@@ -96,15 +96,18 @@ def started(images: np.ndarray, known: np.ndarray) -> tuple[list[Frame], Model]:
     numbers = Numbers(
         np.log(known[:, 1] * off[0]), np.log(known[:, 2] * off[1]), known[:, 3] + 0.05, known[:, 4] - 0.05
     )
-    baseline = Baseline(0.0, "free", False, 9e-4, light_shape.empty(STEP, REACH))
-    return frames, Model(baseline, SENSOR, (), numbers)
+    baseline = Baseline(0.0, "free", False, 9e-4)
+    return frames, Model(
+        baseline, SENSOR, (), numbers, lights=Lights.common(light_shape.empty(STEP, REACH), len(frames))
+    )
 
 
 def designed(known: np.ndarray) -> Design:
     """The design of frames that `drawn` drew: each site at all exposures, all of one angle."""
     frames, each = len(known), len(EXPOSURES)
     which = np.arange(frames)
-    return Design(which // each, which % each, np.zeros(frames), known[:, 0], np.linspace(0, 1, frames))
+    angle = np.zeros(frames)
+    return Design(which // each, which % each, angle, known[:, 0], np.linspace(0, 1, frames), angle.astype(str))
 
 
 def fitted(seed: int, **kinds: float) -> tuple[list[Frame], Fitted, np.ndarray]:

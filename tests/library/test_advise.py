@@ -18,7 +18,7 @@ def models():
     """Frames of Gaussian light, a model with a pedestal, and one without."""
     images, known = drawn(3, sites=2, shape=gaussian)
     frames, plain = started(images, known)
-    plain = plain._replace(baseline=plain.baseline._replace(learned=None))
+    plain = plain._replace(lights=None)
     effect = vocabulary()["dark_offset"]
     return frames, designed(known), plain.with_effect(Present(effect, effect.forms[0], (LEVEL,))), plain
 

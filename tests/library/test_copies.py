@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from spotcheck.discrepancy.observe.pixels import Expectation
+from spotcheck.discrepancy.observe.pixels import Expectation, Lights
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, View, copies_of, light
 from spotcheck.model.effect import Present
@@ -56,7 +56,7 @@ def test_a_learned_shape_lies_at_the_places_of_the_copies(kinds):
     images, known = drawn(1, sites=1)
     frames, model = started(images, known)
     model = model._replace(present=effects(*kinds))
-    shaped = model._replace(baseline=model.baseline._replace(learned=SHAPE))
+    shaped = model._replace(lights=Lights.common(SHAPE, len(frames)))
     k = 1
     seen, plain = (Expectation(frames, own).of(frames[k], k) for own in (shaped, model))
     peak = np.exp(model.numbers.log_peak[k]) * seen.factor

@@ -5,7 +5,6 @@ import pytest
 
 from spotcheck.discrepancy.nuisance.darkness import Histogram, darkness, fit_dark, kept_counts
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
-from spotcheck.model import light_shape
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import View
 from spotcheck.model.effect import Present
@@ -82,7 +81,7 @@ def test_rows_of_the_model_are_no_read_noise():
         frames.append(Frame(np.clip(np.rint(signal), 0, 1023), view))
     rows = Present(vocabulary()["row_noise"], "", (0.8,))
     for present, want in (((rows,), 6.0), ((), np.hypot(6, 0.8 / 0.11))):
-        model = Model(Baseline(0.0, "free", False, 1.0, light_shape.empty(0.3, 5.1)), sensor, present, numbers)
+        model = Model(Baseline(0.0, "free", False, 1.0), sensor, present, numbers)
         own = darkness(frames, model)
         scatter = 4 * np.sqrt(2 / (4 * side)) * (0.8 / 0.11) ** 2 / (2 * want)
         assert own is not None and abs(own.read_noise_e - want) < 4 * own.read_noise_stderr + scatter
@@ -104,7 +103,7 @@ def test_of_frames_with_a_spot(pedestal):
     pixels[:5] = np.nan
     present = (Present(vocabulary()["dark_offset"], pedestal, (level,)),) if pedestal else ()
     numbers = Numbers(*(np.array([v]) for v in (np.log(600), np.log(9.0), 80.0, 78.0)))
-    model = Model(Baseline(0.0, "free", False, 1.0, light_shape.empty(0.3, 5.1)), sensor, present, numbers)
+    model = Model(Baseline(0.0, "free", False, 1.0), sensor, present, numbers)
     own = darkness([Frame(pixels, view)], model)
     assert own is not None and 5000 < own.pixels < side * side
     assert abs(own.black_level_dn - 12) < 4 * own.black_level_stderr

@@ -24,6 +24,7 @@ from spotcheck.discrepancy.evidence.cells import (
 )
 from spotcheck.discrepancy.nuisance.fit import fit
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.observe.pixels import Lights
 from spotcheck.discrepancy.observe.readings import cumulants_of
 from spotcheck.model import light_shape
 from spotcheck.model.sensor import SensorModel
@@ -333,7 +334,7 @@ def test_size_of_what_a_learned_shape_leaves():
 
 def learned(frames, model):
     """A fit of the light's shape."""
-    return fit(frames, model._replace(baseline=model.baseline._replace(learned=light_shape.empty(0.4, 4.6))), 1.0)
+    return fit(frames, model._replace(lights=Lights.common(light_shape.empty(0.4, 4.6), len(frames))), 1.0)
 
 
 def left(frames, model, groups):

@@ -81,7 +81,7 @@ def made(tmp_path, own: Judgement, **design) -> Made:
         shape = light_shape.empty(0.5, 5.0)
         shape.coefficients[8:12, 6:9] = 0.03
         words = {"described": "6 % of the light lies elsewhere"}
-        written_light(shape, out.with_name("light.nc"), **told, attributes=words)
+        written_light([shape], out.with_name("light.nc"), **told, attributes=words)
     with store.read(out) as ds:
         return Made(own, ds.load(), verdict, found, Results(out.parent, found))
 

@@ -327,8 +327,8 @@ def agreed() -> tuple[Judgement, np.ndarray, Setting, list[Shot]]:
 
 def written(model: Extended, base: Path) -> Extended:
     """A model after a stay in its file, in which it says the same."""
-    if model.light is not None:
-        written_light(model.light, base / LIGHT, title="t", dataset="x", code="c")
+    if model.lights:
+        written_light(model.lights, base / LIGHT, title="t", dataset="x", code="c")
     (base / "model.yaml").write_text(text := text_of(model, "x", "named"), encoding="utf-8")
     again = read_model(base / "model.yaml")
     assert text_of(again, "x", "named") == text
@@ -366,7 +366,7 @@ def test_a_verdict_that_names_nothing_has_the_declared_model(agreed, tmp_path):
     instrument = small.dataset(tmp_path / "set").instrument
     for each in (own, own._replace(found=(found("smear", 0.01),), beyond=("smear",))):
         model = written(extended_of(each, setting, instrument, KNOWN), tmp_path)
-        assert model.present == () and model.light is None
+        assert model.present == () and model.lights == ()
         assert own.shift.before is not None and model.law is not None
         assert model.law[:2] == pytest.approx(own.shift.before, abs=1e-3)
         assert model.law.peak == pytest.approx(small.LAW.peak, rel=0.01)

@@ -33,7 +33,7 @@ def test_a_level_that_differs_from_pixel_to_pixel():
     it."""
     images, known = drawn(3, 1, shape=lambda u, v: 20 * gaussian(u, v))
     frames, model = started(images, known)
-    model = model._replace(baseline=model.baseline._replace(learned=None))
+    model = model._replace(lights=None)
     model = model._replace(numbers=model.numbers._replace(log_peak=model.numbers.log_peak + np.log(20)))
     plain = Expectation(frames, model).of(frames[2], 2)
     model = model.with_effect(Present(vocabulary()["saturation"], "sharp", (500.0, 0.03)))._replace(uneven=0.02)

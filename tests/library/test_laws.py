@@ -27,7 +27,9 @@ def design(repeats: int = 2, exposures=(1e-4, 3e-4, 9e-4)) -> Design:
     sites = np.repeat(np.arange(4 * repeats), len(exposures))
     angle = np.array([0.0, 45.0, 90.0, 135.0])[sites % 4]
     condition = np.arange(len(sites)) % (4 * len(exposures))
-    return Design(sites, condition, angle, np.tile(exposures, 4 * repeats), np.linspace(0, 1, len(sites)))
+    return Design(
+        sites, condition, angle, np.tile(exposures, 4 * repeats), np.linspace(0, 1, len(sites)), angle.astype(str)
+    )
 
 
 def effect(name: str, *values: float, form: str | None = None) -> Present:

@@ -10,7 +10,7 @@ from spotcheck.discrepancy.evidence.laws import laws_of
 from spotcheck.discrepancy.evidence.pixels import AZIMUTHS, cells_of
 from spotcheck.discrepancy.nuisance.fit import contrasts, fit, sums_of
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
+from spotcheck.discrepancy.observe.pixels import Frame, Lights, Model, Numbers
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import View
 from spotcheck.model.effect import Present
@@ -51,7 +51,11 @@ def drawn(seed: int, late=0.0, power=0.0, jitter=0.0) -> tuple[list[Frame], Desi
             numbers.append((np.log(peak), np.log(sigma), x0, y0))
     site, angle, exposure = (np.array(own) for own in zip(*rows, strict=True))
     condition = np.unique(np.stack([angle, exposure]), axis=1, return_inverse=True)[1].ravel()
-    return frames, Design(site, condition, angle, exposure, np.linspace(0, 1, len(frames))), np.array(numbers).T
+    return (
+        frames,
+        Design(site, condition, angle, exposure, np.linspace(0, 1, len(frames)), angle.astype(str)),
+        np.array(numbers).T,
+    )
 
 
 def view(exposure_s: float) -> View:
@@ -66,7 +70,8 @@ def fitted(seed: int, **options):
     frames, design, truth = drawn(seed, **options)
     # A start that is a little off, as any is.
     start = Numbers(*(truth + 0.01 * np.random.default_rng(seed).standard_normal(truth.shape)))
-    model = Model(Baseline(0.0, "free", False, 1.0, empty(0.2, 5.1)), SENSOR, (), start)
+    lights = Lights.common(empty(0.2, 5.1), len(start.x))
+    model = Model(Baseline(0.0, "free", False, 1.0), SENSOR, (), start, lights=lights)
     own = fit(frames, model, 1.0)
     return frames, design, own, influence_of(frames, own)
 

@@ -22,12 +22,11 @@ from spotcheck.discrepancy.conclude.light import (
 from spotcheck.discrepancy.conclude.modes import modes_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.normal import Schur
-from spotcheck.discrepancy.observe.pixels import Expectation, Model, Numbers
+from spotcheck.discrepancy.observe.pixels import Expectation, Lights, Model, Numbers
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, View, light
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.light_file import read_light, written_light
-from spotcheck.model.light_shape import LightShape
 from tests.library.small_light import CONTEXT, PENALTY, SENSOR, fitted
 
 STEP, SIDE = 0.12, 87
@@ -46,8 +45,9 @@ def known(whole: np.ndarray, noise: float = QUIET, top_hat: bool = False) -> Fit
     schur = Schur(factor, nothing, np.zeros((0, 0)), np.zeros((0, 0)))
     declared = np.exp(-RHO2 / 2)
     declared = np.minimum(declared, np.exp(-0.25)) if top_hat else declared
-    baseline = Baseline(0.0, "free", top_hat, 1.0, through(whole - declared, STEP))
-    return Fitted(Model(baseline, SENSOR, (), Numbers(*np.zeros((4, 1)))), (), 0.0, schur, PENALTY, 1)
+    lights = Lights.common(through(whole - declared, STEP), 1)
+    model = Model(Baseline(0.0, "free", top_hat, 1.0), SENSOR, (), Numbers(*np.zeros((4, 1))), lights=lights)
+    return Fitted(model, (), 0.0, schur, PENALTY, 1)
 
 
 def ellipse(major: float, minor: float, turn: float) -> np.ndarray:
@@ -121,7 +121,7 @@ def test_the_gauge_keeps_the_light():
     gauge = gauge_of(fit.model)
     shape, at = gauged(fit.model, gauge), np.linspace(-4, 4, 60)
     u, v = at[None, None, :], at[None, :, None]
-    before = light(view(u, v), fit.model.baseline, Free(one(1), one(1)), ())[0]
+    before = light(view(u, v), fit.model.baseline_of(0), Free(one(1), one(1)), ())[0]
     base = Free(one(gauge.bright), one(gauge.wide))
     after = light(view(u, v, gauge.x, gauge.y), fit.model.baseline._replace(learned=shape), base, ())[0]
     np.testing.assert_allclose(after, before, atol=2e-4)
@@ -145,7 +145,7 @@ def test_what_stands_for_a_light(tmp_path):
     assert present is not None and present.named() == {"power": own.power, "order": 3.0}
     assert present_of(own, [effect for effect in effects if effect.starts(CONTEXT)]) is None
     assert present_of(own._replace(power=-1e-4), effects) == present._replace(values=(0.0, 3.0))
-    written_light(own.shape, tmp_path / "light.nc", title="T", dataset="d", code="c", attributes=attributes_of(own))
+    written_light([own.shape], tmp_path / "light.nc", title="T", dataset="d", code="c", attributes=attributes_of(own))
     np.testing.assert_array_equal(read_light(tmp_path / "light.nc").coefficients, own.shape.coefficients)
     with store.read(tmp_path / "light.nc") as ds:
         assert ds.attrs["described"] == described(own) and ds.attrs["orders"][3] == own.orders[3]
@@ -217,9 +217,9 @@ def a_fit() -> Fitted:
 def noisy(size: float, count: int) -> list[Light]:
     """Lights of lobes of a size with the noise of `a_fit`, each drawn anew."""
     fit = a_fit()
-    learned = fit.model.baseline.learned
+    learned = fit.model.lights
     assert learned is not None
-    side = len(learned.coefficients)
+    side = learned.side
     nodes = learned.step * (np.arange(side) - (side - 1) / 2)
     u, v = nodes[None, :], nodes[:, None]
     r2 = u * u + v * v
@@ -232,8 +232,8 @@ def noisy(size: float, count: int) -> list[Light]:
         lower[np.arange(gap, side * side), np.arange(side * side - gap)] = band[gap, : side * side - gap]
     for k in range(count):
         drawn = np.linalg.solve(lower.T, rng.standard_normal(side * side)).reshape(side, side)
-        shape = LightShape(learned.step, true.coefficients + drawn)
-        model = fit.model._replace(baseline=fit.model.baseline._replace(learned=shape))
+        lights = learned._replace(coefficients=(true.coefficients + drawn)[None])
+        model = fit.model._replace(lights=lights)
         out.append(light_of(fit._replace(model=model), seed=k))
     return out
 

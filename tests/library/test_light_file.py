@@ -38,7 +38,7 @@ PROFILE = of("beam_profile", power=0.06, order=3)
 
 def put(path: Path, shape: LightShape = SHAPE) -> Path:
     """The file of a shape."""
-    written_light(shape, path, title="T", dataset="d", code="c", attributes={"power": 0.06})
+    written_light([shape], path, title="T", dataset="d", code="c", attributes={"power": 0.06})
     return path
 
 
@@ -56,8 +56,8 @@ def test_what_is_written_is_read(tmp_path):
     assert own.step == SHAPE.step
     np.testing.assert_array_equal(own.coefficients, SHAPE.coefficients)
     with store.read(tmp_path / LIGHT) as ds:
-        assert ds["s"].dims == ("v", "u") and ds.attrs["power"] == 0.06 and ds.attrs["code_version"] == "c"
-        np.testing.assert_allclose(ds["s"].values, by_scipy(ds["u"].values, ds["v"].values), atol=1e-7)
+        assert ds["s"].dims == ("light", "v", "u") and ds.attrs["power"] == 0.06 and ds.attrs["code_version"] == "c"
+        np.testing.assert_allclose(ds["s"].values[0], by_scipy(ds["u"].values, ds["v"].values), atol=1e-7)
 
 
 def changed(**values):
@@ -92,7 +92,7 @@ BAD = {
     "text": (lambda path: path.write_text("u v s"), "holds no shape"),
     "another result": (other, "holds no shape"),
     "no square": (narrow, "make no shape"),
-    "no numbers": (changed(coefficients=np.full((21, 21), np.nan)), "make no shape"),
+    "no numbers": (changed(coefficients=np.full((1, 21, 21), np.nan)), "make no shape"),
     "no step": (changed(step=0.0), "make no shape"),
 }
 
@@ -113,7 +113,7 @@ def test_a_bad_file_gets_one_sentence(case, tmp_path):
 
 def model_file(folder: Path, model: Extended, edit: tuple[str, str] = ("", "")) -> Path:
     """The file of a model, with its light beside it."""
-    if model.light is not None:
+    if model.lights:
         put(folder / LIGHT)
     path = folder / "model.yaml"
     path.write_text(text_of(model, "x", "named").replace(*edit), encoding="utf-8")
@@ -122,27 +122,27 @@ def model_file(folder: Path, model: Extended, edit: tuple[str, str] = ("", "")) 
 
 def test_a_model_names_its_light(tmp_path):
     """Text, effect and surface come back."""
-    path = model_file(tmp_path, extended(PROFILE, light=SHAPE))
+    path = model_file(tmp_path, extended(PROFILE, lights=(SHAPE,)))
     own = read_model(path)
     assert text_of(own, "x", "named") == path.read_text(encoding="utf-8")
     assert "\nlight: light.nc\n" in path.read_text(encoding="utf-8") and own.present[0].named() == PROFILE.values
-    assert own.light is not None
-    np.testing.assert_array_equal(own.light.coefficients, SHAPE.coefficients)
-    assert read_model(model_file(tmp_path, PLAIN)).light is None
+    (light,) = own.lights
+    np.testing.assert_array_equal(light.coefficients, SHAPE.coefficients)
+    assert read_model(model_file(tmp_path, PLAIN)).lights == ()
 
 
 @pytest.mark.parametrize(
-    ("cases", "light", "edit", "words"),
+    ("cases", "lights", "edit", "words"),
     [
-        ([PROFILE], None, ("", ""), "key light is missing; beam_profile needs the file of its shape"),
-        ([], SHAPE, ("", ""), "key light names light.nc, but no effect stands for its shape"),
-        ([PROFILE], SHAPE, ("light.nc", "none.nc"), "none.nc: is no file"),
-        ([PROFILE], SHAPE, ("light: light.nc", "light: 3"), "key light is 3; it must be text"),
+        ([PROFILE], (), ("", ""), "key light is missing; beam_profile needs the file of its shape"),
+        ([], (SHAPE,), ("", ""), "key light names light.nc, but no effect stands for its shape"),
+        ([PROFILE], (SHAPE,), ("light.nc", "none.nc"), "none.nc: is no file"),
+        ([PROFILE], (SHAPE,), ("light: light.nc", "light: 3"), "key light is 3; it must be text"),
     ],
 )
-def test_a_model_without_the_light_that_it_needs(cases, light, edit, words, tmp_path):
+def test_a_model_without_the_light_that_it_needs(cases, lights, edit, words, tmp_path):
     """One sentence."""
-    path = model_file(tmp_path, extended(*cases, light=light), edit)
+    path = model_file(tmp_path, extended(*cases, lights=lights), edit)
     with pytest.raises(InputError) as caught:
         read_model(path)
     assert words in str(caught.value) and "\n" not in str(caught.value)
@@ -184,7 +184,7 @@ def follows(folder: Path, ds: xr.Dataset) -> None:
 def test_simulated_frames_follow_the_model(tmp_path):
     """A learned light in model.yaml, by the command's own function."""
     found = design(tmp_path / "set")
-    model = read_model(model_file(tmp_path, extended(PROFILE, light=SHAPE)))
+    model = read_model(model_file(tmp_path, extended(PROFILE, lights=(SHAPE,))))
     follows(tmp_path / "out", simulated(found, model, tmp_path / "out"))
 
 
@@ -205,7 +205,7 @@ def test_a_model_replaces_the_instruments_profile(tmp_path):
     """The shape of model.yaml is the whole one beside the Gaussian."""
     put(tmp_path / "other.nc", SHAPE._replace(coefficients=-SHAPE.coefficients))
     found = design(tmp_path / "set", INSTRUMENT + "light: {profile: ../other.nc}\n")
-    follows(tmp_path / "out", simulated(found, extended(PROFILE, light=SHAPE), tmp_path / "out"))
+    follows(tmp_path / "out", simulated(found, extended(PROFILE, lights=(SHAPE,)), tmp_path / "out"))
 
 
 # instrument.yaml.

@@ -26,7 +26,7 @@ def test_the_beam_is_learned():
         assert np.sqrt(np.mean((seen.mean - truth)[truth > BLACK + 0.05 * peak] ** 2)) < 0.004 * peak
         chi2 += float(((frame.pixels - seen.mean) ** 2 / seen.variance).sum())
         pixels += frame.pixels.size
-    taken = own.model.baseline.learned.coefficients.size
+    taken = own.model.lights.coefficients.size
     assert -5 * np.sqrt(2 * pixels) - taken < chi2 - pixels < 5 * np.sqrt(2 * pixels)
 
 
@@ -58,7 +58,7 @@ def test_a_declared_shape_alone():
     for seed in range(6):
         images, known = drawn(seed, shape=gaussian)
         frames, model = started(images, known)
-        model = model._replace(baseline=model.baseline._replace(learned=None))
+        model = model._replace(lights=None)
         own = fit(frames, model, PENALTY)
         truth = np.stack([np.log(known[:, 1]), np.log(known[:, 2]), known[:, 3], known[:, 4]])
         off = np.stack(own.model.numbers) - truth
@@ -79,7 +79,7 @@ def test_a_fit_near_another_finds_the_same(learned):
     images, known = drawn(3, pedestal=2.0, shape=beam if learned else gaussian)
     frames, model = started(images, known)
     if not learned:
-        model = model._replace(baseline=model.baseline._replace(learned=None))
+        model = model._replace(lights=None)
     without = fit(frames, model, PENALTY)
     offset = Present(vocabulary()["dark_offset"], "light", (1.0,))
     more = without.model._replace(present=(offset,))

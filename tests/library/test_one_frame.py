@@ -5,7 +5,7 @@ import pytest
 
 from spotcheck.discrepancy.evidence.codes import gathers
 from spotcheck.discrepancy.nuisance.fit import fit, free_of, free_of_sheet
-from spotcheck.discrepancy.observe.pixels import Sheet
+from spotcheck.discrepancy.observe.pixels import Lights, Sheet
 from spotcheck.discrepancy.search.light import find
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
@@ -21,7 +21,7 @@ def effects(*names: str):
 
 def bare(model):
     """A model of the declared light alone."""
-    return model._replace(baseline=model.baseline._replace(learned=None))
+    return model._replace(lights=None)
 
 
 def one(seed: int, **kinds):
@@ -51,7 +51,7 @@ def test_a_clip_is_told_by_its_code_and_flat_light_is_not():
     for kinds, known, level in (({"clip": 400.0}, True, 400.0), ({"shape": flat}, False, 560.0)):
         frames, model, _ = one(5, **kinds)
         own = Present(vocabulary()["saturation"], "sharp with noise", (level, 0.03))
-        model = model._replace(baseline=model.baseline._replace(learned=small_light.light_shape.empty(0.3, 5.1)))
+        model = model._replace(lights=Lights.common(small_light.light_shape.empty(0.3, 5.1), 1))
         fitted = fit(frames, model.with_effect(own), 1.0, steps=16)
         assert gathers(frames, fitted.model, 0) == known
 

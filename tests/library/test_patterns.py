@@ -29,7 +29,7 @@ def told(seed: int, *, learned: bool = True, sites: int = SITES, exposures: int 
     own = np.arange(len(known)) % 3 >= 3 - exposures
     frames, model = started(images[own], known[own])
     if not learned:
-        model = model._replace(baseline=model.baseline._replace(learned=None))
+        model = model._replace(lights=None)
     design = designed(known).take(own)
     return gathered(frames, design, Ready(frames, fit(frames, model, PENALTY), []))
 

@@ -7,7 +7,7 @@ from scipy import linalg
 from spotcheck.discrepancy.nuisance import sheet, taken
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.nuisance.sheet import against_sheet, fit_sheet
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, Sheet
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Lights, Model, Numbers, Sheet
 from spotcheck.model import light_shape
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import View
@@ -36,7 +36,8 @@ def case(seed: int, off=(0.0, 0.0, 0.0), faint=1.0, count=COUNT) -> tuple[list[F
     errors = ERRORS * (0.11, 6.0, 1.0)
     gain, noise, black = np.array([0.11, 6.0, 12.0]) + errors * off
     sensor = TRUTH._replace(gain_dn_per_e=gain, read_noise_e=noise, black_level_dn=black)
-    return frames, Model(Baseline(0.0, "free", False, 1.0, light_shape.empty(0.5, 5.1)), sensor, (), numbers), errors
+    lights = Lights.common(light_shape.empty(0.5, 5.1), len(frames))
+    return frames, Model(Baseline(0.0, "free", False, 1.0), sensor, (), numbers, lights=lights), errors
 
 
 def drawn(seed: int, off=(0.0, 0.0, 0.0), errors=(1.0, 1.0, 1.0), faint=1.0) -> Fitted:
@@ -80,9 +81,9 @@ def test_what_the_shape_takes_up(monkeypatch):
     fitted = fit(frames, model._replace(sheet=Sheet(model.sensor, tuple(error))), 1.0, steps=1)
     found = sheet.tilt_of(frames, fitted)
     seen = Expectation(frames, fitted.model).of(frames[0], 0)
-    learned = fitted.model.baseline.learned
+    learned = fitted.model.lights
     u, v = (own.ravel() for own in np.broadcast_arrays(seen.u, seen.v))
-    matrix = splines.matrix(u, v, learned.step, len(learned.coefficients))
+    matrix = splines.matrix(u, v, learned.step, learned.side)
     matrix *= np.exp(fitted.model.numbers.log_peak[0]) * seen.slope.ravel()[:, None]
     variance = seen.variance.ravel()
     gram = np.array([linalg.cho_solve_banded((fitted.schur.factor, True), row) for row in matrix])

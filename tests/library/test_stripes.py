@@ -18,7 +18,7 @@ def sought(seed: int, *, learned: bool, **kinds):
     images, known = drawn(seed, sites=6, spread=3.0, shape=beam if learned else gaussian, **kinds)
     frames, model = started(images, known)
     if not learned:
-        model = model._replace(baseline=model.baseline._replace(learned=None))
+        model = model._replace(lights=None)
     design = designed(known)
     sites, _ = gathered(frames, design, Ready(frames, fit(frames, model, PENALTY), []))
     return stripes_of(sites, CONTEXT.sigma_px), known[::3, 3:]

@@ -8,7 +8,7 @@ from scipy import linalg
 
 from spotcheck.discrepancy.nuisance import taken
 from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.observe.pixels import Expectation, told
+from spotcheck.discrepancy.observe.pixels import Expectation, Lights, told
 from spotcheck.model import light_shape
 from tests.library import splines
 from tests.library.small_light import drawn, started
@@ -21,7 +21,7 @@ def one_frame():
     """One frame, and its fit under a shape of 15 × 15 coefficients that ends within it."""
     images, known = drawn(3, sites=1)
     frames, model = started(images[2:], known[2:])
-    model = model._replace(baseline=model.baseline._replace(learned=light_shape.empty(STEP, 3.5)))
+    model = model._replace(lights=Lights.common(light_shape.empty(STEP, 3.5), 1))
     return frames[0], fit(frames, model, 1.0)
 
 
@@ -52,7 +52,7 @@ def test_what_is_lacking_is_half_the_hat_matrix(monkeypatch, draws, within):
     slopes = peak * seen.slope.ravel()[:, None] * splines.matrix(u, v, STEP, NODES)
     inner = linalg.cho_solve_banded((own.schur.factor, True), slopes.T)
     hat = np.einsum("pc,cp->p", slopes, inner) * tells.sure.ravel()
-    variance = taken.variance_of(own.schur, STEP, NODES)
+    (variance,) = taken.variances_of(own)
     found = 2 * taken.lacking(variance, peak, seen, tells).ravel() / tells.sure.ravel()
     assert 200 < hat.sum() < NODES**2
     assert found.sum() == pytest.approx(hat.sum(), rel=within)
@@ -64,5 +64,5 @@ def test_what_is_lacking_is_half_the_hat_matrix(monkeypatch, draws, within):
 def test_without_a_shape_nothing_is_lacking():
     frame, own = one_frame()
     seen = Expectation([frame], own.model).of(frame, 0)
-    assert taken.variance_of(own.schur, 1.0, 0) is None
+    assert taken.variances_of(own._replace(model=own.model._replace(lights=None))) == [None]
     assert not taken.lacking(None, 500.0, seen, told(frame, seen)).any()

@@ -17,7 +17,7 @@ def found(seed: int, own: Present, **kinds):
     after = fit(frames, model, PENALTY, free_of(model, CONTEXT))
     images, known = drawn(seed + 1000, **kinds)
     others, start = started(images, known)
-    declared = start._replace(baseline=start.baseline._replace(learned=None))
+    declared = start._replace(lights=None)
     return after, others, designed(known), declared
 
 
@@ -41,6 +41,6 @@ def test_what_is_not_there_foretells_nothing():
     after = before._replace(model=before.model.with_effect(own))
     images, known = drawn(1004)
     others, start = started(images, known)
-    declared = start._replace(baseline=start.baseline._replace(learned=None))
+    declared = start._replace(lights=None)
     _, gains = unseen(others, designed(known), start.numbers, declared, after, "unseen repeats")
     assert gains["dark_offset"] < -100

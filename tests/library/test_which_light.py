@@ -28,10 +28,10 @@ def test_the_declared_light_stands_where_effects_explain_the_frames(kinds, learn
     a field, its mean over few sites is no shape."""
     images, known = drawn(11, sites=6, **kinds)
     frames, model = started(images, known)
-    model = model._replace(baseline=model.baseline._replace(learned=None))
+    model = model._replace(lights=None)
     context = CONTEXT._replace(peak_dn=690.0 / 0.97)
     outcome = find(frames, designed(known), model, [vocabulary()[name] for name in KNOWN], context)
-    assert (outcome.after.model.baseline.learned is not None) == learned
+    assert (outcome.after.model.lights is not None) == learned
     assert [one.own.effect.name for one in outcome.found] == named
 
 
@@ -46,7 +46,7 @@ def test_a_level_far_below_the_light_is_found_under_grains():
     frames, model = started(images, known)
     first = np.log([round_spot(image, SENSOR, top_hat=False) for image in images])
     numbers = Numbers(first[:, 0], first[:, 3], np.exp(first[:, 1]), np.exp(first[:, 2]))
-    model = model._replace(baseline=model.baseline._replace(learned=None), numbers=numbers)
+    model = model._replace(lights=None, numbers=numbers)
     assert np.median(np.exp(numbers.log_peak) / known[:, 1]) < 4
     top = np.sort(images.ravel())[-20] - BLACK
     effects = [vocabulary()[name] for name in (*KNOWN, "saturation", "scatter_halo", "fibre_anisotropy")]

@@ -14,6 +14,7 @@ from scipy import stats
 from spotcheck.discrepancy.conclude.detect import Detection, detect
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.observe.pixels import Lights
 from spotcheck.model import light_shape
 from tests.reference.spot_draws import Setup, any_setup, draw
 
@@ -60,7 +61,7 @@ def shape_of(frames, model) -> Fitted:
     """A fit with nodes each 0.3 σ, from numbers that are already near."""
     numbered = fit_numbers(frames, model).model
     empty = light_shape.empty(0.3, 5.1)
-    return fit(frames, numbered._replace(baseline=numbered.baseline._replace(learned=empty)), 1.0)
+    return fit(frames, numbered._replace(lights=Lights.common(empty, len(frames))), 1.0)
 
 
 def power(sets: int) -> None:

@@ -23,6 +23,8 @@ RENEWED, AGAIN = 2, 4
 # While χ² is so many times the number of readings, so many steps at most are led by means alone: far from a fit a large
 # residual asks for more variance, and so for more light.
 FAR, MEANS = 1.5, 6
+# A step that makes χ² so many times as large leads astray, even there.
+WORSE = 2.0
 # A step that gains less than this in −2 ln L ends the fit; one that loses is halved so many times.
 ENOUGH, HALVINGS = 0.5, 4
 # The farthest that a step may change logs of peak and width, and a centre [σ]; of a parameter it is its own size.
@@ -30,6 +32,10 @@ FARTHEST = (0.5, 0.3, 1.0, 1.0)
 # The farthest for the shape [peaks], and part of the median coefficient's information that every coefficient gets on
 # top in a step: where all frames are clipped they tell next to nothing, and a straight line leads far off.
 FARTHEST_SHAPE, HELD = 0.3, 1e-3
+# Part of the way to a bound that a step may go.
+TOWARDS = 0.9
+# Part of that which is left each time that the matrices are made anew: what is held comes home slowly.
+EASED = 0.1
 # Part of a parameter's value, or of its start, by which slopes are taken; a direction has no size of its own [deg].
 NUDGE, TURN = 1e-3, 20.0
 # In place of an effect: the sensor, and which of its numbers may be free.
@@ -336,9 +342,9 @@ def fit(
     basis = contrasts(model)
     apart, few = basis.shape[1], NUMBERS * len(frames)
     lent = near.schur.first(apart) if near is not None else None
-    best, total, taken, halved = model, np.inf, 0, 0
+    best, total, chi2, taken, halved = model, np.inf, np.inf, 0, 0
     lowest: tuple[float, Model, Sums | None] = np.inf, model, None
-    shape, others, far = np.zeros(0), np.zeros(0), False
+    shape, others, far, held = np.zeros(0), np.zeros(0), False, HELD
     for taken in range(1, steps + 2):
         renewed = lent is None or (near is None and taken <= RENEWED) or taken % AGAIN == 0
         sums = sums_of(frames, model, free, curved=renewed, by_variance=not far)
@@ -351,21 +357,23 @@ def fit(
         if now < lowest[0]:
             whole = (renewed or near is not None) and not by_means
             lowest = now, model, sums if whole else None
-        if not now <= total and halved < HALVINGS and not far:
+        worse = sums.chi2 > WORSE * chi2 if far else not now <= total
+        if worse and halved < HALVINGS:
             halved += 1
             shape, others = shape / 2, others / 2
             model = stepped(best, shape, others, free)
             continue
         if lent is None or renewed:
-            lent = _reduced(model, sums, rough, basis, HELD)
+            held = HELD if taken <= RENEWED else EASED * held
+            lent = _reduced(model, sums, rough, basis, held)
         done = (total - now < ENOUGH and not far) or taken > steps
         if now <= total or far:
-            best, total = model, now
+            best, total, chi2 = model, now, sums.chi2
         far = sums.chi2 > FAR and taken < MEANS
         if done:
             break
         score = np.concatenate([basis.T @ sums.others[:few], sums.others[few:] + known * off + tilt])
-        shape, moved = _bordered(lent, sums, basis, known).solve(sums.shape - bent, score)
+        shape, moved = _inside(model, free, _bordered(lent, sums, basis, known), sums.shape - bent, score)
         # What means do not tell waits while they lead.
         moves = [not (by_means and of_noise(model, own)) for own in free]
         others = np.concatenate([basis @ moved[:apart], moved[apart:] * moves])
@@ -379,6 +387,22 @@ def fit(
         lent = _reduced(best, sums, rough, basis)
     schur = _bordered(lent, sums, basis, known)
     return Fitted(best, free, total, schur, penalty, taken)
+
+
+def _inside(model: Model, free: Sequence[Free], schur: normal.Schur, shape: np.ndarray, score: np.ndarray):
+    """The step of coefficients and of all other numbers. A parameter that would leave its bounds goes most of the way:
+    at a strength of 0 the others would say nothing; one that is as good as there stays."""
+    step, moved = schur.solve(shape, score)
+    first, values = len(score) - len(free), values_of(model, free)
+    low, high, near = (np.array([getattr(own, name) for own in free]) for name in ("low", "high", "nudge"))
+    there = ((values - low < near) & (moved[first:] < 0)) | ((high - values < near) & (moved[first:] > 0))
+    if there.any():
+        moved = np.zeros(len(score))
+        places = first + np.flatnonzero(there)
+        rest = np.delete(np.arange(len(score)), places)
+        step, moved[rest] = schur.without(places).solve(shape, score[rest])
+    moved[first:] = np.clip(moved[first:], TOWARDS * (low - values), TOWARDS * (high - values))
+    return step, moved
 
 
 def _reduced(model: Model, sums: Sums, rough: np.ndarray, basis: np.ndarray, held: float = 0.0) -> normal.Schur:

@@ -214,6 +214,12 @@ class Schur(NamedTuple):
         """The same of so many of the numbers alone, the others held."""
         return Schur(self.factor, self.absorbed[:, :count], self.given[:count, :count], self.left[:count, :count])
 
+    def without(self, places: np.ndarray) -> "Schur":
+        """The same with the numbers at some places held."""
+        keep = np.delete(np.arange(len(self.left)), places)
+        both = np.ix_(keep, keep)
+        return Schur(self.factor, self.absorbed[:, keep], self.given[both], self.left[both])
+
     def bordered(self, joined: np.ndarray, cross: np.ndarray, dense: np.ndarray) -> "Schur":
         """The same with more numbers behind: their X, what they share with those that are there [number, more], and
         their own D."""

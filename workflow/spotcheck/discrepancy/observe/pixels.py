@@ -69,6 +69,11 @@ class Lights(NamedTuple):
     which: np.ndarray
     level: np.ndarray
 
+    @classmethod
+    def common(cls, shape: LightShape, frames: int) -> "Lights":
+        """One light for so many frames."""
+        return cls(shape.step, shape.coefficients[None], np.zeros(frames, int), np.zeros(1))
+
     @property
     def side(self) -> int:
         """Splines along each axis."""

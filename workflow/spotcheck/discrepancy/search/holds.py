@@ -83,10 +83,5 @@ def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effe
 def _without(fitted: Fitted, at: int) -> Fitted:
     """The same fit, with the parameter at a place held: its rows and columns leave the dense part."""
     others = fitted.free[:at] + fitted.free[at + 1 :]
-    left, absorbed = fitted.schur.left, fitted.schur.absorbed
-    place = left.shape[0] - len(fitted.free) + at
-    keep = np.delete(np.arange(left.shape[0]), place)
-    schur = fitted.schur._replace(
-        absorbed=absorbed[:, keep], left=left[np.ix_(keep, keep)], given=fitted.schur.given[np.ix_(keep, keep)]
-    )
-    return fitted._replace(free=others, schur=schur)
+    place = len(fitted.schur.left) - len(fitted.free) + at
+    return fitted._replace(free=others, schur=fitted.schur.without(np.array([place])))

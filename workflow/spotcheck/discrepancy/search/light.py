@@ -102,14 +102,14 @@ def searched(
         if not later or (grown.finished and more(grown.state) <= 0):
             break
         share, now = later[0], grown.state
-        if share is shares[0] and len(now.fitted.model.present) == len(model.present):
+        if share is shares[0] and (lonely(share) or len(now.fitted.model.present) == len(model.present)):
             state = first
         elif lonely(share):
-            state = begun(now.frames, design, now.fitted.model, share, effects, context)
+            # Of one frame a shape can be nearly all that another light asked for.
+            state = begun(frames, design, dark, share, effects, context)
         else:
             state = State(now.frames, with_shape(now.frames, now.fitted.model, context, share=share))
-        # Of one frame a shape can be nearly all that the declared light asked for.
-        state = state if len(frames) == 1 else without_tied(state, design, context)
+        state = state if lonely(share) else without_tied(state, design, context)
     return Lit(grown, before, share)
 
 
@@ -173,11 +173,11 @@ def completed(
     lights = None if lit.share is None or told.lights is None else spread_over(told.lights, few, design)
     began = told._replace(numbers=numbers_from(model, told, few, design), lights=lights)
     start = fit(frames, began, PENALTY, free_of(began, context), MOST_STEPS)
-    state, stage = State(tuple(frames), start), 0 if lights is None else 1 + bool(lights.which.any())
-    share = lights.which if lights is not None else None
-    while asked(state, design, shares[stage:], context) > 0:
-        share, stage = shares[stage], stage + 1
-        state = State(state.frames, with_shape(frames, state.fitted.model, context, share=share))
+    state, share = State(tuple(frames), start), None if lights is None else lights.which
+    # Whether poses differ some sites tell; a shape for all may be too faint for these.
+    if lights is None and asked(state, design, shares[:1], context) > 0:
+        share = shares[0]
+        state = State(state.frames, with_shape(frames, start.model, context, share=share))
         state = without_tied(state, design, context)
     return Lit(grow(state, design, effects, context), start, share)
 
