@@ -12,10 +12,11 @@ import numpy as np
 
 from spotcheck.discrepancy.conclude.places import Scene, cell_words, number_words, scene_of
 from spotcheck.discrepancy.evidence import fields as spectra
-from spotcheck.discrepancy.evidence.cells import Cells, Readings, Standard, cells_of, pooled, shapes_of
-from spotcheck.discrepancy.evidence.hot import odd_pixels
+from spotcheck.discrepancy.evidence.cells import Cells, Readings, cells_of, pooled, shapes_of
+from spotcheck.discrepancy.evidence.hot import Member, Sums, odd_pixels, oddest
 from spotcheck.discrepancy.evidence.numbers import numbers_of
 from spotcheck.discrepancy.evidence.parts import Part, Standing, form_of, part_of, smallest_of, standing
+from spotcheck.discrepancy.evidence.windows import Window, windows_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
 from spotcheck.discrepancy.nuisance.taken import DRAWS
@@ -46,16 +47,13 @@ class Detection(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """All sums over the frames of a model: where these are, cells of each frame by kind, pairs of its pixels, fields
-    of the sites; and the readings as they were standardised, without what fits take of them."""
+    """All sums over the frames of a model: where these are, cells of each frame by kind, and the parts that are no sums
+    over cells."""
 
-    frames: Sequence[Frame]
     model: Model
     scene: Scene
     cells: list[dict[str, Cells]]
-    pairs: list[spectra.Pairs]
-    fields: list[spectra.Field]
-    seen: list[Standard]
+    parts: list[Part | None]
 
 
 def detect(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: Design) -> Detection:
@@ -65,58 +63,74 @@ def detect(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: De
 
 
 def looked_at(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: Design) -> tuple[Looked, Detection]:
-    """All sums over frames, and the test by them."""
-    if isinstance(model, Fitted):
-        looked = look(frames, model, design)
-        return looked, tested(looked)
-    numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)
-    looked = look(frames, numbered.model, design)
-    return looked, tested(looked, numbers_of(numbered, looked.scene.exposure_s, np.asarray(design.site)))
-
-
-def tested(looked: Looked, numbers: Mapping[str, Standing] | None = None) -> Detection:
-    """The test by all that was summed, and by what a law leaves of the frames' numbers.
+    """All sums over frames, and the test by them.
 
     # ASSUME: a fit of the shape takes as much noise as its information says. Its likelihood is that of normal readings
     # in mean and variance, so below 0.6 DN of noise it takes more, and p-values beside a shape are too small.
     """
-    pixels, sensor = [own.pixels for own in looked.frames], looked.model.sensor
-    found = [*cell_parts(looked), *field_parts(looked), *number_parts(looked, numbers or {})]
-    found.append(odd_pixels("readings: one frame", [[own] for own in looked.seen], [[own] for own in pixels], sensor))
-    if len(pixels) > 1:
-        found.append(odd_pixels("readings: all frames", [looked.seen], [pixels], sensor))
+    if isinstance(model, Model):
+        model = fit_numbers(frames, model)
+    looked = look(frames, model if isinstance(model, Fitted) else model.model, design)
+    found = [*cell_parts(looked), *looked.parts]
+    if isinstance(model, Numbered):
+        numbers = numbers_of(model, looked.scene.exposure_s, np.asarray(design.site))
+        found += number_parts(looked.scene, numbers)
     parts = sorted((own for own in found if own is not None), key=lambda own: (own.p_value, -abs(own.statistic)))
-    return Detection(smallest_of(parts[0].p_value, len(parts)) if parts else 1.0, tuple(parts))
+    return looked, Detection(smallest_of(parts[0].p_value, len(parts)) if parts else 1.0, tuple(parts))
 
 
 def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Looked:
-    """One pass over all frames."""
+    """One pass over all frames, of which cells, fields of the sites and what single pixels tell remain."""
     shapes = shapes_of(model, DRAWS, np.random.default_rng(0)) if isinstance(model, Fitted) else []
     plain = model.model if isinstance(model, Fitted) else model
-    readings = Readings(frames, plain, shapes)
-    scene = scene_of(frames, plain)
-    seen, cells, pairs, weighed = [], [], [], []
+    readings, scene, sensor = Readings(frames, plain, shapes), scene_of(frames, plain), plain.sensor
+    cells, pairs, members, odd = [], [], [], []
+    sites, whole = list(windows_of(frames, design)), Window(frames)
+    fields = [spectra.empty(window.shape) for window, _ in sites]
+    site_of = {k: j for j, (_, own) in enumerate(sites) for k in own}
+    total = Sums(whole.corner, np.zeros(whole.shape), np.zeros(whole.shape))
     taken: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
     for k, condition in enumerate(np.asarray(design.condition)):
-        own = readings.of(k)
+        own, frame = readings.of(k), frames[k]
         even, lost = np.where(own.spread > 0, 1.0, 0.0), np.concatenate([own.taken, own.drawn])
         # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
         key = int(condition), own.shape
         if key not in taken:
-            taken[key] = (
-                spectra.taken_of(lost, own.shape, even),
-                spectra.taken_of(lost, own.shape, own.relative),
-            )
+            taken[key] = spectra.taken_of(lost, own.shape, even), spectra.taken_of(lost, own.shape, own.relative)
         cells.append(cells_of(own, scene.brightest, scene.corner))
-        pairs.append(spectra.pairs_of(spectra.field_of([own], [even], [taken[key][0]])))
-        weighed.append(taken[key][1])
-        seen.append(own._replace(taken=np.empty(0), drawn=np.empty(0)))
-    fields = []
-    for place in np.unique(design.site):
-        at = np.flatnonzero(np.asarray(design.site) == place)
-        weights = [seen[k].relative for k in at]
-        fields.append(spectra.field_of([seen[k] for k in at], weights, [weighed[k] for k in at]))
-    return Looked(frames, plain, scene, cells, pairs, fields, seen)
+        alone = spectra.empty(own.shape)
+        alone.add((slice(None), slice(None)), own.z, even, taken[key][0])
+        pairs.append(spectra.pairs_of(alone))
+        fields[site_of[k]].add(sites[site_of[k]][0].at(frame), own.z, own.relative, taken[key][1])
+        one = Sums(own.corner, (own.z * own.spread).reshape(own.shape), (own.spread**2).reshape(own.shape))
+        electrons = np.where(own.spread > 0, own.electrons, np.nan).astype(np.float32)
+        members.append(Member(own.corner, frame.pixels, electrons.reshape(own.shape)))
+        odd.append(oddest(one, members[-1:], sensor))
+        total.rest[whole.at(frame)] += one.rest
+        total.square[whole.at(frame)] += one.square
+    parts = [
+        spectra.grain_part("grain: frame", pairs),
+        spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in fields]),
+    ]
+    parts += [peak_of(whole, [window for window, _ in sites], fields)]
+    parts += [odd_pixels("readings: one frame", odd, members, sensor)]
+    if len(frames) > 1:
+        parts += [odd_pixels("readings: all frames", [oddest(total, members, sensor)], members, sensor)]
+    return Looked(plain, scene, cells, parts)
+
+
+def peak_of(whole: Window, windows: Sequence[Window], fields: Sequence[spectra.Field]) -> Part | None:
+    """The highest peak in the spectrum of all that the sites' fields add up to on the sensor; of crops far apart, of
+    their powers."""
+    if max(whole.shape) < LARGEST_WINDOW and len(fields) > 1:
+        every = spectra.empty(whole.shape)
+        for own, window in zip(fields, windows, strict=True):
+            top, left = np.subtract(window.corner, whole.corner)
+            at = slice(top, top + window.shape[0]), slice(left, left + window.shape[1])
+            every.pull[at] += own.pull
+            every.weight[at] += own.weight
+        fields = [every]
+    return spectra.peak_part("spectrum: peak", fields) if len({own.pull.shape for own in fields}) == 1 else None
 
 
 def groups_of(scene: Scene) -> dict[str, list[np.ndarray]]:
@@ -143,9 +157,9 @@ def cell_parts(looked: Looked) -> list[Part | None]:
     return out
 
 
-def number_parts(looked: Looked, numbers: Mapping[str, Standing]) -> list[Part | None]:
+def number_parts(scene: Scene, numbers: Mapping[str, Standing]) -> list[Part | None]:
     """All parts from the frames' numbers: each frame by itself, and brightness and width of each exposure and angle."""
-    out, groups = [], groups_of(looked.scene)
+    out, groups = [], groups_of(scene)
     for name, own in numbers.items():
         for shared in groups.keys() & ({"frame"} if name == "centre" else {"frame", "exposure", "angle"}):
             every, told = groups[shared], own
@@ -155,20 +169,6 @@ def number_parts(looked: Looked, numbers: Mapping[str, Standing]) -> list[Part |
                 none, label = np.zeros(len(every)), np.stack([np.arange(len(every))] * 2, 1)
                 told = Standing(member @ own.z, member @ own.taken, none, none, label)
             form = form_of([told])
-            where = number_words(name, every[form.worst[2][0]], looked.scene)
+            where = number_words(name, every[form.worst[2][0]], scene)
             out.append(part_of(f"numbers: {name}, {shared}", form, where))
-    return out
-
-
-def field_parts(looked: Looked) -> list[Part | None]:
-    """All parts from spectra."""
-    out = [spectra.grain_part("grain: frame", looked.pairs)]
-    out.append(spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in looked.fields]))
-    seen = looked.seen
-    if len(looked.fields) == 1 or max(spectra.window_of(seen)[1]) < LARGEST_WINDOW:
-        every = looked.fields if len(looked.fields) == 1 else [
-            spectra.field_of(seen, [own.relative for own in seen], [])]  # fmt: skip
-        out.append(spectra.peak_part("spectrum: peak", every))
-    elif len({own.pull.shape for own in looked.fields}) == 1:
-        out.append(spectra.peak_part("spectrum: peak", looked.fields))
     return out

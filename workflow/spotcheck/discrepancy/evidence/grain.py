@@ -79,7 +79,7 @@ class Drawn:
         self.frames, self.ready, self.whole = frames, ready, whole
         rng = np.random.default_rng(0)
         self.windows = list(windows_of(frames, design))
-        self.fields = [drawn_field(rng, window.cell.shape, grain) for window, _ in self.windows]
+        self.fields = [drawn_field(rng, window.shape, grain) for window, _ in self.windows]
         self.sensor = drawn_field(rng, (0, 0) if whole is None else whole.cell.shape, 0.0)
         self.window = {k: j for j, (_, own) in enumerate(self.windows) for k in own}
         # Coefficients of the shape, and steps of numbers and free parameters [·, kind], by which the fit answers.
@@ -91,7 +91,7 @@ class Drawn:
         window = self.windows[j][0]
         at, out = window.at(self.frames[k]), [self.fields[j]]
         if self.whole is not None:
-            (top, left), (height, width) = np.subtract(window.corner, self.whole.corner), window.cell.shape
+            (top, left), (height, width) = np.subtract(window.corner, self.whole.corner), window.shape
             out.append(self.sensor[top : top + height, left : left + width])
         return np.stack([own[at] for own in out])
 

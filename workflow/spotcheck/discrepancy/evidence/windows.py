@@ -50,13 +50,16 @@ class Site(NamedTuple):
 
 
 class Window:
-    """Sums of one site, while its frames are gone through."""
+    """The part of the sensor that holds the frames of one site, and their sums while they are gone through."""
 
-    def __init__(self, corner: tuple[int, int], shape: tuple[int, int], single: bool):
-        self.corner, self.single = corner, single
-        self.total, self.flat = np.zeros((4, *shape)), np.zeros((2, *shape))
+    def __init__(self, frames: Sequence[Frame]):
+        corners = np.array([corner_of(own) for own in frames])
+        low = corners.min(axis=0)
+        rows, columns = (corners + [own.pixels.shape for own in frames]).max(axis=0) - low
+        self.corner, self.shape, self.single = (int(low[0]), int(low[1])), (int(rows), int(columns)), len(frames) < 2
+
+        self.total, self.flat, self.cell = np.zeros((4, 0, 0)), np.zeros((2, 0, 0)), np.zeros((0, 0), np.int8)
         self.alone = np.zeros((2, len(LAGS)))
-        self.cell = np.zeros(shape, int)
 
     def at(self, frame: Frame) -> tuple[slice, slice]:
         """Where a frame lies in the window."""
@@ -66,6 +69,9 @@ class Window:
 
     def add(self, frame: Frame, seen: Expected, tells: Told) -> None:
         """Add what a frame reads."""
+        if not self.cell.size:
+            self.total, self.flat = np.zeros((4, *self.shape)), np.zeros((2, *self.shape))
+            self.cell = np.zeros(self.shape, np.int8)
         at, a = self.at(frame), seen.spot * seen.slope
         s, n = a * tells.mean, a * a * tells.sure
         for sums, part in zip(self.total, (s, s * s, n, n * n), strict=True):
@@ -113,10 +119,7 @@ def windows_of(frames: Sequence[Frame], design: Design) -> Iterator[tuple[Window
     """An empty window of each site, and its frames."""
     for site in np.unique(design.site):
         own = np.flatnonzero(design.site == site).tolist()
-        corners = np.array([corner_of(frames[k]) for k in own])
-        low = corners.min(axis=0)
-        rows, columns = (corners + [frames[k].pixels.shape for k in own]).max(axis=0) - low
-        yield Window((int(low[0]), int(low[1])), (int(rows), int(columns)), len(own) < 2), own
+        yield Window([frames[k] for k in own]), own
 
 
 def whole_of(sites: Sequence[Site]) -> Site | None:
