@@ -17,7 +17,6 @@ from spotcheck.discrepancy.evidence.cells import (
     TAKEN,
     Cells,
     Readings,
-    Standard,
     cells_of,
     pooled,
     whitened,
@@ -113,17 +112,13 @@ def test_pairs_of_pixels():
     for _ in range(400):
         noise = rng.gamma(4.0, 0.5, a.size) - 2
         noise -= modes @ (modes.T @ noise)
-        pairs = fields.pairs_of(fields.field_of([one_frame(noise, a.shape)], [a.ravel()], [taken]))
+        field = fields.empty(a.shape)
+        field.add((slice(None), slice(None)), noise, a.ravel(), taken)
+        pairs = fields.pairs_of(field)
         z.append((pairs.value - pairs.mean) / np.sqrt(pairs.variance))
     assert np.abs(np.mean(z, axis=0)).max() < 4 / 20
     # Their own spread: kurtosis up to some 6 where pairs reach over the spot.
     assert np.abs(np.std(z, axis=0) - 1).max() < 4 * np.sqrt(8 / 400) / 2
-
-
-def one_frame(z: np.ndarray, shape: tuple[int, int]) -> Standard:
-    """A frame of which only z is known."""
-    row, column = (own.ravel() for own in np.indices(shape))
-    return Standard(z, *[np.ones(z.size)] * 8, row, column, z, z, shape)
 
 
 def test_pairs_against_brute_force():
@@ -366,8 +361,9 @@ def test_the_largest_reading_is_no_rarer_than_it_should_be():
         signal = sensor.gain_dn_per_e * (rng.poisson(mean) + sensor.read_noise_e * rng.standard_normal(mean.size))
         y = np.clip(np.rint(signal), 0, 1023)
         table = cumulants_of(sensor, mean)
-        own = seen._replace(z=(y - table.mean) / np.sqrt(table.variance))
-        p.append(hot.odd_pixels("", [[own]], [[y]], sensor).p_value)
+        own = [hot.Member((0, 0), y.reshape(40, 40), mean.reshape(40, 40))]
+        sums = hot.Sums((0, 0), *(part.reshape(40, 40) for part in (y - table.mean, table.variance)))
+        p.append(hot.odd_pixels("", [hot.oddest(sums, own, sensor)], own, sensor).p_value)
     for level in (0.05, 0.2, 0.5):
         assert (np.array(p) < level).sum() <= stats.binom.ppf(0.999, 300, level)
 

@@ -58,7 +58,7 @@ class Window:
         rows, columns = (corners + [own.pixels.shape for own in frames]).max(axis=0) - low
         self.corner, self.shape, self.single = (int(low[0]), int(low[1])), (int(rows), int(columns)), len(frames) < 2
 
-        self.total, self.flat, self.cell = np.zeros((4, 0, 0)), np.zeros((2, 0, 0)), np.zeros((0, 0), np.int8)
+        self.total, self.flat, self.cell = np.zeros((4, 0, 0)), np.zeros((2, 0, 0)), np.zeros((0, 0), np.int32)
         self.alone = np.zeros((2, len(LAGS)))
 
     def at(self, frame: Frame) -> tuple[slice, slice]:
@@ -71,7 +71,7 @@ class Window:
         """Add what a frame reads."""
         if not self.cell.size:
             self.total, self.flat = np.zeros((4, *self.shape)), np.zeros((2, *self.shape))
-            self.cell = np.zeros(self.shape, np.int8)
+            self.cell = np.zeros(self.shape, np.int32)
         at, a = self.at(frame), seen.spot * seen.slope
         s, n = a * tells.mean, a * a * tells.sure
         for sums, part in zip(self.total, (s, s * s, n, n * n), strict=True):
