@@ -21,6 +21,7 @@ from spotcheck.discrepancy.evidence.cells import (
     pooled,
     whitened,
 )
+from spotcheck.discrepancy.evidence.windows import Window
 from spotcheck.discrepancy.nuisance.fit import fit
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.observe.readings import cumulants_of
@@ -112,9 +113,7 @@ def test_pairs_of_pixels():
     for _ in range(400):
         noise = rng.gamma(4.0, 0.5, a.size) - 2
         noise -= modes @ (modes.T @ noise)
-        field = fields.empty(a.shape)
-        field.add((slice(None), slice(None)), noise, a.ravel(), taken)
-        pairs = fields.pairs_of(field)
+        pairs = fields.pairs_of(fields.field_of(noise, a.ravel(), a.shape, taken))
         z.append((pairs.value - pairs.mean) / np.sqrt(pairs.variance))
     assert np.abs(np.mean(z, axis=0)).max() < 4 / 20
     # Their own spread: kurtosis up to some 6 where pairs reach over the spot.
@@ -361,9 +360,11 @@ def test_the_largest_reading_is_no_rarer_than_it_should_be():
         signal = sensor.gain_dn_per_e * (rng.poisson(mean) + sensor.read_noise_e * rng.standard_normal(mean.size))
         y = np.clip(np.rint(signal), 0, 1023)
         table = cumulants_of(sensor, mean)
-        own = [hot.Member((0, 0), y.reshape(40, 40), mean.reshape(40, 40))]
-        sums = hot.Sums((0, 0), *(part.reshape(40, 40) for part in (y - table.mean, table.variance)))
-        p.append(hot.odd_pixels("", [hot.oddest(sums, own, sensor)], own, sensor).p_value)
+        spread = np.sqrt(table.variance)
+        sums = fields.field_of((y - table.mean) / spread, spread, seen.shape)
+        own, electrons = frames[2]._replace(pixels=y.reshape(seen.shape)), [mean.reshape(seen.shape)]
+        odd = hot.oddest(sums, Window([own]), [own], electrons, sensor)
+        p.append(hot.odd_pixels("", [odd], electrons, sensor).p_value)
     for level in (0.05, 0.2, 0.5):
         assert (np.array(p) < level).sum() <= stats.binom.ppf(0.999, 300, level)
 

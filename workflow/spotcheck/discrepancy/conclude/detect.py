@@ -13,10 +13,10 @@ import numpy as np
 from spotcheck.discrepancy.conclude.places import Scene, cell_words, number_words, scene_of
 from spotcheck.discrepancy.evidence import fields as spectra
 from spotcheck.discrepancy.evidence.cells import Cells, Readings, cells_of, pooled, shapes_of
-from spotcheck.discrepancy.evidence.hot import Member, Sums, odd_pixels, oddest
+from spotcheck.discrepancy.evidence.hot import odd_pixels, oddest
 from spotcheck.discrepancy.evidence.numbers import numbers_of
 from spotcheck.discrepancy.evidence.parts import Part, Standing, form_of, part_of, smallest_of, standing
-from spotcheck.discrepancy.evidence.windows import Window, windows_of
+from spotcheck.discrepancy.evidence.windows import Window, placed, windows_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
 from spotcheck.discrepancy.nuisance.taken import DRAWS
@@ -84,38 +84,34 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
     shapes = shapes_of(model, DRAWS, np.random.default_rng(0)) if isinstance(model, Fitted) else []
     plain = model.model if isinstance(model, Fitted) else model
     readings, scene, sensor = Readings(frames, plain, shapes), scene_of(frames, plain), plain.sensor
-    cells, pairs, members, odd = [], [], [], []
     sites, whole = list(windows_of(frames, design)), Window(frames)
-    fields = [spectra.empty(window.shape) for window, _ in sites]
+    fields, total = [spectra.empty(window.shape) for window, _ in sites], spectra.empty(whole.shape)
     site_of = {k: j for j, (_, own) in enumerate(sites) for k in own}
-    total = Sums(whole.corner, np.zeros(whole.shape), np.zeros(whole.shape))
+    cells, pairs, electrons, odd = [], [], [], []
     taken: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
-    for k, condition in enumerate(np.asarray(design.condition)):
-        own, frame = readings.of(k), frames[k]
+    for k, (frame, condition) in enumerate(zip(frames, np.asarray(design.condition), strict=True)):
+        own, window = readings.of(k), sites[site_of[k]][0]
         even, lost = np.where(own.spread > 0, 1.0, 0.0), np.concatenate([own.taken, own.drawn])
         # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
         key = int(condition), own.shape
         if key not in taken:
             taken[key] = spectra.taken_of(lost, own.shape, even), spectra.taken_of(lost, own.shape, own.relative)
         cells.append(cells_of(own, scene.brightest, scene.corner))
-        alone = spectra.empty(own.shape)
-        alone.add((slice(None), slice(None)), own.z, even, taken[key][0])
-        pairs.append(spectra.pairs_of(alone))
-        fields[site_of[k]].add(sites[site_of[k]][0].at(frame), own.z, own.relative, taken[key][1])
-        one = Sums(own.corner, (own.z * own.spread).reshape(own.shape), (own.spread**2).reshape(own.shape))
-        electrons = np.where(own.spread > 0, own.electrons, np.nan).astype(np.float32)
-        members.append(Member(own.corner, frame.pixels, electrons.reshape(own.shape)))
-        odd.append(oddest(one, members[-1:], sensor))
-        total.rest[whole.at(frame)] += one.rest
-        total.square[whole.at(frame)] += one.square
+        pairs.append(spectra.pairs_of(spectra.field_of(own.z, even, own.shape, taken[key][0])))
+        fields[site_of[k]].add(window.at(frame), spectra.field_of(own.z, own.relative, own.shape, taken[key][1]))
+        alone, mean = spectra.field_of(own.z, own.spread, own.shape), np.where(own.spread > 0, own.electrons, np.nan)
+        electrons.append(mean.astype(np.float32).reshape(own.shape))
+        odd.append(oddest(alone, Window([frame]), [frame], electrons[-1:], sensor))
+        total.add(whole.at(frame), alone)
     parts = [
         spectra.grain_part("grain: frame", pairs),
         spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in fields]),
+        peak_of(whole, [window for window, _ in sites], fields),
+        odd_pixels("readings: one frame", odd, electrons, sensor),
     ]
-    parts += [peak_of(whole, [window for window, _ in sites], fields)]
-    parts += [odd_pixels("readings: one frame", odd, members, sensor)]
     if len(frames) > 1:
-        parts += [odd_pixels("readings: all frames", [oddest(total, members, sensor)], members, sensor)]
+        one = [oddest(total, whole, frames, electrons, sensor)]
+        parts.append(odd_pixels("readings: all frames", one, electrons, sensor))
     return Looked(plain, scene, cells, parts)
 
 
@@ -125,10 +121,7 @@ def peak_of(whole: Window, windows: Sequence[Window], fields: Sequence[spectra.F
     if max(whole.shape) < LARGEST_WINDOW and len(fields) > 1:
         every = spectra.empty(whole.shape)
         for own, window in zip(fields, windows, strict=True):
-            top, left = np.subtract(window.corner, whole.corner)
-            at = slice(top, top + window.shape[0]), slice(left, left + window.shape[1])
-            every.pull[at] += own.pull
-            every.weight[at] += own.weight
+            every.add(placed(window.corner, window.shape, whole.corner), own)
         fields = [every]
     return spectra.peak_part("spectrum: peak", fields) if len({own.pull.shape for own in fields}) == 1 else None
 

@@ -31,18 +31,23 @@ class Field(NamedTuple):
     weight: np.ndarray
     taken: np.ndarray
 
-    def add(self, at: tuple[slice, slice], z: np.ndarray, weight: np.ndarray, taken: np.ndarray) -> None:
-        """Add a frame's z [pixel] with weights a [pixel], and what fits take of its pairs (`taken_of`)."""
-        shape = self.pull[at].shape
-        self.pull[at] += (weight * z).reshape(shape)
-        self.weight[at] += (weight * weight).reshape(shape)
-        # What one frame's numbers take of the variance of pairs they take in all frames.
-        self.taken[:] += taken / np.array([[1.0], [max(float(weight @ weight), 1e-300)]])
+    def add(self, at: tuple[slice, slice], other: "Field") -> None:
+        """Add another field in its place."""
+        self.pull[at] += other.pull
+        self.weight[at] += other.weight
+        self.taken[:] += other.taken
 
 
 def empty(shape: tuple[int, int]) -> Field:
     """A field of no frame."""
     return Field(np.zeros(shape), np.zeros(shape), np.zeros((2, len(GRAINS))))
+
+
+def field_of(z: np.ndarray, weight: np.ndarray, shape: tuple[int, int], taken: np.ndarray | float = 0.0) -> Field:
+    """The field of a frame's z with weights a [pixel], and what fits take of its pairs (`taken_of`)."""
+    # What one frame's numbers take of the variance of pairs they take in all frames.
+    part = taken / np.array([[1.0], [max(float(weight @ weight), 1e-300)]])
+    return Field((weight * z).reshape(shape), (weight * weight).reshape(shape), part * np.ones(len(GRAINS)))
 
 
 class Pairs(NamedTuple):
@@ -77,7 +82,7 @@ def taken_of(taken: np.ndarray, shape: tuple[int, int], weight: np.ndarray) -> n
     spectra = fft.rfft2((taken * weight).reshape(-1, *shape))
     power = half * _power(spectra)
     if (weight == 1).all():
-        square = np.tensordot(kernels**2, power, 2)
+        square = list(np.tensordot(kernels**2, power, 2))
     else:
         # Single precision is enough for what is taken off a variance.
         spectra, image = spectra.astype(np.complex64), weight.reshape(shape)

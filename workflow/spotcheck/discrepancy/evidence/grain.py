@@ -91,8 +91,7 @@ class Drawn:
         window = self.windows[j][0]
         at, out = window.at(self.frames[k]), [self.fields[j]]
         if self.whole is not None:
-            (top, left), (height, width) = np.subtract(window.corner, self.whole.corner), window.shape
-            out.append(self.sensor[top : top + height, left : left + width])
+            out.append(self.sensor[placed(window.corner, window.shape, self.whole.corner)])
         return np.stack([own[at] for own in out])
 
     def _answer(self) -> tuple[np.ndarray, np.ndarray]:
@@ -183,7 +182,7 @@ def completed(
         by_lag += [products(part) for part in flat]
         by_cell += sums.by_cell(own, variance)
         if whole is not None:
-            every.add(placed(own, whole), of_sensor.pull)
+            every.add(placed(own.corner, own.cell.shape, whole.corner), of_sensor.pull)
     # What products lack is as much of what they are as it is in those of drawn fields.
     part = max(by_lag[1, 0] / by_lag[0, 0], LEAST) if by_lag[0, 0] > 0 else 1.0
     grain = correlation_of(product + found.variance / part * (by_lag[0] - by_lag[1]), unit).grain

@@ -11,7 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from spotcheck.discrepancy.evidence.fields import Field
 from spotcheck.discrepancy.evidence.parts import SMALLEST, Part, smallest_of
+from spotcheck.discrepancy.evidence.windows import Window
+from spotcheck.discrepancy.observe.pixels import Frame
 from spotcheck.discrepancy.observe.readings import POISSON_E, ROOT_HALF
 from spotcheck.model.sensor import SensorModel
 
@@ -71,55 +74,38 @@ def _numbers(sensor: SensorModel) -> tuple:
             float(min(sensor.full_scale_dn, 65535.0)))  # fmt: skip
 
 
-class Sums(NamedTuple):
-    """Of the pixels of a window [row, column], whose first lies at `corner` (row, column) on the sensor: Σ of what is
-    left of their readings [DN], and Σ of these' variances [DN²] (0: masked)."""
-
-    corner: tuple[int, int]
-    rest: np.ndarray
-    square: np.ndarray
-
-
-class Member(NamedTuple):
-    """A frame: where its first pixel lies (row, column), its readings [row, column], and the mean number of electrons
-    [row, column] (NaN: masked)."""
-
-    corner: tuple[int, int]
-    pixels: np.ndarray
-    electrons: np.ndarray
-
-
 class Oddest(NamedTuple):
     """The least chance of a pixel among so many, which counts each from both sides, its z, and its row and column on
     the sensor."""
 
     chance: float
-    count: int
+    chances: int
     z: float
     row: int
     column: int
 
 
-def oddest(sums: Sums, members: Sequence[Member], sensor: SensorModel) -> Oddest | None:
+def oddest(
+    sums: Field, window: Window, frames: Sequence[Frame], electrons: Sequence[np.ndarray], sensor: SensorModel
+) -> Oddest | None:
     """The pixel that reads too much or too little in all frames of a window together: the plain sum of its readings,
-    under the exact law of that sum."""
-    seen = sums.square > 0
+    under the exact law of that sum. `sums`: of z with weights √V; `electrons` [row, column] of each frame, mean (NaN:
+    masked)."""
+    seen = sums.weight > 0
     if not seen.any():
         return None
-    bounds = np.quantile(sums.square[seen], np.linspace(0, 1, LEVELS + 1)[1:-1])
-    found = []
-    for j in np.unique(_extremes(sums.rest.ravel(), sums.square.ravel(), bounds)):
-        row, column = (int(own) for own in np.unravel_index(j, seen.shape))
-        total, electrons = 0.0, []
-        for own in members:
-            r, c = row + sums.corner[0] - own.corner[0], column + sums.corner[1] - own.corner[1]
-            inside = 0 <= r < own.pixels.shape[0] and 0 <= c < own.pixels.shape[1]
-            if inside and np.isfinite(own.electrons[r, c]):
-                total += float(own.pixels[r, c])
-                electrons.append(own.electrons[r, c])
-        z = float(sums.rest[row, column] / np.sqrt(sums.square[row, column]))
-        chance = chance_of_sum(total, np.array(electrons, float), sensor, z > 0)
-        found.append(Oddest(chance, 2 * int(seen.sum()), z, row + sums.corner[0], column + sums.corner[1]))
+    bounds = np.quantile(sums.weight[seen], np.linspace(0, 1, LEVELS + 1)[1:-1])
+    found, places = [], [window.at(own) for own in frames]
+    for j in np.unique(_extremes(sums.pull.ravel(), sums.weight.ravel(), bounds)):
+        row, column = divmod(int(j), seen.shape[1])
+        inside = [(k, row - down.start, column - along.start) for k, (down, along) in enumerate(places)
+                  if down.start <= row < down.stop and along.start <= column < along.stop]  # fmt: skip
+        inside = [(k, r, c) for k, r, c in inside if np.isfinite(electrons[k][r, c])]
+        total = sum(float(frames[k].pixels[r, c]) for k, r, c in inside)
+        z = float(sums.pull[row, column] / np.sqrt(sums.weight[row, column]))
+        mean = np.array([electrons[k][r, c] for k, r, c in inside], float)
+        chance = chance_of_sum(total, mean, sensor, z > 0)
+        found.append(Oddest(chance, 2 * int(seen.sum()), z, row + window.corner[0], column + window.corner[1]))
     return min(found, key=lambda own: own.chance)
 
 
@@ -139,7 +125,7 @@ def _extremes(rest, square, bounds):
 
 
 def odd_pixels(
-    name: str, found: Sequence[Oddest | None], members: Sequence[Member], sensor: SensorModel
+    name: str, found: Sequence[Oddest | None], electrons: Sequence[np.ndarray], sensor: SensorModel
 ) -> Part | None:
     """Whether one pixel reads too much or too little, by the oddest of each frame, or of one window of them all.
 
@@ -151,10 +137,10 @@ def odd_pixels(
         return None
     best, frame = min(told, key=lambda own: own[0].chance)
     chance, where = best.chance, f"the pixel in row {best.row}, column {best.column}"
-    if len(found) == len(members):
-        electrons = np.concatenate([own.electrons[np.isfinite(own.electrons)] for own in members])
-        chance, where = max(_rarer(chance, electrons, sensor), SMALLEST), f"{where}, frame {frame}"
-    count = sum(own.count for own, _ in told)
+    if len(found) == len(electrons):
+        every = np.concatenate([own[np.isfinite(own)] for own in electrons])
+        chance, where = max(_rarer(chance, every, sensor), SMALLEST), f"{where}, frame {frame}"
+    count = sum(own.chances for own, _ in told)
     return Part(name, (best.z**2 - 1) / math.sqrt(2), smallest_of(chance, count), where, best.z)
 
 

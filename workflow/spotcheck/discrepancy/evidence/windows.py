@@ -63,9 +63,7 @@ class Window:
 
     def at(self, frame: Frame) -> tuple[slice, slice]:
         """Where a frame lies in the window."""
-        top, left = np.subtract(corner_of(frame), self.corner)
-        height, width = frame.pixels.shape
-        return slice(top, top + height), slice(left, left + width)
+        return placed(corner_of(frame), frame.pixels.shape, self.corner)
 
     def add(self, frame: Frame, seen: Expected, tells: Told) -> None:
         """Add what a frame reads."""
@@ -133,9 +131,10 @@ def whole_of(sites: Sequence[Site]) -> Site | None:
     pull, square, weight, heavy = np.zeros((4, *(high - low)))
     none = np.zeros(len(LAGS))
     corner = int(low[0]), int(low[1])
-    whole = Site(corner, pull, square, weight, heavy, np.zeros(high - low, int), False, none, none)
+    kept = sites[0].kept_by_sensor
+    whole = Site(corner, pull, square, weight, heavy, np.zeros(high - low, np.int32), False, none, none, kept)
     for own in sites:
-        at = placed(own, whole)
+        at = placed(own.corner, own.pull.shape, corner)
         members = (own.pull, own.pull**2, own.weight, own.weight**2)
         for sums, part in zip((pull, square, weight, heavy), members, strict=True):
             sums[at] += part
@@ -143,7 +142,7 @@ def whole_of(sites: Sequence[Site]) -> Site | None:
     return whole
 
 
-def placed(own: Site, whole: Site) -> tuple[slice, slice]:
-    """Where a site's window lies in that of all."""
-    (top, left), (height, width) = np.subtract(own.corner, whole.corner), own.pull.shape
+def placed(corner: Sequence[int], shape: Sequence[int], beside: Sequence[int]) -> tuple[slice, slice]:
+    """Where so many rows and columns from a corner on lie in a window with another corner."""
+    (top, left), (height, width) = np.subtract(corner, beside), shape
     return slice(top, top + height), slice(left, left + width)
