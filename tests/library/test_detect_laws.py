@@ -120,19 +120,25 @@ def test_pairs_of_pixels():
     assert np.abs(np.std(z, axis=0) - 1).max() < 4 * np.sqrt(8 / 400) / 2
 
 
-def test_pairs_against_brute_force():
-    """Σ aᵢzᵢ K(i − j) aⱼzⱼ over i ≠ j on a window that closes on itself, and twice Σ aᵢ² K² aⱼ²."""
+@pytest.mark.parametrize("shape", [(6, 7), (5, 8)])
+def test_pairs_against_brute_force(shape):
+    """Σ aᵢzᵢ K(i − j) aⱼzⱼ over i ≠ j on a window that closes on itself, and twice Σ aᵢ² K² aⱼ²; of columns q that a
+    fit takes, Σ aᵢqᵢ K aⱼqⱼ and Σᵢ (aᵢ Σⱼ K aⱼqⱼ)², for a of any size and of 1."""
     rng = np.random.default_rng(4)
-    a, z = rng.uniform(0, 1, (6, 7)), rng.standard_normal((6, 7))
+    a, z, size = rng.uniform(0, 1, shape), rng.standard_normal(shape), int(np.prod(shape))
+    q = rng.standard_normal((3, size))
     pairs = fields.pairs_of(fields.Field(a * z, a**2, np.zeros((2, 3))))
-    y, x = (own.ravel() for own in np.indices(a.shape))
-    apart = [np.minimum(abs(p[:, None] - p), n - abs(p[:, None] - p)) for p, n in ((y, 6), (x, 7))]
+    y, x = (own.ravel() for own in np.indices(shape))
+    apart = [np.minimum(abs(p[:, None] - p), n - abs(p[:, None] - p)) for p, n in zip((y, x), shape, strict=True)]
     for k, grain in enumerate(fields.GRAINS):
-        kernel = np.exp(-(apart[0] ** 2 + apart[1] ** 2) / (2 * grain**2)) - np.eye(42)
+        kernel = np.exp(-(apart[0] ** 2 + apart[1] ** 2) / (2 * grain**2)) - np.eye(size)
         product = (a * z).ravel()
         assert pairs.value[k] - pairs.mean[k] == pytest.approx(product @ kernel @ product)
         square = (a**2).ravel()
         assert pairs.variance[k] == pytest.approx(2 * square @ kernel**2 @ square)
+        for weight in (a.ravel(), np.ones(size)):
+            own, found = weight * q, fields.taken_of(q, shape, weight)[:, k]
+            assert found == pytest.approx([np.sum(own @ kernel * own), np.sum((own @ kernel * weight) ** 2)], rel=1e-5)
 
 
 @pytest.mark.parametrize("count", [1, 6])

@@ -66,7 +66,7 @@ def kernels_of(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     kernels = np.stack([np.exp(-(y[:, None] ** 2 + x**2) / (2 * grain**2)) for grain in GRAINS])
     kernels[:, 0, 0] = 0
     twice = np.full(columns // 2 + 1, 2.0)
-    twice[:: max(columns // 2, 1) if columns % 2 == 0 else columns] = 1.0
+    twice[[0] if columns % 2 else [0, -1]] = 1.0
     return fft.rfft2(kernels).real, fft.rfft2(kernels**2).real, twice / (rows * columns)
 
 
@@ -79,14 +79,14 @@ def taken_of(taken: np.ndarray, shape: tuple[int, int], weight: np.ndarray) -> n
     """What fits take of the pairs of the field `weight` z of a frame, and of half their variance [2, grain]; `taken`
     [column, pixel] as of `Standard`, draws beside it."""
     kernels, _, half = kernels_of(*shape)
-    spectra = fft.rfft2((taken * weight).reshape(-1, *shape))
+    # Single precision is enough for what is taken off.
+    spectra = fft.rfft2((taken * weight).astype(np.float32).reshape(-1, *shape))
     power = half * _power(spectra)
     if (weight == 1).all():
         square = list(np.tensordot(kernels**2, power, 2))
     else:
-        # Single precision is enough for what is taken off a variance.
-        spectra, image = spectra.astype(np.complex64), weight.reshape(shape)
-        square = [np.sum((fft.irfft2(spectra * own.astype(np.float32), s=shape) * image) ** 2) for own in kernels]
+        image = weight.astype(np.float32).reshape(shape)
+        square = [np.sum((fft.irfft2(spectra * own, s=shape) * image) ** 2) for own in kernels.astype(np.float32)]
     return np.stack([np.tensordot(kernels, power, 2), square])
 
 
