@@ -88,14 +88,14 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
     fields, total = [spectra.empty(window.shape) for window, _ in sites], spectra.empty(whole.shape)
     site_of = {k: j for j, (_, own) in enumerate(sites) for k in own}
     cells, pairs, electrons, odd = [], [], [], []
-    taken: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
+    taken: dict[Hashable, list[np.ndarray]] = {}
     for k, (frame, condition) in enumerate(zip(frames, np.asarray(design.condition), strict=True)):
         own, window = readings.of(k), sites[site_of[k]][0]
-        even, lost = np.where(own.spread > 0, 1.0, 0.0), np.concatenate([own.taken, own.drawn])
+        even = np.where(own.spread > 0, 1.0, 0.0)
         # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
         key = int(condition), own.shape
         if key not in taken:
-            taken[key] = spectra.taken_of(lost, own.shape, even), spectra.taken_of(lost, own.shape, own.relative)
+            taken[key] = [spectra.taken_of(own.taken, own.shape, weight) for weight in (even, own.relative)]
         cells.append(cells_of(own, scene.brightest, scene.corner))
         pairs.append(spectra.pairs_of(spectra.field_of(own.z, even, own.shape, taken[key][0])))
         fields[site_of[k]].add(window.at(frame), spectra.field_of(own.z, own.relative, own.shape, taken[key][1]))

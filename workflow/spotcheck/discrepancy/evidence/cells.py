@@ -45,9 +45,9 @@ CERTAIN = 1e-6
 
 class Standard(NamedTuple):
     """Of every pixel of a frame [pixel]: z, √V [DN] (0: masked), cumulant κ₄ of its law; the slopes of z by an offset
-    and by a part of the spot's declared light; that light, and all electrons [e-]; what fits take: the frame's numbers
-    Q [4, pixel], a learned shape [draw, pixel]; place about the spot, u and v [σ]; row and column of the first pixel on
-    the sensor; and rows and columns of the crop."""
+    and by a part of the spot's declared light; that light, and all electrons [e-]; what fits take [column, pixel]: the
+    frame's numbers Q, behind them draws of a learned shape; place about the spot, u and v [σ]. Row and column of the
+    first pixel on the sensor; rows and columns of the crop."""
 
     z: np.ndarray
     spread: np.ndarray
@@ -57,7 +57,6 @@ class Standard(NamedTuple):
     declared: np.ndarray
     electrons: np.ndarray
     taken: np.ndarray
-    drawn: np.ndarray
     u: np.ndarray
     v: np.ndarray
     corner: tuple[int, int]
@@ -79,11 +78,11 @@ class Readings:
     def of(self, k: int) -> Standard:
         """Standardised readings of frame `k`."""
         frame, model, law = self.frames[k], self.model, self.ready.law
-        seen, own, shape = self.ready.of(frame, k), self.ready.numbers_of(k), frame.pixels.shape
+        seen, centre, shape = self.ready.of(frame, k), self.ready.numbers_of(k), frame.pixels.shape
         # A learned shape follows the readings' noise: weights and levels that follow it would, too.
-        view = frame.view._replace(x0=own.x, y0=own.y)
+        view = frame.view._replace(x0=centre.x, y0=centre.y)
         plain = model.baseline._replace(learned=None)
-        declared = light(view, plain, Free(np.exp(own.log_peak), np.exp(own.log_width)), model.present)[0].ravel()
+        declared = light(view, plain, Free(np.exp(centre.log_peak), np.exp(centre.log_width)), model.present)[0].ravel()
         dark = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
         electrons = np.broadcast_to((seen.spot + seen.beside) / model.sensor.gain_dn_per_e + dark, (1, *shape))[0]
         fourth = np.empty((1, *shape))
@@ -94,13 +93,15 @@ class Readings:
         z = np.where(known, (frame.pixels - seen.mean).ravel(), 0.0) * weight
         offset = seen.slope.ravel() * weight
         # A change s of the shape changes a reading by peak · slope · s.
-        unit = offset * float(np.exp(own.log_peak).item()) / np.sqrt(max(len(self.shapes), 1))
-        drawn = [unit * np.broadcast_to(s(seen.u[None], seen.v[None])[0], shape).ravel() for s in self.shapes]
+        unit = offset * float(np.exp(centre.log_peak).item()) / np.sqrt(max(len(self.shapes), 1))
+        taken = np.empty((NUMBERS + len(self.shapes), *shape))
+        numbers = self.ready.by_numbers(frame, k, seen).reshape(NUMBERS, -1) * offset
+        taken[:NUMBERS] = whitened(numbers).reshape(-1, *shape)
+        for own, surface in zip(taken[NUMBERS:], self.shapes, strict=True):
+            np.multiply(surface(seen.u[None], seen.v[None])[0], unit.reshape(shape), out=own)
         return Standard(
             z, np.where(known, np.sqrt(variance), 0.0), fourth.ravel() * weight**4, offset, offset * declared,
-            declared / model.sensor.gain_dn_per_e, electrons.ravel(),
-            whitened(self.ready.by_numbers(frame, k, seen).reshape(NUMBERS, -1) * offset),
-            np.array(drawn).reshape(len(drawn), z.size),
+            declared / model.sensor.gain_dn_per_e, electrons.ravel(), taken.reshape(len(taken), -1),
             np.broadcast_to(seen.u, shape).ravel(), np.broadcast_to(seen.v, shape).ravel(), corner_of(frame), shape,
         )  # fmt: skip
 
@@ -180,10 +181,10 @@ def cells_of(seen: Standard, brightest: float, corner: tuple[int, int]) -> dict[
         index[k] = first + (one - low[0]) * size[1] + two - low[1]
         spans[kind] = slice(first, first + size[0] * size[1]), low + np.argwhere(np.ones(size))
         first += size[0] * size[1]
-    out, last = np.zeros((first, TAKEN + NUMBERS + len(seen.drawn))), TAKEN + NUMBERS
+    out, last = np.zeros((first, TAKEN + len(seen.taken))), TAKEN + NUMBERS
     gather(index.reshape(len(KINDS), -1), np.stack([seen.spread, seen.offset, seen.relative]),
            np.array([*KINDS.values()]), seen.z, seen.fourth,
-           np.ascontiguousarray(np.concatenate([seen.taken, seen.drawn]).T), out)  # fmt: skip
+           np.ascontiguousarray(seen.taken.T), out)  # fmt: skip
     found = {kind: Cells(label, out[at, :last], out[at, last:]) for kind, (at, label) in spans.items()}
     # Blocks lie in patches, as rows do in the frame.
     coarse = {"patch": ("block", PATCH // BLOCK), "frame": ("row", seen.shape[0] + int(rows[0, 0]))}

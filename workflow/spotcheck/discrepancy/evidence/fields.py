@@ -77,7 +77,7 @@ def _power(spectra: np.ndarray) -> np.ndarray:
 
 def taken_of(taken: np.ndarray, shape: tuple[int, int], weight: np.ndarray) -> np.ndarray:
     """What fits take of the pairs of the field `weight` z of a frame, and of half their variance [2, grain]; `taken`
-    [column, pixel] as of `Standard`, draws beside it."""
+    [column, pixel] as of `Standard`."""
     kernels, _, half = kernels_of(*shape)
     # Single precision is enough for what is taken off.
     spectra = fft.rfft2((taken * weight).astype(np.float32).reshape(-1, *shape))
