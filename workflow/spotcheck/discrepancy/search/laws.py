@@ -44,7 +44,7 @@ def search_laws(
         told = laws_of(numbers, design, baseline, fitted.model.sensor, crop_px, present, effects)
         known = {own.present.effect.name for own in told.trials}
         of_centre = [
-            Trial(Present(s.effect, s.effect.forms[0], (s.value,)), s.value, s.error, s.z, np.inf, s.gain, np.nan, 0.0)
+            Trial(Present(s.effect, s.effect.forms[0], (s.value,)), s.value, s.error, s.z, np.inf, s.gain, np.nan)
             for s in told.scatters
             if s.effect.name not in known
         ]
