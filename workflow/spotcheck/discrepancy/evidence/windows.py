@@ -25,9 +25,9 @@ BRIGHT = 400.0
 class Site(NamedTuple):
     """Of one site: the corner of its window (row, column) [px], and of its pixels [row, column] S, Σ s², N, Σ n² over
     its frames, and the cell; `single` where it has one frame; products of pixels of different frames at each of the
-    distances, and what they would be for a field of variance 1
-    that is alike everywhere [lag]; and the part of a field's variance
-    that shape and numbers leave [cell], of fields of each site and of the sensor, and the grain of the first [px]."""
+    distances, and what they would be for a field of variance 1 that is alike everywhere [lag]; and the part of a
+    field's variance that shape and numbers leave [cell], of fields of each site and of the sensor, and the grain of the
+    first [px]."""
 
     corner: tuple[int, int]
     pull: np.ndarray
@@ -57,9 +57,8 @@ class Window:
         low = corners.min(axis=0)
         rows, columns = (corners + [own.pixels.shape for own in frames]).max(axis=0) - low
         self.corner, self.shape, self.single = (int(low[0]), int(low[1])), (int(rows), int(columns)), len(frames) < 2
-
-        self.total, self.flat, self.cell = np.zeros((4, 0, 0)), np.zeros((2, 0, 0)), np.zeros((0, 0), np.int32)
-        self.alone = np.zeros((2, len(LAGS)))
+        self.sums: list[np.ndarray] = []
+        self.cell, self.by_lag = np.zeros((0, 0), np.int32), np.zeros((2, len(LAGS)))
 
     def at(self, frame: Frame) -> tuple[slice, slice]:
         """Where a frame lies in the window."""
@@ -67,28 +66,25 @@ class Window:
 
     def add(self, frame: Frame, seen: Expected, tells: Told) -> None:
         """Add what a frame reads."""
-        if not self.cell.size:
-            self.total, self.flat = np.zeros((4, *self.shape)), np.zeros((2, *self.shape))
-            self.cell = np.zeros(self.shape, np.int32)
+        if not self.sums:
+            self.sums, self.cell = [np.zeros(self.shape) for _ in range(6)], np.zeros(self.shape, np.int32)
         at, a = self.at(frame), seen.spot * seen.slope
         s, n = a * tells.mean, a * a * tells.sure
-        for sums, part in zip(self.total, (s, s * s, n, n * n), strict=True):
-            sums[at] += part
         even = evened(n)
-        for flat, alone, part in zip(self.flat, self.alone, (s * even, n * even), strict=True):
-            flat[at] += part
-            if not self.single:
-                alone += products(part)
+        flat = s * even, n * even
+        for sums, part in zip(self.sums, (s, s * s, n, n * n, *flat), strict=True):
+            sums[at] += part
         if self.single:
             # Of one frame, noise is in the square of a pixel alone.
-            self.alone[0, 0] += float(np.vdot(even * even, n))
+            self.by_lag[0, 0] -= float(np.vdot(even * even, n))
+        else:
+            self.by_lag -= [products(part) for part in flat]
         self.cell[at] = cells_of(seen.u, seen.v)
 
     def site(self) -> Site:
         """The sums of all frames."""
-        by_lag = [products(flat) - alone for flat, alone in zip(self.flat, self.alone, strict=True)]
-        pull, square, weight, heavy = self.total
-        return Site(self.corner, pull, square, weight, heavy, self.cell, self.single, by_lag[0], by_lag[1])
+        by_lag = self.by_lag + [products(part) for part in self.sums[4:]]
+        return Site(self.corner, *self.sums[:4], self.cell, self.single, *by_lag)
 
 
 def evened(n: np.ndarray) -> np.ndarray:
