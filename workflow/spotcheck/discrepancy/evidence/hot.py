@@ -146,7 +146,7 @@ def odd_pixels(
 
 def _rarer(chance: float, electrons: np.ndarray, sensor: SensorModel) -> float:
     """The mean chance of a reading, on either side, that is no likelier than `chance`."""
-    some = np.sort(electrons[:: max(electrons.size // SORTED, 1)])
+    some = np.sort(electrons[:: max(electrons.size // SORTED, 1)]).astype(float)
     some = some[((np.arange(NODES) + 0.5) / NODES * some.size).astype(int)]
     laws, _ = laws_of(some, sensor)
     tails = np.stack([np.cumsum(laws[:, ::-1], axis=1), np.cumsum(laws, axis=1)])

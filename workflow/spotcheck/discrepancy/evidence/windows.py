@@ -83,8 +83,9 @@ class Window:
 
     def site(self) -> Site:
         """The sums of all frames."""
-        by_lag = self.by_lag + [products(part) for part in self.sums[4:]]
-        return Site(self.corner, *self.sums[:4], self.cell, self.single, *by_lag)
+        pull, square, weight, heavy, *flat = self.sums
+        by_lag = self.by_lag + [products(part) for part in flat]
+        return Site(self.corner, pull, square, weight, heavy, self.cell, self.single, by_lag[0], by_lag[1])
 
 
 def evened(n: np.ndarray) -> np.ndarray:
