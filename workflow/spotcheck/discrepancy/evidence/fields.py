@@ -12,13 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft, special
 
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.parts import Part, lower, smallest_of, upper
 
 # Standard deviations of the kernels [px]; of wider structure cells tell more.
 GRAINS = (0.7, 2.0, 5.6)
-# Peaks are sought from this part of the light's own frequency on [cycles per width of the light]: below, the spot's
-# numbers take part, and cosine and sine are no longer alike.
-LOWEST = 0.35
 # Padding of a field before its peak is sought: between two frequencies of this grid a peak loses 3 % at most.
 PADDED = 2
 
@@ -129,7 +127,10 @@ def peak_part(name: str, fields: Sequence[Field]) -> Part | None:
     for field in fields:
         power += 2 / float(field.weight.sum()) * np.abs(fft.rfft2(field.pull, s=padded)) ** 2
         spread += _spread(field.weight) / len(fields)
-    low = LOWEST / np.sqrt(np.sqrt(max(float(np.linalg.det(spread)), 1e-12)))
+    # Below, the spot's numbers take part, and cosine and sine are no longer alike. Squared weights are those of a light
+    # whose σ is narrower by √2.
+    sigma = np.sqrt(2 * np.sqrt(max(float(np.linalg.det(spread)), 1e-12)))
+    low = 1 / (criteria.LONGEST.value * sigma)
     radius = np.hypot(ky, kx)
     high = 0.5 - low
     sought = (radius >= low) & (radius <= high)

@@ -22,9 +22,6 @@ from spotcheck.model.effect import Context, Effect, Present
 ROUNDS = 8
 # Rows are told beyond this distance from the spot [σ]: nearer, fields on the light pass for them.
 BESIDE = 3.0
-# Of one frame alone gains of pixels, and what the shape's splines cannot resolve, are fields as well: up to this
-# contrast none is named.
-ALONE = 0.05
 # Places of less than this part of the greatest n² bring nothing to sums.
 FAINT = 1e-14
 # Fewer places than this tell no variance.
@@ -82,7 +79,7 @@ def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], 
     for kind, told in found.items():
         if kind in kinds and told is not None and told.sure:
             effect, root = kinds[kind], float(np.sqrt(told.value))
-            if alone and kind == ("field", "site") and root < ALONE:
+            if alone and kind == ("field", "site") and root < criteria.FIELD_ALONE.value:
                 continue
             values = (root, *map(float, effect.starts(context)[0][1:]))
             if kind == ("field", "site"):
