@@ -233,7 +233,7 @@ def test_what_is_left_of_a_variance_without_the_outermost(axes):
 
 def scatters(numbers, own):
     effects = [vocabulary()[name] for name in ("pointing_jitter", "power_fluctuation")]
-    return {found.effect.name: found for found in scatter.scatters_of(numbers, own, effects)}
+    return {found.present.effect.name: found for found in scatter.scatters_of(numbers, own, effects)}
 
 
 def test_scatter_without_any():
@@ -286,7 +286,7 @@ def test_what_a_design_cannot_show():
     free = laws.laws_of(drawn(np.random.default_rng(1), own), own, LINEAR._replace(photon_budget="free"), SENSOR, 240.0,
                         effects=[*effects.values()])  # fmt: skip
     assert free.base is None and not free.trials
-    assert [found.effect.name for found in free.scatters] == ["pointing_jitter"]
+    assert [found.present.effect.name for found in free.scatters] == ["pointing_jitter"]
 
 
 def test_one_exposure_and_single_frames_of_sites():

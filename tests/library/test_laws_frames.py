@@ -76,7 +76,11 @@ def judged(seed: int, late=0.0, power=0.0, jitter=0.0):
     _, design, own, influence = fitted(seed, late=late, power=power, jitter=jitter)
     baseline = Baseline(0.0, "linear", False, EXPOSURES[-1])
     out = laws_of(numbers_of(own, influence), design, baseline, SENSOR, float(SIDE), effects=[*vocabulary().values()])
-    return out, {trial.present.effect.name: trial for trial in out.trials}, {s.effect.name: s for s in out.scatters}
+    return (
+        out,
+        {trial.present.effect.name: trial for trial in out.trials},
+        {s.present.effect.name: s for s in out.scatters},
+    )
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

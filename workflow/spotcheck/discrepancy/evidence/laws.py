@@ -26,32 +26,12 @@ from spotcheck.discrepancy.evidence.accounts import (
 )
 from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
-from spotcheck.discrepancy.evidence.scatter import FEWEST, Scatter, scatters_of
+from spotcheck.discrepancy.evidence.scatter import FEWEST, Trial, scatters_of
 from spotcheck.discrepancy.nuisance.fit import NUMBERS
 from spotcheck.discrepancy.observe.design import Design, missing
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, Present
 from spotcheck.model.sensor import SensorModel
-
-
-class Trial(NamedTuple):
-    """What the frames' numbers say of one effect, beside the effects that are present already.
-
-    - `present`: the effect, its best form and values; `value` and `error` of its strength, in its unit.
-    - `z`: of the strength against the neutral one, by Student's t with `freedom` degrees of freedom, where the sum of
-      an effect's several parameters counts by Fisher's F.
-    - `gain`: what it gains in −2 ln L, scatter of the frames being free with and without it; of a scatter, against none
-      of it.
-    - `alone`: −2 ln L of the model with it where no scatter that is itself an effect is there, but its own: for rivals.
-    """
-
-    present: Present
-    value: float
-    error: float
-    z: float
-    freedom: float
-    gain: float
-    alone: float
 
 
 class Laws(NamedTuple):
@@ -60,7 +40,7 @@ class Laws(NamedTuple):
 
     base: Account | None
     trials: tuple[Trial, ...]
-    scatters: tuple[Scatter, ...]
+    scatters: tuple[Trial, ...]
 
 
 def laws_of(
@@ -86,7 +66,7 @@ def laws_of(
     held = {part_of(effect) for effect in effects if effect.name not in taken}
     bare = tuple(own for own in problem.components if (own.of, own.shared) not in held)
     trials = [_law_trial(problem, e, base, full, bare) for e in tried if e.place in PLACES]
-    trials += [_scatter_trial(problem, own, full, held) for own in scatters if part_of(own.effect)]
+    trials += [_scatter_trial(problem, own, full, held) for own in scatters if part_of(own.present.effect)]
     return Laws(base, tuple(trials), scatters)
 
 
@@ -104,13 +84,12 @@ def part_of(effect: Effect) -> tuple[str, str] | None:
     return ("brightness", effect.scatter.shared) if effect.scatter and effect.component == "gain" else None
 
 
-def _scatter_trial(problem: Problem, own: Scatter, full: Account, held: set[tuple[str, str] | None]) -> Trial:
-    """A scatter of frames as a trial: the test is its own, −2 ln L for rivals that of an account that has it."""
-    others = held - {part_of(own.effect)}
+def _scatter_trial(problem: Problem, own: Trial, full: Account, held: set[tuple[str, str] | None]) -> Trial:
+    """A scatter of frames beside its rivals, by −2 ln L of an account that has it."""
+    others = held - {part_of(own.present.effect)}
     with_it = tuple(c for c in problem.components if (c.of, c.shared) not in others)
-    values = (own.value, *own.effect.starts(problem.context)[0][1:])
-    present = Present(own.effect, own.effect.forms[0], values)
-    return Trial(present, own.value, own.error, own.z, np.inf, own.gain, again(full, with_it).deviance)
+    values = (own.value, *own.present.effect.starts(problem.context)[0][1:])
+    return own._replace(present=own.present._replace(values=values), alone=again(full, with_it).deviance)
 
 
 def _law_trial(problem: Problem, effect: Effect, base: Account, full: Account, bare: tuple[Component, ...]) -> Trial:
@@ -137,7 +116,7 @@ def _judged(own: Account, base: Account, gain: float, alone: float) -> Trial:
     if not np.isfinite(present.effect.neutral):
         t, freedom = _against(own, base)
     z = mixed.z_of(t, freedom, len(places), len(present.effect.forms))
-    return Trial(present, float(present.values[0]), error, z, freedom, gain, alone)
+    return Trial(present, error, z, freedom, gain, alone)
 
 
 def _places(own: Account, effect: int) -> dict[int, int]:
