@@ -15,7 +15,7 @@ from spotcheck.discrepancy.evidence import fields as spectra
 from spotcheck.discrepancy.evidence.cells import Cells, Readings, cells_of, pooled, shapes_of
 from spotcheck.discrepancy.evidence.hot import odd_pixels, oddest
 from spotcheck.discrepancy.evidence.numbers import numbers_of
-from spotcheck.discrepancy.evidence.parts import Part, Standing, form_of, part_of, smallest_of, standing
+from spotcheck.discrepancy.evidence.parts import Part, Standing, form_of, part_of, smallest_of, standing, standing_of
 from spotcheck.discrepancy.evidence.windows import Window, placed, windows_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
@@ -159,8 +159,7 @@ def number_parts(scene: Scene, numbers: Mapping[str, Standing]) -> list[Part | N
             if shared != "frame":
                 member = np.array([np.isin(own.label[:, 0], at) for at in every], float)
                 member /= np.sqrt(np.maximum(member.sum(axis=1, keepdims=True), 1.0))
-                none, label = np.zeros(len(every)), np.stack([np.arange(len(every))] * 2, 1)
-                told = Standing(member @ own.z, member @ own.taken, none, none, label)
+                told = standing_of(member @ own.z, member @ own.taken, np.arange(len(every)))
             form = form_of([told])
             where = number_words(name, every[form.worst[2][0]], scene)
             out.append(part_of(f"numbers: {name}, {shared}", form, where))
