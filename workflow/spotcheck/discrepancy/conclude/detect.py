@@ -6,7 +6,7 @@ counts, corrected for their number.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from spotcheck.discrepancy.evidence.windows import Window, placed, windows_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
 from spotcheck.discrepancy.nuisance.taken import DRAWS
+from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 
@@ -85,24 +86,32 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
     plain = model.model if isinstance(model, Fitted) else model
     readings, scene, sensor = Readings(frames, plain, shapes), scene_of(frames, plain), plain.sensor
     sites, whole = list(windows_of(frames, design)), Window(frames)
-    fields, total = [spectra.empty(window.shape) for window, _ in sites], spectra.empty(whole.shape)
     site_of = {k: j for j, (_, own) in enumerate(sites) for k in own}
-    cells, pairs, electrons, odd = [], [], [], []
+    conditions = [np.flatnonzero(design.condition == own) for own in np.unique(design.condition)]
+
+    def part(which: np.ndarray) -> list[Any]:
+        total, *fields = (spectra.empty(window.shape) for window in (whole, *(own for own, _ in sites)))
+        seen = []
+        for k in np.concatenate([conditions[c] for c in which]).tolist():
+            own, frame, window = readings.of(k), frames[k], sites[site_of[k]][0]
+            even = np.where(own.spread > 0, 1.0, 0.0)
+            # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
+            key = int(design.condition[k]), own.shape
+            if key not in taken:
+                taken[key] = [spectra.taken_of(own.taken, own.shape, weight) for weight in (even, own.relative)]
+            pairs = spectra.pairs_of(spectra.field_of(own.z, even, own.shape, taken[key][0]))
+            fields[site_of[k]].add(window.at(frame), spectra.field_of(own.z, own.relative, own.shape, taken[key][1]))
+            alone = spectra.field_of(own.z, own.spread, own.shape)
+            total.add(whole.at(frame), alone)
+            electrons = np.where(own.spread > 0, own.electrons, np.nan).astype(np.float32).reshape(own.shape)
+            odd = oddest(alone, Window([frame]), [frame], [electrons], sensor)
+            seen.append((k, cells_of(own, scene.brightest, scene.corner), pairs, electrons, odd))
+        return [seen, *(sums for own in (total, *fields) for sums in own)]
+
     taken: dict[Hashable, list[np.ndarray]] = {}
-    for k, (frame, condition) in enumerate(zip(frames, np.asarray(design.condition), strict=True)):
-        own, window = readings.of(k), sites[site_of[k]][0]
-        even = np.where(own.spread > 0, 1.0, 0.0)
-        # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
-        key = int(condition), own.shape
-        if key not in taken:
-            taken[key] = [spectra.taken_of(own.taken, own.shape, weight) for weight in (even, own.relative)]
-        cells.append(cells_of(own, scene.brightest, scene.corner))
-        pairs.append(spectra.pairs_of(spectra.field_of(own.z, even, own.shape, taken[key][0])))
-        fields[site_of[k]].add(window.at(frame), spectra.field_of(own.z, own.relative, own.shape, taken[key][1]))
-        alone, mean = spectra.field_of(own.z, own.spread, own.shape), np.where(own.spread > 0, own.electrons, np.nan)
-        electrons.append(mean.astype(np.float32).reshape(own.shape))
-        odd.append(oddest(alone, Window([frame]), [frame], electrons[-1:], sensor))
-        total.add(whole.at(frame), alone)
+    seen, *sums = shared(part, len(conditions))
+    total, *fields = (spectra.Field(*sums[j : j + 3]) for j in range(0, len(sums), 3))
+    _, cells, pairs, electrons, odd = zip(*sorted(seen, key=lambda own: own[0]), strict=True)
     parts = [
         spectra.grain_part("grain: frame", pairs),
         spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in fields]),
@@ -112,7 +121,7 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
     if len(frames) > 1:
         one = [oddest(total, whole, frames, electrons, sensor)]
         parts.append(odd_pixels("readings: all frames", one, electrons, sensor))
-    return Looked(plain, scene, cells, parts)
+    return Looked(plain, scene, list(cells), parts)
 
 
 def peak_of(whole: Window, windows: Sequence[Window], fields: Sequence[spectra.Field]) -> Part | None:
@@ -138,13 +147,13 @@ def groups_of(scene: Scene) -> dict[str, list[np.ndarray]]:
 def cell_parts(looked: Looked) -> list[Part | None]:
     """All parts from sums over cells."""
     out, groups = [], groups_of(looked.scene)
-    for what, kind, shared in SUMMARIES:
-        if shared in groups:
-            own = [pooled([looked.cells[int(k)][kind] for k in at]) for at in groups[shared]]
+    for what, kind, by in SUMMARIES:
+        if by in groups:
+            own = [pooled([looked.cells[int(k)][kind] for k in at]) for at in groups[by]]
             form = form_of([standing(one, squares=what == "variance") for one in own])
             _, group, label = form.worst
-            where = cell_words(what, kind, label, groups[shared][group], looked.scene)
-            part = part_of(f"{what}: {kind}, {shared}", form, where)
+            where = cell_words(what, kind, label, groups[by][group], looked.scene)
+            part = part_of(f"{what}: {kind}, {by}", form, where)
             # A sum of squares over readings is itself an excess in its own errors: it is not squared again.
             out.append(part._replace(statistic=part.z) if part and what == "variance" else part)
     return out
@@ -154,13 +163,13 @@ def number_parts(scene: Scene, numbers: Mapping[str, Standing]) -> list[Part | N
     """All parts from the frames' numbers: each frame by itself, and brightness and width of each exposure and angle."""
     out, groups = [], groups_of(scene)
     for name, own in numbers.items():
-        for shared in groups.keys() & ({"frame"} if name == "centre" else {"frame", "exposure", "angle"}):
-            every, told = groups[shared], own
-            if shared != "frame":
+        for by in groups.keys() & ({"frame"} if name == "centre" else {"frame", "exposure", "angle"}):
+            every, told = groups[by], own
+            if by != "frame":
                 member = np.array([np.isin(own.label[:, 0], at) for at in every], float)
                 member /= np.sqrt(np.maximum(member.sum(axis=1, keepdims=True), 1.0))
                 told = standing_of(member @ own.z, member @ own.taken, np.arange(len(every)))
             form = form_of([told])
             where = number_words(name, every[form.worst[2][0]], scene)
-            out.append(part_of(f"numbers: {name}, {shared}", form, where))
+            out.append(part_of(f"numbers: {name}, {by}", form, where))
     return out
