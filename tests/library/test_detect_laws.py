@@ -17,11 +17,11 @@ from spotcheck.discrepancy.evidence.cells import (
     TAKEN,
     Cells,
     Readings,
-    Standard,
     cells_of,
     pooled,
     whitened,
 )
+from spotcheck.discrepancy.evidence.windows import Window
 from spotcheck.discrepancy.nuisance.fit import fit
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.observe.pixels import Lights
@@ -114,32 +114,32 @@ def test_pairs_of_pixels():
     for _ in range(400):
         noise = rng.gamma(4.0, 0.5, a.size) - 2
         noise -= modes @ (modes.T @ noise)
-        pairs = fields.pairs_of(fields.field_of([one_frame(noise, a.shape)], [a.ravel()], [taken]))
+        pairs = fields.pairs_of(fields.field_of(noise, a.ravel(), a.shape, taken))
         z.append((pairs.value - pairs.mean) / np.sqrt(pairs.variance))
     assert np.abs(np.mean(z, axis=0)).max() < 4 / 20
     # Their own spread: kurtosis up to some 6 where pairs reach over the spot.
     assert np.abs(np.std(z, axis=0) - 1).max() < 4 * np.sqrt(8 / 400) / 2
 
 
-def one_frame(z: np.ndarray, shape: tuple[int, int]) -> Standard:
-    """A frame of which only z is known."""
-    row, column = (own.ravel() for own in np.indices(shape))
-    return Standard(z, *[np.ones(z.size)] * 8, row, column, z, z, shape)
-
-
-def test_pairs_against_brute_force():
-    """Σ aᵢzᵢ K(i − j) aⱼzⱼ over i ≠ j on a window that closes on itself, and twice Σ aᵢ² K² aⱼ²."""
+@pytest.mark.parametrize("shape", [(6, 7), (5, 8)])
+def test_pairs_against_brute_force(shape):
+    """Σ aᵢzᵢ K(i − j) aⱼzⱼ over i ≠ j on a window that closes on itself, and twice Σ aᵢ² K² aⱼ²; of columns q that a
+    fit takes, Σ aᵢqᵢ K aⱼqⱼ and Σᵢ (aᵢ Σⱼ K aⱼqⱼ)², for a of any size and of 1."""
     rng = np.random.default_rng(4)
-    a, z = rng.uniform(0, 1, (6, 7)), rng.standard_normal((6, 7))
+    a, z, size = rng.uniform(0, 1, shape), rng.standard_normal(shape), int(np.prod(shape))
+    q = rng.standard_normal((3, size))
     pairs = fields.pairs_of(fields.Field(a * z, a**2, np.zeros((2, 3))))
-    y, x = (own.ravel() for own in np.indices(a.shape))
-    apart = [np.minimum(abs(p[:, None] - p), n - abs(p[:, None] - p)) for p, n in ((y, 6), (x, 7))]
+    y, x = (own.ravel() for own in np.indices(shape))
+    apart = [np.minimum(abs(p[:, None] - p), n - abs(p[:, None] - p)) for p, n in zip((y, x), shape, strict=True)]
     for k, grain in enumerate(fields.GRAINS):
-        kernel = np.exp(-(apart[0] ** 2 + apart[1] ** 2) / (2 * grain**2)) - np.eye(42)
+        kernel = np.exp(-(apart[0] ** 2 + apart[1] ** 2) / (2 * grain**2)) - np.eye(size)
         product = (a * z).ravel()
         assert pairs.value[k] - pairs.mean[k] == pytest.approx(product @ kernel @ product)
         square = (a**2).ravel()
         assert pairs.variance[k] == pytest.approx(2 * square @ kernel**2 @ square)
+        for weight in (a.ravel(), np.ones(size)):
+            own, found = weight * q, fields.taken_of(q, shape, weight)[:, k]
+            assert found == pytest.approx([np.sum(own @ kernel * own), np.sum((own @ kernel * weight) ** 2)], rel=1e-5)
 
 
 @pytest.mark.parametrize("count", [1, 6])
@@ -367,8 +367,11 @@ def test_the_largest_reading_is_no_rarer_than_it_should_be():
         signal = sensor.gain_dn_per_e * (rng.poisson(mean) + sensor.read_noise_e * rng.standard_normal(mean.size))
         y = np.clip(np.rint(signal), 0, 1023)
         table = cumulants_of(sensor, mean)
-        own = seen._replace(z=(y - table.mean) / np.sqrt(table.variance))
-        p.append(hot.odd_pixels("", [[own]], [[y]], sensor).p_value)
+        spread = np.sqrt(table.variance)
+        sums = fields.field_of((y - table.mean) / spread, spread, seen.shape)
+        own, electrons = frames[2]._replace(pixels=y.reshape(seen.shape)), [mean.reshape(seen.shape)]
+        odd = hot.oddest(sums, Window([own]), [own], electrons, sensor)
+        p.append(hot.odd_pixels("", [odd], electrons, sensor).p_value)
     for level in (0.05, 0.2, 0.5):
         assert (np.array(p) < level).sum() <= stats.binom.ppf(0.999, 300, level)
 

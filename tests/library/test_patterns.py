@@ -37,8 +37,8 @@ def told(seed: int, *, learned: bool = True, sites: int = SITES, exposures: int 
 def variances(seed: int, **kinds) -> dict[str, Variance]:
     """Of the sensor's field, of those of the sites beside it, and of rows."""
     sites, rows = told(seed, **kinds)
-    sensor = variance_of(patterns.shared_by_sensor(sites))
-    field = variance_of(patterns.shared_by_sites(sites), sensor.value, grain.neighbours(sites[0].grain))
+    sensor = patterns.of_sensor(sites)
+    field = variance_of(patterns.shared(sites), sensor.value, grain.neighbours(sites[0].grain))
     return {"sensor": sensor, "site": field, "row": variance_of(rows)}
 
 

@@ -54,6 +54,30 @@ COHERENT = Criterion(
     "stripes are fixed to the sensor or to the spot where the sites' phases add up to this part of what equal ones do",
     "equal phases that noise scatters by 0.8 rad add up to 0.73",
 )
+STANDS_OUT = Criterion(
+    4.0,
+    "1",
+    "a peak is one of stripes, and readings gather at a code, where it is so many times what is beside",
+    "light of many fine details has many peaks, and light that is flat by itself reads no code much more than others",
+)
+LONGEST = Criterion(
+    2.0,
+    "σ of the light",
+    "no stripes of a longer period are looked for",
+    "they are the shape's and the frames' numbers'",
+)
+FIELD_ALONE = Criterion(
+    0.05,
+    "1",
+    "in one frame alone no field of a contrast below this is named",
+    "gains of pixels, and what the shape's splines cannot resolve, are fields of it as well",
+)
+FRINGES_ALONE = Criterion(
+    0.01,
+    "1",
+    "in one frame alone no fringes of a contrast below this are named",
+    "light has fringes of its own, of dust and glass",
+)
 DRAWN = Criterion(
     0.4,
     "1",

@@ -6,19 +6,21 @@ counts, corrected for their number.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from spotcheck.discrepancy.conclude.places import Scene, cell_words, number_words, scene_of
 from spotcheck.discrepancy.evidence import fields as spectra
-from spotcheck.discrepancy.evidence.cells import Cells, Readings, Standard, cells_of, pooled, shapes_of
-from spotcheck.discrepancy.evidence.hot import odd_pixels
+from spotcheck.discrepancy.evidence.cells import Cells, Readings, cells_of, pooled, shapes_of
+from spotcheck.discrepancy.evidence.hot import odd_pixels, oddest
 from spotcheck.discrepancy.evidence.numbers import numbers_of
-from spotcheck.discrepancy.evidence.parts import Part, Standing, form_of, part_of, smallest_of, standing
+from spotcheck.discrepancy.evidence.parts import Part, Standing, form_of, part_of, smallest_of, standing, standing_of
+from spotcheck.discrepancy.evidence.windows import Window, placed, windows_of
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
 from spotcheck.discrepancy.nuisance.taken import DRAWS
+from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 
@@ -46,16 +48,13 @@ class Detection(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """All sums over the frames of a model: where these are, cells of each frame by kind, pairs of its pixels, fields
-    of the sites; and the readings as they were standardised, without what fits take of them."""
+    """All sums over the frames of a model: where these are, cells of each frame by kind, and the parts that are no sums
+    over cells."""
 
-    frames: Sequence[Frame]
     model: Model
     scene: Scene
     cells: list[dict[str, Cells]]
-    pairs: list[spectra.Pairs]
-    fields: list[spectra.Field]
-    seen: list[Standard]
+    parts: list[Part | None]
 
 
 def detect(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: Design) -> Detection:
@@ -65,58 +64,75 @@ def detect(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: De
 
 
 def looked_at(frames: Sequence[Frame], model: Model | Numbered | Fitted, design: Design) -> tuple[Looked, Detection]:
-    """All sums over frames, and the test by them."""
-    if isinstance(model, Fitted):
-        looked = look(frames, model, design)
-        return looked, tested(looked)
-    numbered = model if isinstance(model, Numbered) else fit_numbers(frames, model)
-    looked = look(frames, numbered.model, design)
-    return looked, tested(looked, numbers_of(numbered, looked.scene.exposure_s, np.asarray(design.site)))
-
-
-def tested(looked: Looked, numbers: Mapping[str, Standing] | None = None) -> Detection:
-    """The test by all that was summed, and by what a law leaves of the frames' numbers.
+    """All sums over frames, and the test by them.
 
     # ASSUME: a fit of the shape takes as much noise as its information says. Its likelihood is that of normal readings
     # in mean and variance, so below 0.6 DN of noise it takes more, and p-values beside a shape are too small.
     """
-    pixels, sensor = [own.pixels for own in looked.frames], looked.model.sensor
-    found = [*cell_parts(looked), *field_parts(looked), *number_parts(looked, numbers or {})]
-    found.append(odd_pixels("readings: one frame", [[own] for own in looked.seen], [[own] for own in pixels], sensor))
-    if len(pixels) > 1:
-        found.append(odd_pixels("readings: all frames", [looked.seen], [pixels], sensor))
+    if isinstance(model, Model):
+        model = fit_numbers(frames, model)
+    looked = look(frames, model if isinstance(model, Fitted) else model.model, design)
+    found = [*cell_parts(looked), *looked.parts]
+    if isinstance(model, Numbered):
+        numbers = numbers_of(model, looked.scene.exposure_s, np.asarray(design.site))
+        found += number_parts(looked.scene, numbers)
     parts = sorted((own for own in found if own is not None), key=lambda own: (own.p_value, -abs(own.statistic)))
-    return Detection(smallest_of(parts[0].p_value, len(parts)) if parts else 1.0, tuple(parts))
+    return looked, Detection(smallest_of(parts[0].p_value, len(parts)) if parts else 1.0, tuple(parts))
 
 
 def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Looked:
-    """One pass over all frames."""
+    """One pass over all frames, of which cells, fields of the sites and what single pixels tell remain."""
     shapes = shapes_of(model, DRAWS, np.random.default_rng(0)) if isinstance(model, Fitted) else []
     plain = model.model if isinstance(model, Fitted) else model
-    readings = Readings(frames, plain, shapes)
-    scene = scene_of(frames, plain)
-    seen, cells, pairs, weighed = [], [], [], []
-    taken: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
-    for k, condition in enumerate(np.asarray(design.condition)):
-        own = readings.of(k)
-        even, lost = np.where(own.spread > 0, 1.0, 0.0), np.concatenate([own.taken, own.drawn])
-        # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
-        key = int(condition), own.shape
-        if key not in taken:
-            taken[key] = (
-                spectra.taken_of(lost, own.shape, even),
-                spectra.taken_of(lost, own.shape, own.relative),
-            )
-        cells.append(cells_of(own, scene.brightest, scene.corner))
-        pairs.append(spectra.pairs_of(spectra.field_of([own], [even], [taken[key][0]])))
-        weighed.append(taken[key][1])
-        seen.append(own._replace(taken=np.empty(0), drawn=np.empty(0)))
-    fields = []
-    for place in np.unique(design.site):
-        at = np.flatnonzero(np.asarray(design.site) == place)
-        weights = [seen[k].relative for k in at]
-        fields.append(spectra.field_of([seen[k] for k in at], weights, [weighed[k] for k in at]))
-    return Looked(frames, plain, scene, cells, pairs, fields, seen)
+    readings, scene, sensor = Readings(frames, plain, shapes), scene_of(frames, plain), plain.sensor
+    sites, whole = list(windows_of(frames, design)), Window(frames)
+    site_of = {k: j for j, (_, own) in enumerate(sites) for k in own}
+    conditions = [np.flatnonzero(design.condition == own) for own in np.unique(design.condition)]
+
+    def part(which: np.ndarray) -> list[Any]:
+        total, *fields = (spectra.empty(window.shape) for window in (whole, *(own for own, _ in sites)))
+        seen = []
+        for k in np.concatenate([conditions[c] for c in which]).tolist():
+            own, frame, window = readings.of(k), frames[k], sites[site_of[k]][0]
+            even = np.where(own.spread > 0, 1.0, 0.0)
+            # Frames of one condition are so alike that what their numbers take of a spectrum is the same.
+            key = int(design.condition[k]), own.shape
+            if key not in taken:
+                taken[key] = [spectra.taken_of(own.taken, own.shape, weight) for weight in (even, own.relative)]
+            pairs = spectra.pairs_of(spectra.field_of(own.z, even, own.shape, taken[key][0]))
+            fields[site_of[k]].add(window.at(frame), spectra.field_of(own.z, own.relative, own.shape, taken[key][1]))
+            alone = spectra.field_of(own.z, own.spread, own.shape)
+            total.add(whole.at(frame), alone)
+            electrons = np.where(own.spread > 0, own.electrons, np.nan).astype(np.float32).reshape(own.shape)
+            odd = oddest(alone, Window([frame]), [frame], [electrons], sensor)
+            seen.append((k, cells_of(own, scene.brightest, scene.corner), pairs, electrons, odd))
+        return [seen, *(sums for own in (total, *fields) for sums in own)]
+
+    taken: dict[Hashable, list[np.ndarray]] = {}
+    seen, *sums = shared(part, len(conditions))
+    total, *fields = (spectra.Field(*sums[j : j + 3]) for j in range(0, len(sums), 3))
+    _, cells, pairs, electrons, odd = zip(*sorted(seen, key=lambda own: own[0]), strict=True)
+    parts = [
+        spectra.grain_part("grain: frame", pairs),
+        spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in fields]),
+        peak_of(whole, [window for window, _ in sites], fields),
+        odd_pixels("readings: one frame", odd, electrons, sensor),
+    ]
+    if len(frames) > 1:
+        one = [oddest(total, whole, frames, electrons, sensor)]
+        parts.append(odd_pixels("readings: all frames", one, electrons, sensor))
+    return Looked(plain, scene, list(cells), parts)
+
+
+def peak_of(whole: Window, windows: Sequence[Window], fields: Sequence[spectra.Field]) -> Part | None:
+    """The highest peak in the spectrum of all that the sites' fields add up to on the sensor; of crops far apart, of
+    their powers."""
+    if max(whole.shape) < LARGEST_WINDOW and len(fields) > 1:
+        every = spectra.empty(whole.shape)
+        for own, window in zip(fields, windows, strict=True):
+            every.add(placed(window.corner, window.shape, whole.corner), own)
+        fields = [every]
+    return spectra.peak_part("spectrum: peak", fields) if len({own.pull.shape for own in fields}) == 1 else None
 
 
 def groups_of(scene: Scene) -> dict[str, list[np.ndarray]]:
@@ -131,44 +147,29 @@ def groups_of(scene: Scene) -> dict[str, list[np.ndarray]]:
 def cell_parts(looked: Looked) -> list[Part | None]:
     """All parts from sums over cells."""
     out, groups = [], groups_of(looked.scene)
-    for what, kind, shared in SUMMARIES:
-        if shared in groups:
-            own = [pooled([looked.cells[int(k)][kind] for k in at]) for at in groups[shared]]
+    for what, kind, by in SUMMARIES:
+        if by in groups:
+            own = [pooled([looked.cells[int(k)][kind] for k in at]) for at in groups[by]]
             form = form_of([standing(one, squares=what == "variance") for one in own])
             _, group, label = form.worst
-            where = cell_words(what, kind, label, groups[shared][group], looked.scene)
-            part = part_of(f"{what}: {kind}, {shared}", form, where)
+            where = cell_words(what, kind, label, groups[by][group], looked.scene)
+            part = part_of(f"{what}: {kind}, {by}", form, where)
             # A sum of squares over readings is itself an excess in its own errors: it is not squared again.
             out.append(part._replace(statistic=part.z) if part and what == "variance" else part)
     return out
 
 
-def number_parts(looked: Looked, numbers: Mapping[str, Standing]) -> list[Part | None]:
+def number_parts(scene: Scene, numbers: Mapping[str, Standing]) -> list[Part | None]:
     """All parts from the frames' numbers: each frame by itself, and brightness and width of each exposure and angle."""
-    out, groups = [], groups_of(looked.scene)
+    out, groups = [], groups_of(scene)
     for name, own in numbers.items():
-        for shared in groups.keys() & ({"frame"} if name == "centre" else {"frame", "exposure", "angle"}):
-            every, told = groups[shared], own
-            if shared != "frame":
+        for by in groups.keys() & ({"frame"} if name == "centre" else {"frame", "exposure", "angle"}):
+            every, told = groups[by], own
+            if by != "frame":
                 member = np.array([np.isin(own.label[:, 0], at) for at in every], float)
                 member /= np.sqrt(np.maximum(member.sum(axis=1, keepdims=True), 1.0))
-                none, label = np.zeros(len(every)), np.stack([np.arange(len(every))] * 2, 1)
-                told = Standing(member @ own.z, member @ own.taken, none, none, label)
+                told = standing_of(member @ own.z, member @ own.taken, np.arange(len(every)))
             form = form_of([told])
-            where = number_words(name, every[form.worst[2][0]], looked.scene)
-            out.append(part_of(f"numbers: {name}, {shared}", form, where))
-    return out
-
-
-def field_parts(looked: Looked) -> list[Part | None]:
-    """All parts from spectra."""
-    out = [spectra.grain_part("grain: frame", looked.pairs)]
-    out.append(spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in looked.fields]))
-    seen = looked.seen
-    if len(looked.fields) == 1 or max(spectra.window_of(seen)[1]) < LARGEST_WINDOW:
-        every = looked.fields if len(looked.fields) == 1 else [
-            spectra.field_of(seen, [own.relative for own in seen], [])]  # fmt: skip
-        out.append(spectra.peak_part("spectrum: peak", every))
-    elif len({own.pull.shape for own in looked.fields}) == 1:
-        out.append(spectra.peak_part("spectrum: peak", looked.fields))
+            where = number_words(name, every[form.worst[2][0]], scene)
+            out.append(part_of(f"numbers: {name}, {by}", form, where))
     return out

@@ -9,6 +9,7 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.cells import BLOCK, LEVELS, PATCH, RADII
 from spotcheck.discrepancy.evidence.parts import Part, smallest_of
 from spotcheck.discrepancy.evidence.pixels import AZIMUTHS
+from spotcheck.discrepancy.evidence.windows import Window
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 
 # So many places are told at most.
@@ -50,12 +51,11 @@ class Scene(NamedTuple):
 def scene_of(frames: Sequence[Frame], model: Model) -> Scene:
     """The scene of some frames."""
     brightest, sensor = float(np.exp(np.max(model.numbers.log_peak))), model.sensor
-    row, column = (min(int(np.rint(np.min(getattr(own.view, axis)))) for own in frames) for axis in ("y", "x"))
     readings = sensor.black_level_dn + brightest * (np.arange(LEVELS + 1) / LEVELS) ** 2
     exposure, angle = (
         np.array([float(np.ravel(getattr(own.view, name))[0]) for own in frames]) for name in ("exposure_s", "angle")
     )
-    return Scene((row, column), readings, brightest / sensor.gain_dn_per_e, exposure, np.rad2deg(angle))
+    return Scene(Window(frames).corner, readings, brightest / sensor.gain_dn_per_e, exposure, np.rad2deg(angle))
 
 
 def cell_words(what: str, kind: str, label: tuple[int, int], frames: np.ndarray, scene: Scene) -> str:

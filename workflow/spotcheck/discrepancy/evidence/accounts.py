@@ -28,6 +28,8 @@ PLACES = (Place.EXPOSURE, Place.WIDTH, Place.BRIGHTNESS)
 STEPS, ENOUGH = 40, 1e-7
 # Rounds of fitting laws and components in turn, and the gain in −2 ln L that ends them.
 ROUNDS, SETTLED = 8, 1e-3
+# Part of the mean variance of a component's rows at which its scoring begins: any start above 0 will do.
+START = 0.3
 # A variance [1] of ln peak or ln σ_g beside which nothing else counts: where fits begin, once with either set aside.
 LOOSE = 1.0
 # Fits whose rows differ by less than this [χ²] are one.
@@ -62,6 +64,14 @@ class Mean(NamedTuple):
     law_free: tuple[int, ...]
     law: tuple[float, float]
 
+    def at(self, theta: np.ndarray) -> tuple[Law, tuple[Present, ...]]:
+        """Law, of a peak of 1, and effects under parameters."""
+        own, count = list(self.law), len(self.law_free)
+        for place, value in zip(self.law_free, theta[:count], strict=True):
+            own[place] = float(value)
+        law = Law(own[0], own[1] - own[0] * np.log(self.problem.view.reference_s), 1.0)
+        return law, changed(self.model, self.free, [*theta[count:]]).present
+
 
 class Account(NamedTuple):
     """A model of the rows fitted: parameters, slopes of the rows by them, residuals, and components."""
@@ -80,13 +90,12 @@ class Account(NamedTuple):
     @property
     def present(self) -> tuple[Present, ...]:
         """Effects with their fitted values."""
-        return _present(self.mean, self.theta)
+        return self.mean.at(self.theta)[1]
 
     @property
     def law(self) -> Law:
         """p1 and p2 [px]; the peak is 1."""
-        p1, reference = _pair(self.mean, self.theta)
-        return Law(p1, reference - p1 * np.log(self.mean.problem.view.reference_s), 1.0)
+        return self.mean.at(self.theta)[0]
 
 
 def problem_of(
@@ -127,29 +136,17 @@ def mean_of(problem: Problem, present: Sequence[Present], start: Account | None 
     held = {name for own in present for name in own.effect.replaces}
     held |= {"p1"} if problem.design.exposures.size < 2 else set()
     law_free = tuple(k for k, name in enumerate(Law._fields[:2]) if name not in held)
-    law = problem.law if start is None else _pair(start.mean, start.theta)
+    law = problem.law
+    if start is not None:
+        law = start.law.p1, start.law.p2 + start.law.p1 * float(np.log(problem.view.reference_s))
     return Mean(problem, model, free_of(model, problem.context), law_free, law)
-
-
-def _pair(mean: Mean, theta: np.ndarray) -> tuple[float, float]:
-    """p1 and the width at the reference exposure [px]."""
-    law = list(mean.law)
-    for place, value in zip(mean.law_free, theta, strict=False):
-        law[place] = float(value)
-    return law[0], law[1]
-
-
-def _present(mean: Mean, theta: np.ndarray) -> tuple[Present, ...]:
-    return changed(mean.model, mean.free, [*theta[len(mean.law_free) :]]).present
 
 
 def predicted(mean: Mean, theta: np.ndarray) -> np.ndarray:
     """The rows under parameters; NaN where the law has no width."""
     view = mean.problem.view
-    p1, reference = _pair(mean, theta)
-    law = Law(p1, reference - p1 * np.log(view.reference_s), 1.0)
     with np.errstate(all="ignore"):
-        logs = [np.log(own) for own in spot_state(view, mean.model.baseline, law, _present(mean, theta))]
+        logs = [np.log(own) for own in spot_state(view, mean.model.baseline, *mean.at(theta))]
     return mean.problem.lift @ np.concatenate([np.broadcast_to(own, view.exposure_s.shape).ravel() for own in logs])
 
 
@@ -198,7 +195,8 @@ Start = tuple[np.ndarray, np.ndarray]
 def beginnings(problem: Problem) -> list[np.ndarray]:
     """Components from which fits begin: about the known errors; and so large in brightness, or in width, that the other
     says all. A law that is wrong for one of the two is otherwise made right for it, and wrong for the other."""
-    tau = mixed.begun(problem.known, problem.components)
+    known = np.diag(problem.known)[:, None]
+    tau = START * np.array([np.sum(own.members**2 * known) / np.sum(own.members**2) for own in problem.components])
     of = np.array([own.of for own in problem.components])
     return [tau, *(np.where(of == own, LOOSE, tau) for own in np.unique(of))]
 
@@ -232,16 +230,9 @@ def first_account(problem: Problem) -> Account:
     return min(every, key=lambda own: own.deviance)
 
 
-def account(mean: Mean, components: tuple[Component, ...], *, restricted: bool, start: "Account | Start") -> Account:
-    """Fit laws and components in turn, by restricted likelihood or by full, from parameters with as many components, or
-    from where the model stands and an account left the components."""
-    problem = mean.problem
-    if isinstance(start, Account):
-        # Scoring leaves 0 as easily as any other value.
-        left = {(own.of, own.shared): tau for own, tau in zip(start.found.components, start.found.tau, strict=True)}
-        theta, tau = start_of(mean), np.array([left.get((own.of, own.shared), 0.0) for own in components])
-    else:
-        theta, tau = start
+def account(mean: Mean, components: tuple[Component, ...], *, restricted: bool, start: Start) -> Account:
+    """Fit laws and components in turn, by restricted likelihood or by full, from parameters with as many components."""
+    problem, (theta, tau) = mean.problem, start
     factor, last = mixed.factor_of(problem.known, components, tau), np.inf
     for _ in range(ROUNDS):
         theta, _ = settle(mean, theta, factor)

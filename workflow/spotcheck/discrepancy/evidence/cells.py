@@ -18,6 +18,7 @@ from scipy import linalg
 
 from spotcheck.discrepancy.evidence.pixels import AZIMUTHS
 from spotcheck.discrepancy.evidence.pixels import cells_of as about
+from spotcheck.discrepancy.evidence.windows import corner_of
 from spotcheck.discrepancy.nuisance.fit import NUMBERS, Fitted
 from spotcheck.discrepancy.nuisance.taken import draws_of
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Lights, Model
@@ -31,7 +32,7 @@ SUM, NORM, FOURTH, SQUARE, SQUARE_NORM, COUNT, TAKEN = range(7)
 # Nodes of light, even in its root, at which fourth cumulants are summed: a thousandth of these matters not.
 NODES = 2000
 # Kinds of cells, and weights of the readings in their sums: plain, by an offset's score, by that of a part of the spot.
-KINDS = {"frame": 1, "block": 0, "patch": 0, "row": 1, "column": 1, "level": 1, "sector": 2}
+KINDS = {"block": 0, "row": 1, "column": 1, "level": 1, "sector": 2}
 # Levels of light, even in its root; sides [px] of blocks and patches; bounds of the radius of
 # sectors about the spot [σ].
 LEVELS, BLOCK, PATCH = 12, 8, 24
@@ -43,9 +44,9 @@ CERTAIN = 1e-6
 
 class Standard(NamedTuple):
     """Of every pixel of a frame [pixel]: z, √V [DN] (0: masked), cumulant κ₄ of its law; the slopes of z by an offset
-    and by a part of the spot's declared light; that light, and all electrons [e-]; what fits take: the frame's numbers
-    Q [4, pixel], a learned shape [draw, pixel]; place on the sensor (row, column) and about the spot, u and v [σ]; and
-    rows and columns of the crop."""
+    and by a part of the spot's declared light; that light, and all electrons [e-]; what fits take [column, pixel]: the
+    frame's numbers Q, behind them draws of a learned shape; place about the spot, u and v [σ]. Row and column of the
+    first pixel on the sensor; rows and columns of the crop."""
 
     z: np.ndarray
     spread: np.ndarray
@@ -55,17 +56,10 @@ class Standard(NamedTuple):
     declared: np.ndarray
     electrons: np.ndarray
     taken: np.ndarray
-    drawn: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
     u: np.ndarray
     v: np.ndarray
+    corner: tuple[int, int]
     shape: tuple[int, int]
-
-    @property
-    def at(self) -> tuple[int, int]:
-        """Row and column of the first pixel on the sensor."""
-        return int(self.row[0]), int(self.column[0])
 
 
 class Readings:
@@ -83,12 +77,11 @@ class Readings:
     def of(self, k: int) -> Standard:
         """Standardised readings of frame `k`."""
         frame, model, law = self.frames[k], self.model, self.ready.law
-        seen, own, shape = self.ready.of(frame, k), self.ready.numbers_of(k), frame.pixels.shape
+        seen, centre, shape = self.ready.of(frame, k), self.ready.numbers_of(k), frame.pixels.shape
         # A learned shape follows the readings' noise: weights and levels that follow it would, too.
-        view = frame.view._replace(x0=own.x, y0=own.y)
-        declared = light(view, model.baseline, Free(np.exp(own.log_peak), np.exp(own.log_width)), model.present)[
-            0
-        ].ravel()
+        view = frame.view._replace(x0=centre.x, y0=centre.y)
+        base = Free(np.exp(centre.log_peak), np.exp(centre.log_width))
+        declared = light(view, model.baseline, base, model.present)[0].ravel()
         dark = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
         electrons = np.broadcast_to((seen.spot + seen.beside) / model.sensor.gain_dn_per_e + dark, (1, *shape))[0]
         fourth = np.empty((1, *shape))
@@ -99,16 +92,16 @@ class Readings:
         z = np.where(known, (frame.pixels - seen.mean).ravel(), 0.0) * weight
         offset = seen.slope.ravel() * weight
         # A change s of the shape changes a reading by peak · slope · s.
-        unit = offset * float(np.exp(own.log_peak).item()) / np.sqrt(max(len(self.shapes), 1))
-        drawn = [unit * np.broadcast_to(s.of(k)(seen.u[None], seen.v[None])[0], shape).ravel() for s in self.shapes]
-        row, column = (np.rint(np.broadcast_to(axis, (1, *shape))).astype(np.int64).ravel()
-                       for axis in (frame.view.y, frame.view.x))  # fmt: skip
+        unit = offset * float(np.exp(centre.log_peak).item()) / np.sqrt(max(len(self.shapes), 1))
+        taken = np.empty((NUMBERS + len(self.shapes), *shape))
+        numbers = self.ready.by_numbers(frame, k, seen).reshape(NUMBERS, -1) * offset
+        taken[:NUMBERS] = whitened(numbers).reshape(-1, *shape)
+        for own, surface in zip(taken[NUMBERS:], self.shapes, strict=True):
+            np.multiply(surface.of(k)(seen.u[None], seen.v[None])[0], unit.reshape(shape), out=own)
         return Standard(
             z, np.where(known, np.sqrt(variance), 0.0), fourth.ravel() * weight**4, offset, offset * declared,
-            declared / model.sensor.gain_dn_per_e, electrons.ravel(),
-            whitened(self.ready.by_numbers(frame, k, seen).reshape(NUMBERS, -1) * offset),
-            np.array(drawn).reshape(len(drawn), z.size), row, column,
-            np.broadcast_to(seen.u, shape).ravel(), np.broadcast_to(seen.v, shape).ravel(), shape,
+            declared / model.sensor.gain_dn_per_e, electrons.ravel(), taken.reshape(len(taken), -1),
+            np.broadcast_to(seen.u, shape).ravel(), np.broadcast_to(seen.v, shape).ravel(), corner_of(frame), shape,
         )  # fmt: skip
 
 
@@ -140,25 +133,25 @@ def shapes_of(fitted: Fitted, count: int, rng: np.random.Generator) -> list[Ligh
 @compiled
 def gather(index, weight, which, z, fourth, taken, out):
     """Add a frame's pixels to cells: `index` [kind, pixel] of the cell, `weight` [weight, pixel] and `which` [kind] of
-    the weights a is; `out` [cell, column] as named above."""
+    the weights a is, `taken` [pixel, column]; `out` [cell, column] as named above."""
     for k in range(z.size):
         if weight[0, k] == 0:
             continue
         h = 0.0
-        for j in range(taken.shape[0]):
-            h += taken[j, k] * taken[j, k]
+        for j in range(taken.shape[1]):
+            h += taken[k, j] * taken[k, j]
         for kind in range(index.shape[0]):
-            cell = index[kind, k]
+            own = out[index[kind, k]]
             a = weight[which[kind], k]
             a2 = a * a
-            out[cell, 0] += a * z[k]
-            out[cell, 1] += a2
-            out[cell, 2] += a2 * a2 * fourth[k]
-            out[cell, 3] += z[k] * z[k] - 1 + h
-            out[cell, 4] += 2 + fourth[k] - 4 * h
-            out[cell, 5] += 1
-            for j in range(taken.shape[0]):
-                out[cell, 6 + j] += a * taken[j, k]
+            own[0] += a * z[k]
+            own[1] += a2
+            own[2] += a2 * a2 * fourth[k]
+            own[3] += z[k] * z[k] - 1 + h
+            own[4] += 2 + fourth[k] - 4 * h
+            own[5] += 1
+            for j in range(taken.shape[1]):
+                own[6 + j] += a * taken[k, j]
 
 
 class Cells(NamedTuple):
@@ -172,29 +165,31 @@ class Cells(NamedTuple):
 
 def cells_of(seen: Standard, brightest: float, corner: tuple[int, int]) -> dict[str, Cells]:
     """The cells of a frame by kind. Levels are counted up to `brightest` [e-], blocks from `corner` (row, column)."""
-    rows, columns = seen.row - corner[0], seen.column - corner[1]
-    level = (np.sqrt(np.clip(seen.declared / brightest, 0.0, 1.0)) * LEVELS).astype(int)
-    sector = about(seen.u, seen.v, RADII)
-    none = np.zeros_like(rows)
+    rows, columns = (own - first + np.arange(n) for own, first, n in zip(seen.corner, corner, seen.shape, strict=True))
+    rows = rows[:, None]
+    level = np.minimum((np.sqrt(np.clip(seen.declared / brightest, 0.0, 1.0)) * LEVELS).astype(int), LEVELS - 1)
+    level, sector = (own.reshape(seen.shape) for own in (level, about(seen.u, seen.v, RADII)))
+    none = np.zeros((1, 1), int)
     labels = {
-        "frame": (none, none), "block": (rows // BLOCK, columns // BLOCK), "patch": (rows // PATCH, columns // PATCH),
-        "row": (rows, none), "column": (columns, none), "level": (np.minimum(level, LEVELS - 1), none),
-        "sector": (sector // AZIMUTHS, sector % AZIMUTHS),
+        "block": (rows // BLOCK, columns // BLOCK), "row": (rows, none), "column": (columns, none),
+        "level": (level, none), "sector": (sector // AZIMUTHS, sector % AZIMUTHS),
     }  # fmt: skip
-    index, spans, first = np.empty((len(KINDS), seen.z.size), np.int32), [], 0
-    for k, kind in enumerate(KINDS):
-        one, two = labels[kind]
+    index, spans, first = np.empty((len(KINDS), *seen.shape), np.int32), {}, 0
+    for k, (kind, (one, two)) in enumerate(labels.items()):
         low = np.array([one.min(), two.min()])
         size = int(one.max()) - low[0] + 1, int(two.max()) - low[1] + 1
         index[k] = first + (one - low[0]) * size[1] + two - low[1]
-        spans.append((slice(first, first + size[0] * size[1]), low + np.argwhere(np.ones(size))))
+        spans[kind] = slice(first, first + size[0] * size[1]), low + np.argwhere(np.ones(size))
         first += size[0] * size[1]
-    out = np.zeros((first, TAKEN + NUMBERS + len(seen.drawn)))
-    weights = np.stack([seen.spread, seen.offset, seen.relative])
-    gather(index, weights, np.array([*KINDS.values()]), seen.z, seen.fourth,
-           np.concatenate([seen.taken, seen.drawn]), out)  # fmt: skip
-    last = TAKEN + NUMBERS
-    return {kind: Cells(own, out[at, :last], out[at, last:]) for kind, (at, own) in zip(KINDS, spans, strict=True)}
+    out, last = np.zeros((first, TAKEN + len(seen.taken))), TAKEN + NUMBERS
+    gather(index.reshape(len(KINDS), -1), np.stack([seen.spread, seen.offset, seen.relative]),
+           np.array([*KINDS.values()]), seen.z, seen.fourth,
+           np.ascontiguousarray(seen.taken.T), out)  # fmt: skip
+    found = {kind: Cells(label, out[at, :last], out[at, last:]) for kind, (at, label) in spans.items()}
+    # Blocks lie in patches, as rows do in the frame.
+    coarse = {"patch": ("block", PATCH // BLOCK), "frame": ("row", seen.shape[0] + int(rows[0, 0]))}
+    own = {name: found[kind]._replace(label=found[kind].label // side) for name, (kind, side) in coarse.items()}
+    return found | {name: pooled([cells]) for name, cells in own.items()}
 
 
 def pooled(frames: Sequence[Cells]) -> Cells:

@@ -12,8 +12,8 @@ from scipy import ndimage
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model
 
-# Readings gather where a code is read so many times as often as the mean of as many codes below it.
-GATHER, BELOW = 4.0, 6
+# How many codes below one its readings are compared with.
+BELOW = 6
 # Noise is gone where so large a part of it is left at most.
 LEFT = 0.5
 # Side [px] of the squares in which noise is told, and how near to the code their mean must be [DN].
@@ -38,7 +38,7 @@ def gathers(frames: Sequence[Frame], model: Model, k: int) -> bool:
         left += float(square[near].sum()) * SIDE**2 / (SIDE**2 - 1)
         noise += float(without.of(frame, j).variance[near].sum())
         squares += np.count_nonzero(near) / SIDE**2
-    if count[0] <= GATHER * count[1:].mean() or noise < LEAST_DN2 * squares * SIDE**2:
+    if count[0] <= criteria.STANDS_OUT.value * count[1:].mean() or noise < LEAST_DN2 * squares * SIDE**2:
         return False
     # Variance of a square's mean square, of normal noise, in units of its mean.
     z = (1 - left / noise) * np.sqrt(squares * (SIDE**2 - 1) / 2)

@@ -12,8 +12,6 @@ from scipy import linalg, special, stats
 
 # Steps of scoring; one that gains less than ENOUGH in −2 ln L ends it: far below the 1 that a standard error is worth.
 STEPS, ENOUGH, HALVINGS = 40, 1e-4, 8
-# Part of the mean variance of a component's rows at which its scoring begins: any start above 0 will do.
-START = 0.3
 # Ridge on the components' information, relative: two components that a design cannot part share what they explain.
 RIDGE = 1e-9
 # Directions of parameters with less than this part of their own information do not show beside the others.
@@ -138,12 +136,6 @@ def _sure(information: np.ndarray) -> np.ndarray:
     """The inverse of components' information, with the ridge."""
     scale = np.sqrt(np.diag(information))
     return np.linalg.inv(information / np.outer(scale, scale) + RIDGE * np.eye(len(scale))) / np.outer(scale, scale)
-
-
-def begun(known: np.ndarray, components: tuple[Component, ...]) -> np.ndarray:
-    """Components from which scoring may begin."""
-    means = [np.sum(own.members**2 * np.diag(known)[:, None]) / np.sum(own.members**2) for own in components]
-    return START * np.array(means)
 
 
 def reckoned(found: Estimated, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

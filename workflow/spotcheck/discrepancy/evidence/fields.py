@@ -12,25 +12,40 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft, special
 
-from spotcheck.discrepancy.evidence.cells import Standard
+from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.parts import Part, lower, smallest_of, upper
 
 # Standard deviations of the kernels [px]; of wider structure cells tell more.
 GRAINS = (0.7, 2.0, 5.6)
-# Peaks are sought from this part of the light's own frequency on [cycles per width of the light]: below, the spot's
-# numbers take part, and cosine and sine are no longer alike.
-LOWEST = 0.35
 # Padding of a field before its peak is sought: between two frequencies of this grid a peak loses 3 % at most.
 PADDED = 2
 
 
 class Field(NamedTuple):
     """Sums over frames in one window [row, column]: a z and a²; and of pairs what fits take, and of half their variance
-    [2, grain]."""
+    in parts of Σ a² [2, grain]."""
 
     pull: np.ndarray
     weight: np.ndarray
     taken: np.ndarray
+
+    def add(self, at: tuple[slice, slice], other: "Field") -> None:
+        """Add another field in its place."""
+        self.pull[at] += other.pull
+        self.weight[at] += other.weight
+        self.taken[:] += other.taken
+
+
+def empty(shape: tuple[int, int]) -> Field:
+    """A field of no frame."""
+    return Field(np.zeros(shape), np.zeros(shape), np.zeros((2, len(GRAINS))))
+
+
+def field_of(z: np.ndarray, weight: np.ndarray, shape: tuple[int, int], taken: np.ndarray | float = 0.0) -> Field:
+    """The field of a frame's z with weights a [pixel], and what fits take of its pairs (`taken_of`)."""
+    # What one frame's numbers take of the variance of pairs they take in all frames.
+    part = taken / np.array([[1.0], [max(float(weight @ weight), 1e-300)]])
+    return Field((weight * z).reshape(shape), (weight * weight).reshape(shape), part * np.ones(len(GRAINS)))
 
 
 class Pairs(NamedTuple):
@@ -42,57 +57,44 @@ class Pairs(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def kernels_of(rows: int, columns: int) -> np.ndarray:
-    """K [grain, lag row, lag column]."""
+def kernels_of(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Spectra of K and of K² [grain, frequency row, frequency column], and the weight of each frequency [column] in a
+    sum over lags, where half of them stand for all."""
     y, x = (np.minimum(np.arange(n), n - np.arange(n)) for n in (rows, columns))
     kernels = np.stack([np.exp(-(y[:, None] ** 2 + x**2) / (2 * grain**2)) for grain in GRAINS])
     kernels[:, 0, 0] = 0
-    return kernels
+    twice = np.full(columns // 2 + 1, 2.0)
+    twice[[0] if columns % 2 else [0, -1]] = 1.0
+    return fft.rfft2(kernels).real, fft.rfft2(kernels**2).real, twice / (rows * columns)
 
 
-def _alike(fields: np.ndarray) -> np.ndarray:
-    """Σ over pairs of pixels, by lag, of fields [field, row, column]."""
-    return fft.irfft2((np.abs(fft.rfft2(fields)) ** 2).sum(axis=0), s=fields.shape[1:])
+def _power(spectra: np.ndarray) -> np.ndarray:
+    """|·|² of spectra [field, frequency row, frequency column], all fields together."""
+    return (spectra.real**2 + spectra.imag**2).sum(axis=0)
 
 
 def taken_of(taken: np.ndarray, shape: tuple[int, int], weight: np.ndarray) -> np.ndarray:
     """What fits take of the pairs of the field `weight` z of a frame, and of half their variance [2, grain]; `taken`
-    [column, pixel] as of `Standard`, draws beside it."""
-    fields, kernels = (taken * weight).reshape(-1, *shape), kernels_of(*shape)
-    both = fft.rfft2(fields) * fft.rfft2(kernels)[:, None]
-    square = [np.sum((fft.irfft2(own, s=shape) * weight.reshape(shape)) ** 2) for own in both]
-    return np.stack([np.tensordot(kernels, _alike(fields), 2), square])
-
-
-def window_of(frames: Sequence[Standard]) -> tuple[tuple[int, int], tuple[int, int], list[tuple[slice, slice]]]:
-    """The part of the sensor that holds some frames: its first row and column, its size, and each frame's place in
-    it."""
-    first, size = np.array([own.at for own in frames]), np.array([own.shape for own in frames])
-    corner, end = first.min(axis=0), (first + size).max(axis=0)
-    places = [(slice(r, r + own.shape[0]), slice(c, c + own.shape[1])) for (r, c), own in
-              zip(first - corner, frames, strict=True)]  # fmt: skip
-    return (int(corner[0]), int(corner[1])), (int(end[0] - corner[0]), int(end[1] - corner[1])), places
-
-
-def field_of(frames: Sequence[Standard], weights: Sequence[np.ndarray], taken: Sequence[np.ndarray]) -> Field:
-    """The field that frames share, each in its place on the sensor."""
-    _, size, places = window_of(frames)
-    out = np.zeros((2, *size))
-    for own, weight, at in zip(frames, weights, places, strict=True):
-        for total, values in zip(out, (weight * own.z, weight * weight), strict=True):
-            total[at] += values.reshape(own.shape)
-    # What one frame's numbers take of the variance of pairs they take in all frames.
-    more = [np.array([[1.0], [out[1].sum() / max(float(own @ own), 1e-300)]]) for own in weights]
-    every = [own * factor for own, factor in zip(taken, more, strict=False)]
-    return Field(out[0], out[1], sum(every, np.zeros((2, len(GRAINS)))))
+    [column, pixel] as of `Standard`."""
+    kernels, _, half = kernels_of(*shape)
+    # Single precision is enough for what is taken off.
+    spectra = fft.rfft2((taken * weight).astype(np.float32).reshape(-1, *shape))
+    power = half * _power(spectra)
+    if (weight == 1).all():
+        square = list(np.tensordot(kernels**2, power, 2))
+    else:
+        image = weight.astype(np.float32).reshape(shape)
+        square = [np.sum((fft.irfft2(spectra * own, s=shape) * image) ** 2) for own in kernels.astype(np.float32)]
+    return np.stack([np.tensordot(kernels, power, 2), square])
 
 
 def pairs_of(field: Field) -> Pairs:
     """Pairs of a field, and their law."""
-    kernels, total = kernels_of(*field.pull.shape), float(field.weight.sum())
-    mean, every = total - field.taken[0], np.tensordot(kernels**2, _alike(field.weight[None]), 2)
-    variance = 2 * np.maximum(every - field.taken[1], 0.1 * every)
-    return Pairs(total + np.tensordot(kernels, _alike(field.pull[None]), 2), mean, variance)
+    kernels, squares, half = kernels_of(*field.pull.shape)
+    pull, weight = (half * _power(fft.rfft2(own)[None]) for own in (field.pull, field.weight))
+    total, every = float(field.weight.sum()), np.tensordot(squares, weight, 2)
+    variance = 2 * np.maximum(every - total * field.taken[1], 0.1 * every)
+    return Pairs(total + np.tensordot(kernels, pull, 2), total - field.taken[0], variance)
 
 
 def grain_part(name: str, pairs: Sequence[Pairs]) -> Part | None:
@@ -125,7 +127,10 @@ def peak_part(name: str, fields: Sequence[Field]) -> Part | None:
     for field in fields:
         power += 2 / float(field.weight.sum()) * np.abs(fft.rfft2(field.pull, s=padded)) ** 2
         spread += _spread(field.weight) / len(fields)
-    low = LOWEST / np.sqrt(np.sqrt(max(float(np.linalg.det(spread)), 1e-12)))
+    # Below, the spot's numbers take part, and cosine and sine are no longer alike. Squared weights are those of a light
+    # whose σ is narrower by √2.
+    sigma = np.sqrt(2 * np.sqrt(max(float(np.linalg.det(spread)), 1e-12)))
+    low = 1 / (criteria.LONGEST.value * sigma)
     radius = np.hypot(ky, kx)
     high = 0.5 - low
     sought = (radius >= low) & (radius <= high)

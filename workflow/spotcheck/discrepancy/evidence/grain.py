@@ -78,7 +78,7 @@ class Drawn:
         self.frames, self.ready, self.whole = frames, ready, whole
         rng = np.random.default_rng(0)
         self.windows = list(windows_of(frames, design))
-        self.fields = [drawn_field(rng, window.cell.shape, grain) for window, _ in self.windows]
+        self.fields = [drawn_field(rng, window.shape, grain) for window, _ in self.windows]
         self.sensor = drawn_field(rng, (0, 0) if whole is None else whole.cell.shape, 0.0)
         self.window = {k: j for j, (_, own) in enumerate(self.windows) for k in own}
         # Coefficients of the shape, and steps of numbers and free parameters [·, kind], by which the fit answers.
@@ -90,8 +90,7 @@ class Drawn:
         window = self.windows[j][0]
         at, out = window.at(self.frames[k]), [self.fields[j]]
         if self.whole is not None:
-            (top, left), (height, width) = np.subtract(window.corner, self.whole.corner), window.cell.shape
-            out.append(self.sensor[top : top + height, left : left + width])
+            out.append(self.sensor[placed(window.corner, window.shape, self.whole.corner)])
         return np.stack([own[at] for own in out])
 
     def _answer(self) -> tuple[np.ndarray, np.ndarray]:
@@ -134,24 +133,13 @@ class Drawn:
         return a * tells.sure * np.stack([mean, rest], axis=1), a * a * tells.sure
 
 
-class Pulled:
-    """S and Σ s² of fields before and after the fit [2, row, column], in a window of members."""
-
-    def __init__(self, shape: tuple[int, ...]):
-        self.pull, self.square = np.zeros((2, *shape)), np.zeros((2, *shape))
-
-    def add(self, at: tuple[slice, slice], s: np.ndarray) -> None:
-        """Add a member [2, row, column]."""
-        self.pull[:, *at] += s
-        self.square[:, *at] += s**2
-
-    def by_cell(self, own: Site, variance: float) -> np.ndarray:
-        """Σ of products of different members, or of squares of one alone [2, cell], each pixel weighted as it is beside
-        fields of that variance."""
-        unit = np.maximum(own.unit, 0.0)
-        light = np.where(unit > 0, (1 + variance * np.sqrt(unit)) ** -2.0, 0.0)
-        excess = light * (self.pull**2 - (0.0 if own.single else self.square))
-        return np.stack([np.bincount(own.cell.ravel(), part.ravel(), CELLS) for part in excess])
+def by_cell(own: Site, sums: np.ndarray, variance: float) -> np.ndarray:
+    """Σ of products of different members, or of squares of one alone [2, cell], from S and Σ s² of fields before and
+    after the fit [2, 2, row, column]; each pixel weighted as it is beside fields of that variance."""
+    unit = np.maximum(own.unit, 0.0)
+    light = np.where(unit > 0, (1 + variance * np.sqrt(unit)) ** -2.0, 0.0)
+    excess = light * (sums[0] ** 2 - (0.0 if own.single else sums[1]))
+    return np.stack([np.bincount(own.cell.ravel(), part.ravel(), CELLS) for part in excess])
 
 
 def completed(
@@ -167,30 +155,30 @@ def completed(
     found = correlation_of(product, unit)
     whole = whole_of(sites) if by_sensor > 0 else None
     drawn = Drawn(frames, design, ready, found.grain, whole)
-    by_cell, by_lag = np.zeros((2, CELLS)), np.zeros((2, len(LAGS)))
-    every = Pulled(sites[0].cell.shape if whole is None else whole.cell.shape)
+    of_cells, by_lag = np.zeros((2, CELLS)), np.zeros((2, len(LAGS)))
+    every = np.zeros((2, 2, *sites[0].cell.shape) if whole is None else (2, 2, *whole.cell.shape))
     for own, (window, members) in zip(sites, drawn.windows, strict=True):
-        sums, of_sensor, flat = Pulled(own.cell.shape), Pulled(own.cell.shape), np.zeros((2, *own.cell.shape))
+        sums, of_sensor, flat = (np.zeros((*n, 2, *own.cell.shape)) for n in ((2,), (), ()))
         for k in members:
             s, n = drawn.pulls(k)
             at, even = window.at(frames[k]), s[0] * evened(n)
-            sums.add(at, s[0])
-            of_sensor.add(at, s[-1])
+            sums[:, :, *at] += s[0], s[0] ** 2
+            of_sensor[:, *at] += s[-1]
             flat[:, *at] += even
             if not own.single:
                 by_lag -= [products(part) for part in even]
         by_lag += [products(part) for part in flat]
-        by_cell += sums.by_cell(own, variance)
+        of_cells += by_cell(own, sums, variance)
         if whole is not None:
-            every.add(placed(own, whole), of_sensor.pull)
+            every[:, :, *placed(own.corner, own.cell.shape, whole.corner)] += of_sensor, of_sensor**2
     # What products lack is as much of what they are as it is in those of drawn fields.
     part = max(by_lag[1, 0] / by_lag[0, 0], LEAST) if by_lag[0, 0] > 0 else 1.0
     grain = correlation_of(product + found.variance / part * (by_lag[0] - by_lag[1]), unit).grain
-    by_pixel = kept_of(every.by_cell(whole, by_sensor)) if whole is not None else np.ones(CELLS)
-    return [own._replace(kept=kept_of(by_cell), kept_by_sensor=by_pixel, grain=grain) for own in sites]
+    by_pixel = kept_of(by_cell(whole, every, by_sensor)) if whole is not None else np.ones(CELLS)
+    return [own._replace(kept=kept_of(of_cells), kept_by_sensor=by_pixel, grain=grain) for own in sites]
 
 
-def kept_of(by_cell: np.ndarray) -> np.ndarray:
+def kept_of(sums: np.ndarray) -> np.ndarray:
     """The part that is left [cell], of sums before and after [2, cell]."""
-    before, after = by_cell
+    before, after = sums
     return np.maximum(np.where(before > 0, after / np.where(before > 0, before, 1.0), 1.0), LEAST)

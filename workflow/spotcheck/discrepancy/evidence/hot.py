@@ -6,13 +6,15 @@ over electrons and readings. Only the oddest pixels of each level of noise are l
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from spotcheck.discrepancy.evidence.cells import Standard
-from spotcheck.discrepancy.evidence.fields import window_of
+from spotcheck.discrepancy.evidence.fields import Field
 from spotcheck.discrepancy.evidence.parts import SMALLEST, Part, smallest_of
+from spotcheck.discrepancy.evidence.windows import Window
+from spotcheck.discrepancy.observe.pixels import Frame
 from spotcheck.discrepancy.observe.readings import POISSON_E, ROOT_HALF
 from spotcheck.model.sensor import SensorModel
 
@@ -72,51 +74,79 @@ def _numbers(sensor: SensorModel) -> tuple:
             float(min(sensor.full_scale_dn, 65535.0)))  # fmt: skip
 
 
+class Oddest(NamedTuple):
+    """The least chance of a pixel among so many, which counts each from both sides, its z, and its row and column on
+    the sensor."""
+
+    chance: float
+    chances: int
+    z: float
+    row: int
+    column: int
+
+
+def oddest(
+    sums: Field, window: Window, frames: Sequence[Frame], electrons: Sequence[np.ndarray], sensor: SensorModel
+) -> Oddest | None:
+    """The pixel that reads too much or too little in all frames of a window together: the plain sum of its readings,
+    under the exact law of that sum. `sums`: of z with weights √V; `electrons` [row, column] of each frame, mean (NaN:
+    masked)."""
+    seen = sums.weight > 0
+    if not seen.any():
+        return None
+    bounds = np.quantile(sums.weight[seen], np.linspace(0, 1, LEVELS + 1)[1:-1])
+    found, places = [], [window.at(own) for own in frames]
+    for j in np.unique(_extremes(sums.pull.ravel(), sums.weight.ravel(), bounds)):
+        row, column = divmod(int(j), seen.shape[1])
+        inside = [(k, row - down.start, column - along.start) for k, (down, along) in enumerate(places)
+                  if down.start <= row < down.stop and along.start <= column < along.stop]  # fmt: skip
+        inside = [(k, r, c) for k, r, c in inside if np.isfinite(electrons[k][r, c])]
+        total = sum(float(frames[k].pixels[r, c]) for k, r, c in inside)
+        z = float(sums.pull[row, column] / np.sqrt(sums.weight[row, column]))
+        mean = np.array([electrons[k][r, c] for k, r, c in inside], float)
+        chance = chance_of_sum(total, mean, sensor, z > 0)
+        found.append(Oddest(chance, 2 * int(seen.sum()), z, row + window.corner[0], column + window.corner[1]))
+    return min(found, key=lambda own: own.chance)
+
+
+@compiled
+def _extremes(rest, square, bounds):
+    """The pixels with the highest and the lowest z of each level of noise [level]."""
+    best, where = np.zeros((2, bounds.size + 1)), np.full((2, bounds.size + 1), -1)
+    for k in range(rest.size):
+        if square[k] > 0:
+            z = rest[k] / math.sqrt(square[k])
+            level = np.searchsorted(bounds, square[k], side="right")
+            for side in range(2):
+                if where[side, level] < 0 or (z > best[side, level] if side else z < best[side, level]):
+                    best[side, level], where[side, level] = z, k
+    flat = where.ravel()
+    return flat[flat >= 0]
+
+
 def odd_pixels(
-    name: str, groups: Sequence[Sequence[Standard]], pixels: Sequence[Sequence[np.ndarray]], sensor: SensorModel
+    name: str, found: Sequence[Oddest | None], electrons: Sequence[np.ndarray], sensor: SensorModel
 ) -> Part | None:
-    """Whether one pixel of the sensor reads too much or too little in all frames of a group together: the plain sum of
-    its readings, under the exact law of that sum.
+    """Whether one pixel reads too much or too little, by the oddest of each frame, or of one window of them all.
 
     Readings are whole numbers: of frames each alone it counts how rare these can be; of sums not, so that their p-value
     is too large rather than too small.
     """
-    best, count, found = 2.0, 0, (0.0, "")
-    for group, (frames, own) in enumerate(zip(groups, pixels, strict=True)):
-        corner, size, places = window_of(frames)
-        off, square = np.zeros(size), np.zeros(size)
-        for one, at in zip(frames, places, strict=True):
-            off[at] += (one.z * one.spread).reshape(one.shape)
-            square[at] += (one.spread**2).reshape(one.shape)
-        seen = square > 0
-        if not seen.any():
-            continue
-        count += 2 * int(seen.sum())
-        z = np.where(seen, off / np.sqrt(np.where(seen, square, 1.0)), 0.0)
-        levels = np.digitize(square, np.quantile(square[seen], np.linspace(0, 1, LEVELS + 1)[1:-1]))
-        flat = z.ravel()
-        at_level = [np.flatnonzero(seen.ravel() & (levels.ravel() == own)) for own in range(LEVELS)]
-        for j in [int(at[pick(flat[at])]) for at in at_level if at.size for pick in (np.argmax, np.argmin)]:
-            row, column = divmod(j, size[1])
-            here = [(k, (row - at[0].start) * frames[k].shape[1] + column - at[1].start) for k, at in enumerate(places)
-                    if at[0].start <= row < at[0].stop and at[1].start <= column < at[1].stop]  # fmt: skip
-            here = [(k, p) for k, p in here if frames[k].spread[p] > 0]
-            total = sum(float(own[k].ravel()[p]) for k, p in here)
-            electrons = np.array([frames[k].electrons[p] for k, p in here])
-            chance = chance_of_sum(total, electrons, sensor, bool(z[row, column] > 0))
-            if chance < best:
-                place = f"the pixel in row {row + corner[0]}, column {column + corner[1]}"
-                best, found = chance, (float(z[row, column]), place + (f", frame {group}" if len(frames) == 1 else ""))
-    if best > 1:
+    told = [(own, k) for k, own in enumerate(found) if own is not None]
+    if not told:
         return None
-    if max(len(own) for own in pixels) == 1:
-        best = max(_rarer(best, np.concatenate([own.electrons[own.spread > 0] for (own,) in groups]), sensor), SMALLEST)
-    return Part(name, (found[0] ** 2 - 1) / math.sqrt(2), smallest_of(best, count), found[1], found[0])
+    best, frame = min(told, key=lambda own: own[0].chance)
+    chance, where = best.chance, f"the pixel in row {best.row}, column {best.column}"
+    if len(found) == len(electrons):
+        every = np.concatenate([own[np.isfinite(own)] for own in electrons])
+        chance, where = max(_rarer(chance, every, sensor), SMALLEST), f"{where}, frame {frame}"
+    count = sum(own.chances for own, _ in told)
+    return Part(name, (best.z**2 - 1) / math.sqrt(2), smallest_of(chance, count), where, best.z)
 
 
 def _rarer(chance: float, electrons: np.ndarray, sensor: SensorModel) -> float:
     """The mean chance of a reading, on either side, that is no likelier than `chance`."""
-    some = np.sort(electrons[:: max(electrons.size // SORTED, 1)])
+    some = np.sort(electrons[:: max(electrons.size // SORTED, 1)]).astype(float)
     some = some[((np.arange(NODES) + 0.5) / NODES * some.size).astype(int)]
     laws, _ = laws_of(some, sensor)
     tails = np.stack([np.cumsum(laws[:, ::-1], axis=1), np.cumsum(laws, axis=1)])

@@ -21,51 +21,26 @@ from spotcheck.discrepancy.evidence.accounts import (
     mean_of,
     predicted,
     problem_of,
+    start_of,
     starts_of,
 )
 from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
-from spotcheck.discrepancy.evidence.scatter import FEWEST, Scatter, scatters_of
+from spotcheck.discrepancy.evidence.scatter import FEWEST, Trial, scatters_of
 from spotcheck.discrepancy.nuisance.fit import NUMBERS
 from spotcheck.discrepancy.observe.design import Design, missing
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, Present
-from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import SensorModel
 
 
-class Trial(NamedTuple):
-    """What the frames' numbers say of one effect, beside the effects that are present already.
-
-    - `present`: the effect, its best form and values; `value` and `error` of its strength, in its unit.
-    - `z`: of the strength against the neutral one, by Student's t with `freedom` degrees of freedom, where the sum of
-      an effect's several parameters counts by Fisher's F.
-    - `gain`: what it gains in −2 ln L, scatter of the frames being free with and without it; of a scatter, against none
-      of it.
-    - `alone`: −2 ln L of the model with it where no scatter that is itself an effect is there, but its own: for rivals.
-    - `between_cells`: the part of error² that comes from cells of the spot that disagree.
-    """
-
-    present: Present
-    value: float
-    error: float
-    z: float
-    freedom: float
-    gain: float
-    alone: float
-    between_cells: float
-
-
 class Laws(NamedTuple):
-    """Accounts by restricted and by full likelihood without any further effect, −2 ln L without scatter that is itself
-    an effect, and what each effect brings; no account and no trial where the baseline has no law or frames are few. The
-    scatter of frames, of their centres too, is there in any case."""
+    """The account without any further effect, by restricted likelihood, and what each effect brings; neither where the
+    baseline has no law or frames are few. The scatter of frames, of their centres too, is there in any case."""
 
     base: Account | None
-    full: Account | None
-    alone: float
     trials: tuple[Trial, ...]
-    scatters: tuple[Scatter, ...]
+    scatters: tuple[Trial, ...]
 
 
 def laws_of(
@@ -75,33 +50,33 @@ def laws_of(
     sensor: SensorModel,
     crop_px: float,
     present: Sequence[Present] = (),
-    effects: Sequence[Effect] | None = None,
+    effects: Sequence[Effect] = (),
 ) -> Laws:
-    """What frames say of the baseline's laws and of every effect of brightness and width that their design can show.
-
-    `present`: effects that are in the model already; those of brightness and width are fitted again with each trial.
-    `effects`: those to try, by default the run's vocabulary.
-    """
+    """What frames say of the baseline's laws, and of those of some effects that their design can show. Effects of
+    brightness and width that are `present` already are fitted again with each."""
     law = baseline.photon_budget != "free" and len(design.site) >= FEWEST
-    known = tuple(vocabulary().values()) if effects is None else tuple(effects)
     taken = {own.effect.name for own in present}
-    tried = [e for e in known if e.name not in taken and not missing(e, design, law=law)]
+    tried = [e for e in effects if e.name not in taken and not missing(e, design, law=law)]
     scatters = tuple(scatters_of(numbers, design, tried))
     if not law:
-        return Laws(None, None, np.nan, (), scatters)
+        return Laws(None, (), scatters)
     problem = problem_of(numbers, design, baseline, sensor, crop_px, present)
     base = first_account(problem)
     full = again(base, problem.components)
-    held = {part_of(effect) for effect in known if effect.name not in taken}
+    held = {part_of(effect) for effect in effects if effect.name not in taken}
     bare = tuple(own for own in problem.components if (own.of, own.shared) not in held)
     trials = [_law_trial(problem, e, base, full, bare) for e in tried if e.place in PLACES]
-    trials += [_scatter_trial(problem, own, full, held) for own in scatters if part_of(own.effect)]
-    return Laws(base, full, again(full, bare).deviance, tuple(trials), scatters)
+    trials += [_scatter_trial(problem, own, full, held) for own in scatters if part_of(own.present.effect)]
+    return Laws(base, tuple(trials), scatters)
 
 
 def again(own: Account, components: tuple[Component, ...], *, restricted: bool = False) -> Account:
-    """An account of the same effects, with some components."""
-    return account(mean_of(own.mean.problem, own.present, own), components, restricted=restricted, start=own)
+    """An account of the same effects, with some components, from where it stands."""
+    mean = mean_of(own.mean.problem, own.present, own)
+    # Scoring leaves 0 as easily as any other value.
+    left = {(one.of, one.shared): tau for one, tau in zip(own.found.components, own.found.tau, strict=True)}
+    start = start_of(mean), np.array([left.get((one.of, one.shared), 0.0) for one in components])
+    return account(mean, components, restricted=restricted, start=start)
 
 
 def part_of(effect: Effect) -> tuple[str, str] | None:
@@ -109,13 +84,12 @@ def part_of(effect: Effect) -> tuple[str, str] | None:
     return ("brightness", effect.scatter.shared) if effect.scatter and effect.component == "gain" else None
 
 
-def _scatter_trial(problem: Problem, own: Scatter, full: Account, held: set[tuple[str, str] | None]) -> Trial:
-    """A scatter of frames as a trial: the test is its own, −2 ln L for rivals that of an account that has it."""
-    others = held - {part_of(own.effect)}
+def _scatter_trial(problem: Problem, own: Trial, full: Account, held: set[tuple[str, str] | None]) -> Trial:
+    """A scatter of frames beside its rivals, by −2 ln L of an account that has it."""
+    others = held - {part_of(own.present.effect)}
     with_it = tuple(c for c in problem.components if (c.of, c.shared) not in others)
-    values = (own.value, *own.effect.starts(problem.context)[0][1:])
-    present = Present(own.effect, own.effect.forms[0], values)
-    return Trial(present, own.value, own.error, own.z, np.inf, own.gain, again(full, with_it).deviance, 0.0)
+    values = (own.value, *own.present.effect.starts(problem.context)[0][1:])
+    return own._replace(present=own.present._replace(values=values), alone=again(full, with_it).deviance)
 
 
 def _law_trial(problem: Problem, effect: Effect, base: Account, full: Account, bare: tuple[Component, ...]) -> Trial:
@@ -136,13 +110,13 @@ def _judged(own: Account, base: Account, gain: float, alone: float) -> Trial:
     """Strength, error and z of the effect that an account has beyond another."""
     present = own.present[-1]
     places = _places(own, len(own.present) - 1)
-    variance, between, freedom = _error_of(own, own.slopes, places[0])
+    variance, freedom = _error_of(own, own.slopes, places[0])
     error = float(np.sqrt(variance))
     t = (present.values[0] - present.effect.neutral) / error
     if not np.isfinite(present.effect.neutral):
         t, freedom = _against(own, base)
     z = mixed.z_of(t, freedom, len(places), len(present.effect.forms))
-    return Trial(present, float(present.values[0]), error, z, freedom, gain, alone, between)
+    return Trial(present, error, z, freedom, gain, alone)
 
 
 def _places(own: Account, effect: int) -> dict[int, int]:
@@ -163,8 +137,8 @@ def errors_of(own: Account) -> dict[str, tuple[float, ...]]:
     return out
 
 
-def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float, float]:
-    """Variance of a parameter, the part of it that comes from cells that disagree, and its degrees of freedom.
+def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float]:
+    """Variance of a parameter, and its degrees of freedom.
 
     Cells whose model is right differ by noise alone, which the known covariance holds; what goes beyond comes on top.
     """
@@ -178,7 +152,7 @@ def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float,
         beyond = max(scatter - float(heavy @ problem.known @ heavy), 0.0)
         doubt += 2 * scatter**2 / left if beyond else 0.0
     total = first + beyond
-    return float(total), beyond, float(2 * total**2 / doubt) if doubt > 0 else np.inf
+    return float(total), float(2 * total**2 / doubt) if doubt > 0 else np.inf
 
 
 def _against(own: Account, base: Account) -> tuple[float, float]:
@@ -188,6 +162,6 @@ def _against(own: Account, base: Account) -> tuple[float, float]:
     slopes = np.concatenate([base.slopes, way[:, None]], 1)
     known, began = base.mean.problem.known, base.found
     found = mixed.estimate(known, began.components, slopes, base.rest, began.tau, restricted=True)
-    variance, _, freedom = _error_of(base._replace(found=found), slopes, slopes.shape[1] - 1)
+    variance, freedom = _error_of(base._replace(found=found), slopes, slopes.shape[1] - 1)
     size = float(mixed.reckoned(found, slopes)[1][-1] @ base.rest)
     return size / float(np.sqrt(variance)), freedom

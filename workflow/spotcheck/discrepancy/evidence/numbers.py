@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg, optimize
 
-from spotcheck.discrepancy.evidence.parts import Standing
+from spotcheck.discrepancy.evidence.parts import Standing, standing_of
 from spotcheck.discrepancy.nuisance.numbers import Numbered
 
 # A frame whose numbers are less well parted than this [condition of their information] tells none of them.
@@ -35,14 +35,14 @@ def numbers_of(numbered: Numbered, exposure_s: np.ndarray, site: np.ndarray) -> 
 
     start = np.stack([value[places == j, 2:].mean(axis=0) for j in range(places.max() + 1)])
     z, taken = _left(value[:, 2:], covariance[:, 2:, 2:], centre, start.ravel())
-    out = {"centre": _standing(z.T.ravel(), np.concatenate([taken[:, 0], taken[:, 1]]), np.tile(known, 2))}
+    out = {"centre": standing_of(z.T.ravel(), np.concatenate([taken[:, 0], taken[:, 1]]), np.tile(known, 2))}
     if baseline.photon_budget != "free":
         width, lone = np.exp(value[:, 1]) - baseline.laser_px, np.ptp(exposure) == 0
         line = [np.median(width)] if lone else np.polyfit(np.log(exposure), width, 1)
         begun = np.array([*line, 0.0])
         begun[-1] = np.median(value[:, 0] - law(begun)[:, 0])
         z, taken = _left(value[:, :2], covariance[:, :2, :2], law, begun)
-        out |= {name: _standing(z[:, k], taken[:, k], known) for k, name in enumerate(("brightness", "width"))}
+        out |= {name: standing_of(z[:, k], taken[:, k], known) for k, name in enumerate(("brightness", "width"))}
     return out
 
 
@@ -62,7 +62,3 @@ def _left(
     back = half / error[..., None]
     shape = (*value.shape, -1)
     return (back @ found.fun.reshape(shape))[..., 0], back @ projection.reshape(shape)
-
-
-def _standing(z: np.ndarray, taken: np.ndarray, frame: np.ndarray) -> Standing:
-    return Standing(z, taken, 0 * z, 0 * z, np.stack([frame, 0 * frame], 1))

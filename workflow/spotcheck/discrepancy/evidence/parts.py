@@ -38,6 +38,11 @@ class Standing(NamedTuple):
     label: np.ndarray
 
 
+def standing_of(z: np.ndarray, taken: np.ndarray, label: np.ndarray) -> Standing:
+    """Normal numbers of which no shape takes anything, of a one-column label [cell]."""
+    return Standing(z, taken, 0 * z, 0 * z, np.stack([label, 0 * label], 1))
+
+
 def standing(cells: Cells, *, squares: bool = False) -> Standing:
     """The sums of cells whose law is known, linear ones or of squares. Squares of normal readings have an excess
     kurtosis of 12; where readings are rare, it grows like κ₄, by its mean over the cell."""

@@ -22,9 +22,8 @@ from spotcheck.model.effect import Context, Effect, Present
 ROUNDS = 8
 # Rows are told beyond this distance from the spot [σ]: nearer, fields on the light pass for them.
 BESIDE = 3.0
-# Of one frame alone gains of pixels, and what the shape's splines cannot resolve, are fields as well: up to this
-# contrast none is named.
-ALONE = 0.05
+# Places of less than this part of the greatest n² bring nothing to sums.
+FAINT = 1e-14
 # Fewer places than this tell no variance.
 FEWEST = 30
 
@@ -69,18 +68,18 @@ class Pattern(NamedTuple):
 def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], context: Context) -> Iterator[Pattern]:
     """What sums over frames (`gathered`) tell of effects that scatter pixels or rows, beside a fit without them."""
     kinds = {(e.scatter.of, e.scatter.shared): e for e in effects if e.scatter and e.scatter.of in ("field", "row")}
-    sensor = variance_of(shared_by_sensor(sites))
+    sensor = of_sensor(sites)
     known = sensor.value if sensor is not None else 0.0
     found = {
         ("field", "sensor"): sensor,
-        ("field", "site"): variance_of(shared_by_sites(sites), known, neighbours(sites[0].grain)),
+        ("field", "site"): variance_of(shared(sites), known, neighbours(sites[0].grain)),
         ("row", "frame"): variance_of(rows),
     }
     alone = len(sites) == 1 and sites[0].single
     for kind, told in found.items():
         if kind in kinds and told is not None and told.sure:
             effect, root = kinds[kind], float(np.sqrt(told.value))
-            if alone and kind == ("field", "site") and root < ALONE:
+            if alone and kind == ("field", "site") and root < criteria.FIELD_ALONE.value:
                 continue
             values = (root, *map(float, effect.starts(context)[0][1:]))
             if kind == ("field", "site"):
@@ -110,9 +109,9 @@ def gathered(frames: Sequence[Frame], design: Design, ready: Ready) -> tuple[lis
             row = np.broadcast_to(np.rint(seen.v * np.exp(ready.plain.model.numbers.log_width[k])), far.shape)[:, 0]
             lines.append((k, row, (tells.mean * far).sum(axis=1), (tells.sure * far).sum(axis=1)))
         sites.append(window.site())
-    sensor = variance_of(shared_by_sensor(sites))
+    sensor = of_sensor(sites)
     by_sensor = sensor.value if sensor is not None and sensor.sure else 0.0
-    by_site = variance_of(shared_by_sites(sites), by_sensor)
+    by_site = variance_of(shared(sites), by_sensor)
     if by_site is not None and (by_sensor > 0 or by_site.sure):
         sites = completed(frames, design, ready, sites, by_site.value, by_sensor)
     return sites, _rows(lines, design)
@@ -136,32 +135,29 @@ def _rows(lines, design: Design) -> Places:
                   which[good] % CELLS, which[good])  # fmt: skip
 
 
-def shared_by_sites(sites: Sequence[Site]) -> Places | None:
+def shared(sites: Sequence[Site]) -> Places:
     """The fields that frames of a site share: products of different frames, or the square of one alone."""
     parts = []
     for k, own in enumerate(sites):
-        beside = own.weight if own.single else own.square
-        cell = own.cell
-        places = Places(own.pull**2 - beside, own.unit, own.kept[cell], 2 * own.unit, cell, k * CELLS + cell)
-        # Where one frame alone sees a pixel that others of its site do not, nothing is shared.
-        parts.append([part[own.unit > 0] for part in places])
+        unit = own.unit
+        # Where one frame alone sees a pixel that others of its site do not, nothing is shared; and next to nothing
+        # where there is hardly any light.
+        good = unit > FAINT * unit.max()
+        cell, unit, beside = own.cell[good], unit[good], (own.weight if own.single else own.square)[good]
+        parts.append((own.pull[good] ** 2 - beside, unit, own.kept[cell], 2 * unit, cell, k * CELLS + cell))
     return Places(*(np.concatenate(own) for own in zip(*parts, strict=True)))
 
 
-def shared_by_sensor(sites: Sequence[Site]) -> Places | None:
+def of_sensor(sites: Sequence[Site]) -> Variance | None:
     """The field that all sites share where their windows lie on the same pixels: products of different sites."""
     whole = whole_of(sites)
-    if whole is None:
-        return None
-    cell = whole.cell
-    places = Places(whole.pull**2 - whole.square, whole.unit, sites[0].kept_by_sensor[cell], 2 * whole.unit, cell, cell)
-    return Places(*(own[whole.unit > 0] for own in places))
+    return None if whole is None else variance_of(shared([whole]))
 
 
-def variance_of(places: Places | None, known: float = 0.0, together: float = 1.0) -> Variance | None:
+def variance_of(places: Places, known: float = 0.0, together: float = 1.0) -> Variance | None:
     """Variance of what places share, beside a part of it that is known; None where too few tell it. So many neighbours
     of a field count `together` as one."""
-    if places is None or len(places.unit) < FEWEST:
+    if len(places.unit) < FEWEST:
         return None
     unit, weight = places.unit * places.kept, np.sqrt(places.unit)
     excess = places.excess - known * unit

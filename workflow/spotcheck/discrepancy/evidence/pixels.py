@@ -128,7 +128,7 @@ def _sums(frames: Sequence[Frame], ready: Ready, which: np.ndarray):
     count, few, side = len(ready.others), NUMBERS * len(frames), ready.side
     size = coefficients_of(ready.fitted.model).size
     score, raw, drop = np.zeros(count), np.zeros(count), np.zeros(count)
-    shape, pull = np.zeros((size, count)), np.zeros((size, 1))
+    shape, pull = np.zeros((count, size)), np.zeros((size, 1))
     numbers, own = np.zeros((few + len(ready.nudged), count)), np.zeros(few + len(ready.nudged))
     for k in which:
         frame, at, light = frames[k], slice(NUMBERS * k, NUMBERS * (k + 1)), rows_of(ready.fitted.model, k)
@@ -140,18 +140,18 @@ def _sums(frames: Sequence[Frame], ready: Ready, which: np.ndarray):
         own[few:] += [tells.score(*change) for change in free]
         for u, v, weight in seen.copies:
             normal.project(u, v, ready.step, side, (weight * peak * tells.light)[None], pull[light])
-        before, lights = deviance_of(frame, seen), np.empty((count, *frame.pixels.shape))
+        before = deviance_of(frame, seen)
         for c, other in enumerate(ready.others):
             then = other.of(frame, k, seen)
             drop[c] += before - deviance_of(frame, then)
             change = then.mean - seen.mean, then.variance - seen.variance
             score[c] += tells.score(*change)
             raw[c] += tells.information(change, change)
-            lights[c] = tells.with_light(*change)
+            lights = tells.with_light(*change)
+            numbers[at, c] = slopes @ lights.ravel()
+            normal.project(seen.u, seen.v, ready.step, side, (peak * lights)[None], shape[c, light, None])
             numbers[few:, c] += [tells.information(change, one) for one in free]
-        numbers[at] = slopes @ lights.reshape(count, -1).T
-        normal.project(seen.u, seen.v, ready.step, side, peak * lights, shape[light])
-    return [score, raw, drop, shape, numbers, pull, own]
+    return [score, raw, drop, shape.T, numbers, pull, own]
 
 
 def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score):

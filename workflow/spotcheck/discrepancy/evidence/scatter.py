@@ -16,7 +16,7 @@ from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.components import Component
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.model.effect import Effect
+from spotcheck.model.effect import Effect, Present
 
 # Which of a frame's numbers scatter, by component: along each axis with the same variance.
 AXES = {"gain": (0,), "centre": (2, 3)}
@@ -26,15 +26,28 @@ NONE = 1e-9
 FEWEST = 4
 
 
-class Scatter(NamedTuple):
-    """A scatter of frames: `value` and `error` of its rms (along each axis, in the effect's unit), and of the test that
-    leaves the worst frames out, z (0 or more) and gain in −2 ln L against none (by chance half χ²₁, half 0)."""
+class Trial(NamedTuple):
+    """What the frames' numbers say of one effect, beside the effects that are present already.
 
-    effect: Effect
-    value: float
+    - `present`: the effect, its best form and values; `error` of its strength, in its unit.
+    - `z`: of the strength against the neutral one, by Student's t with `freedom` degrees of freedom, where the sum of
+      an effect's several parameters counts by Fisher's F; of a scatter the root of its gain.
+    - `gain`: what it gains in −2 ln L, scatter of the frames being free with and without it; of a scatter, against none
+      of it, the worst frames left out (by chance half χ²₁, half 0).
+    - `alone`: −2 ln L of the model with it where no scatter that is itself an effect is there, but its own: for rivals.
+    """
+
+    present: Present
     error: float
     z: float
+    freedom: float
     gain: float
+    alone: float
+
+    @property
+    def value(self) -> float:
+        """The strength; of a scatter the rms, along each axis."""
+        return float(self.present.values[0])
 
 
 class Variance(NamedTuple):
@@ -45,7 +58,7 @@ class Variance(NamedTuple):
     gain: float
 
 
-def scatters_of(numbers: FrameNumbers, design: Design, effects: Iterable[Effect]) -> Iterator[Scatter]:
+def scatters_of(numbers: FrameNumbers, design: Design, effects: Iterable[Effect]) -> Iterator[Trial]:
     """The scatter of frames that each of some effects is, of brightness or of centre."""
     # ASSUME: the light's scatter is small, so that its logarithm's is the same.
     every = np.arange(len(design.site))
@@ -60,7 +73,8 @@ def scatters_of(numbers: FrameNumbers, design: Design, effects: Iterable[Effect]
             gain = tested.gain if tested is not None else 0.0
             # Where a variance is less than its error, that of the root of one as large as its error.
             error = fitted.error / (2 * np.sqrt(max(fitted.variance, fitted.error)))
-            yield Scatter(effect, float(np.sqrt(fitted.variance)), float(error), float(np.sqrt(gain)), gain)
+            present = Present(effect, effect.forms[0], (float(np.sqrt(fitted.variance)),))
+            yield Trial(present, float(error), float(np.sqrt(gain)), np.inf, gain, np.nan)
 
 
 def narrowed(part: float, axes: int) -> float:

@@ -12,18 +12,13 @@ from spotcheck.discrepancy.evidence.windows import Site
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Numbers
 
-# Periods of more than so many σ are the shape's and the numbers'.
-LONGEST = 2.0
 # A sensor that reads every other line in its own way, or has a colour filter, has a pattern of 2 px of its own.
 SHORTEST_PX = 2.1
 # The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps
 # of the grid the peak itself is wide.
 RING, WIDE = 1.3, 4
-# A peak is one of stripes where it is so many times the next beyond so many steps of the grid: light of many fine
-# details has many.
-NEXT, APART = 4.0, 8
-# Of one frame alone light has fringes of its own, of dust and glass: up to this depth none are named.
-ALONE = 0.01
+# The next peak is sought beyond so many steps of the grid.
+APART = 8
 
 
 class Stripes(NamedTuple):
@@ -50,7 +45,7 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     for own in sites:
         power += np.abs(fft.rfft2(own.pull, s=padded)) ** 2 * 2 / max(float(own.weight.sum()), 1e-300)
     radius = np.hypot(ky, kx)
-    sought = (radius > 1 / (LONGEST * sigma_px)) & (radius < 1 / SHORTEST_PX)
+    sought = (radius > 1 / (criteria.LONGEST.value * sigma_px)) & (radius < 1 / SHORTEST_PX)
     if not sought.any():
         return None
     power[~sought] = 0
@@ -76,11 +71,11 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     steps = np.hypot((ky - ky[j, 0]) * padded[0], (kx - kx[0, i]) * padded[1])
     mirrored = np.hypot((ky + ky[j, 0]) * padded[0], (kx + kx[0, i]) * padded[1])
     others = power[sought & (np.minimum(steps, mirrored) > APART)]
-    lonely = not others.size or power[j, i] > NEXT * others.max()
+    lonely = not others.size or power[j, i] > criteria.STANDS_OUT.value * others.max()
     about = sought & (radius < RING * radius[j, i]) & (radius > radius[j, i] / RING) & (steps > WIDE)
     beside = float(np.median(power[about])) / (2 * len(sites)) if about.any() else 1.0
     gain = max(-float(best.fun) / max(beside, 1.0) - chance, 0.0)
-    lonely &= len(sites) > 1 or not sites[0].single or abs(amplitude[0]) > ALONE
+    lonely &= len(sites) > 1 or not sites[0].single or abs(amplitude[0]) > criteria.FRINGES_ALONE.value
     return Stripes(period, direction, amplitude, weight, gain if lonely else 0.0)
 
 

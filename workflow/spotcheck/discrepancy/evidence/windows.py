@@ -25,9 +25,9 @@ BRIGHT = 400.0
 class Site(NamedTuple):
     """Of one site: the corner of its window (row, column) [px], and of its pixels [row, column] S, Σ s², N, Σ n² over
     its frames, and the cell; `single` where it has one frame; products of pixels of different frames at each of the
-    distances, and what they would be for a field of variance 1
-    that is alike everywhere [lag]; and the part of a field's variance
-    that shape and numbers leave [cell], of fields of each site and of the sensor, and the grain of the first [px]."""
+    distances, and what they would be for a field of variance 1 that is alike everywhere [lag]; and the part of a
+    field's variance that shape and numbers leave [cell], of fields of each site and of the sensor, and the grain of the
+    first [px]."""
 
     corner: tuple[int, int]
     pull: np.ndarray
@@ -50,40 +50,41 @@ class Site(NamedTuple):
 
 
 class Window:
-    """Sums of one site, while its frames are gone through."""
+    """The part of the sensor that holds the frames of one site, and their sums while they are gone through."""
 
-    def __init__(self, corner: tuple[int, int], shape: tuple[int, int], single: bool):
-        self.corner, self.single = corner, single
-        self.total, self.flat = np.zeros((4, *shape)), np.zeros((2, *shape))
-        self.alone = np.zeros((2, len(LAGS)))
-        self.cell = np.zeros(shape, int)
+    def __init__(self, frames: Sequence[Frame]):
+        corners = np.array([corner_of(own) for own in frames])
+        low = corners.min(axis=0)
+        rows, columns = (corners + [own.pixels.shape for own in frames]).max(axis=0) - low
+        self.corner, self.shape, self.single = (int(low[0]), int(low[1])), (int(rows), int(columns)), len(frames) < 2
+        self.sums: list[np.ndarray] = []
+        self.cell, self.by_lag = np.zeros((0, 0), np.int32), np.zeros((2, len(LAGS)))
 
     def at(self, frame: Frame) -> tuple[slice, slice]:
         """Where a frame lies in the window."""
-        top, left = np.subtract(corner_of(frame), self.corner)
-        height, width = frame.pixels.shape
-        return slice(top, top + height), slice(left, left + width)
+        return placed(corner_of(frame), frame.pixels.shape, self.corner)
 
     def add(self, frame: Frame, seen: Expected, tells: Told) -> None:
         """Add what a frame reads."""
+        if not self.sums:
+            self.sums, self.cell = [np.zeros(self.shape) for _ in range(6)], np.zeros(self.shape, np.int32)
         at, a = self.at(frame), seen.spot * seen.slope
         s, n = a * tells.mean, a * a * tells.sure
-        for sums, part in zip(self.total, (s, s * s, n, n * n), strict=True):
-            sums[at] += part
         even = evened(n)
-        for flat, alone, part in zip(self.flat, self.alone, (s * even, n * even), strict=True):
-            flat[at] += part
-            if not self.single:
-                alone += products(part)
+        flat = s * even, n * even
+        for sums, part in zip(self.sums, (s, s * s, n, n * n, *flat), strict=True):
+            sums[at] += part
         if self.single:
             # Of one frame, noise is in the square of a pixel alone.
-            self.alone[0, 0] += float(np.vdot(even * even, n))
+            self.by_lag[0, 0] -= float(np.vdot(even * even, n))
+        else:
+            self.by_lag -= [products(part) for part in flat]
         self.cell[at] = cells_of(seen.u, seen.v)
 
     def site(self) -> Site:
         """The sums of all frames."""
-        by_lag = [products(flat) - alone for flat, alone in zip(self.flat, self.alone, strict=True)]
-        pull, square, weight, heavy = self.total
+        pull, square, weight, heavy, *flat = self.sums
+        by_lag = self.by_lag + [products(part) for part in flat]
         return Site(self.corner, pull, square, weight, heavy, self.cell, self.single, by_lag[0], by_lag[1])
 
 
@@ -113,10 +114,7 @@ def windows_of(frames: Sequence[Frame], design: Design) -> Iterator[tuple[Window
     """An empty window of each site, and its frames."""
     for site in np.unique(design.site):
         own = np.flatnonzero(design.site == site).tolist()
-        corners = np.array([corner_of(frames[k]) for k in own])
-        low = corners.min(axis=0)
-        rows, columns = (corners + [frames[k].pixels.shape for k in own]).max(axis=0) - low
-        yield Window((int(low[0]), int(low[1])), (int(rows), int(columns)), len(own) < 2), own
+        yield Window([frames[k] for k in own]), own
 
 
 def whole_of(sites: Sequence[Site]) -> Site | None:
@@ -130,9 +128,10 @@ def whole_of(sites: Sequence[Site]) -> Site | None:
     pull, square, weight, heavy = np.zeros((4, *(high - low)))
     none = np.zeros(len(LAGS))
     corner = int(low[0]), int(low[1])
-    whole = Site(corner, pull, square, weight, heavy, np.zeros(high - low, int), False, none, none)
+    kept = sites[0].kept_by_sensor
+    whole = Site(corner, pull, square, weight, heavy, np.zeros(high - low, np.int32), False, none, none, kept)
     for own in sites:
-        at = placed(own, whole)
+        at = placed(own.corner, own.pull.shape, corner)
         members = (own.pull, own.pull**2, own.weight, own.weight**2)
         for sums, part in zip((pull, square, weight, heavy), members, strict=True):
             sums[at] += part
@@ -140,7 +139,7 @@ def whole_of(sites: Sequence[Site]) -> Site | None:
     return whole
 
 
-def placed(own: Site, whole: Site) -> tuple[slice, slice]:
-    """Where a site's window lies in that of all."""
-    (top, left), (height, width) = np.subtract(own.corner, whole.corner), own.pull.shape
+def placed(corner: Sequence[int], shape: Sequence[int], beside: Sequence[int]) -> tuple[slice, slice]:
+    """Where so many rows and columns from a corner on lie in a window with another corner."""
+    (top, left), (height, width) = np.subtract(corner, beside), shape
     return slice(top, top + height), slice(left, left + width)

@@ -72,7 +72,7 @@ def darkness(frames: Sequence[Frame], model: Model) -> Darkness | None:
         )
         # A learned shape may lie a little below 0 out there.
         level = np.maximum(np.rint(light / step), 0).astype(int)
-        offset = _offset(frame.view, model.present) + model.level(k)
+        offset = offset_of(frame.view, model.present) + model.level(k)
         for which in np.unique(level):
             dark.setdefault((int(which), offset), []).append(readings[level == which])
     own_histograms = [
@@ -118,7 +118,7 @@ def _around(frames: Sequence[Frame], model: Model, ready: Expectation) -> Darkne
         own = ready.numbers_of(k)
         distance = np.hypot(frame.around.x - own.x, frame.around.y - own.y).ravel() / np.exp(own.log_width.item())
         electrons = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
-        offset = _offset(frame.view, model.present) + model.level(k)
+        offset = offset_of(frame.view, model.present) + model.level(k)
         offset = offset + model.sensor.gain_dn_per_e * float(np.mean(electrons))
         levels.append(frame.around.mean[distance > BEYOND] - offset)
     blocks = np.concatenate(levels) if levels else np.zeros(0)
@@ -142,7 +142,7 @@ def _electrons(ready: Expectation, frame: Frame, k: int) -> np.ndarray:
     return np.broadcast_to(out, (1, *frame.pixels.shape))[0]
 
 
-def _offset(view: View, present: Sequence[Present]) -> float:
+def offset_of(view: View, present: Sequence[Present]) -> float:
     """What effects add to the black level [DN]."""
     added = [own for own in present if own.effect.place is Place.PEDESTAL and own.form == "electronic"]
     taken = [own for own in present if own.effect.place is Place.DIGITAL and own.form == "subtracted"]

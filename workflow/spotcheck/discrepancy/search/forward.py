@@ -8,7 +8,7 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.codes import gathers
 from spotcheck.discrepancy.evidence.noise import Noisy, level_of, levels_of, noises_of
-from spotcheck.discrepancy.nuisance.darkness import darkness, with_levels
+from spotcheck.discrepancy.nuisance.darkness import darkness, offset_of, with_levels
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, of_dark
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.frames import TOP
@@ -89,8 +89,9 @@ def grow(
     rivals, tied = dict[str, dict[str, Rival]](), list[Tied]()
     now, told = quiet(start, level=True)
     # The brightest light lies above the level that is there, not above the stated one.
-    sensor = now.fitted.model.sensor
-    shift = sensor.black_level_dn - now.fitted.model.stated.sensor.black_level_dn
+    model = now.fitted.model
+    level = model.sensor.black_level_dn + offset_of(now.frames[0].view, model.present)
+    shift = level - model.stated.sensor.black_level_dn
     context = context._replace(peak_dn=max(context.peak_dn - shift / TOP, 1.0))
     usable = [e for e in effects if not (told and any(e.moves_level(form) for form in e.forms))]
     for step in range(int(criteria.MOST.value)):

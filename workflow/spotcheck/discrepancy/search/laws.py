@@ -7,14 +7,15 @@ import numpy as np
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.influence import as_cells_agree, influence_of, numbers_of
-from spotcheck.discrepancy.evidence.laws import Laws, Trial, errors_of, laws_of
+from spotcheck.discrepancy.evidence.laws import Laws, errors_of, laws_of
+from spotcheck.discrepancy.evidence.scatter import Trial
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.effect import Context, Effect, Present
+from spotcheck.model.effect import Context, Effect
 
 
 class Lawful(NamedTuple):
@@ -43,11 +44,7 @@ def search_laws(
         present = tuple(own.own for own in found)
         told = laws_of(numbers, design, baseline, fitted.model.sensor, crop_px, present, effects)
         known = {own.present.effect.name for own in told.trials}
-        of_centre = [
-            Trial(Present(s.effect, s.effect.forms[0], (s.value,)), s.value, s.error, s.z, np.inf, s.gain, np.nan, 0.0)
-            for s in told.scatters
-            if s.effect.name not in known
-        ]
+        of_centre = [own for own in told.scatters if own.present.effect.name not in known]
         trials = [own for own in (*told.trials, *of_centre) if _counts(own, context)]
         if not trials or len(found) == criteria.MOST.value:
             return _lawful(found, told)
