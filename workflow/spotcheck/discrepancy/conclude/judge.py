@@ -15,6 +15,7 @@ from spotcheck.discrepancy.conclude.unexplained import unexplained
 from spotcheck.discrepancy.conclude.unseen import Unseen, unseen
 from spotcheck.discrepancy.evidence.influence import numbers_of
 from spotcheck.discrepancy.evidence.laws import Laws, laws_of
+from spotcheck.discrepancy.nuisance.darkness import offset_of
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of_sheet
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.nuisance.sheet import Against, against_dark, against_sheet, fit_sheet
@@ -76,7 +77,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         rest=rest,
         errors=errors_of(outcome) | laws.errors,
         not_assessed=tuple((name, NEEDS[need]) for name, need in why.items() if need),
-        black_level_dn=setting.sensor.black_level_dn,
+        black_level_dn=setting.sensor.black_level_dn + offset_of(frames[0].view, outcome.after.model.present),
         advice=advise(outcome, fits.law, design, context),
         fits=fits,
     )

@@ -150,7 +150,7 @@ class Judgement(NamedTuple):
     - `advice`: where effects tie, what to measure next.
     - `not_assessed`: effects that this design cannot show, and why.
     - `levels`: of flats without spots; their peak is the highest signal.
-    - `black_level_dn`: of the sensor, by which a strength that readings show as a whole number is rounded [DN].
+    - `black_level_dn`: where readings begin, by which a strength that they show as a whole number is rounded [DN].
     - `fits`: the fits themselves.
     """
 

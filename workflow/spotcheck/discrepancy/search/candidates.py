@@ -128,8 +128,14 @@ def tied_of(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) 
         return []
     model = fitted.model._replace(lights=lights._replace(coefficients=0 * lights.coefficients))
     plain = fit(frames, model, fitted.penalty, fitted.free, steps=0)
-    parts = [score.information / max(score.if_known, 1e-300) for score in scores(frames, plain, trials)]
-    return [Tied(own.effect, p) for own, p in zip(trials, parts, strict=True) if p < criteria.TIED.value]
+    out = []
+    for own, score, beside in zip(trials, scores(frames, plain, trials), scores(frames, fitted, trials), strict=True):
+        # A level that the declared light does not reach is told by the learned one alone.
+        told = beside if score.if_known < criteria.TIED.value * beside.if_known else score
+        part = told.information / max(told.if_known, 1e-300)
+        if part < criteria.TIED.value:
+            out.append(Tied(own.effect, part))
+    return out
 
 
 def promised(own: Present, score: Score) -> float:

@@ -41,7 +41,7 @@ REACH, PENALTY = 5.1, 1.0
 # The search begins with whole sites of so many frames [frames], where these are no more than that part of all; and an
 # effect that is named by them must gain so much at least: what gains less, all frames tell better.
 FEW, PLAIN, GAIN_OF_SOME = 24, 0.5, 400.0
-# Steps that tell a shape which is to foretell other sites, or one that begins near: beside what is fitted it is linear.
+# Steps that tell a shape which is to foretell other sites: beside what is fitted it is linear.
 TOLD = 2
 # Contrasts among which that of a nameless field begins.
 CONTRASTS = (0.01, 0.03, 0.1, 0.3, 0.9)
@@ -286,16 +286,13 @@ def asked(
     strong = any(own.effect.excess(own.values[0], context) >= 1 for own in fields)
     more = 0.0
     for share in shares:
-        if strong and len(np.unique(design.site)) > 1:
+        sites = len(np.unique(design.site)) > 1
+        if (strong and sites) or (share.any() and not lonely(share)):
             more = 2 * foretold(now, design, share)
         else:
             same = first is not None and len(first.fitted.model.present) == len(now.fitted.model.present)
-            if share.any() or not same or first is None:
-                # From a light that all share it is not far to those of each pose.
-                steps = TOLD if share.any() and now.fitted.model.lights is not None else MOST_STEPS
-                learned = with_shape(now.frames, now.fitted.model, context, share=share, steps=steps)
-            else:
-                learned = first.fitted
+            known = first.fitted if first is not None and same and not share.any() else None
+            learned = known or with_shape(now.frames, now.fitted.model, context, share=share)
             freedom = freedom_of(now.frames, learned) - freedom_of(now.frames, now.fitted)
             more = float(
                 now.fitted.total - learned.total - freedom - criteria.SURE.value * np.sqrt(2 * max(freedom, 1))
