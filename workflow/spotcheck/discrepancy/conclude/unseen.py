@@ -10,12 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.conclude.judgement import Gap
-from spotcheck.discrepancy.evidence.stripes import waved
-from spotcheck.discrepancy.evidence.windows import windows_of
+from spotcheck.discrepancy.evidence.stripes import with_waves
 from spotcheck.discrepancy.nuisance.fit import Fitted
-from spotcheck.discrepancy.nuisance.numbers import expected_of, fit_numbers
+from spotcheck.discrepancy.nuisance.numbers import expected_of
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Numbers, deviance_of, told
+from spotcheck.discrepancy.observe.pixels import Expected, Frame, Model, Numbers, deviance_of
 
 
 class Distance(NamedTuple):
@@ -37,7 +36,7 @@ class Unseen(NamedTuple):
 def unseen(frames: Sequence[Frame], design: Design, numbers: Numbers, before: Model, after: Fitted, on: str) -> Unseen:
     """Compare the declared model `before` and the one that was found `after` on frames that start from `numbers`."""
     final = after.model._replace(numbers=numbers)
-    frames = _with_waves(frames, design, final)
+    frames = with_waves(frames, design, final)
     first, last = (expected_of(frames, model) for model in (before._replace(numbers=numbers), final))
     noise = [seen.variance for seen in first]
     # Where the found model has more noise than the declared one, or less, so have its frames.
@@ -80,19 +79,3 @@ def distance(frames: Sequence[Frame], expected: Sequence[Expected], noise: Seque
         square += float(rest @ (rest / own[known]))
         count += rest.size
     return Distance(deviance, square_dn / max(count, 1), square / max(count, 1))
-
-
-def _with_waves(frames: Sequence[Frame], design: Design, model: Model) -> list[Frame]:
-    """Frames with the phases of stripes that are anew at each site: these are no part of the model."""
-    place = next((k for k, p in enumerate(model.present) if p.effect.spectral and p.form == "site"), None)
-    if place is None:
-        return list(frames)
-    named = model.present[place].named()
-    fitted = fit_numbers(frames, model.without(place)).model
-    ready, sites = Expectation(frames, fitted), []
-    for window, which in windows_of(frames, design):
-        for k in which:
-            seen = ready.of(frames[k], k)
-            window.add(frames[k], seen, told(frames[k], seen))
-        sites.append(window.site())
-    return list(waved(frames, design, fitted.numbers, sites, named["period"], named["direction"]))

@@ -8,9 +8,10 @@ from scipy import fft
 from scipy.optimize import minimize
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.evidence.windows import Site
+from spotcheck.discrepancy.evidence.windows import Site, windows_of
+from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame, Numbers
+from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, told
 
 # A sensor that reads every other line in its own way, or has a colour filter, has a pattern of 2 px of its own.
 SHORTEST_PX = 2.1
@@ -127,3 +128,19 @@ def waved(
         frame._replace(view=frame.view._replace(wave_cos=w.real * one, wave_sin=-w.imag * one))
         for frame, w in zip(frames, waves, strict=True)
     )
+
+
+def with_waves(frames: Sequence[Frame], design: Design, model: Model) -> list[Frame]:
+    """Frames with the phases of stripes that are anew at each site: these are no part of the model."""
+    place = next((k for k, p in enumerate(model.present) if p.effect.spectral and p.form == "site"), None)
+    if place is None:
+        return list(frames)
+    named = model.present[place].named()
+    fitted = fit_numbers(frames, model.without(place)).model
+    ready, sites = Expectation(frames, fitted), []
+    for window, which in windows_of(frames, design):
+        for k in which:
+            seen = ready.of(frames[k], k)
+            window.add(frames[k], seen, told(frames[k], seen))
+        sites.append(window.site())
+    return list(waved(frames, design, fitted.numbers, sites, named["period"], named["direction"]))

@@ -12,6 +12,7 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.patterns import gathered
 from spotcheck.discrepancy.evidence.pixels import Ready
+from spotcheck.discrepancy.evidence.stripes import with_waves
 from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.nuisance.taken import leverage
@@ -172,6 +173,8 @@ def completed(
     told, shares = lit.grown.state.fitted.model, shares_of(design)
     lights = None if lit.share is None or told.lights is None else spread_over(told.lights, few, design)
     began = told._replace(numbers=numbers_from(model, told, few, design), lights=lights)
+    # Phases of stripes are no part of the model.
+    frames = with_waves(frames, design, began)
     start = fit(frames, began, PENALTY, free_of(began, context), MOST_STEPS)
     state, share = State(tuple(frames), start), None if lights is None else lights.which
     # Whether poses differ some sites tell; a shape for all may be too faint for these.
