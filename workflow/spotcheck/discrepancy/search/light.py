@@ -121,16 +121,26 @@ class _More:
 
     def __init__(self, shares: Sequence[np.ndarray], design: Design, context: Context, first: State | None):
         self.shares, self.design, self.context, self.first = shares, design, context, first
-        self.last: tuple[Fitted | None, float] = (None, 0.0)
+        self.known: list[float] = []
+        self.last: Fitted | None = None
+
+    def _of(self, now: State, ways: int) -> float:
+        """The first gain of so many ways to share."""
+        if self.last is not now.fitted:
+            self.last, self.known = now.fitted, []
+        for k, share in enumerate(self.shares[:ways]):
+            if k == len(self.known):
+                self.known.append(asked(now, self.design, share, self.context, self.first))
+            if self.known[k] > 0:
+                return self.known[k]
+        return self.known[-1] if self.known else 0.0
 
     def __call__(self, now: State) -> float:
-        if self.last[0] is not now.fitted:
-            self.last = now.fitted, asked(now, self.design, self.shares, self.context, self.first)
-        return self.last[1]
+        return self._of(now, len(self.shares))
 
     def part(self, now: State) -> float:
-        """What an effect must gain that is to stand in the place of that light."""
-        return PART * self(now)
+        """What an effect must gain that is to stand in the place of the simplest such light."""
+        return PART * self._of(now, 1)
 
 
 def lonely(share: np.ndarray) -> bool:
@@ -178,7 +188,7 @@ def completed(
     start = fit(frames, began, PENALTY, free_of(began, context), MOST_STEPS)
     state, share = State(tuple(frames), start), None if lights is None else lights.which
     # Whether poses differ some sites tell; a shape for all may be too faint for these.
-    if lights is None and asked(state, design, shares[:1], context) > 0:
+    if lights is None and asked(state, design, shares[0], context) > 0:
         share = shares[0]
         state = State(state.frames, with_shape(frames, start.model, context, share=share))
         state = without_tied(state, design, context)
@@ -279,30 +289,19 @@ def with_shape(
     return fit(frames, model, PENALTY, free, steps=steps)
 
 
-def asked(
-    now: State, design: Design, shares: Sequence[np.ndarray], context: Context, first: State | None = None
-) -> float:
-    """What −2 ln L gains by a learned light beyond what it would by noise, of the first way to share it that gains;
-    less than 0 where none is asked for. `first`: a state with a light for all, where it has the effects of this one."""
+def asked(now: State, design: Design, share: np.ndarray, context: Context, first: State | None = None) -> float:
+    """What −2 ln L gains by a learned light beyond what it would by noise; less than 0 where it is not asked for.
+    `first`: a state with a light for all, where it has the effects of this one."""
     fields = [own for own in now.fitted.model.present if scatters(own.effect, "field")]
     # What pixels share is taken up by a shape as well: it must foretell other sites.
     strong = any(own.effect.excess(own.values[0], context) >= 1 for own in fields)
-    more = 0.0
-    for share in shares:
-        sites = len(np.unique(design.site)) > 1
-        if (strong and sites) or (share.any() and not lonely(share)):
-            more = 2 * foretold(now, design, share)
-        else:
-            same = first is not None and len(first.fitted.model.present) == len(now.fitted.model.present)
-            known = first.fitted if first is not None and same and not share.any() else None
-            learned = known or with_shape(now.frames, now.fitted.model, context, share=share)
-            freedom = freedom_of(now.frames, learned) - freedom_of(now.frames, now.fitted)
-            more = float(
-                now.fitted.total - learned.total - freedom - criteria.SURE.value * np.sqrt(2 * max(freedom, 1))
-            )
-        if more > 0:
-            break
-    return more
+    if (strong and len(np.unique(design.site)) > 1) or (share.any() and not lonely(share)):
+        return 2 * foretold(now, design, share)
+    same = first is not None and len(first.fitted.model.present) == len(now.fitted.model.present)
+    known = first.fitted if first is not None and same and not share.any() else None
+    learned = known or with_shape(now.frames, now.fitted.model, context, share=share)
+    freedom = freedom_of(now.frames, learned) - freedom_of(now.frames, now.fitted)
+    return float(now.fitted.total - learned.total - freedom - criteria.SURE.value * np.sqrt(2 * max(freedom, 1)))
 
 
 def foretold(now: State, design: Design, share: np.ndarray) -> float:
