@@ -103,15 +103,15 @@ def likeliest(
         return [], []
     few = some_of(design)
     small, some = at_frames(frames, fitted, few), [frames[k] for k in few]
-    best: dict[str, tuple[float, Present]] = {}
+    best: dict[str, tuple[float, Present, Score]] = {}
     for own, score in zip(starts, scores(some, small, starts), strict=True):
         promise = promised(own, score)
-        if promise > best.get(own.effect.name, (-1.0, own))[0]:
-            best[own.effect.name] = promise, own
-    tied = tied_of(some, small, [own for _, own in best.values()])
+        if promise > best.get(own.effect.name, (-1.0,))[0]:
+            best[own.effect.name] = promise, own, score
+    tied = tied_of(some, small, [own for _, own, _ in best.values()], [score for *_, score in best.values()])
     hidden = {own.effect.name for own in tied}
     order = sorted((one for name, one in best.items() if name not in hidden), key=lambda one: -one[0])
-    looked = [own for _, own in order[:LOOKED_AT]]
+    looked = [own for _, own, _ in order[:LOOKED_AT]]
     out, worth = [], criteria.FIRST_ORDER.value
     for own, score in zip(looked, scores(frames, fitted, looked), strict=True):
         asked = asked_for(own, score, context)
@@ -120,18 +120,18 @@ def likeliest(
     return out, tied
 
 
-def tied_of(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present]) -> list[Tied]:
+def tied_of(frames: Sequence[Frame], fitted: Fitted, trials: Sequence[Present], beside: Sequence[Score]) -> list[Tied]:
     """Effects of which a free shape takes all but a small part of the information: under the declared shape, which
-    splines follow exactly; a learned one has structure as fine as they are."""
+    splines follow exactly; a learned one has structure as fine as they are. `beside`: their scores under that."""
     lights = fitted.model.lights
     if lights is None:
         return []
     model = fitted.model._replace(lights=lights._replace(coefficients=0 * lights.coefficients))
     plain = fit(frames, model, fitted.penalty, fitted.free, steps=0)
     out = []
-    for own, score, beside in zip(trials, scores(frames, plain, trials), scores(frames, fitted, trials), strict=True):
+    for own, score, learned in zip(trials, scores(frames, plain, trials), beside, strict=True):
         # A level that the declared light does not reach is told by the learned one alone.
-        told = beside if score.if_known < criteria.TIED.value * beside.if_known else score
+        told = learned if score.if_known < criteria.TIED.value * learned.if_known else score
         part = told.information / max(told.if_known, 1e-300)
         if part < criteria.TIED.value:
             out.append(Tied(own.effect, part))

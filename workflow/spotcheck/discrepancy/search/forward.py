@@ -228,6 +228,11 @@ def _tested(now: State, design: Design, rivals: dict[str, dict[str, Rival]], con
     def found_of(now: State) -> list[Found]:
         return [_held(now, k, design, rivals, context) for k in range(len(now.fitted.model.present))]
 
+    # Fields that are not there say nothing of the others, which are tested once without them.
+    for k in reversed(range(len(now.fitted.model.present))):
+        scatters = now.fitted.model.present[k].effect.place is Place.SCATTER
+        if scatters and _held(now, k, design, rivals, context).gain < criteria.GAIN.value:
+            now = without(now, k, context)
     return held(now, found_of, lambda now, k: without(now, k, context))
 
 

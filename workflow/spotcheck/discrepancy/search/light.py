@@ -19,7 +19,7 @@ from spotcheck.discrepancy.nuisance.taken import leverage
 from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Lights, Model, Numbers, deviance_of, scatters
-from spotcheck.discrepancy.search.candidates import at_frames, nth, some_of, striped, tied_of
+from spotcheck.discrepancy.search.candidates import at_frames, nth, scores, some_of, striped, tied_of
 from spotcheck.discrepancy.search.forward import (
     MOST_STEPS,
     Grown,
@@ -254,7 +254,8 @@ def without_tied(now: State, design: Design, context: Context) -> State:
         return now
     small = at_frames(now.frames, now.fitted._replace(free=()), few)
     bare = small._replace(model=small.model._replace(present=()))
-    tied = {own.effect.name for own in tied_of([now.frames[k] for k in few], bare, model.present)}
+    some = [now.frames[k] for k in few]
+    tied = {own.effect.name for own in tied_of(some, bare, model.present, scores(some, bare, model.present))}
     kept = tuple(own for own in model.present if own.effect.name not in tied)
     if len(kept) == len(model.present):
         return now
