@@ -195,6 +195,39 @@ def test_the_true_law_is_the_best_of_rivals():
     assert beside.base.present[0].values[0] == pytest.approx(3e-6, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("present", "name"),
+    [(("shutter_offset", 8e-6), "shutter_offset"), (("angle_reflectance", 0.02, 30.0), "angle_reflectance")],
+)
+def test_groups_agree_about_a_law_that_is_right(present, name):
+    """Q over frames that a law changes alike: of 60 draws with scatter of sites and frames it has the mean of χ² within
+    four errors, as many degrees of freedom as groups leave, and exceeds its 1 % point at most four times (1 in 300)."""
+    rng, own, law = np.random.default_rng(21), design(4), effect(*present)
+    found = []
+    for _ in range(60):
+        out, _ = tried(drawn(rng, own, [law], sites=0.002, frames=0.001), own, name, present=[law])
+        found.append(laws.agreement(out.base, 0))
+    q, freedom = np.array(found).T
+    assert len(set(freedom)) == 1 and freedom[0] >= 1
+    assert abs(q.mean() - freedom[0]) < 4 * np.sqrt(2 * freedom[0] / 60)
+    assert np.sum(stats.chi2.sf(q, freedom) < 0.01) <= 4
+
+
+def test_groups_disagree_about_a_law_that_is_wrong():
+    """Light that the exposure before left behind, 100 frames of the longest to one of the shortest, is no late shutter:
+    three exposures say so; two laws of exposure beside each other leave nothing that could."""
+    rng, own = np.random.default_rng(22), design(4)
+    numbers = drawn(rng, own, sites=0.001, frames=0.001)
+    before = np.roll(own.exposure_s, 1)
+    numbers.values[0] += np.log1p(0.01 * before / own.exposure_s)
+    one, two = effect("shutter_offset", 8e-6), effect("photon_budget", 0.01)
+    alone, _ = tried(numbers, own, "shutter_offset", present=[one])
+    q, freedom = laws.agreement(alone.base, 0)
+    assert freedom == 1 and stats.chi2.sf(q, freedom) < 1e-9
+    both, _ = tried(numbers, own, "shutter_offset", "photon_budget", present=[one, two])
+    assert laws.agreement(both.base, 0)[1] == 0
+
+
 def test_cells_that_disagree_widen_errors():
     """Influence of cells as large as the known errors ask for changes nothing; one that is more adds its excess."""
     own, rng = design(), np.random.default_rng(14)

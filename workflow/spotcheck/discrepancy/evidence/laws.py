@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence import components as mixed
@@ -32,6 +33,11 @@ from spotcheck.discrepancy.observe.design import Design, missing
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, Present
 from spotcheck.model.sensor import SensorModel
+
+# Frames that an effect changes alike within this part of its greatest change are of one group; groups at most.
+ALIKE, GROUPS = 1e-3, 12
+# Part of the largest singular value below which rows are as good as fitted.
+SAME = 0.1
 
 
 class Laws(NamedTuple):
@@ -135,6 +141,30 @@ def errors_of(own: Account) -> dict[str, tuple[float, ...]]:
             for p in range(len(present.values))
         )
     return out
+
+
+def agreement(own: Account, effect: int) -> tuple[float, int]:
+    """Q of what groups of frames say beyond all that is fitted, and its degrees of freedom, of brightness or width,
+    whichever the effect of a number changes more; a group is of frames that it changes alike. Under a law that is right
+    Q follows χ². No freedom is left where as many parameters are fitted as there are groups."""
+    problem, places = own.mean.problem, _places(own, effect)
+    frames = len(problem.design.site)
+    change = (problem.lift.T @ own.slopes[:, [places[p] for p in sorted(places)]]).reshape(2, frames, -1)
+    of = int(np.argmax(np.sum(change**2, axis=(1, 2))))
+    size = np.abs(change[of]).max(axis=0)
+    keys = np.rint(change[of] / np.where(size > 0, size, 1.0) / ALIKE)
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    if group.max() >= GROUPS:
+        order = np.argsort(np.argsort(keys @ np.linalg.svd(keys - keys.mean(axis=0), full_matrices=False)[2][0]))
+        group = order * GROUPS // frames
+    alike = (group.reshape(-1, 1) == np.unique(group)).astype(float)
+    rows = problem.lift[:, of * frames : (of + 1) * frames] @ alike
+    rest, slopes, rows = (
+        linalg.solve_triangular(own.found.factor, one, lower=True) for one in (own.rest, own.slopes, rows)
+    )
+    base = linalg.orth(slopes) if slopes.size else slopes
+    beyond = linalg.orth(rows - base @ (base.T @ rows), rcond=SAME)
+    return float(np.sum((beyond.T @ (rest - base @ (base.T @ rest))) ** 2)), beyond.shape[1]
 
 
 def _error_of(own: Account, slopes: np.ndarray, row: int) -> tuple[float, float]:

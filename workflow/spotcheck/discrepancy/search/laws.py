@@ -6,13 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.evidence.accounts import Account
 from spotcheck.discrepancy.evidence.influence import as_cells_agree, influence_of, numbers_of
-from spotcheck.discrepancy.evidence.laws import Laws, errors_of, laws_of
+from spotcheck.discrepancy.evidence.laws import Laws, agreement, errors_of, laws_of
 from spotcheck.discrepancy.evidence.scatter import Trial
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
-from spotcheck.discrepancy.search.forward import Found
+from spotcheck.discrepancy.search.forward import Found, held
 from spotcheck.discrepancy.search.holds import Holding
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Context, Effect
@@ -47,12 +48,35 @@ def search_laws(
         of_centre = [own for own in told.scatters if own.present.effect.name not in known]
         trials = [own for own in (*told.trials, *of_centre) if _counts(own, context)]
         if not trials or len(found) == criteria.MOST.value:
-            return _lawful(found, told)
+            break
         best = min(trials, key=lambda own: (np.isnan(own.alone), own.alone, -own.gain))
         near = {own.present.effect.name: float(own.alone - best.alone) for own in trials
                 if own is not best and own.alone - best.alone < criteria.RIVAL.value}  # fmt: skip
         holding = Holding(0.0, 1, float(best.z**2), best.error)
         found.append(Found(best.present, float(best.gain), holding, near))
+
+    def told_of(some: list[Found]) -> Laws:
+        present = tuple(own.own for own in some)
+        return laws_of(numbers, design, baseline, fitted.model.sensor, crop_px, present, effects)
+
+    last, _ = held(found, lambda some: _holding(some, told_of(some).base), lambda some, k: some[:k] + some[k + 1 :])
+    return _lawful(last, told if len(last) == len(found) else told_of(last))
+
+
+def _holding(found: Sequence[Found], base: Account | None) -> list[Found]:
+    """Found effects, each with how groups of frames agree about it beside all others: where two laws leave nothing that
+    could speak against them, the later one is not known to be there."""
+    names = {} if base is None else {own.effect.name: k for k, own in enumerate(base.present)}
+    out, untold = [], 0
+    for one in found:
+        k = names.get(one.own.effect.name)
+        if base is not None and k is not None:
+            q, freedom = agreement(base, k)
+            untold += not freedom
+            q = np.inf if untold > 1 and not freedom else q
+            one = one._replace(holding=one.holding._replace(q=q, cells=freedom + 1))
+        out.append(one)
+    return out
 
 
 def _lawful(found: Sequence[Found], told: Laws) -> Lawful:
