@@ -214,18 +214,14 @@ def test_groups_agree_about_a_law_that_is_right(present, name):
 
 
 def test_groups_disagree_about_a_law_that_is_wrong():
-    """Light that the exposure before left behind, 100 frames of the longest to one of the shortest, is no late shutter:
-    three exposures say so; two laws of exposure beside each other leave nothing that could."""
+    """Light that the exposure before left behind, 100 frames of the longest to one of the shortest, is no late
+    shutter: three exposures say so, by far more than chance."""
     rng, own = np.random.default_rng(22), design(4)
     numbers = drawn(rng, own, sites=0.001, frames=0.001)
-    before = np.roll(own.exposure_s, 1)
-    numbers.values[0] += np.log1p(0.01 * before / own.exposure_s)
-    one, two = effect("shutter_offset", 8e-6), effect("photon_budget", 0.01)
-    alone, _ = tried(numbers, own, "shutter_offset", present=[one])
-    q, freedom = laws.agreement(alone.base, 0)
-    assert freedom == 1 and stats.chi2.sf(q, freedom) < 1e-9
-    both, _ = tried(numbers, own, "shutter_offset", "photon_budget", present=[one, two])
-    assert laws.agreement(both.base, 0)[1] == 0
+    numbers.values[0] += np.log1p(0.01 * np.roll(own.exposure_s, 1) / own.exposure_s)
+    out, _ = tried(numbers, own, "shutter_offset", present=[effect("shutter_offset", 8e-6)])
+    q, freedom = laws.agreement(out.base, 0)
+    assert freedom >= 1 and stats.chi2.sf(q, freedom) < 1e-9
 
 
 def test_cells_that_disagree_widen_errors():

@@ -20,6 +20,8 @@ from spotcheck.model.sensor import ROUNDING_VARIANCE
 
 # Steps of the fit of what was chosen: far from the truth brightness, width and shape are slow to part.
 MOST_STEPS = 24
+# A search is given up after so many effects in a row that do not hold.
+ASTRAY = 2
 # What a search is about: frames with a fit, or levels.
 S = TypeVar("S")
 
@@ -81,7 +83,7 @@ def grow(
     gain: float = 0.0,
 ) -> Grown:
     """Add effects of pixels one by one that promise a `gain`; given up where none gains as much as is the `least` for a
-    state.
+    state, and where one after the other does not speak alike everywhere: then something else is the matter.
 
     Noise and level of dark pixels come first: with too little noise in the model, every pedestal and every halo looks
     like more, and beside a wrong level nothing else can be told. What moves the level is asked last.
@@ -94,6 +96,7 @@ def grow(
     shift = level - model.stated.sensor.black_level_dn
     context = context._replace(peak_dn=max(context.peak_dn - shift / TOP, 1.0))
     usable = [e for e in effects if not (told and any(e.moves_level(form) for form in e.forms))]
+    sound, doubtful = now, 0
     for step in range(int(criteria.MOST.value)):
         found = ranked(now.frames, design, now.fitted, usable, context)
         wanted = least(now) if found.candidates else 0.0
@@ -104,7 +107,21 @@ def grow(
         now, near = best
         rivals[now.fitted.model.present[-1].effect.name] = near
         now, _ = quiet(now, level=told, anew=True)
+        # One may wait for what is missing beside it.
+        doubtful = 0 if _speaks_alike(now, design) else doubtful + 1
+        sound = sound if doubtful else now
+        if doubtful == ASTRAY:
+            return Grown(levelled(sound, effects, context), rivals, tied, finished=False)
     return Grown(levelled(now, effects, context), rivals, tied, finished=True)
+
+
+def _speaks_alike(now: State, design: Design) -> bool:
+    """Whether the effect that was added last does so, as far as means tell."""
+    last = len(now.fitted.model.present) - 1
+    own = now.fitted.model.present[last]
+    if own.effect.place is Place.SCATTER or own.form in own.effect.rounded or of_dark(now.fitted.model, own):
+        return True
+    return holding_of(now.frames, groups_of(design), now.fitted, last).holds
 
 
 def levelled(now: State, effects: Sequence[Effect], context: Context) -> State:
