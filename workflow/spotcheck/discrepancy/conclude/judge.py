@@ -165,8 +165,10 @@ def errors_of(outcome: Outcome) -> dict[str, tuple[float, ...]]:
         if free.effect >= 0:
             out[fitted.model.present[free.effect].effect.name][free.parameter] = float(error)
     for found in outcome.found:
-        own = out.get(found.own.effect.name, [0.0])
-        own[0] = float(np.fmin(own[0], found.holding.error))
+        name = found.own.effect.name
+        if name in out:
+            out[name] = [found.holding.wider * error for error in out[name]]
+            out[name][0] = float(np.fmin(out[name][0], found.holding.error))
     return {name: tuple(own) for name, own in out.items()}
 
 

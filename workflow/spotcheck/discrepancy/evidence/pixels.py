@@ -154,12 +154,22 @@ def _sums(frames: Sequence[Frame], ready: Ready, which: np.ndarray):
     return [score, raw, drop, shape.T, numbers, pull, own]
 
 
-def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score):
-    """Score and information [frame, cell] of a change, in 8 azimuths, near and far from the spot's centre."""
+class Field(NamedTuple):
+    """A field of a model, as the likelihood of single pixels does not know it: its contrast, and how many pixels of it
+    count as one: the sums of its correlations and of their squares."""
+
+    contrast: float
+    alike: float
+    alike_squared: float
+
+
+def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, fields: Sequence[Field] = ()):
+    """Score and information [frame, cell] of a change, in 8 azimuths, near and far from the spot's centre; and of the
+    score's variance what pixels bring each for itself, and what by fields that neighbours share."""
     ready, few = Ready(frames, fitted, [other]), NUMBERS * len(frames)
 
     def part(which: np.ndarray) -> list[np.ndarray]:
-        score, information = np.zeros((len(frames), CELLS)), np.zeros((len(frames), CELLS))
+        out = np.zeros((4, len(frames), CELLS))
         for k in which:
             seen, tells = ready.of(frames[k], k)
             after = ready.others[0].of(frames[k], k, seen)
@@ -171,10 +181,18 @@ def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score):
             for size, change in zip(own.others[few:], changes_of(frames[k], k, seen, ready.nudged), strict=True):
                 mean, variance = mean - size * change[0], variance - size * change[1]
             cell = cells_of(seen.u, seen.v).ravel()
-            told_here = (mean * tells.mean + variance * tells.variance,
-                         mean**2 * tells.sure + variance**2 * tells.sure_variance)  # fmt: skip
-            score[k], information[k] = (np.bincount(cell, part.ravel(), CELLS) for part in told_here)
-        return [score, information]
+            by_mean, by_variance = mean**2 * tells.sure, variance**2 * tells.sure_variance
+            together = np.zeros_like(by_mean)
+            left = np.ones_like(by_mean), np.ones_like(by_mean)
+            for field in fields:
+                # The part of a reading's variance that the field has.
+                has = np.clip((field.contrast * seen.slope * seen.spot) ** 2 * tells.sure, 0.0, 1.0)
+                together += by_mean * has * field.alike + by_variance * has**2 * field.alike_squared
+                left = left[0] - has, left[1] - has**2
+            alone = by_mean * np.maximum(left[0], 0.0) + by_variance * np.maximum(left[1], 0.0)
+            told_here = mean * tells.mean + variance * tells.variance, by_mean + by_variance, alone, together
+            out[:, k] = [np.bincount(cell, part.ravel(), CELLS) for part in told_here]
+        return [*out]
 
     return shared(part, len(frames))
 

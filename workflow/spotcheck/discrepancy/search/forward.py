@@ -14,7 +14,7 @@ from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.frames import TOP
 from spotcheck.discrepancy.observe.pixels import Frame, Model
 from spotcheck.discrepancy.search.candidates import Candidate, Tied, ranked
-from spotcheck.discrepancy.search.holds import Holding, holding_of, pattern_of
+from spotcheck.discrepancy.search.holds import Holding, groups_of, holding_of, pattern_of
 from spotcheck.model.effect import Context, Effect, Place, Present
 from spotcheck.model.sensor import ROUNDING_VARIANCE
 
@@ -121,7 +121,7 @@ def _speaks_alike(now: State, design: Design) -> bool:
     own = now.fitted.model.present[last]
     if own.effect.place is Place.SCATTER or own.form in own.effect.rounded or of_dark(now.fitted.model, own):
         return True
-    return holding_of(now.frames, groups_of(design), now.fitted, last).holds
+    return holding_of(now.frames, design, now.fitted, last).holds
 
 
 def levelled(now: State, effects: Sequence[Effect], context: Context) -> State:
@@ -156,11 +156,6 @@ def outcome_of(grown: Grown, before: Fitted, design: Design, effects: Sequence[E
     noisy = noises_of(now.frames, groups_of(design), now.fitted.model, effects, context)
     kept += [one for one in (_named(own, context) for own in noisy) if one is not None]
     return Outcome(now.frames, before, now.fitted, tuple(kept), tuple(grown.tied))
-
-
-def groups_of(design: Design) -> np.ndarray:
-    """What parts frames that must agree about an effect: their exposure, or where all have one their pose."""
-    return design.exposure_s if design.exposures.size > 1 else design.pose
 
 
 def best_of(now: State, candidates: Sequence[Candidate], context: Context) -> tuple[State, dict[str, Rival]] | None:
@@ -247,9 +242,17 @@ def _tested(now: State, design: Design, rivals: dict[str, dict[str, Rival]], con
 
     # Fields that are not there say nothing of the others, which are tested once without them.
     for k in reversed(range(len(now.fitted.model.present))):
-        scatters = now.fitted.model.present[k].effect.place is Place.SCATTER
-        if scatters and _held(now, k, design, rivals, context).gain < criteria.GAIN.value:
+        model = now.fitted.model
+        if model.present[k].effect.place is not Place.SCATTER:
+            continue
+        found = _held(now, k, design, rivals, context)
+        if found.gain < criteria.GAIN.value:
             now = without(now, k, context)
+        else:
+            # Of a field fits tell the contrast; its grain is what products say.
+            own = found.own._replace(values=(model.present[k].values[0], *found.own.values[1:]))
+            present = (*model.present[:k], own, *model.present[k + 1 :])
+            now = now._replace(fitted=now.fitted._replace(model=model._replace(present=present)))
     return held(now, found_of, lambda now, k: without(now, k, context))
 
 
@@ -273,14 +276,14 @@ def _held(now: State, k: int, design: Design, rivals: dict[str, dict[str, Rival]
     if own.effect.place is Place.SCATTER:
         own, gain, holding = pattern_of(now.frames, design, now.fitted, own, context)
     else:
-        holding = holding_of(now.frames, groups_of(design), now.fitted, k)
+        holding = holding_of(now.frames, design, now.fitted, k)
         gain = holding.z2
         if not CERTAIN <= gain < np.inf:
-            gain = without(now, k, context).fitted.total - now.fitted.total
+            gain = (without(now, k, context).fitted.total - now.fitted.total) / holding.wider**2
             holding = holding._replace(z2=min(gain, holding.z2))
         if own.form in own.effect.rounded and gathers(now.frames, model, k):
             # A code speaks for itself: cells ask whether light has the right shape about it.
-            holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5))
+            holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5), holding.wider)
     near = [one for one in rivals.get(own.effect.name, {}).values() if one.behind < criteria.RIVAL.value]
     behind = {one.own.effect.name: one.behind for one in near}
     return Found(own, gain, holding, behind, tuple(one.own for one in near))

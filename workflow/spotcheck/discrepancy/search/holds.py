@@ -12,21 +12,24 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy import criteria
+from spotcheck.discrepancy.evidence.grain import neighbours
 from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
-from spotcheck.discrepancy.evidence.pixels import Ready, by_cell, screen
+from spotcheck.discrepancy.evidence.pixels import Field, Ready, by_cell, screen
 from spotcheck.discrepancy.nuisance.fit import Fitted, nudged
 from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame
+from spotcheck.discrepancy.observe.pixels import Frame, Model, scatters
 from spotcheck.model.effect import Context, Present
 
 
 class Holding(NamedTuple):
-    """Q over its cells, the square of z beside all else, and the strength's standard error."""
+    """Q over its cells, the square of z beside all else, and the strength's standard error; and by which factor errors
+    are larger than the likelihood of single pixels says, as fields make neighbours alike."""
 
     q: float
     cells: int
     z2: float
     error: float
+    wider: float = 1.0
 
     @property
     def excess(self) -> float:
@@ -54,9 +57,19 @@ def pattern_of(
     return own, 0.0, Holding(0.0, 1, 0.0, np.inf)
 
 
-def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effect: int) -> Holding:
-    """Test the effect of a number in a fitted model; `groups` [frame] parts frames, by exposure or by site. z² is
-    infinite where the strength vanishes nowhere."""
+def groups_of(design: Design) -> np.ndarray:
+    """What parts frames that must agree about an effect: their exposure, or where all have one their pose."""
+    return design.exposure_s if design.exposures.size > 1 else design.pose
+
+
+def fields_of(model: Model) -> list[Field]:
+    """Fields of a model of which neighbours share grains."""
+    grains = [own for own in model.present if scatters(own.effect, "field") and own.effect.component == "grain"]
+    return [Field(own.values[0], neighbours(2**0.5 * own.values[1]), neighbours(own.values[1])) for own in grains]
+
+
+def holding_of(frames: Sequence[Frame], design: Design, fitted: Fitted, effect: int) -> Holding:
+    """Test the effect of a number in a fitted model. z² is infinite where the strength vanishes nowhere."""
     strength = next((own for own in fitted.free if own.effect == effect and own.parameter == 0), None)
     value = fitted.model.present[effect].values[0]
     if strength is None:
@@ -66,18 +79,23 @@ def holding_of(frames: Sequence[Frame], groups: np.ndarray, fitted: Fitted, effe
         beside = _without(fitted, fitted.free.index(strength))
         moved, step = nudged(fitted.model, strength)
     (own,) = screen(frames, beside, [moved])
-    score, information = by_cell(frames, beside, moved, own)
-    parts, group = np.unique(groups, return_inverse=True)
-    u, i = (np.zeros((len(parts), score.shape[1])) for _ in range(2))
-    np.add.at(u, group, score)
-    np.add.at(i, group, information)
+    score, information, alone, together = by_cell(frames, beside, moved, own, fields_of(fitted.model))
+    parts, group = np.unique(groups_of(design), return_inverse=True)
+    u, i, v = (np.zeros((len(parts), score.shape[1])) for _ in range(3))
+    for to, of in ((u, score), (i, information), (v, alone + together)):
+        np.add.at(to, group, of)
     # A cell that tells next to nothing has no normal score.
     told = i > 1e-4 * i.max()
-    q = float((u[told] ** 2 / i[told]).sum() - u[told].sum() ** 2 / i[told].sum())
-    error = abs(step) / np.sqrt(max(own.information, 1e-300))
+    u, i, v = u[told], i[told], v[told]
+    strength_of_all = (i * u / v).sum() / (i * i / v).sum()
+    q = float(((u - strength_of_all * i) ** 2 / v).sum())
+    # All exposures of a site have the same field.
+    sites = [np.sqrt(together[design.site == site].sum(axis=1)).sum() ** 2 for site in np.unique(design.site)]
+    wider = float(np.sqrt((alone.sum() + np.sum(sites)) / information.sum()))
+    error = wider * abs(step) / np.sqrt(max(own.information, 1e-300))
     neutral = fitted.model.present[effect].effect.neutral
     wald = ((value - neutral) / error) ** 2 if np.isfinite(neutral) else np.inf
-    return Holding(q, int(told.sum()), float(wald), float(error))
+    return Holding(q, int(told.sum()), float(wald), float(error), wider)
 
 
 def _without(fitted: Fitted, at: int) -> Fitted:
