@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, contrasts, fit, free_of, values_of
+from spotcheck.discrepancy.nuisance.fit import NUMBERS, contrasts, fit
+from spotcheck.discrepancy.nuisance.parameters import free_of, values_of
 from spotcheck.discrepancy.observe.pixels import Expectation
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary

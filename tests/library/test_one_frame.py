@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy.evidence.codes import gathers
-from spotcheck.discrepancy.nuisance.fit import fit, free_of, free_of_sheet
+from spotcheck.discrepancy.nuisance.fit import fit
+from spotcheck.discrepancy.nuisance.parameters import free_of, free_of_sheet
 from spotcheck.discrepancy.observe.pixels import Lights, Sheet
 from spotcheck.discrepancy.search.light import find
 from spotcheck.model.effect import Present

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy.conclude.unseen import unseen
-from spotcheck.discrepancy.nuisance.fit import fit, free_of
+from spotcheck.discrepancy.nuisance.fit import fit
+from spotcheck.discrepancy.nuisance.parameters import free_of
 from spotcheck.model.effect import Present
 from spotcheck.model.effects import vocabulary
 from tests.library.small_light import CONTEXT, PENALTY, designed, drawn, fitted, started

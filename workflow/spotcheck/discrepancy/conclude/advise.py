@@ -10,8 +10,9 @@ import numpy as np
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.judgement import Advice
-from spotcheck.discrepancy.nuisance.fit import fit, free_of
+from spotcheck.discrepancy.nuisance.fit import fit
 from spotcheck.discrepancy.nuisance.numbers import expected_of
+from spotcheck.discrepancy.nuisance.parameters import free_of
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers
 from spotcheck.discrepancy.search.forward import MOST_STEPS, Outcome

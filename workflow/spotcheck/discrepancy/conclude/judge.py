@@ -16,8 +16,9 @@ from spotcheck.discrepancy.conclude.unseen import Unseen, unseen
 from spotcheck.discrepancy.evidence.influence import numbers_of
 from spotcheck.discrepancy.evidence.laws import Laws, laws_of
 from spotcheck.discrepancy.nuisance.darkness import offset_of
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of_sheet
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.nuisance.parameters import free_of_sheet
 from spotcheck.discrepancy.nuisance.sheet import Against, against_dark, against_sheet, fit_sheet
 from spotcheck.discrepancy.observe.design import Design, missing, view_of
 from spotcheck.discrepancy.observe.frames import Observed, Setting, observed

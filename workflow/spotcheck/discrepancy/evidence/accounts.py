@@ -14,7 +14,7 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence import components as mixed
 from spotcheck.discrepancy.evidence.components import Component, Estimated
 from spotcheck.discrepancy.evidence.influence import FrameNumbers
-from spotcheck.discrepancy.nuisance.fit import NUDGE, Free, changed, free_of, values_of
+from spotcheck.discrepancy.nuisance.parameters import NUDGE, Free, changed, free_of, values_of
 from spotcheck.discrepancy.observe.design import Design, view_of
 from spotcheck.discrepancy.observe.pixels import Model, Numbers
 from spotcheck.model.baseline import Baseline

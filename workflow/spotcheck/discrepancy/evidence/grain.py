@@ -15,7 +15,8 @@ from scipy.optimize import minimize_scalar
 from spotcheck.discrepancy.evidence.pixels import CELLS, Ready
 from spotcheck.discrepancy.evidence.windows import LAGS, Site, evened, placed, products, whole_of, windows_of
 from spotcheck.discrepancy.nuisance import normal
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, changes_of, coefficients_of, contrasts, rows_of
+from spotcheck.discrepancy.nuisance.fit import NUMBERS, coefficients_of, contrasts, rows_of
+from spotcheck.discrepancy.nuisance.parameters import changes_of
 from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame

@@ -14,14 +14,13 @@ from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.nuisance.fit import (
     NUMBERS,
     Fitted,
-    changes_of,
     coefficients_of,
     contrasts,
     count_of,
-    nudged_of,
     rows_of,
     splines_of,
 )
+from spotcheck.discrepancy.nuisance.parameters import changes_of, nudged_of
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, told
 
 # Cells: the azimuths of all sectors, and the radii [σ] within which a third and two thirds of a Gaussian's light lie.

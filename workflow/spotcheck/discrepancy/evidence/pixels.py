@@ -16,14 +16,13 @@ from spotcheck.discrepancy.nuisance import normal
 from spotcheck.discrepancy.nuisance.fit import (
     NUMBERS,
     Fitted,
-    changes_of,
     coefficients_of,
     contrasts,
-    nudged_of,
     roughness_of,
     rows_of,
     splines_of,
 )
+from spotcheck.discrepancy.nuisance.parameters import changes_of, nudged_of
 from spotcheck.discrepancy.nuisance.taken import lacking, variances_of
 from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, deviance_of, told

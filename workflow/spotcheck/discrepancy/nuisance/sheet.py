@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.discrepancy.nuisance.darkness import darkness
-from spotcheck.discrepancy.nuisance.fit import (
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit
+from spotcheck.discrepancy.nuisance.parameters import (
     SENSOR,
     SENSOR_NUMBERS,
-    Fitted,
     changes_of,
-    fit,
     nudged_of,
     values_of,
     values_of_sensor,

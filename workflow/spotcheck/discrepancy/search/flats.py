@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.nuisance.fit import NUDGE, SENSOR, Free, changed, free_of, values_of
+from spotcheck.discrepancy.nuisance.parameters import NUDGE, SENSOR, Free, changed, free_of, values_of
 from spotcheck.discrepancy.observe.flats import Series, foretold
 from spotcheck.discrepancy.observe.pixels import Model
 from spotcheck.discrepancy.search.forward import Found, held

@@ -9,7 +9,8 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.codes import gathers
 from spotcheck.discrepancy.evidence.noise import Noisy, level_of, levels_of, noises_of
 from spotcheck.discrepancy.nuisance.darkness import darkness, offset_of, with_levels
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of, of_dark
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit
+from spotcheck.discrepancy.nuisance.parameters import free_of, of_dark
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.frames import TOP
 from spotcheck.discrepancy.observe.pixels import Frame, Model

@@ -15,7 +15,8 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.grain import neighbours
 from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
 from spotcheck.discrepancy.evidence.pixels import Field, Ready, by_cell, screen
-from spotcheck.discrepancy.nuisance.fit import Fitted, nudged
+from spotcheck.discrepancy.nuisance.fit import Fitted
+from spotcheck.discrepancy.nuisance.parameters import nudged
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, scatters
 from spotcheck.model.effect import Context, Present

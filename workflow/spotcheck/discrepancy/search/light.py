@@ -13,8 +13,9 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.patterns import gathered
 from spotcheck.discrepancy.evidence.pixels import Ready
 from spotcheck.discrepancy.evidence.stripes import with_waves
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit, free_of
+from spotcheck.discrepancy.nuisance.fit import Fitted, fit
 from spotcheck.discrepancy.nuisance.numbers import fit_numbers
+from spotcheck.discrepancy.nuisance.parameters import free_of
 from spotcheck.discrepancy.nuisance.taken import leverage
 from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
