@@ -33,7 +33,7 @@ def at_levels(sensor: SensorModel, electrons: np.ndarray) -> np.ndarray:
     """Mean and variance [2, level] of readings from the table."""
     law = reading_law(sensor, (), view(1, 1), 4e4)
     out = np.empty((4, 1, len(electrons)))
-    look_up(np.asarray(electrons, float)[None], law.first, law.step, np.stack(law[2:]), out)
+    look_up(np.asarray(electrons, float)[None], law.first, law.step, np.stack(law[2:], axis=1), out)
     return out[:2, 0]
 
 

@@ -19,7 +19,7 @@ def moments(sensor: SensorModel, electrons, present=()) -> np.ndarray:
     """Mean and variance of readings, from the table."""
     law = reading_law(sensor, present, VIEW, 4e4)
     out = np.empty((4, 1, len(electrons)))
-    look_up(np.asarray(electrons, float)[None], law.first, law.step, np.stack(law[2:]), out)
+    look_up(np.asarray(electrons, float)[None], law.first, law.step, np.stack(law[2:], axis=1), out)
     return out[:, 0]
 
 
@@ -96,7 +96,7 @@ def test_light_behind_a_field(contrast, clip):
     law = through_field(plain, contrast, sensor.gain_dn_per_e)
     out = np.empty((2, 4, 1, 3))
     for own, table in zip(out, (law, plain), strict=True):
-        look_up(levels[None], table.first, table.step, np.stack(table[2:]), own)
+        look_up(levels[None], table.first, table.step, np.stack(table[2:], axis=1), own)
     for k, level in enumerate(levels):
         electrons = rng.poisson(level * rng.gamma(contrast**-2, contrast**2, size))
         signal = 0.11 * (electrons + 6.0 * rng.standard_normal(size))

@@ -72,7 +72,7 @@ class Readings:
         root = law.first + law.step * np.arange(law.mean.size)
         # ASSUME: an effect behind the charge changes mean and variance, and hardly the higher cumulants.
         coarse = np.linspace(root[0], root[-1], NODES)
-        self.fourth = np.interp(root, coarse, cumulants_of(model.sensor, coarse * np.abs(coarse))[3])[None]
+        self.fourth = np.interp(root, coarse, cumulants_of(model.sensor, coarse * np.abs(coarse))[3])[:, None]
 
     def of(self, k: int) -> Standard:
         """Standardised readings of frame `k`."""

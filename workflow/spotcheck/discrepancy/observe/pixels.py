@@ -176,7 +176,8 @@ class Expectation:
             self.law = through_field(plain, contrast, model.sensor.gain_dn_per_e)
             # Of rows that scatter the chain gives the variance within a row.
             rows = sum(own.values[0] ** 2 for own in model.present if scatters(own.effect, "row"))
-            self.table = np.stack([self.law.mean, self.law.variance + rows, self.law.slope, self.law.growth])
+            # Columns of one node side by side: a pixel asks for all of them.
+            self.table = np.stack([self.law.mean, self.law.variance + rows, self.law.slope, self.law.growth], axis=1)
 
     def numbers_of(self, k: int) -> Numbers:
         """A frame's own numbers as the chain takes them, each [1, 1, 1]."""

@@ -117,10 +117,8 @@ def _averaged(electrons, mean, variance):
 
 @compiled
 def look_up(electrons, first, step, table, out):
-    """Columns of a table [column, node] at mean electrons [row, column of pixels], into `out` [column, row, column]."""
-    last = table.shape[1] - 2
-    # Columns of one node side by side: a pixel asks for all of them.
-    table = np.ascontiguousarray(table.T)
+    """Columns of a table [node, column] at mean electrons [row, column of pixels], into `out` [column, row, column]."""
+    last = table.shape[0] - 2
     for r in range(electrons.shape[0]):
         for k in range(electrons.shape[1]):
             e = electrons[r, k]
