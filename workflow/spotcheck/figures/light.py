@@ -59,9 +59,10 @@ def draw(results: Results) -> style.Drawing:
         if place == "u":
             ax.set_ylabel("light / peak")
             ax.legend(loc="upper right")
-    told = str(ds.attrs["described"])
+    lights = ds.sizes["light"]
+    whose = "the same in every frame" if lights == 1 else f"that of {lights} poses which is least as declared"
     caption = (
-        f"The light's shape in widths σ_g of the declared one, the same in every frame: {told}. Below: along the row"
+        f"The light's shape in widths σ_g of the declared one, {whose}: {ds.attrs['described']}. Below: along the row"
         " and along the column through the centre."
     )
     return style.Drawing(figure, caption)
