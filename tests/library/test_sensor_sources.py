@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spotcheck.estimate.photon_transfer import Quantity
-from spotcheck.estimate.sensor import resolve
+from spotcheck.estimate.sensor import known_beforehand, resolve
 from spotcheck.model.sensor import SensorModel
 from spotcheck.model.spot import elliptical_gaussian
 from tests.library.conftest import loaded
@@ -19,6 +19,7 @@ def test_a_given_key_a_default_and_an_unknown(tmp_path):
     ds = resolve(loaded(tmp_path, FRAME, "crop_px: 24\nsensor: {black_level_dn: 5}"), 16, [])
     assert ds["black_level_dn"].attrs["source"] == "instrument.yaml"
     assert ds["dark_current_e_per_s"].attrs["source"] == "default"
+    assert known_beforehand(ds) == ("black_level_dn",)
     assert np.isnan(float(ds["gain_dn_per_e"])) and ds["gain_dn_per_e"].attrs["source"].startswith("unknown")
 
 

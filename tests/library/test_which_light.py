@@ -7,7 +7,7 @@ from spotcheck.discrepancy.observe.frames import round_spot
 from spotcheck.discrepancy.observe.pixels import Numbers
 from spotcheck.discrepancy.search.light import find
 from spotcheck.model.effects import vocabulary
-from tests.library.small_light import BLACK, CONTEXT, SENSOR, designed, drawn, gaussian, started
+from tests.library.small_light import BLACK, CONTEXT, SENSOR, beam, designed, drawn, gaussian, started
 
 KNOWN = ("dark_offset", "nonlinearity", "smear", "super_gaussian", "ghost_reflection", "speckle", "row_noise")
 
@@ -60,3 +60,50 @@ def test_a_level_far_below_the_light_is_found_under_grains():
     fitted = outcome.after.model.numbers
     assert np.all(np.abs(np.exp(fitted.log_width) / known[:, 2] - 1) < 0.05)
     assert abs(np.median(np.exp(fitted.log_peak) / (8 * known[:, 1])) - 1) < 0.05
+
+
+def turned(u, v):
+    """The beam of the other tests, a right angle further: its three lobes lie elsewhere."""
+    return beam(v, -u)
+
+
+@pytest.mark.parametrize(("shapes", "lights"), [((beam, turned), 2), ((beam, beam), 1)])
+def test_poses_have_lights_of_their_own_where_one_for_all_does_not_do(shapes, lights):
+    """Six sites of each of two poses, with the same beam in both, or with another in each; a pedestal of 1 DN is found
+    beside both."""
+    parts = [drawn(seed, sites=6, shape=shape, pedestal=1.0) for seed, shape in zip((11, 12), shapes, strict=True)]
+    images, known = (np.concatenate(own) for own in zip(*parts, strict=True))
+    frames, model = started(images, known)
+    pose = np.repeat([0, 1], len(known) // 2)
+    plain = designed(known)
+    design = plain._replace(
+        angle_deg=90.0 * pose, pose=pose.astype(str), condition=plain.condition + pose * (plain.condition.max() + 1)
+    )
+    effects = [vocabulary()[name] for name in ("dark_offset", "smear", "nonlinearity")]
+    model = model._replace(lights=None)
+    outcome = find(frames, design, model, effects, CONTEXT._replace(peak_dn=690.0 / 0.97))
+    assert outcome.after.model.lights is not None and len(outcome.after.model.lights.coefficients) == lights
+    assert [one.own.effect.name for one in outcome.found] == ["dark_offset"]
+    assert abs(outcome.found[0].own.values[0] - 1.0) < 0.05
+
+
+def test_each_frame_of_a_scan_has_a_light_and_a_level_of_its_own():
+    """Four frames, one at each of four poses, of four beams over levels that differ by 3 DN: the offset that they have
+    in common is named within its error, which is as large as they disagree."""
+    levels, beams = (1.0, 2.0, 3.0, 4.0), (beam, turned, gaussian, lambda u, v: beam(-u, v))
+    parts = [
+        drawn(k, sites=1, shape=own, pedestal=level) for k, (own, level) in enumerate(zip(beams, levels, strict=True))
+    ]
+    images, known = (np.stack([own[0] for own in some]) for some in zip(*parts, strict=True))
+    frames, model = started(images, known)
+    order = np.arange(4)
+    design = designed(known)._replace(
+        site=order, condition=order, pose=order.astype(str), exposure_s=np.full(4, np.nan)
+    )
+    effects = [vocabulary()[name] for name in ("dark_offset", "smear")]
+    outcome = find(frames, design, model._replace(lights=None), effects, CONTEXT)
+    lights = outcome.after.model.lights
+    assert lights is not None and len(lights.coefficients) == 4
+    np.testing.assert_allclose(lights.level - lights.level.mean(), np.array(levels) - 2.5, atol=0.3)
+    for one in outcome.found:
+        assert one.own.effect.name == "dark_offset" and abs(one.own.values[0] - 2.5) < 3 * one.holding.error

@@ -10,7 +10,7 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.observe.frames import Setting
 from spotcheck.discrepancy.observe.shots import Shot, left_out, never_chose, shots_of, together
 from spotcheck.errors import InputError
-from spotcheck.estimate.sensor import model_of, stderr_of
+from spotcheck.estimate.sensor import known_beforehand, model_of, stderr_of
 from spotcheck.model.baseline import of_instrument
 
 UNKNOWN_SENSOR = "gain or read noise of the sensor is unknown, and the frames do not tell them"
@@ -43,7 +43,8 @@ def open_set(found: Dataset, crops: xr.Dataset, sensor: xr.Dataset) -> OpenSet |
     if not found.exposures:
         model = model._replace(dark_current_e_per_s=0.0)
     rows, columns = crops.sizes["row"], crops.sizes["column"]
-    setting = Setting(of_instrument(found.instrument, found.exposures), model, stderr_of(sensor), rows, columns)
+    baseline = of_instrument(found.instrument, found.exposures)
+    setting = Setting(baseline, model, stderr_of(sensor), rows, columns, known_beforehand(sensor))
     remarks = (missing, astray, never_chose(shots), sensor.attrs.get("remark", ""))
     return OpenSet(shots, setting, "; ".join(remark for remark in remarks if remark))
 

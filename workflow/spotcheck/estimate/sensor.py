@@ -207,6 +207,12 @@ def stderr_of(ds: xr.Dataset) -> tuple[float, float, float]:
     return gain, noise, black
 
 
+def known_beforehand(ds: xr.Dataset) -> tuple[str, ...]:
+    """Which of gain, read noise and black level of a sensor file frames of spots were not needed for."""
+    names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
+    return tuple(name for name in names if np.isfinite(ds[f"{name}_by"].sel(source=[SHEET, FLATS])).any())
+
+
 def model_of(ds: xr.Dataset) -> SensorModel | None:
     """Sensor model of a sensor file; None where gain or read noise is unknown."""
     numbers = {name: float(ds[name]) for name in QUANTITIES}

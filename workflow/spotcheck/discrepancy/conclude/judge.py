@@ -68,7 +68,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         beyond=beyond,
         light=max(lights, key=lambda own: own.power, default=None),
         lights=lights,
-        sheet=sheet_of(outcome),
+        sheet=tuple(own for own in sheet_of(outcome) if own.name in setting.beforehand),
         unexplained=unexplained(at_last),
         gap=compared.gap,
         shift=_shift(declared, laws.told, seen, setting, wide) if lawful else NOTHING,

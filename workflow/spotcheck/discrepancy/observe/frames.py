@@ -25,13 +25,15 @@ ODD = 20
 
 class Setting(NamedTuple):
     """What the instrument fixes: the declared baseline, the sensor with the standard errors of its gain [DN/e-], read
-    noise [e-] and black level [DN], and rows and columns of a frame."""
+    noise [e-] and black level [DN], rows and columns of a frame, and which of the three were known beforehand, by name:
+    others come from the very frames, which cannot contradict them."""
 
     baseline: Baseline
     sensor: SensorModel
     stderr: tuple[float, float, float]
     rows: int
     columns: int
+    beforehand: tuple[str, ...] = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
 
 
 class Observed(NamedTuple):
