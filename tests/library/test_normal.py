@@ -117,3 +117,18 @@ def test_numbers_behind_others(count):
         for one, two in zip(both.solve(*right), whole.solve(*right), strict=True):
             np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-9)
     assert whole.bordered(np.zeros((0, 0)), np.zeros((8, 0)), np.zeros((0, 0))) is whole
+
+
+def test_a_number_of_which_nothing_is_told():
+    """Its variance is infinite and it takes no step; the others have theirs, whatever their units."""
+    scale = np.array([1e-6, 1.0, 1e5])
+    information = np.zeros((4, 4))
+    information[:3, :3] = (np.eye(3) + 0.5) / np.outer(scale, scale)
+    found = normal.covariance(information)
+    want = np.linalg.inv(np.eye(3) + 0.5) * np.outer(scale, scale)
+    np.testing.assert_allclose(found[:3, :3], want, rtol=1e-7)
+    assert np.isinf(found[3, 3]) and not found[3, :3].any()
+    scores = np.stack([1 / scale, 2 / scale], 1)
+    step = normal.solve(information, np.concatenate([scores, [[0.0, 0.0]]]))
+    np.testing.assert_allclose(step[:3], want @ scores, rtol=1e-7)
+    assert not step[3].any()

@@ -102,4 +102,4 @@ def influence_of(frames: Sequence[Frame], fitted: Fitted) -> np.ndarray:
                 normal.project(u, v, step, side, weight * own, shape[c, rows_of(model, k)])
     basis = contrasts(model, len(nudged))
     left = basis.T @ others - fitted.schur.absorbed.T @ shape[:, :, 0].T
-    return (basis @ np.linalg.solve(fitted.schur.left, left))[:few]
+    return (basis @ normal.solve(fitted.schur.left, left))[:few] if left.size else np.zeros((few, CELLS))

@@ -80,7 +80,7 @@ class Fitted(NamedTuple):
     @property
     def covariance(self) -> np.ndarray:
         """Of the numbers' steps and, behind them, of the effects' free parameters."""
-        return np.linalg.inv(self.schur.left)
+        return normal.covariance(self.schur.left)
 
 
 def sums_of(

@@ -235,12 +235,29 @@ class Schur(NamedTuple):
 
 
 def solve(information: np.ndarray, score: np.ndarray) -> np.ndarray:
-    """Steps of numbers; one of which nothing is told, or two that share all, do not stop the others."""
-    own = np.diag(information)
-    # In their own errors, since some numbers are told a million times as well as others.
-    unit = np.where(own > 0, 1 / np.sqrt(np.where(own > 0, own, 1.0)), 1.0)
-    damped = information * np.outer(unit, unit) + np.diag(np.where(own > 0, DAMPING, 1.0))
+    """Steps of numbers for a score, or for columns of scores; one of which nothing is told, or two that share all, do
+    not stop the others."""
+    damped, unit = _damped(information)
+    unit = unit if score.ndim == 1 else unit[:, None]
     return unit * linalg.solve(damped, unit * score, assume_a="sym")
+
+
+def covariance(information: np.ndarray) -> np.ndarray:
+    """Of numbers; infinite is the variance of one of which nothing is told."""
+    damped, unit = _damped(information)
+    out = linalg.inv(damped) * np.outer(unit, unit)
+    untold = np.flatnonzero(np.diag(information) <= 0)
+    out[untold, untold] = np.inf
+    return out
+
+
+def _damped(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information in the numbers' own errors, some of which are told a million times as well as others, with a little
+    on top; and these errors."""
+    own = np.diag(information)
+    unit = np.where(own > 0, 1 / np.sqrt(np.where(own > 0, own, 1.0)), 1.0)
+    shared = np.where(np.outer(own > 0, own > 0), information, 0.0) * np.outer(unit, unit)
+    return shared + np.diag(np.where(own > 0, DAMPING, 1.0)), unit
 
 
 def schur(band: np.ndarray, joined: np.ndarray, dense: np.ndarray, lights: int = 1) -> Schur:
