@@ -12,7 +12,7 @@ from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
-from spotcheck.discrepancy.observe.shots import Shot, or_nan
+from spotcheck.discrepancy.observe.shots import Shot, pose_of
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.model.chain import Law
 from spotcheck.model.light_shape import LightShape
@@ -120,7 +120,7 @@ class Fits(NamedTuple):
         if lights is None or len(lights.coefficients) < 2:
             return []
         first = [self.shots[int(np.flatnonzero(lights.which == k)[0])] for k in range(len(lights.coefficients))]
-        return [(or_nan(shot.angle_deg), *map(or_nan, shot.conditions)) for shot in first]
+        return [pose_of(shot) for shot in first]
 
 
 class Levels(NamedTuple):

@@ -215,7 +215,7 @@ def gauged(model: Model, gauge: Gauge, seen: Seen = ALL, light: int = 0) -> Ligh
 
 def _learned(model: Model, light: int) -> LightShape:
     assert model.lights is not None
-    return LightShape(model.lights.step, model.lights.coefficients[light])
+    return model.lights.shapes[light]
 
 
 def through(values: np.ndarray, step: float) -> LightShape:

@@ -79,9 +79,14 @@ class Lights(NamedTuple):
         """Splines along each axis."""
         return self.coefficients.shape[1]
 
+    @property
+    def shapes(self) -> tuple[LightShape, ...]:
+        """The shape of each light."""
+        return tuple(LightShape(self.step, own) for own in self.coefficients)
+
     def of(self, k: int) -> LightShape:
         """The shape of frame `k`."""
-        return LightShape(self.step, self.coefficients[self.which[k]])
+        return self.shapes[self.which[k]]
 
     def rows(self, k: int) -> slice:
         """Where the coefficients of frame `k` lie among all of them."""

@@ -39,14 +39,14 @@ class Shot(NamedTuple):
     beside: Callable[[], Blocks] | None = None
 
 
-def pose_of(shot: Shot) -> str:
-    """All of a shot's condition but its exposure, in words."""
-    return repr((or_nan(shot.angle_deg), *map(or_nan, shot.conditions)))
+def pose_of(shot: Shot) -> tuple[float, ...]:
+    """All of a shot's condition but its exposure: fibre angle [deg] and declared conditions, NaN where not recorded."""
+    return or_nan(shot.angle_deg), *map(or_nan, shot.conditions)
 
 
 def design_of(shots: Sequence[Shot]) -> Design:
     """The design that a list of frames spans."""
-    keys = [(or_nan(s.angle_deg), *map(or_nan, s.conditions), or_nan(s.exposure_s)) for s in shots]
+    keys = [(*pose_of(s), or_nan(s.exposure_s)) for s in shots]
     _, condition = keys_and_numbers(keys)
     _, site = keys_and_numbers([(key[:-1], s.repeat) for key, s in zip(keys, shots, strict=True)])
     known = [s.order for s in shots if s.order is not None]
@@ -54,7 +54,7 @@ def design_of(shots: Sequence[Shot]) -> Design:
     # A span says that the order of all is known.
     order = np.array([((s.order or 0) - min(known)) / span if span else np.nan for s in shots])
     angle, exposure = (np.array([key[at] for key in keys], float) for at in (0, -1))
-    return Design(site, condition, angle, exposure, order, np.array([pose_of(s) for s in shots]))
+    return Design(site, condition, angle, exposure, order, np.array([repr(pose_of(s)) for s in shots]))
 
 
 def held_out(repeat: np.ndarray) -> np.ndarray:

@@ -284,7 +284,7 @@ def _held(now: State, k: int, design: Design, rivals: dict[str, dict[str, Rival]
             holding = holding._replace(z2=min(gain, holding.z2))
         if own.form in own.effect.rounded and gathers(now.frames, model, k):
             # A code speaks for itself: cells ask whether light has the right shape about it.
-            holding = Holding(0.0, 1, gain, min(holding.error, ROUNDING_VARIANCE**0.5), holding.wider)
+            holding = holding._replace(q=0.0, cells=1, z2=gain, error=min(holding.error, ROUNDING_VARIANCE**0.5))
     near = [one for one in rivals.get(own.effect.name, {}).values() if one.behind < criteria.RIVAL.value]
     behind = {one.own.effect.name: one.behind for one in near}
     return Found(own, gain, holding, behind, tuple(one.own for one in near))

@@ -11,7 +11,6 @@ from spotcheck.discrepancy.observe.shots import Shot, pose_of
 from spotcheck.instrument import Instrument
 from spotcheck.model.effect import Context, Effect, Present
 from spotcheck.model.extended import Extended, Site, Spot, context_of, within_bounds
-from spotcheck.model.light_shape import LightShape
 
 # A spot has some light and some width, however badly a frame was fitted [DN, px].
 LEAST = 1e-3
@@ -32,7 +31,7 @@ def extended_of(judgement: Judgement, setting: Setting, instrument: Instrument, 
         setting.columns,
         (),
         _spots(fits, instrument),
-        () if shape is None or lights is None else tuple(LightShape(lights.step, own) for own in lights.coefficients),
+        () if shape is None or lights is None else lights.shapes,
     )
     context = context_of(plain, setting.baseline, setting.sensor, instrument.crop_px, exposures)
     named = [one.own for one in judgement.found if one.own.effect.name not in judgement.beyond]
@@ -63,7 +62,7 @@ def _spots(fits: Fits, instrument: Instrument) -> dict[Site, Spot]:
         members.setdefault(_site(shot, instrument, lawful), []).append(k)
     out = {}
     for site, own in members.items():
-        spot = Spot(float(np.mean(x[own])), float(np.mean(y[own])), light=which.get(pose_of(fits.shots[own[0]])))
+        spot = Spot(float(np.mean(x[own])), float(np.mean(y[own])), light=which.get(repr(pose_of(fits.shots[own[0]]))))
         if not lawful:
             peak, sigma = (float(max(np.exp(np.mean(v[own])), LEAST)) for v in (log_peak, log_width))
             spot = spot._replace(peak_dn=peak, sigma_px=sigma)
