@@ -39,9 +39,12 @@ READ: dict[str, Any] = {
 
 
 def code(name: str) -> list[str]:
-    """Files that a generator's records depend on: the generator, the judge, and what the command line imports."""
+    """Files that a generator's records depend on: what makes sets, the judge, and what the command line imports; not
+    what only reads records."""
     here = Path(__file__).parent
-    makers = [here / "judge.py", *sorted((here / "generators" / name).rglob("*.py"))]
+    folders = ("light", "names", "rig", "second") if name == "names" else (name,)
+    made = [path for own in folders for path in sorted((here / "generators" / own).rglob("*.py"))]
+    makers = [here / "judge.py", *(path for path in made if path.name not in ("score.py", "picture.py"))]
     stages = ("ingest", "crop", "sensor", "judge", "flats")
     modules = {module for path in makers for module in provenance.imported_modules(path)}
     modules |= {f"spotcheck.cli.{stage}" for stage in stages}

@@ -172,6 +172,10 @@ def test_what_the_suite_before_lost():
     assert loss.sets == 4 and loss.value == pytest.approx(0.25) and loss.verdict() == "ok"
     rows = [record("before:one:smear:strong", [smear], [], before="right") for _ in range(100)]
     assert found(rows, "sets of the suite before").verdict() == "short"
+    # Such a truth knows nothing of a light.
+    for row in rows:
+        del row["truth"]["light"]
+    assert score.page(rows, "abc").count("before:one:smear:strong default: right before, unknown now") == 100
 
 
 def test_the_gap_that_a_shape_closes():
