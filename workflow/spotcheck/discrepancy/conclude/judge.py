@@ -174,7 +174,10 @@ def errors_of(outcome: Outcome) -> dict[str, tuple[float, ...]]:
 
 
 def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting, wide: float) -> Shift:
-    """p1 and p2 under the declared shape, and beside all that was found, in the gauge of a shape that is `wide` [σ]."""
+    """p1 and p2 under the declared shape, and beside all that was found, in the gauge of a shape that is `wide` [σ];
+    nothing for one exposure, which tells neither."""
+    if seen.design.exposures.size < 2:
+        return NOTHING
     numbers = numbers_of(declared)
     before = laws_of(numbers, seen.design, setting.baseline, setting.sensor, seen.context.crop_px, effects=())
     if before.base is None or after.base is None:
