@@ -183,14 +183,6 @@ def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting, wide
     if before.base is None or after.base is None:
         return NOTHING
     first, last, laser = before.base.law, after.base.law, setting.baseline.laser_px
-    slopes = after.base.slopes
-    covariance = np.linalg.pinv(slopes.T @ after.base.found.inverse @ slopes)
-    # Parameters are p1 and the width at the reference exposure t: p2 is that less p1 ln t.
-    turn = np.zeros((2, len(covariance)))
-    held = after.base.mean.law_free
-    for row, (p1, width) in enumerate(((1.0, 0.0), (-np.log(seen.design.reference_s), 1.0))):
-        for column, place in enumerate(held):
-            turn[row, column] = (p1, width)[place]
-    errors = wide * np.sqrt(np.diag(turn @ covariance @ turn.T))
     moved = (wide * last.p1, wide * (laser + last.p2) - laser)
-    return Shift((first.p1, first.p2), moved, (float(errors[0]), float(errors[1])))
+    p1, p2 = after.base.law_errors
+    return Shift((first.p1, first.p2), moved, (wide * p1, wide * p2))
