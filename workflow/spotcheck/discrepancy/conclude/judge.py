@@ -85,8 +85,11 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
 
 
 def lights_of(fitted: Fitted, within: Sequence[Seen], effects: Sequence[Effect], context: Context) -> tuple[Light, ...]:
-    """The learned lights, where the shape of one at least is told, and its power more than an effect calls nothing."""
+    """The learned lights, where the shape of one at least is told, and its power more than an effect calls nothing. A
+    shape that has more than all light elsewhere is no light's, and tells nothing."""
     lights = tuple(light_of(fitted, own, k) for k, own in enumerate(within))
+    if any(light.power > 1 for light in lights):
+        return ()
     for light in lights:
         own, told = present_of(light, effects), light.power > criteria.STATED.value * light.error
         if told and own is not None and own.effect.excess(light.power, context) >= 1:
