@@ -10,6 +10,7 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError, best_match
 
 from spotcheck.errors import InputError
+from spotcheck.text import read_text
 
 SCHEMAS = Path(__file__).parent / "schemas"
 
@@ -37,8 +38,8 @@ def read_keys(path: Path) -> dict[str, Any]:
         line = f" line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not YAML"
         raise InputError(f"{path.name}{line}: {problem}; it must be YAML with `key: value` lines") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8") from None
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0][:80]
         raise InputError(f"{path.name}: a value cannot be read ({reason}); it must be a number, text or list") from None
@@ -49,7 +50,7 @@ def read_keys(path: Path) -> dict[str, Any]:
 
 def read_yaml(path: Path) -> Any:
     """Content of a YAML file, with numbers such as 5e-6 read as numbers and doubled keys refused."""
-    return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    return yaml.load(read_text(path), _Loader)
 
 
 class _Loader(yaml.SafeLoader):
