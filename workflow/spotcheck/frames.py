@@ -29,17 +29,16 @@ MOST_RUNS = 5
 
 
 class Probe(NamedTuple):
-    """What the headers of all frames say: rows and columns [px], bits of a stored pixel."""
+    """What the headers of all frames say: rows and columns [px], bits of a stored pixel, and remarks on pages that no
+    row names."""
 
     shape: tuple[int, int]
     bits: int
+    remarks: tuple[str, ...] = ()
 
 
 def pages_of(dataset: Dataset) -> dict[str, list[Page]]:
-    """Pages of every file that the manifest names; each row's is among them, and in frames/ each page has its row.
-
-    Raises `InputError`.
-    """
+    """Pages of every file that the manifest names; each row's is among them. Raises `InputError`."""
     found: dict[str, list[Page]] = {}
     for frame in dataset.frames:
         if frame.file not in found:
@@ -47,16 +46,24 @@ def pages_of(dataset: Dataset) -> dict[str, list[Page]]:
         count = len(found[frame.file])
         if frame.page >= count:
             raise InputError(f"{frame.label}: page is {frame.page}, but the file has {count}; pages count from 0")
-    named = {(frame.file, frame.page) for frame in dataset.frames}
-    for file, pages in found.items():
-        unnamed = [k for k, page in enumerate(pages) if (file, k) not in named and not page.preview]
-        if unnamed and in_frames(file):
-            pages_are = f"pages {_runs(unnamed)} are" if len(unnamed) > 1 else f"page {unnamed[0]} is"
-            raise InputError(
-                f"{file}: {pages_are} named by no row of manifest.csv; add a row with its page for each,"
-                f" or move the file out of frames/"
-            )
     return found
+
+
+def _unnamed_pages(dataset: Dataset, pages: dict[str, list[Page]]) -> tuple[str, ...]:
+    """Remarks on pages in frames/ that no row names. Raises `InputError` for a stack of which the first page alone is
+    named, as it is where nobody knew that it is a stack."""
+    named = {(frame.file, frame.page) for frame in dataset.frames}
+    remarks = []
+    for file, own in pages.items():
+        unnamed = [k for k, page in enumerate(own) if (file, k) not in named and not page.preview]
+        if not unnamed or not in_frames(file):
+            continue
+        said = f"{file}: page{'s' if len(unnamed) > 1 else ''} {_runs(unnamed)}"
+        said += f" {'are' if len(unnamed) > 1 else 'is'} named by no row of manifest.csv"
+        if not any((file, k) in named for k in range(1, len(own))):
+            raise InputError(f"{said}; add a row with its page for each, or move the file out of frames/")
+        remarks.append(said)
+    return tuple(remarks)
 
 
 def _runs(numbers: list[int]) -> str:
@@ -71,7 +78,8 @@ def probe_all(dataset: Dataset) -> Probe:
     first: Probe | None = None
     pages = pages_of(dataset)
     for frame in dataset.frames:
-        found = Probe(*pages[frame.file][frame.page][:2])
+        own = pages[frame.file][frame.page]
+        found = Probe(own.shape, own.bits)
         if first is None:
             first = found
         elif found.shape != first.shape:
@@ -98,7 +106,7 @@ def probe_all(dataset: Dataset) -> Probe:
             f"instrument.yaml: crop_px is {crop}, but the frames have {first.shape[1]} × {first.shape[0]} px;"
             f" it must be at most {min(first.shape)}"
         )
-    return first
+    return first._replace(remarks=_unnamed_pages(dataset, pages))
 
 
 def read(dataset: Dataset, frame: Frame) -> np.ndarray:
