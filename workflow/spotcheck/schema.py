@@ -101,6 +101,7 @@ def _explain(error: ValidationError, schema: dict[str, Any]) -> str:
         home = next((name for name, own in sections.items() if unknown in own), None)
         if home and not key:
             return f"key {unknown} stands outside its section; put it under `{home}:`"
+        unknown = unknown if unknown and unknown.isprintable() else repr(unknown)
         where = f"{key}.{unknown}" if key else unknown
         return f"unknown key {where}; known keys here: {', '.join(known)}"
     if error.validator == "type":

@@ -28,7 +28,7 @@ class Header(NamedTuple):
 
 
 def header(path: Path) -> Header:
-    """What the chunks before the samples say (PNG, third edition, section 11.2.1). Raises `Refused`."""
+    """What the chunks of a file say (PNG, third edition, sections 5 and 11). Raises `Refused`."""
     length = path.stat().st_size
     with path.open("rb") as stream:
         stream.seek(len(SIGNATURE))
@@ -37,7 +37,7 @@ def header(path: Path) -> Header:
             raise Refused("has no PNG header; copy the file again")
         columns, rows, bits, colour = struct.unpack(">IIBB", content[:10])
         significant = bits
-        while name != b"IDAT":
+        while name != b"IEND":
             name, content = _chunk(stream, length)
             if name in REFUSED:
                 raise Refused(f"its chunk {name.decode()} {REFUSED[name]}; save it as a plain grey image")
@@ -59,7 +59,7 @@ def _chunk(stream, length: int) -> tuple[bytes, bytes]:
     start = stream.read(8)
     size = int.from_bytes(start[:4])
     after = stream.tell() + size + 4
-    if len(start) < 8 or (after > length and start[4:] != b"IDAT"):
+    if len(start) < 8 or after > length:
         raise Refused("is cut short; copy the file again")
     content = stream.read(min(size, 64))
     stream.seek(after)
