@@ -37,6 +37,12 @@ def _images(paths: Iterable[Path]) -> list[Path]:
     return found
 
 
+def others(folder: Path) -> list[str]:
+    """Endings of the files in frames/ and beside it that are not read, hidden and dataset's own files apart."""
+    found = {p.suffix for p in (*folder.glob("*"), *folder.glob("frames/**/*")) if p.is_file() and p.name[0] != "."}
+    return sorted(found - {".csv", ".yaml", ""} - {own for own in found if own.lower() in IMAGE_SUFFIXES})
+
+
 def _pages(image: Path) -> list[int]:
     """Numbers of the pages of a file; of one that cannot be read the first, and `spotcheck check` will say why."""
     try:

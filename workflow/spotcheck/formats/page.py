@@ -7,7 +7,7 @@ from typing import NamedTuple
 MOST_PIXELS = 500_000_000
 # Bytes that deflate makes of one at most (RFC 1951: runs of 258 bytes in two bits): no honest file promises more.
 DEFLATE_RATIO = 1032
-ONE_CHANNEL = "it must be one channel of 8 or 16 bit unsigned integers"
+ONE_CHANNEL = "it must be one channel of 8 to 16 bit unsigned integers"
 
 
 class Page(NamedTuple):

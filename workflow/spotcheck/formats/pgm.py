@@ -10,7 +10,7 @@ from spotcheck.formats.page import ONE_CHANNEL, Page, Refused, check_length, che
 
 # Between two words of a header stand white space and comments, which end with their line.
 _GAP = rb"(?:\s+|#[^\n]*\n)+"
-_HEADER = re.compile(rb"P[25]" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})\s")
+_HEADER = re.compile(rb"P[25]" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})(?:\s|#[^\n]*\n)")
 # What some programs write between a header and its pixels: the rest of a line end of Windows, or a comment.
 _REST = re.compile(rb"\n|[ \t]*#[^\n]*\n")
 # Bytes in which a header ends, comments included.

@@ -21,6 +21,8 @@ SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 DEFLATE = {8, 32946}
 JPEG_2000 = {33003, 33004, 33005, 34712}
 LOSSLESS = {1, 5, 32773, 34925, 34926, 50000} | DEFLATE | JPEG_2000
+# Start of a JPEG 2000 codestream (ISO/IEC 15444-1, annex A.5.1), and bytes in which it lies.
+CODESTREAM, CODESTREAM_BYTES = b"\xff\x4f\xff\x51", 1024
 # How Orientation (TIFF 6.0, section 8) has the stored rows shown, where they stay rows.
 TURNED = {1: (1, 1), 2: (1, -1), 3: (-1, -1), 4: (-1, 1)}
 # Tags by which equal steps of a stored value are no equal steps of a reading.
@@ -31,10 +33,11 @@ PREVIEW = 1 | 4
 
 def pages(path: Path) -> list[Page]:
     """Every page of a file. Raises `Refused`, and what tifffile raises for a broken file."""
-    length = path.stat().st_size
+    starts, length = _starts(path, path.stat().st_mtime_ns), path.stat().st_size
     with _opened(path) as tiff:
         _check_imagej(tiff)
-        found = [_preview(page) or _page_of(page, length) for page in _directories(tiff, path)]
+        directories = (_directory(tiff, starts, page) for page in range(len(starts)))
+        found = [_preview(page) or _page_of(page, length) for page in directories]
         if len(found) == 1:
             found *= _planes(tiff)
     return found
@@ -102,12 +105,6 @@ def _directory(tiff: tifffile.TiffFile, starts: tuple[int, ...], page: int) -> t
     """The directory of a page."""
     tiff.filehandle.seek(starts[page])
     return tifffile.TiffPage(tiff, index=page)
-
-
-def _directories(tiff: tifffile.TiffFile, path: Path) -> Iterator[tifffile.TiffPage]:
-    """Every directory of a file, one at a time."""
-    starts = _starts(path, path.stat().st_mtime_ns)
-    return (_directory(tiff, starts, page) for page in range(len(starts)))
 
 
 def _planes(tiff: tifffile.TiffFile) -> int:
@@ -179,7 +176,22 @@ def _check_parts(page: tifffile.TiffPage, length: int) -> None:
         raise Refused("the TIFF lacks strips or tiles (StripOffsets, StripByteCounts); copy the file again")
     if max(at + size for at, size in parts) > length:
         raise Refused("the TIFF is cut short; copy the file again")
+    if page.compression in JPEG_2000:
+        for at, _ in parts:
+            _check_codestream(page, at)
     stored = sum(size for _, size in parts)
     needed = page.shape[0] * math.ceil(page.shape[1] * page.bitspersample / 8)
     check_length(needed if page.compression == 1 else needed // DEFLATE_RATIO if page.compression in DEFLATE else 0,
                  stored)  # fmt: skip
+
+
+def _check_codestream(page: tifffile.TiffPage, at: int) -> None:
+    """Raise `Refused` where JPEG 2000 at that byte claims more pixels than its strip or tile has: its decoder would ask
+    for the memory."""
+    stream = page.parent.filehandle
+    stream.seek(at)
+    start = stream.read(CODESTREAM_BYTES)
+    size = start.find(CODESTREAM) + 8
+    columns, rows = (int.from_bytes(start[k : k + 4]) for k in (size, size + 4))
+    if columns * rows > math.prod(page.chunks):
+        raise Refused(f"holds a strip or tile that claims {columns} × {rows} px; copy the file again")
