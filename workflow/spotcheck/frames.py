@@ -11,7 +11,7 @@ from skimage.measure import label
 from spotcheck.dataset import Dataset, in_frames
 from spotcheck.errors import InputError
 from spotcheck.formats import files
-from spotcheck.formats.page import Page
+from spotcheck.formats.page import PREVIEW, Page
 from spotcheck.instrument import Instrument
 from spotcheck.manifest import Frame
 
@@ -46,6 +46,8 @@ def pages_of(dataset: Dataset) -> dict[str, list[Page]]:
         count = len(found[frame.file])
         if frame.page >= count:
             raise InputError(f"{frame.label}: page is {frame.page}, but the file has {count}; pages count from 0")
+        if found[frame.file][frame.page].preview:
+            raise InputError(f"{frame.label}: {PREVIEW}")
     return found
 
 
@@ -77,9 +79,10 @@ def probe_all(dataset: Dataset) -> Probe:
     """Probe of every frame of a dataset; they must agree, and hold a crop. Raises `InputError`."""
     first: Probe | None = None
     pages = pages_of(dataset)
+    remarks = _unnamed_pages(dataset, pages)
     for frame in dataset.frames:
         own = pages[frame.file][frame.page]
-        found = Probe(own.shape, own.bits)
+        found = Probe(own.shape, own.bits, remarks)
         if first is None:
             first = found
         elif found.shape != first.shape:
@@ -106,7 +109,7 @@ def probe_all(dataset: Dataset) -> Probe:
             f"instrument.yaml: crop_px is {crop}, but the frames have {first.shape[1]} × {first.shape[0]} px;"
             f" it must be at most {min(first.shape)}"
         )
-    return first._replace(remarks=_unnamed_pages(dataset, pages))
+    return first
 
 
 def read(dataset: Dataset, frame: Frame) -> np.ndarray:

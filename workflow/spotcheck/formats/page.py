@@ -7,6 +7,7 @@ from typing import NamedTuple
 MOST_PIXELS = 500_000_000
 # Bytes that deflate makes of one at most (RFC 1951: runs of 258 bytes in two bits): no honest file promises more.
 DEFLATE_RATIO = 1032
+PREVIEW = "is but a preview or mask of another image (NewSubfileType); name the page that holds the image"
 ONE_CHANNEL = "it must be one channel of 8 to 16 bit unsigned integers"
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import tifffile
 
-from spotcheck.formats.page import DEFLATE_RATIO, ONE_CHANNEL, Page, Refused, check_length, check_size
+from spotcheck.formats.page import DEFLATE_RATIO, ONE_CHANNEL, PREVIEW, Page, Refused, check_length, check_size
 
 # What is wrong with a file is said in our own words.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
@@ -28,7 +28,7 @@ TURNED = {1: (1, 1), 2: (1, -1), 3: (-1, -1), 4: (-1, 1)}
 # Tags by which equal steps of a stored value are no equal steps of a reading.
 BENT = ("GrayResponseCurve", "TransferFunction", "LinearizationTable")
 # Kinds of NewSubfileType (TIFF 6.0, section 8): 1 a reduced copy of another page, 4 a mask.
-PREVIEW = 1 | 4
+REDUCED_OR_MASK = 1 | 4
 
 
 def pages(path: Path) -> list[Page]:
@@ -48,6 +48,8 @@ def read(path: Path, page: int) -> np.ndarray:
     starts = _starts(path, path.stat().st_mtime_ns)
     with _opened(path) as tiff:
         directory = _directory(tiff, starts, page if len(starts) > 1 else 0)
+        if _preview(directory):
+            raise Refused(PREVIEW)
         _page_of(directory, path.stat().st_size)
         if len(starts) > 1 or not page:
             pixels = directory.asarray(maxworkers=1)
@@ -165,7 +167,7 @@ def _page_of(page: tifffile.TiffPage, length: int) -> Page:
 
 def _preview(page: tifffile.TiffPage) -> Page | None:
     """The page as a mere preview, whatever its pixels are, if its NewSubfileType says so."""
-    is_one = isinstance(page.subfiletype, int) and page.subfiletype & PREVIEW
+    is_one = isinstance(page.subfiletype, int) and page.subfiletype & REDUCED_OR_MASK
     return Page((page.imagelength, page.imagewidth), 0, True) if is_one else None
 
 
