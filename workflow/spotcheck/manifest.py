@@ -19,6 +19,8 @@ PHOTONS = "photons_per_px"
 IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm")
 # Longest path of a file [characters]; what is longer is no name, and systems refuse to look for it.
 LONGEST_NAME = 250
+# Characters of a wrong cell that a message shows.
+LONGEST_CELL = 40
 # The line by which Excel is told the separator.
 SEPARATOR = re.compile('"?sep=,"?,*')
 
@@ -56,7 +58,7 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
     for column in columns:
         # A spreadsheet leaves empty columns at the end: they are dropped.
         if column and columns.count(column) > 1:
-            raise InputError(f"{path.name}: column {column} stands twice; keep one of them")
+            raise InputError(f"{path.name}: column {column[:LONGEST_CELL]} stands twice; keep one of them")
     for condition in conditions:
         if condition not in columns:
             raise InputError(
@@ -119,7 +121,7 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
     if any(value.strip() for name, value in row.items() if not (name or "").strip()):
         raise InputError(f"{where}: a cell stands under a column without a name; name the column in the header")
     if cell["kind"] not in KINDS:
-        raise InputError(f"{where}: kind is {cell['kind']!r}; it must be one of {', '.join(KINDS)}")
+        raise InputError(f"{where}: kind is {cell['kind'][:LONGEST_CELL]!r}; it must be one of {', '.join(KINDS)}")
     spot = cell["kind"] == "spot"
 
     def number(column: str) -> float | None:
@@ -127,13 +129,13 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
             return None
         value = number_in(cell[column])
         if value is None:
-            raise InputError(f"{where}: {column} is {cell[column]!r}; it must be a number or blank")
+            raise InputError(f"{where}: {column} is {cell[column][:LONGEST_CELL]!r}; it must be a number or blank")
         return value
 
     def count(column: str) -> int | None:
         text = cell.get(column, "")
         if text and not (text.isdecimal() and len(text) < 10):
-            raise InputError(f"{where}: {column} is {text[:40]!r}; it must be a whole number from 0")
+            raise InputError(f"{where}: {column} is {text[:LONGEST_CELL]!r}; it must be a whole number from 0")
         return int(text) if text else None
 
     exposure = number("exposure_s")
