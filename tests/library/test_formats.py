@@ -203,7 +203,10 @@ def test_headers_that_claim_too_much(tmp_path, kind):
 
 SHORT = {
     "TIFF": lambda f: huge_tiff(f, rowsperstrip=20),
-    "deflated TIFF": lambda f: huge_tiff(f, rowsperstrip=20, compression="zlib"),
+    **{
+        f"TIFF by {name}": lambda f, name=name: huge_tiff(f, rowsperstrip=20, compression=name)
+        for name in ("zlib", "lzw", "packbits", "zstd", "lzma")
+    },
     "PNG": lambda f: png_of(20_000, 20_000, packed=zlib.compress(bytes(1000))),
     "PGM": lambda f: b"P5 20000 20000 255\n" + bytes(1000),
     "PGM as text": lambda f: b"P2 20000 20000 255\n" + b"7 " * 1000,

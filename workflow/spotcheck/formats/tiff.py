@@ -17,10 +17,23 @@ from spotcheck.formats.page import DEFLATE_RATIO, ONE_CHANNEL, PREVIEW, Page, Re
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# Compressions that give back what was stored; others, such as JPEG, alter readings.
-DEFLATE = {8, 32946}
-JPEG_2000 = {33003, 33004, 33005, 34712}
-LOSSLESS = {1, 5, 32773, 34925, 34926, 50000} | DEFLATE | JPEG_2000
+JPEG_2000 = (33003, 33004, 33005, 34712)
+# Compressions that give back what was stored (others, such as JPEG, alter readings), and the bytes that a byte of each
+# makes at most, so that no file is believed to hold more: none; LZW, strings of 3838 in 12 bits; Deflate; PackBits, 128
+# in two; Zstandard, blocks of 128 KiB in four; LZMA, some 7000 for zeros. JPEG 2000 says itself how much it holds.
+LARGEST_GROWTH = {
+    **{
+        1: 1.0,
+        5: 2560.0,
+        8: DEFLATE_RATIO,
+        32946: DEFLATE_RATIO,
+        32773: 64.0,
+        34925: 1e4,
+        34926: 32768.0,
+        50000: 32768.0,
+    },
+    **dict.fromkeys(JPEG_2000, math.inf),
+}
 # Start of a JPEG 2000 codestream (ISO/IEC 15444-1, annex A.5.1), and bytes in which it lies.
 CODESTREAM, CODESTREAM_BYTES = b"\xff\x4f\xff\x51", 1024
 # How Orientation (TIFF 6.0, section 8) has the stored rows shown, where they stay rows.
@@ -154,7 +167,7 @@ def _page_of(page: tifffile.TiffPage, length: int) -> Page:
     for name in BENT:
         if name in page.tags:
             raise Refused(f"{name} says that equal steps of its values are no equal steps of light; save it without")
-    if page.compression not in LOSSLESS:
+    if page.compression not in LARGEST_GROWTH:
         raise Refused(
             f"Compression is {_named(page.compression)}, which may alter readings; save it uncompressed or by Deflate"
         )
@@ -183,8 +196,7 @@ def _check_parts(page: tifffile.TiffPage, length: int) -> None:
             _check_codestream(page, at)
     stored = sum(size for _, size in parts)
     needed = page.shape[0] * math.ceil(page.shape[1] * page.bitspersample / 8)
-    check_length(needed if page.compression == 1 else needed // DEFLATE_RATIO if page.compression in DEFLATE else 0,
-                 stored)  # fmt: skip
+    check_length(math.ceil(needed / LARGEST_GROWTH[page.compression]), stored)
 
 
 def _check_codestream(page: tifffile.TiffPage, at: int) -> None:
