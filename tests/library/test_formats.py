@@ -126,18 +126,24 @@ def test_previews_need_no_row(tmp_path):
     assert [page.preview for page in files.pages(tmp_path / "a.tif", "a")] == [False, True]
 
 
+def imagej_of_one_directory(folder, stack: np.ndarray, byteorder: str):
+    """An ImageJ stack whose directories end with the first, as above 4 GB."""
+    path = tiff(folder, stack, imagej=True, byteorder=byteorder)
+    content = bytearray(path.read_bytes())
+    at = struct.unpack(byteorder + "I", content[4:8])[0]
+    after = at + 2 + 12 * struct.unpack(byteorder + "H", content[at : at + 2])[0]
+    content[after : after + 4] = bytes(4)
+    path.write_bytes(content)
+    return path
+
+
 @pytest.mark.parametrize("kind", ["ImageJ", "tifffile"])
 @pytest.mark.parametrize("byteorder", ["<", ">"])
 def test_stacks_of_one_directory(tmp_path, kind, byteorder):
     """Pages that one directory stands for, as ImageJ writes above 4 GB: tifffile's own series says which they are."""
     stack = np.stack([RAMP + k for k in range(5)])
     if kind == "ImageJ":
-        path = tiff(tmp_path, stack, imagej=True, byteorder=byteorder)
-        content = bytearray(path.read_bytes())
-        at = struct.unpack(byteorder + "I", content[4:8])[0]
-        after = at + 2 + 12 * struct.unpack(byteorder + "H", content[at : at + 2])[0]
-        content[after : after + 4] = bytes(4)
-        path.write_bytes(content)
+        path = imagej_of_one_directory(tmp_path, stack, byteorder)
     else:
         path = tiff(tmp_path, stack, truncate=True, byteorder=byteorder)
     with tifffile.TiffFile(path) as own:
@@ -145,6 +151,21 @@ def test_stacks_of_one_directory(tmp_path, kind, byteorder):
     assert files.pages(path, "a") == [((20, 32), 16, False)] * 5
     for page in range(5):
         np.testing.assert_array_equal(read(path, page), stack[page])
+
+
+@pytest.mark.parametrize(("kept", "word"), [(4, "the stack of 5 images (ImageDescription) is cut short"), (1, "")])
+def test_a_stack_of_one_directory_that_is_cut_short(tmp_path, kept, word):
+    """Four of five images are refused; one alone was taken out of its stack and is read."""
+    path = imagej_of_one_directory(tmp_path, np.stack([RAMP + k for k in range(5)]), "<")
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) - (5 - kept) * RAMP.nbytes])
+    if word:
+        with pytest.raises(InputError) as caught:
+            files.pages(path, "a")
+        assert word in str(caught.value)
+    else:
+        assert files.pages(path, "a") == [((20, 32), 16, False)]
+        np.testing.assert_array_equal(read(path), RAMP)
 
 
 def test_pages_in_a_circle_and_pages_cut_off(tmp_path):

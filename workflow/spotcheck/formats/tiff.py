@@ -52,7 +52,7 @@ def pages(path: Path) -> list[Page]:
         directories = (_directory(tiff, starts, page) for page in range(len(starts)))
         found = [_preview(page) or _page_of(page, length) for page in directories]
         if len(found) == 1:
-            found *= _planes(tiff)
+            found *= _planes(tiff, length)
     return found
 
 
@@ -122,10 +122,17 @@ def _directory(tiff: tifffile.TiffFile, starts: tuple[int, ...], page: int) -> t
     return tifffile.TiffPage(tiff, index=page)
 
 
-def _planes(tiff: tifffile.TiffFile) -> int:
-    """Pages that one directory stands for: ImageJ beyond 4 GB, MetaMorph and tifffile may write one for a stack."""
-    series = tiff.series[0]
-    return math.prod(series.shape) // math.prod(series.keyframe.shape) if series.is_truncated else 1
+def _planes(tiff: tifffile.TiffFile, length: int) -> int:
+    """Pages that the one directory of a file of `length` bytes stands for: ImageJ above 4 GB, MetaMorph and tifffile
+    may write one for a stack. Raises `Refused` for a stack that is cut short."""
+    series, first = tiff.series[0], tiff.pages.first
+    if series.is_truncated:
+        return math.prod(series.shape) // math.prod(first.shape)
+    # A single page that was taken out of a stack may keep its description, and has no second page behind it.
+    stated = (tiff.imagej_metadata or {}).get("images", 1)
+    if stated > 1 and length >= first.dataoffsets[0] + 2 * first.nbytes:
+        raise Refused(f"the stack of {stated} images (ImageDescription) is cut short; copy the file again")
+    return 1
 
 
 def _check_imagej(tiff: tifffile.TiffFile) -> None:
