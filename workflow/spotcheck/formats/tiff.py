@@ -18,21 +18,18 @@ logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 JPEG_2000 = (33003, 33004, 33005, 34712)
-# Compressions that give back what was stored (others, such as JPEG, alter readings), and the bytes that a byte of each
-# makes at most, so that no file is believed to hold more: none; LZW, strings of 3838 in 12 bits; Deflate; PackBits, 128
-# in two; Zstandard, blocks of 128 KiB in four; LZMA, some 7000 for zeros. JPEG 2000 says itself how much it holds.
+# Compressions that give back what was stored (others, such as JPEG, alter readings), and how many bytes a byte of each
+# makes at most, so that no file is believed to hold more.
 LARGEST_GROWTH = {
-    **{
-        1: 1.0,
-        5: 2560.0,
-        8: DEFLATE_RATIO,
-        32946: DEFLATE_RATIO,
-        32773: 64.0,
-        34925: 1e4,
-        34926: 32768.0,
-        50000: 32768.0,
-    },
-    **dict.fromkeys(JPEG_2000, math.inf),
+    1: 1,  # none
+    5: 2560,  # LZW: strings of 3838 in 12 bits
+    8: DEFLATE_RATIO,
+    32946: DEFLATE_RATIO,
+    32773: 64,  # PackBits: 128 in two
+    34925: 10_000,  # LZMA: some 7000 for zeros
+    34926: 32_768,  # Zstandard: blocks of 128 KiB in four
+    50000: 32_768,
+    **dict.fromkeys(JPEG_2000, math.inf),  # which says itself how much it holds
 }
 # Start of a JPEG 2000 codestream (ISO/IEC 15444-1, annex A.5.1), and bytes in which it lies.
 CODESTREAM, CODESTREAM_BYTES = b"\xff\x4f\xff\x51", 1024
@@ -46,7 +43,7 @@ REDUCED_OR_MASK = 1 | 4
 
 def pages(path: Path) -> list[Page]:
     """Every page of a file. Raises `Refused`, and what tifffile raises for a broken file."""
-    starts, length = _starts(path, path.stat().st_mtime_ns), path.stat().st_size
+    starts, length = _directories(path)
     with _opened(path) as tiff:
         _check_imagej(tiff)
         directories = (_directory(tiff, starts, page) for page in range(len(starts)))
@@ -58,12 +55,12 @@ def pages(path: Path) -> list[Page]:
 
 def read(path: Path, page: int) -> np.ndarray:
     """Pixels [rows, columns] of a page as uint8 or uint16. Raises as `pages` does."""
-    starts = _starts(path, path.stat().st_mtime_ns)
+    starts, length = _directories(path)
     with _opened(path) as tiff:
         directory = _directory(tiff, starts, page if len(starts) > 1 else 0)
         if _preview(directory):
             raise Refused(PREVIEW)
-        _page_of(directory, path.stat().st_size)
+        _page_of(directory, length)
         if len(starts) > 1 or not page:
             pixels = directory.asarray(maxworkers=1)
         else:
@@ -84,13 +81,19 @@ def _opened(path: Path) -> Iterator[tifffile.TiffFile]:
         yield tiff
 
 
+def _directories(path: Path) -> tuple[tuple[int, ...], int]:
+    """Where the directories of a file start [byte], one a page, and how long it is [byte]. Raises `Refused`."""
+    status = path.stat()
+    return _starts(path, status.st_size, status.st_mtime_ns), status.st_size
+
+
 @lru_cache(maxsize=64)
-def _starts(path: Path, _changed_ns: int) -> tuple[int, ...]:
-    """Where the directories of a file start [byte] (TIFF 6.0, section 2; BigTIFF). Raises `Refused`.
+def _starts(path: Path, length: int, _changed_ns: int) -> tuple[int, ...]:
+    """Where the directories start (TIFF 6.0, section 2; BigTIFF), looked up once for all pages of a stack.
 
     tifffile follows pages that lead in a circle for ever, and ends a stack without a word where it is cut short.
     """
-    length, found = path.stat().st_size, dict[int, None]()
+    found = dict[int, None]()
     with path.open("rb") as stream:
         start = stream.read(16)
         order = "<" if start[:2] == b"II" else ">"
@@ -126,8 +129,10 @@ def _planes(tiff: tifffile.TiffFile, length: int) -> int:
     """Pages that the one directory of a file of `length` bytes stands for: ImageJ above 4 GB, MetaMorph and tifffile
     may write one for a stack. Raises `Refused` for a stack that is cut short."""
     series, first = tiff.series[0], tiff.pages.first
-    if series.is_truncated:
-        return math.prod(series.shape) // math.prod(first.shape)
+    if series.is_truncated and first.is_final:
+        count = math.prod(series.shape) // math.prod(first.shape)
+        check_length(first.dataoffsets[0] + count * first.nbytes, length)
+        return count
     # A single page that was taken out of a stack may keep its description, and has no second page behind it.
     stated = (tiff.imagej_metadata or {}).get("images", 1)
     if stated > 1 and length >= first.dataoffsets[0] + 2 * first.nbytes:
