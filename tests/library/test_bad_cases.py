@@ -218,6 +218,10 @@ CASES: dict[str, Callable[[], Case]] = {
         [dark(f) if f.angle == 45 else f for f in spots()],
         words="Beware: 6 of 12 spot frames cannot be used (no light above the noise).",
     ),
+    "copies among the repeats": lambda: Case(
+        [*spots(), *(f._replace(repeat=3) for f in spots()[:2])],
+        words="Beware: 2 of 14 spot frames cannot be used (the pixels are those of another frame).",
+    ),
     "hot cluster brighter than faint spots": lambda: Case(
         spots(after=far_cluster, shape=(160, 150)), words="Beware: 6 of 12 spots lie more than half a crop from"
     ),

@@ -1,5 +1,6 @@
 """Pages that a person reads: tables list what the code has, messages are the code's own, links lead somewhere."""
 
+import io
 import json
 import re
 from pathlib import Path
@@ -173,12 +174,19 @@ def beside(row: str, *files: str):
     return check
 
 
-def image(pixels: np.ndarray, text: str = ""):
-    """Checking and reading a dataset of one image."""
+def image(pixels: np.ndarray, text: str = "", **options):
+    """Checking and reading a dataset of one image, written with options."""
+    out = io.BytesIO()
+    tifffile.imwrite(out, pixels, **options)
+    return content(out.getvalue(), text)
+
+
+def content(of_file: bytes, text: str = ""):
+    """Checking and reading a dataset of one file."""
 
     def check(base):
         found = dataset.load(folder(base, [GOOD], text))
-        tifffile.imwrite(base / "frames" / "a.tif", pixels)
+        (base / "frames" / "a.tif").write_bytes(of_file)
         check_dataset(found)
         read(found, found.frames[0])
 
@@ -192,11 +200,17 @@ MISTAKES = {
     "two rows for one frame": manifest(GOOD, GOOD),
     "a gap in a column": manifest(GOOD, "frames/b.tif,spot,0,,1"),
     "a file that is not there": beside(GOOD),
+    "a file in another place": beside(GOOD, "../a.tif"),
     "an image without a row": beside(GOOD, "a.tif", "b.tif"),
+    "a stack without rows for its pages": image(np.zeros((9, 40, 50), np.uint16), photometric="minisblack"),
     "a misspelt key": instrument("croppx: 240"),
     "a key in the wrong place": instrument("f_number: 11"),
     "a value out of range": instrument("sensor: {bit_depth: 17}"),
     "a colour image": image(np.zeros((40, 50, 3), np.uint8)),
+    "values turned into colours": image(
+        np.zeros((40, 50), np.uint8), photometric="palette", colormap=np.zeros((3, 256), np.uint16)
+    ),
+    "another format by the name of one that is read": content(b"BM"),
     "a crop that is too large": image(np.zeros((30, 40), np.uint16)),
     "a profile that is not there": instrument("light: {profile: light.nc}"),
     "a wrong bit depth": image(np.full((40, 50), 1024, np.uint16), "crop_px: 24\nsensor: {bit_depth: 10}"),

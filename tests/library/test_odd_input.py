@@ -3,15 +3,18 @@
 import numpy as np
 import pytest
 
-from spotcheck import crops, dataset, frames, pgm
+from spotcheck import crops, dataset, frames
 from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import calibrate
 from spotcheck.estimate.fits import fit_crops
+from spotcheck.formats import pgm
 from spotcheck.model.simulate import expected_maximum
 from spotcheck.store import read
 from tests.library.conftest import HEADER, SENSOR, folder, gaussian, loaded, noisy
 
 GOOD = "frames/a.tif,spot,0,1e-4,0"
+# Ten lists, each ten times the one before: 10^10 values, once somebody writes them out.
+LAUGHS = "name:\n- &a0 [x, x]\n" + "".join(f"- &a{k + 1} [{', '.join([f'*a{k}'] * 10)}]\n" for k in range(10))
 
 
 @pytest.mark.parametrize(
@@ -51,6 +54,9 @@ def test_empty_columns_of_a_spreadsheet_are_dropped(tmp_path, end):
         ("name: 2020-13-45", ["instrument.yaml", "cannot be read"]),
         ("sensor: {gain_dn_per_e: 1.0e+300}", ["gain_dn_per_e", "at most"]),
         ("sensor: {black_level_dn: 1.0e+300}", ["black_level_dn", "at most"]),
+        (LAUGHS, ["line 3", "*a0 is an alias"]),
+        (f"name: [{'x, ' * 999}x]", ["key name is ['x', 'x'", "…; it must be text"]),
+        ("'a\\n': 1\n\"b\\n\": 2", ["unknown key 'a", "known keys"]),
     ],
 )
 def test_instrument(tmp_path, text, words):
@@ -59,6 +65,7 @@ def test_instrument(tmp_path, text, words):
     with pytest.raises(InputError) as error:
         dataset.load(folder(tmp_path, [GOOD + ",1,1"], text, header))
     assert all(word in str(error.value) for word in words), error.value
+    assert "\n" not in str(error.value) and len(str(error.value)) < 300
 
 
 @pytest.mark.parametrize("text", ["{value_shift_bits: 15, bit_depth: 2}", "{bit_depth: 10, value_shift_bits: 7}"])
@@ -81,13 +88,13 @@ def test_text_graymaps_do_not_wrap(tmp_path, pixels):
     """Values outside 0 … white, and too few of them."""
     (tmp_path / "a.pgm").write_bytes(b"P2\n2 1\n255\n" + pixels)
     with pytest.raises(ValueError, match=r"whole number|above its own white|cut short"):
-        pgm.read(tmp_path / "a.pgm")
+        pgm.read(tmp_path / "a.pgm", 0)
 
 
 def test_comments_between_pixels_of_a_text_graymap(tmp_path):
     """Skipped, as the format says."""
     (tmp_path / "a.pgm").write_bytes(b"P2\n2 1\n255\n7 # seven\n9\n")
-    assert pgm.read(tmp_path / "a.pgm").tolist() == [[7, 9]]
+    assert pgm.read(tmp_path / "a.pgm", 0).tolist() == [[7, 9]]
 
 
 def test_hidden_files_are_no_unnamed_images(tmp_path):

@@ -1,7 +1,9 @@
 """The first two stages: what each frame is (ingest), and the crop around its spot (crop)."""
 
+import hashlib
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,6 +16,8 @@ from spotcheck.errors import InputError
 
 # How the crop is centred: on the light's centroid (default of every stage), or on the maximum, as the paper.
 CENTRINGS = ("light", "maximum")
+# Copies that are named one by one; more would not be read.
+MOST_COPIES = 5
 
 
 def check_dataset(dataset: Dataset) -> frames.Probe:
@@ -23,7 +27,8 @@ def check_dataset(dataset: Dataset) -> frames.Probe:
 
 
 def ingest(dataset: Dataset) -> xr.Dataset:
-    """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels. Decodes each frame once."""
+    """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels, and of which other frame it
+    is a copy; `remarks` on what a user should know. Decodes each frame once."""
     probe = check_dataset(dataset)
     highest = frames.full_scale(dataset.instrument, probe.bits)
     names = {
@@ -32,11 +37,12 @@ def ingest(dataset: Dataset) -> xr.Dataset:
         "mean": ("f8", "DN", "mean reading"),
         "at_full_scale": ("i8", "pixel", "pixels that read full scale"),
         "at_zero": ("i8", "pixel", "pixels that read zero"),
+        "copy_of": ("i4", "1", "earlier frame that holds the same pixels; -1 where none does"),
     }
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
     digest_of = cache(lambda file: provenance.file_digest(dataset.folder / file))
-    digests = []
+    digests, first = [], dict[bytes, int]()
     for k, frame in enumerate(dataset.frames):
         pixels = frames.read(dataset, frame)
         digests.append(digest_of(frame.file))
@@ -44,7 +50,12 @@ def ingest(dataset: Dataset) -> xr.Dataset:
         columns["mean"][k] = pixels.mean(dtype=np.float64)
         columns["at_full_scale"][k] = np.count_nonzero(pixels >= highest)
         columns["at_zero"][k] = pixels.size - np.count_nonzero(pixels)
-    ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
+        # ASSUME: noise makes no two exposures equal in every pixel, unless all of them read the same, as black ones do.
+        varied = columns["minimum"][k] < columns["maximum"][k]
+        earlier = first.setdefault(hashlib.sha256(pixels.data).digest(), k) if varied else k
+        columns["copy_of"][k] = earlier if earlier < k else -1
+    remarks = [*probe.remarks, *copies(dataset, columns["copy_of"])]
+    ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name, "remarks": "; ".join(remarks)})
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})
     for name, (_, units, long_name) in names.items():
         ds[name] = ("frame", columns[name], {"units": units, "long_name": long_name})
@@ -79,6 +90,20 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     return ds
 
 
+def copies(dataset: Dataset, copy_of: np.ndarray) -> list[str]:
+    """A remark on each frame that is a copy; of many on the first and their number."""
+    own = np.flatnonzero(copy_of >= 0)
+    said = [f"{dataset.frames[k].label} holds the same pixels as {dataset.frames[copy_of[k]].label}" for k in own]
+    more = [f"{len(said) - MOST_COPIES} more frames are copies"] if len(said) > MOST_COPIES else []
+    return [f"{text}, so that it is left out as a copy" for text in said[:MOST_COPIES]] + more
+
+
+def without_copies(dataset: Dataset, table: xr.Dataset) -> Dataset:
+    """The dataset without frames that hold the pixels of an earlier one and so measure nothing anew."""
+    kept = [frame for frame, own in zip(dataset.frames, table["copy_of"].values, strict=True) if own < 0]
+    return replace(dataset, frames=tuple(kept))
+
+
 def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: list) -> None:
     """Write crops.nc: for every spot both crops, their place on the sensor, and the reduced copy of the whole frame."""
     side = dataset.instrument.crop_px
@@ -108,16 +133,18 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
         "row_mean": store.Variable(("row",), "f4", "DN", "mean of each row of the frame"),
         "column_mean": store.Variable(("column",), "f4", "DN", "mean of each column of the frame"),
     }
-    seen = {str(f): str(s) for f, s in zip(table["file"].values, table["sha256"].values, strict=True)}
+    columns = (table[name].values for name in ("file", "page", "copy_of"))
+    seen = {(str(file), int(page)): int(own) for file, page, own in zip(*columns, strict=True)}
     with store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer:
         for index, frame, pixels in frames.spots(dataset):
-            if seen.get(frame.file) is None:
-                raise InputError(f"{frame.file}: not in frames.nc; run ingest again")
-            writer.put(index, _cell(pixels, side, highest))
+            if (frame.file, frame.page) not in seen:
+                raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
+            again = store.flag("copy") if seen[frame.file, frame.page] >= 0 else 0
+            writer.put(index, _cell(pixels, side, highest, again))
 
 
-def _cell(pixels: np.ndarray, side: int, highest: float) -> dict[str, object]:
-    """All variables of one frame."""
+def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str, object]:
+    """All variables of one frame; `flags` are set in its status beside what its pixels say."""
     spots = (frames.light_centroid(pixels, side), frames.brightest_pixel(pixels))
     images = np.stack([frames.cut(pixels, spot, side) for spot in spots])
     surround = frames.reduce_frame(pixels)
@@ -125,7 +152,7 @@ def _cell(pixels: np.ndarray, side: int, highest: float) -> dict[str, object]:
         "image": images,
         "top": [spot.row - side // 2 for spot in spots],
         "left": [spot.column - side // 2 for spot in spots],
-        "status": [_status(image, spots[0].found, highest) for image in images],
+        "status": [flags | _status(image, spots[0].found, highest) for image in images],
         "block_mean": surround.block_mean,
         "row_mean": surround.row_mean,
         "column_mean": surround.column_mean,

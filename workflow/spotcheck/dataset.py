@@ -149,7 +149,9 @@ def check_files(dataset: Dataset) -> None:
     """Every named frame is there, and every image in frames/ is named. Raises `InputError`."""
     for frame in dataset.frames:
         if not (dataset.folder / frame.file).is_file():
-            raise InputError(f"manifest.csv line {frame.line}: {frame.file} is not there; add the file or drop the row")
+            near = _near(dataset.folder, frame.file)
+            said = f", but {near} is; correct the row" if near else "; add the file or drop the row"
+            raise InputError(f"manifest.csv line {frame.line}: {frame.file} is not there{said}")
     named = {(dataset.folder / frame.file).resolve() for frame in dataset.frames}
     for image in sorted((dataset.folder / "frames").rglob("*")):
         # Names that start with a dot are the system's, such as the ._a.tif of macOS.
@@ -159,6 +161,19 @@ def check_files(dataset: Dataset) -> None:
                 f"{image.relative_to(dataset.folder).as_posix()}: an image that manifest.csv does not name;"
                 f" add a row or move it out of frames/"
             )
+
+
+def _near(folder: Path, file: str) -> str | None:
+    """A file of that name, whatever its capitals, in the folder of a dataset or its frames/."""
+    for own in (*folder.glob("*"), *folder.glob("frames/*")):
+        if own.name.lower() == Path(file).name.lower() and own.is_file():
+            return own.relative_to(folder).as_posix()
+    return None
+
+
+def in_frames(file: str) -> bool:
+    """Whether a path of the manifest leads into frames/, where nothing goes unnamed."""
+    return Path(file).parts[0] == "frames"
 
 
 def find(name: str, shelf: Path) -> Path:

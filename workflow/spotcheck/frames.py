@@ -1,25 +1,19 @@
 """Reading frames, finding the spot, cropping, and reducing what lies around it."""
 
-import logging
 from collections.abc import Iterator
-from pathlib import Path
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-import tifffile
-from PIL import Image, UnidentifiedImageError
 from scipy import ndimage
 from skimage.measure import label
 
-from spotcheck import pgm
-from spotcheck.dataset import Dataset
+from spotcheck.dataset import Dataset, in_frames
 from spotcheck.errors import InputError
+from spotcheck.formats import files
+from spotcheck.formats.page import PREVIEW, Page
 from spotcheck.instrument import Instrument
 from spotcheck.manifest import Frame
-
-# Frames are the user's own: no size of theirs is an attack, and what is wrong with one is said in our own words.
-Image.MAX_IMAGE_PIXELS = None
-logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
 # Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
@@ -30,61 +24,65 @@ SEARCH_PX = 16
 SPOT_OVER_NOISE = 6.0
 # Nor is anything fainter than this a spot: where rounding hides the noise, its estimate is 0.
 FAINTEST_DN = 2.5
+# Runs of pages that a message lists; more would not be read.
+MOST_RUNS = 5
 
 
 class Probe(NamedTuple):
-    """What a file's header says of one page."""
+    """What the headers of all frames say: rows and columns [px], bits of a stored pixel, and remarks on pages that no
+    row names."""
 
     shape: tuple[int, int]
     bits: int
+    remarks: tuple[str, ...] = ()
 
 
-def probe(path: Path, page: int, name: str) -> Probe:
-    """Shape [rows, columns] and container bits (8 or 16) of a page, from the header alone.
+def pages_of(dataset: Dataset) -> dict[str, list[Page]]:
+    """Pages of every file that the manifest names; each row's is among them. Raises `InputError`."""
+    found: dict[str, list[Page]] = {}
+    for frame in dataset.frames:
+        if frame.file not in found:
+            found[frame.file] = files.pages(dataset.folder / frame.file, frame.file)
+        count = len(found[frame.file])
+        if frame.page >= count:
+            raise InputError(f"{frame.label}: page is {frame.page}, but the file has {count}; pages count from 0")
+        if found[frame.file][frame.page].preview:
+            raise InputError(f"{frame.label}: {PREVIEW}")
+    return found
 
-    Raises `InputError` for a file that is cut short, is no image, or holds anything but one unsigned channel.
-    """
-    wanted = "it must be one channel of 8 or 16 bit unsigned integers"
-    if path.suffix.lower() in (".tif", ".tiff"):
-        try:
-            with tifffile.TiffFile(path) as tiff:
-                if page >= len(tiff.pages):
-                    count = len(tiff.pages)
-                    raise InputError(f"{name}: page is {page}, but the file has {count}; pages count from 0")
-                found = tiff.pages[page]
-                shape, dtype = found.shape, found.dtype
-                ends = [o + n for o, n in zip(found.dataoffsets, found.databytecounts, strict=True)]
-        except (tifffile.TiffFileError, ValueError, KeyError, IndexError, TypeError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"{name}: cannot be read as TIFF, perhaps cut short; copy the file again") from None
-        if not ends or max(ends) > path.stat().st_size:
-            raise InputError(f"{name}: the TIFF is cut short; copy the file again")
-        if len(shape) != 2:
-            raise InputError(f"{name}: has {getattr(found.keyframe, 'samplesperpixel', shape[-1])} channels; {wanted}")
-        if dtype not in (np.uint8, np.uint16):
-            raise InputError(f"{name}: holds {dtype} pixels; {wanted}")
-        return Probe(shape, dtype.itemsize * 8)
-    if page:
-        raise InputError(f"{name}: only TIFF has pages; page must be 0 or blank")
-    try:
-        if path.suffix.lower() == ".pgm":
-            found_pgm = pgm.header(path)
-            return Probe((found_pgm.rows, found_pgm.columns), found_pgm.bits)
-        with Image.open(path) as image:
-            mode, (columns, rows) = image.mode, image.size
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
-        raise InputError(f"{name}: cannot be read as an image, perhaps cut short; copy the file again") from None
-    if mode not in ("L", "I;16", "I;16B"):
-        raise InputError(f"{name}: has pixels of kind {mode}; {wanted}")
-    return Probe((rows, columns), 8 if mode == "L" else 16)
+
+def _unnamed_pages(dataset: Dataset, pages: dict[str, list[Page]]) -> tuple[str, ...]:
+    """Remarks on pages in frames/ that no row names. Raises `InputError` for a stack of which the first page alone is
+    named, as it is where nobody knew that it is a stack."""
+    named = {(frame.file, frame.page) for frame in dataset.frames}
+    remarks = []
+    for file, own in pages.items():
+        unnamed = [k for k, page in enumerate(own) if (file, k) not in named and not page.preview]
+        if not unnamed or not in_frames(file):
+            continue
+        said = f"{file}: page{'s' if len(unnamed) > 1 else ''} {_runs(unnamed)}"
+        said += f" {'are' if len(unnamed) > 1 else 'is'} named by no row of manifest.csv"
+        if not any((file, k) in named for k in range(1, len(own))):
+            raise InputError(f"{said}; add a row with its page for each, or move the file out of frames/")
+        remarks.append(said)
+    return tuple(remarks)
+
+
+def _runs(numbers: list[int]) -> str:
+    """Ascending numbers in words: `1 to 8, 11`."""
+    runs = [[k for _, k in run] for _, run in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])]
+    said = [f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
+    return ", ".join(said if len(said) <= MOST_RUNS else [*said[:MOST_RUNS], "…"])
 
 
 def probe_all(dataset: Dataset) -> Probe:
     """Probe of every frame of a dataset; they must agree, and hold a crop. Raises `InputError`."""
     first: Probe | None = None
+    pages = pages_of(dataset)
+    remarks = _unnamed_pages(dataset, pages)
     for frame in dataset.frames:
-        found = probe(dataset.folder / frame.file, frame.page, frame.label)
+        own = pages[frame.file][frame.page]
+        found = Probe(own.shape, own.bits, remarks)
         if first is None:
             first = found
         elif found.shape != first.shape:
@@ -97,8 +95,6 @@ def probe_all(dataset: Dataset) -> Probe:
                 f"{frame.label}: {found.bits} bit, but {dataset.frames[0].label} has {first.bits} bit;"
                 f" all frames of a dataset must have one depth"
             )
-        if not all(found.shape):
-            raise InputError(f"{frame.label}: has no pixels; copy the file again")
     assert first is not None  # read_manifest refuses an empty one
     sensor = dataset.instrument.sensor
     if (sensor.bit_depth or 1) + sensor.value_shift_bits > first.bits:
@@ -129,20 +125,7 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     >>> image.shape, image.dtype, int(image.max())
     ((96, 96), dtype('uint16'), 624)
     """
-    path = dataset.folder / frame.file
-    try:
-        if path.suffix.lower() in (".tif", ".tiff"):
-            pixels = tifffile.imread(path, key=frame.page)
-        elif path.suffix.lower() == ".pgm":
-            pixels = pgm.read(path)
-        else:
-            with Image.open(path) as image:
-                pixels = np.asarray(image)
-    except (OSError, ValueError, SyntaxError, tifffile.TiffFileError, RuntimeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{frame.label}: cannot be decoded ({reason}); copy the file again") from None
-    if pixels.dtype.newbyteorder("=") != pixels.dtype:
-        pixels = pixels.astype(pixels.dtype.newbyteorder("="))
+    pixels = files.pixels(dataset.folder / frame.file, frame.page, frame.label)
     sensor = dataset.instrument.sensor
     if sensor.value_shift_bits:
         if (pixels & (2**sensor.value_shift_bits - 1)).any():

@@ -4,15 +4,25 @@ import csv
 import math
 import os
 import re
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PureWindowsPath
 from typing import Any
+from unicodedata import normalize
 
 from spotcheck.errors import InputError
+from spotcheck.text import read_text
 
 KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
+# The column that gives the light of a flat.
+PHOTONS = "photons_per_px"
 IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm")
+# Longest path of a file [characters]; what is longer is no name, and systems refuse to look for it.
+LONGEST_NAME = 250
+# Characters of a wrong cell that a message shows.
+LONGEST_CELL = 40
+# The line by which Excel is told the separator.
+SEPARATOR = re.compile('"?sep=,"?,*')
 
 
 @dataclass(frozen=True)
@@ -38,22 +48,7 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
     """Rows of manifest.csv in their order, checked among themselves and against the files of the folder."""
     if not path.is_file():
         raise InputError(f"{path.name}: not there; a dataset needs it ({', '.join(REQUIRED_COLUMNS)})")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8 CSV") from None
-    # Lines that start with # are comments, as `new-dataset` writes them.
-    lines = [
-        (number, line)
-        for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)
-        if line.strip(" ,") and not line.startswith("#")
-    ]
-    try:
-        reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
-        rows = [(lines[reader.line_num - 1][0], row) for row in reader]
-    except csv.Error as error:
-        raise InputError(f"{path.name}: cannot be read as CSV ({error}); look for an unclosed quote") from None
-    columns = [name.strip() for name in reader.fieldnames or ()]
+    columns, rows = _rows(path, conditions)
     for column in REQUIRED_COLUMNS:
         if column not in columns:
             cause = "; separate cells by commas" if len(columns) == 1 and re.search("[;\t]", columns[0]) else ""
@@ -63,7 +58,7 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
     for column in columns:
         # A spreadsheet leaves empty columns at the end: they are dropped.
         if column and columns.count(column) > 1:
-            raise InputError(f"{path.name}: column {column} stands twice; keep one of them")
+            raise InputError(f"{path.name}: column {column[:LONGEST_CELL]} stands twice; keep one of them")
     for condition in conditions:
         if condition not in columns:
             raise InputError(
@@ -72,9 +67,50 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
             )
     if not rows:
         raise InputError(f"{path.name}: no rows; it must name at least one frame")
-    frames = tuple(_frame(path, line, row, conditions) for line, row in rows)
+    frames = _as_on_disk(path.parent, tuple(_frame(path, line, row, conditions) for line, row in rows))
     _check_rows(path, frames, conditions)
     return frames
+
+
+def _rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list[tuple[int, dict[str | None, Any]]]]:
+    """Columns as this program calls them, and every row with the number of its line. Raises `InputError`."""
+    lines = [
+        (number, line)
+        for number, line in enumerate(re.split(r"\r\n|\r|\n", read_text(path)), start=1)
+        if line.strip(" ,") and not (_is_comment(line, path.parent) or (number == 1 and SEPARATOR.fullmatch(line)))
+    ]
+    known = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, *conditions)}
+    try:
+        reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
+        columns = [known.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
+        reader.fieldnames = columns
+        return columns, [(lines[reader.line_num - 1][0], row) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path.name}: cannot be read as CSV ({error}); look for an unclosed quote") from None
+
+
+def _is_comment(line: str, folder: Path) -> bool:
+    """Whether a line starts with #, as comments of `new-dataset` do, but not with the name of a file such as #1.tif."""
+    if not line.startswith("#"):
+        return False
+    name = line.split(",")[0].strip()
+    is_image = len(name) <= LONGEST_NAME and Path(name).suffix.lower() in IMAGE_SUFFIXES and (folder / name).is_file()
+    return not is_image
+
+
+def _as_on_disk(folder: Path, frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
+    """The frames with their files named as the disk does: ä is one letter to some systems and two to others (Unicode's
+    normal forms C and D)."""
+    if all(frame.file.isascii() or (folder / frame.file).exists() for frame in frames):
+        return frames
+    there = [own.relative_to(folder).as_posix() for own in folder.rglob("*")]
+    spelt = {normalize("NFC", own): own for own in there}
+    return tuple(
+        frame
+        if (folder / frame.file).exists()
+        else replace(frame, file=spelt.get(normalize("NFC", frame.file), frame.file))
+        for frame in frames
+    )
 
 
 def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[str, ...]) -> Frame:
@@ -85,7 +121,7 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
     if any(value.strip() for name, value in row.items() if not (name or "").strip()):
         raise InputError(f"{where}: a cell stands under a column without a name; name the column in the header")
     if cell["kind"] not in KINDS:
-        raise InputError(f"{where}: kind is {cell['kind']!r}; it must be one of {', '.join(KINDS)}")
+        raise InputError(f"{where}: kind is {cell['kind'][:LONGEST_CELL]!r}; it must be one of {', '.join(KINDS)}")
     spot = cell["kind"] == "spot"
 
     def number(column: str) -> float | None:
@@ -93,13 +129,13 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
             return None
         value = number_in(cell[column])
         if value is None:
-            raise InputError(f"{where}: {column} is {cell[column]!r}; it must be a number or blank")
+            raise InputError(f"{where}: {column} is {cell[column][:LONGEST_CELL]!r}; it must be a number or blank")
         return value
 
     def count(column: str) -> int | None:
         text = cell.get(column, "")
         if text and not (text.isdecimal() and len(text) < 10):
-            raise InputError(f"{where}: {column} is {text[:40]!r}; it must be a whole number from 0")
+            raise InputError(f"{where}: {column} is {text[:LONGEST_CELL]!r}; it must be a whole number from 0")
         return int(text) if text else None
 
     exposure = number("exposure_s")
@@ -108,16 +144,21 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
     for condition in conditions:
         if spot and number(condition) is None:
             raise InputError(f"{where}: {condition} is blank; it is declared in conditions and needs a number")
-    file = cell["file"]
-    folder = path.parent
-    if not file or "\0" in file or Path(file).is_absolute() or not _inside(folder, file):
+    # Windows parts folders by a back-slash.
+    file = cell["file"].replace("\\", "/")
+    if len(file) > LONGEST_NAME:
+        raise InputError(f"{where}: file has {len(file)} characters; it must be a path of at most {LONGEST_NAME}")
+    absolute = Path(file).is_absolute() or PureWindowsPath(file).is_absolute()
+    if not file or "\0" in file or absolute or not _inside(path.parent, file):
         raise InputError(
             f"{where}: file is {file!r}; it must be a path inside the dataset folder, not a link out of it"
         )
     if re.search("[{}]", file):
         raise InputError(f"{where}: file is {file!r}; it must be a name without braces")
     if Path(file).suffix.lower() not in IMAGE_SUFFIXES:
-        raise InputError(f"{where}: {file} is no image; it must end in one of {', '.join(IMAGE_SUFFIXES)}")
+        raise InputError(
+            f"{where}: {file} is in no format that is read; save it as TIFF, PNG or PGM ({', '.join(IMAGE_SUFFIXES)})"
+        )
     extra = {name: value for name, value in cell.items() if name not in (*REQUIRED_COLUMNS, "page")}
     return Frame(
         line=line,

@@ -10,7 +10,10 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError, best_match
 
 from spotcheck.errors import InputError
+from spotcheck.text import read_text
 
+# Characters of a wrong value that a message shows: more would hide what it says.
+LONGEST_SHOWN = 60
 SCHEMAS = Path(__file__).parent / "schemas"
 
 
@@ -37,8 +40,8 @@ def read_keys(path: Path) -> dict[str, Any]:
         line = f" line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not YAML"
         raise InputError(f"{path.name}{line}: {problem}; it must be YAML with `key: value` lines") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path.name}: not UTF-8 text; save it as UTF-8") from None
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0][:80]
         raise InputError(f"{path.name}: a value cannot be read ({reason}); it must be a number, text or list") from None
@@ -49,20 +52,31 @@ def read_keys(path: Path) -> dict[str, Any]:
 
 def read_yaml(path: Path) -> Any:
     """Content of a YAML file, with numbers such as 5e-6 read as numbers and doubled keys refused."""
-    return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    return yaml.load(read_text(path), _Loader)
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.2 numbers and no doubled keys: YAML 1.1 reads 5e-6 as text and keeps the last of two equal keys."""
+    """YAML 1.2 numbers, no doubled keys and no aliases: YAML 1.1 reads 5e-6 as text and keeps the last of two equal
+    keys, and a few lines of aliases stand for more values than memory holds."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()
+            raise yaml.MarkedYAMLError(
+                problem=f"*{event.anchor} is an alias, which is not read", problem_mark=event.start_mark
+            )
+        return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict:
         seen: set = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=deep)
             if not isinstance(key, str):
-                raise yaml.MarkedYAMLError(problem=f"key {key} is no word", problem_mark=key_node.start_mark)
+                raise yaml.MarkedYAMLError(problem=f"key {_shown(key)} is no word", problem_mark=key_node.start_mark)
             if key in seen:
-                raise yaml.MarkedYAMLError(problem=f"key {key} stands twice", problem_mark=key_node.start_mark)
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key[:LONGEST_SHOWN]} stands twice", problem_mark=key_node.start_mark
+                )
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -90,6 +104,12 @@ _Loader.add_implicit_resolver(
 )
 
 
+def _shown(value: Any) -> str:
+    """A value as a message shows it: its first characters."""
+    text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
+
+
 def _explain(error: ValidationError, schema: dict[str, Any]) -> str:
     """One sentence for a schema error: key, what is wrong, what would be right."""
     key = ".".join(str(part) for part in error.absolute_path)
@@ -100,18 +120,19 @@ def _explain(error: ValidationError, schema: dict[str, Any]) -> str:
         home = next((name for name, own in sections.items() if unknown in own), None)
         if home and not key:
             return f"key {unknown} stands outside its section; put it under `{home}:`"
+        unknown = unknown if re.fullmatch(r"\w{1,60}", unknown) else _shown(unknown)
         where = f"{key}.{unknown}" if key else unknown
         return f"unknown key {where}; known keys here: {', '.join(known)}"
     if error.validator == "type":
         kind = {"object": "a section with keys below it", "array": "a list", "number": "a number"}
         kind |= {"integer": "a whole number", "boolean": "true or false", "string": "text"}
-        return f"key {key} is {error.instance!r}; it must be {kind[error.validator_value]}"
+        return f"key {key} is {_shown(error.instance)}; it must be {kind[error.validator_value]}"
     if error.validator == "enum":
-        return f"key {key} is {error.instance!r}; it must be one of {', '.join(map(str, error.validator_value))}"
+        return f"key {key} is {_shown(error.instance)}; it must be one of {', '.join(map(str, error.validator_value))}"
     if error.validator == "required":
         missing = next(own for own in error.validator_value if own not in error.instance)
         return f"key {key}.{missing} is missing" if key else f"key {missing} is missing"
     bound = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most"}.get(str(error.validator))
     if bound:
-        return f"key {key} is {error.instance!r}; it must be {bound} {error.validator_value}"
+        return f"key {key} is {_shown(error.instance)}; it must be {bound} {error.validator_value}"
     return f"key {key}: {error.message}"

@@ -27,8 +27,9 @@ STATUS = {
     32: ("not_converged", "the fit stopped before its minimum"),
     64: ("at_limit", "the fit left the range in which a width can be trusted"),
     128: ("no_noise", "gain or read noise is unknown: no likelihood"),
+    256: ("copy", "the pixels are those of another frame"),
 }
-UNUSABLE = 1 | 2 | 4
+UNUSABLE = 1 | 2 | 4 | 256
 
 # HDF5 keeps chunks that were touched, and frames are touched once: a cache of some frames, so that memory does not grow
 # with their number.

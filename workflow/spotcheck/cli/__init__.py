@@ -6,6 +6,7 @@ that is asked for is imported, because imports are most of a short job's time.
 
 import argparse
 import importlib
+import io
 import sys
 from collections.abc import Sequence
 
@@ -41,6 +42,10 @@ def main(argv: list[str] | None = None) -> None:
     """Entry point. What the user can mend ends in one sentence and status 2."""
     from spotcheck.errors import InputError
 
+    # A terminal may know neither ° nor µ: then the sign's number is printed, not a traceback.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         run(sys.argv[1:] if argv is None else argv)
     except InputError as error:

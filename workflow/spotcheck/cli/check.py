@@ -20,3 +20,5 @@ def run(args: argparse.Namespace) -> None:
     of_instrument(found.instrument, found.exposures)
     kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in KINDS)
     print(f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order")
+    for remark in probe.remarks:
+        print(remark)

@@ -5,6 +5,7 @@ import argparse
 from spotcheck import dataset, frames, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import tolerance_of
+from spotcheck.crops import without_copies
 from spotcheck.discrepancy.conclude.flats import judge_flats
 from spotcheck.discrepancy.verdict.document import document
 from spotcheck.discrepancy.verdict.sentence import sentence
@@ -28,7 +29,7 @@ def run(args: argparse.Namespace) -> None:
     vocabulary.choose(args)
     found, tolerance = dataset.load(args.dataset), tolerance_of(args.tolerance)
     with store.read(args.frames) as table:
-        bits = int(table["container_bits"])
+        bits, found = int(table["container_bits"]), without_copies(found, table)
     full_scale = float(frames.full_scale(found.instrument, bits))
     transfer = transfer_of(levels_of(found, bits), full_scale)
     judgement = judge_flats(transfer, full_scale, list(effects.vocabulary().values()))

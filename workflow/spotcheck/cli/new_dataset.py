@@ -14,4 +14,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Write both files; nothing that is there is overwritten."""
     written = template.write(args.folder)
+    if others := template.others(args.folder):
+        print(f"{args.folder}: files of {', '.join(others)} are not listed; frames must be TIFF, PNG or PGM")
     print(f"{args.folder}: wrote {', '.join(written)}; fill in the blanks, then: spotcheck check {args.folder}")

@@ -3,6 +3,7 @@
 import argparse
 
 from spotcheck import dataset, frames, provenance, store
+from spotcheck.crops import without_copies
 from spotcheck.estimate.levels import levels_of
 from spotcheck.estimate.pattern import add_patterns
 from spotcheck.estimate.photon_transfer import transfer_of
@@ -20,7 +21,7 @@ def run(args: argparse.Namespace) -> None:
     """Characterise the sensor by its flats and darks."""
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table:
-        bits = int(table["container_bits"])
+        bits, found = int(table["container_bits"]), without_copies(found, table)
     transfer = transfer_of(levels_of(found, bits), float(frames.full_scale(found.instrument, bits)))
     measured = add_patterns(dataset_of(transfer, found.title, found.name), found, transfer)
     store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])

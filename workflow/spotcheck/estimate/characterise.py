@@ -10,7 +10,8 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from spotcheck import frames
-from spotcheck.dataset import check_files, load
+from spotcheck.crops import ingest, without_copies
+from spotcheck.dataset import load
 from spotcheck.errors import InputError
 from spotcheck.estimate.levels import Level, level_of, levels_of, with_common_drift
 from spotcheck.estimate.photon_transfer import Quantity, Transfer, transfer_of
@@ -165,13 +166,14 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
     K = 0.3055 ± 0.0035 DN/e-
     """
     dataset = load(folder)
-    check_files(dataset)
     if not any(frame.kind in ("flat", "dark") for frame in dataset.frames):
         raise InputError(
             "manifest.csv: has no frame of kind flat or dark; there is nothing to characterise a sensor by"
         )
-    bits = frames.probe_all(dataset).bits
-    found = transfer_of(levels_of(dataset, bits), float(frames.full_scale(dataset.instrument, bits)))
+    table = ingest(dataset)
+    bits, distinct = int(table["container_bits"]), without_copies(dataset, table)
+    found = transfer_of(levels_of(distinct, bits), float(frames.full_scale(dataset.instrument, bits)))
+    found.remarks.extend(filter(None, table.attrs["remarks"].split("; ")))
     return Characterisation(found, dataset.title, dataset.name)
 
 

@@ -12,10 +12,8 @@ import numpy as np
 from spotcheck import frames
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
-from spotcheck.manifest import Frame
+from spotcheck.manifest import PHOTONS, Frame
 
-# The column of the manifest that gives the light of a flat.
-PHOTONS = "photons_per_px"
 # A level of which this part of the pixels reads full scale is saturated.
 FULL = 0.5
 

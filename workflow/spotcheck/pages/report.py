@@ -103,6 +103,7 @@ def _frames(table: xr.Dataset) -> dict[str, Any]:
         "full_scale": int(table["full_scale"]),
         "clipped": int((table["at_full_scale"] > 0).sum()),
         "maximum": int(table["maximum"].max()),
+        "remarks": [text for text in table.attrs["remarks"].split("; ") if text],
     }
 
 
