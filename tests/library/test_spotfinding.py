@@ -88,6 +88,54 @@ def test_a_frame_without_light_has_no_spot(level, noise_dn):
     assert not any(frames.light_centroid(pixels, 120).found for pixels in dark)
 
 
+# Width [px], and the peak over the noise of a pixel from which on every spot is found: a narrow one has few pixels to
+# tell it from a hot pixel by.
+CLEAR = [(0.7, 60), (0.85, 32), (1.0, 22), (1.5, 13), (2.0, 12), (3.0, 11), (5.0, 10), (12.0, 9), (40.0, 9)]
+
+
+@pytest.mark.parametrize(("sigma", "over_noise"), CLEAR)
+@pytest.mark.parametrize("place", ["anywhere", "between blocks"])
+def test_a_spot_of_any_width_is_found_with_a_crop_of_ten_widths(sigma, over_noise, place):
+    """Thirty spots each, or three of the widest, at random and where four blocks of the search meet."""
+    rng, side, crop = np.random.default_rng(int(10 * sigma)), 640 if sigma > 20 else SIDE, max(8, int(10 * sigma))
+    noise_dn = np.hypot(SENSOR.gain_dn_per_e * SENSOR.read_noise_e, np.sqrt(1 / 12))
+    for seed in range(3 if sigma > 20 else 30):
+        x, y = rng.uniform(5 * sigma + 1, side - 5 * sigma - 1, 2)
+        if place == "between blocks":
+            x, y = 16 * np.clip(np.round(np.array([x, y]) / 16), 1, side // 16 - 1) - 0.5
+        spot = frames.light_centroid(noisy(gaussian(side, over_noise * noise_dn, x, y, sigma), seed), crop)
+        # Noise shifts the region's border: by less than a pixel, or a third of the width.
+        slack = max(1.5, sigma / 3)
+        assert spot.found and abs(spot.column - x) < slack and abs(spot.row - y) < slack
+
+
+@pytest.mark.parametrize("sigma", [0.8, 2.0])
+def test_a_narrow_spot_on_uneven_light(sigma):
+    """Light that rises by 28 noises across the frame holds more of it in every block than the spot does."""
+    rise = 40.0 * np.arange(SIDE) / SIDE
+    for seed in range(6):
+        x, y = np.random.default_rng(seed).uniform(30, 200, 2)
+        spot = frames.light_centroid(noisy(gaussian(SIDE, 400.0, x, y, sigma) + rise, seed), 30)
+        assert spot.found and abs(spot.column - x) < 1.5 and abs(spot.row - y) < 1.5
+
+
+def test_no_light_in_many_frames():
+    """Read noise alone, 200 frames of 0.09 Mpx: none. Four readings of a square, 7 noises up: never."""
+    dark = np.random.default_rng(7).normal(40.0, 1.43, (200, SIDE, SIDE))
+    assert not any(frames.light_centroid(np.rint(own).astype(np.uint16), 24).found for own in dark)
+
+
+@pytest.mark.parametrize("value", [0, 1023])
+@pytest.mark.parametrize("line", [np.s_[:, 93], np.s_[170]], ids=["column", "row"])
+def test_a_stuck_line_and_hot_pixels_are_no_spot(line, value):
+    """One pixel in 2000 at full scale and a line at either end, in frames without light."""
+    for seed in range(6):
+        pixels = noisy(np.zeros((SIDE, SIDE)), seed)
+        pixels[np.random.default_rng(seed).random(pixels.shape) < 5e-4] = 1023
+        pixels[line] = value
+        assert not frames.light_centroid(pixels, 24).found
+
+
 @pytest.mark.parametrize("value", [0, 40, 1023])
 def test_a_flat_frame_has_no_spot(value):
     """Equal pixels, dark or overexposed."""
