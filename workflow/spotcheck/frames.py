@@ -1,20 +1,19 @@
-"""Reading frames, finding the spot, cropping, and reducing what lies around it."""
+"""Reading frames, and reducing what lies around a spot."""
 
 import logging
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import tifffile
 from PIL import Image, UnidentifiedImageError
-from scipy import ndimage
-from skimage.measure import label
 
 from spotcheck import pgm
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
-from spotcheck.instrument import Instrument
+from spotcheck.instrument import BadPixels, Instrument
 from spotcheck.manifest import Frame
 
 # Frames are the user's own: no size of theirs is an attack, and what is wrong with one is said in our own words.
@@ -23,18 +22,6 @@ logging.getLogger("tifffile").setLevel(logging.CRITICAL)
 
 # Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
-# Side of the blocks in which the light is first looked for [px].
-SEARCH_PX = 16
-# A spot must stand out of the noise of single pixels by this factor. The largest of 1e5 medians of nine reaches 1.9;
-# where a black level of 0 cuts half of the noise away, its estimate comes out at 0.6 of it.
-SPOT_OVER_NOISE = 6.0
-# Firm light is the least of four or five readings, to which noise hardly lends anything: where black cuts half of it
-# away and its estimate is 0.4 of it, this is reached once in 1e4 frames of 12 Mpx, elsewhere never.
-FIRM_OVER_NOISE = 7.0
-# Side of the first window in blocks: a block and its eight neighbours, and half a block each way for the spot's flank.
-WINDOW_BLOCKS = 4
-# Nor is anything fainter than this a spot: where rounding hides the noise, its estimate is 0.
-FAINTEST_DN = 2.5
 
 
 class Probe(NamedTuple):
@@ -118,7 +105,43 @@ def probe_all(dataset: Dataset) -> Probe:
             f"instrument.yaml: crop_px is {crop}, but the frames have {first.shape[1]} × {first.shape[0]} px;"
             f" it must be at most {min(first.shape)}"
         )
+    bad_pixels(dataset.instrument.bad_pixels, first.shape)
     return first
+
+
+@lru_cache(maxsize=4)
+def bad_pixels(named: BadPixels, shape: tuple[int, int]) -> np.ndarray | None:
+    """Which pixels [rows, columns] of a sensor instrument.yaml names as bad; None where it names none.
+
+    Raises `InputError` for a mask of another size, or for a place beyond the frame.
+    """
+    out = np.zeros(shape, bool)
+    if named.mask is not None:
+        name = Path(named.mask).name
+        size = probe(Path(named.mask), 0, name).shape
+        if size != shape:
+            raise InputError(
+                f"instrument.yaml: key bad_pixels.mask names {name!r}, which has {size[1]} × {size[0]} px, but the"
+                f" frames have {shape[1]} × {shape[0]} px; it must have their size"
+            )
+        out |= _decoded(Path(named.mask), 0, name) != 0
+    for key, axis, places in (
+        ("columns", 1, named.columns),
+        ("rows", 0, named.rows),
+        ("pixels", 1, [x for x, _ in named.pixels]),
+        ("pixels", 0, [y for _, y in named.pixels]),
+    ):
+        if beyond := [place for place in places if place >= shape[axis]]:
+            raise InputError(
+                f"instrument.yaml: key bad_pixels.{key} names {'xy'[1 - axis]} = {beyond[0]}, but the frames have"
+                f" {shape[1]} × {shape[0]} px; it must be at most {shape[axis] - 1}"
+            )
+    out[:, list(named.columns)] = True
+    out[list(named.rows)] = True
+    out[[y for _, y in named.pixels], [x for x, _ in named.pixels]] = True
+    if out.all():
+        raise InputError("instrument.yaml: key bad_pixels names every pixel of the frames; some must be left")
+    return out if out.any() else None
 
 
 def read(dataset: Dataset, frame: Frame) -> np.ndarray:
@@ -134,20 +157,7 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     >>> image.shape, image.dtype, int(image.max())
     ((96, 96), dtype('uint16'), 624)
     """
-    path = dataset.folder / frame.file
-    try:
-        if path.suffix.lower() in (".tif", ".tiff"):
-            pixels = tifffile.imread(path, key=frame.page)
-        elif path.suffix.lower() == ".pgm":
-            pixels = pgm.read(path)
-        else:
-            with Image.open(path) as image:
-                pixels = np.asarray(image)
-    except (OSError, ValueError, SyntaxError, tifffile.TiffFileError, RuntimeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{frame.label}: cannot be decoded ({reason}); copy the file again") from None
-    if pixels.dtype.newbyteorder("=") != pixels.dtype:
-        pixels = pixels.astype(pixels.dtype.newbyteorder("="))
+    pixels = _decoded(dataset.folder / frame.file, frame.page, frame.label)
     sensor = dataset.instrument.sensor
     if sensor.value_shift_bits:
         if (pixels & (2**sensor.value_shift_bits - 1)).any():
@@ -165,134 +175,32 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     return pixels
 
 
+def _decoded(path: Path, page: int, name: str) -> np.ndarray:
+    """Pixels of a page as they are stored, in the machine's byte order. Raises `InputError`."""
+    try:
+        if path.suffix.lower() in (".tif", ".tiff"):
+            pixels = tifffile.imread(path, key=page)
+        elif path.suffix.lower() == ".pgm":
+            pixels = pgm.read(path)
+        else:
+            with Image.open(path) as image:
+                pixels = np.asarray(image)
+    except (OSError, ValueError, SyntaxError, tifffile.TiffFileError, RuntimeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{name}: cannot be decoded ({reason}); copy the file again") from None
+    return np.asarray(pixels.astype(pixels.dtype.newbyteorder("="), copy=False))
+
+
+def read_good(dataset: Dataset, frame: Frame) -> np.ndarray:
+    """As `read`, where instrument.yaml names bad pixels as float32 with NaN in their place: not measured."""
+    pixels = read(dataset, frame)
+    bad = bad_pixels(dataset.instrument.bad_pixels, (pixels.shape[0], pixels.shape[1]))
+    return pixels if bad is None else np.where(bad, np.float32(np.nan), pixels.astype(np.float32))
+
+
 def full_scale(instrument: Instrument, container_bits: int) -> int:
     """Largest reading [DN]: of the converter where its depth is given, else of the container."""
     return 2 ** (instrument.sensor.bit_depth or container_bits - instrument.sensor.value_shift_bits) - 1
-
-
-class Spot(NamedTuple):
-    """Where the spot is on the frame: pixel [row, column], and whether there is one."""
-
-    row: int
-    column: int
-    found: bool
-
-
-def brightest_pixel(pixels: np.ndarray) -> Spot:
-    """The maximum of the frame; of several equal ones the left-most, then the top-most (Section 3.1.1)."""
-    rows, columns = np.nonzero(pixels == pixels.max())
-    first = np.lexsort((rows, columns))[0]
-    return Spot(int(rows[first]), int(columns[first]), True)
-
-
-class _Light(NamedTuple):
-    """What a window shows of a spot: its pixel, and the peak over the frame's background and over the window's own
-    [DN]."""
-
-    spot: Spot
-    peak: float
-    contrast: float
-
-
-def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
-    """Centroid of the light above half a robust maximum, indifferent to isolated hot pixels, stuck rows and columns.
-
-    The spot is looked for around the block that holds most light, and the 3 × 3 median takes isolated pixels away. A
-    spot much smaller than a block may stand back there, and the median flattens one narrower than its nine pixels:
-    where the block shows nothing, the spot is where light is firmest. Background is the median of the frame, sampled.
-    `found` is False when nothing stands out of the noise: then the place is the frame's centre.
-    """
-    square, firm = _firm(pixels)
-    background = float(np.median(pixels[::8, ::8]))
-    # Differences of neighbours see the noise alone, also where a black level of 0 cuts half of it away.
-    noise = float(np.median(np.abs(pixels[::4, :-1:8].astype(float) - pixels[::4, 1::8]))) / 0.954
-    enough = max(SPOT_OVER_NOISE * noise, FAINTEST_DN)
-    most = _centroid(pixels, _brightest_block(square), window_px, background, enough)
-    row, column = map(int, np.unravel_index(np.argmax(firm), firm.shape))
-    height = float(firm[row, column]) - background
-    if most is not None and (most.contrast > enough or 2 * most.peak > height):
-        return most.spot
-    if height <= max(FIRM_OVER_NOISE * noise, FAINTEST_DN):
-        return Spot(pixels.shape[0] // 2, pixels.shape[1] // 2, False) if most is None else most.spot
-    own = _centroid(pixels, (row, column), window_px, background, enough)
-    return Spot(row, column, True) if own is None or 2 * own.peak < height else own.spot
-
-
-def _firm(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least reading of the square of 2 × 2 from each pixel on [rows − 1, columns − 1], and, of a square or a cross
-    of five, the larger one [the same, of the square's first pixel]: what no isolated pixel, pair, row or column makes
-    large, and of a spot of σ 0.7 px leaves a fifth of the peak at least."""
-    down = np.minimum(pixels[:-1, :], pixels[1:, :])
-    square = np.minimum(down[:, :-1], down[:, 1:])
-    firm = square.copy()
-    if min(pixels.shape) > 2:
-        across = np.minimum(pixels[1:-1, :-2], pixels[1:-1, 2:])
-        cross = np.minimum(np.minimum(down[:-1, 1:-1], pixels[2:, 1:-1]), across)
-        np.maximum(firm[1:, 1:], cross, out=firm[1:, 1:])
-    return square, firm
-
-
-def _brightest_block(square: np.ndarray) -> tuple[int, int]:
-    """Row and column of the middle of the block of `SEARCH_PX` that, with its neighbours, holds most light."""
-    side = min(SEARCH_PX, *square.shape)
-    rest = [(0, -length % side) for length in square.shape]
-    sums = _block_mean(np.pad(square, rest, mode="edge"), side)
-    sums = ndimage.uniform_filter(sums, 3, mode="nearest") if min(sums.shape) > 3 else sums
-    block_row, block_column = np.unravel_index(np.argmax(sums), sums.shape)
-    return int(block_row) * side + side // 2, int(block_column) * side + side // 2
-
-
-def _centroid(
-    pixels: np.ndarray, place: tuple[int, int], window_px: int, background: float, enough: float
-) -> _Light | None:
-    """Centroid of the light above half of the peak in a window around a place [row, column]; None where no peak is
-    `enough` [DN].
-
-    Twice: a first window may cut a spot that is wider than the block that found it. It is wide enough for a spot
-    anywhere in that block and in those beside it, which lent it their light, however small the crop.
-    """
-    row, column = place
-    for side in (max(window_px, WINDOW_BLOCKS * SEARCH_PX), window_px):
-        top, left = max(row - side // 2, 0), max(column - side // 2, 0)
-        window = _median_of_nine(pixels[top : top + side, left : left + side].astype(np.float32))
-        signal = window - background
-        peak = float(signal.max())
-        if peak <= enough:
-            return None
-        regions = label(signal > peak / 2, connectivity=2)
-        light = ndimage.sum_labels(signal, regions, np.arange(1, regions.max() + 1))
-        rows, columns = np.nonzero(regions == 1 + int(np.argmax(light)))
-        weight = signal[rows, columns]
-        row = top + round(float(np.average(rows, weights=weight)))
-        column = left + round(float(np.average(columns, weights=weight)))
-    return _Light(Spot(row, column, True), peak, peak - float(np.median(signal)))
-
-
-def _median_of_nine(image: np.ndarray) -> np.ndarray:
-    """3 × 3 median, the border repeated: the middle one of the largest low, the middle middle and the smallest high of
-    three sorted rows. Equal to that of `scipy.ndimage`, whose sorting took most of the time of cropping."""
-    wide = np.pad(image, 1, mode="edge")
-    height, width = image.shape
-    rows = [_sorted(*(wide[i : i + height, j : j + width] for j in range(3))) for i in range(3)]
-    low, middle, high = zip(*rows, strict=True)
-    return _sorted(np.maximum.reduce(low), _sorted(*middle)[1], np.minimum.reduce(high))[1]
-
-
-def _sorted(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Three images in ascending order, pixel by pixel."""
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    middle, high = np.minimum(high, c), np.maximum(high, c)
-    return np.minimum(low, middle), np.maximum(low, middle), high
-
-
-def cut(pixels: np.ndarray, spot: Spot, side: int) -> np.ndarray:
-    """Crop [side, side] as float32 with the spot at pixel (side//2, side//2); NaN beyond the frame's border."""
-    crop = np.full((side, side), np.nan, np.float32)
-    top, left = spot.row - side // 2, spot.column - side // 2
-    rows = slice(max(top, 0), min(top + side, pixels.shape[0]))
-    columns = slice(max(left, 0), min(left + side, pixels.shape[1]))
-    crop[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[rows, columns]
-    return crop
 
 
 class Surround(NamedTuple):
@@ -307,10 +215,19 @@ def reduce_frame(pixels: np.ndarray) -> Surround:
     """Block means (sides of `BLOCK_PX`, the remainder at the right and lower border left out), row and column means."""
     side = min(BLOCK_PX, *pixels.shape)
     return Surround(
-        _block_mean(pixels, side),
-        pixels.mean(axis=1, dtype=np.float64),
-        pixels.mean(axis=0, dtype=np.float64),
+        block_mean(pixels, side),
+        good_mean(pixels, axis=1),
+        good_mean(pixels, axis=0),
     )
+
+
+def good_mean(pixels: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
+    """Mean along axes of all pixels that are not NaN; NaN where there are none."""
+    if pixels.dtype.kind != "f":
+        return np.asarray(pixels.mean(axis=axis, dtype=np.float64))
+    count = np.count_nonzero(~np.isnan(pixels), axis=axis)
+    total = np.nansum(pixels, axis=axis, dtype=np.float64)
+    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
 
 
 def blocks_along(length: int, shape: tuple[int, int]) -> int:
@@ -318,13 +235,16 @@ def blocks_along(length: int, shape: tuple[int, int]) -> int:
     return length // min(BLOCK_PX, *shape)
 
 
-def _block_mean(pixels: np.ndarray, side: int) -> np.ndarray:
+def block_mean(pixels: np.ndarray, side: int) -> np.ndarray:
+    """Means of square blocks, the remainder at the right and lower border left out; NaN pixels do not count."""
     rows, columns = pixels.shape[0] // side, pixels.shape[1] // side
-    trimmed = pixels[: rows * side, : columns * side]
-    return trimmed.reshape(rows, side, columns, side).sum(axis=(1, 3), dtype=np.uint32) / side**2
+    blocks = pixels[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    if pixels.dtype.kind == "f":
+        return good_mean(blocks, axis=(1, 3))
+    return blocks.sum(axis=(1, 3), dtype=np.uint32) / side**2
 
 
 def spots(dataset: Dataset) -> Iterator[tuple[tuple[int, ...], Frame, np.ndarray]]:
-    """Index on the grid, frame and pixels of every spot, one at a time."""
+    """Index on the grid, frame and pixels of every spot, NaN where bad, one at a time."""
     for index, frame in dataset.cells():
-        yield index, frame, read(dataset, frame)
+        yield index, frame, read_good(dataset, frame)
