@@ -27,6 +27,9 @@ STATUS = {
     32: ("not_converged", "the fit stopped before its minimum"),
     64: ("at_limit", "the fit left the range in which a width can be trusted"),
     128: ("no_noise", "gain or read noise is unknown: no likelihood"),
+    256: ("left_out", "pixels whose readings no light explains were left out of the fit"),
+    512: ("misfit", "chi-square per degree of freedom is far from 1: errors are off by more than a factor of 2"),
+    1024: ("no_scatter", "a standard error is 0: the frame has no noise"),
 }
 UNUSABLE = 1 | 2 | 4
 
