@@ -29,7 +29,7 @@ STATUS = {
     128: ("no_noise", "gain or read noise is unknown: no likelihood"),
     256: ("left_out", "pixels whose readings no light explains were left out of the fit"),
     512: ("misfit", "chi-square per degree of freedom is far from 1: errors are off by more than a factor of 2"),
-    1024: ("no_scatter", "a standard error is 0: the frame has no noise"),
+    1024: ("no_error", "a standard error is 0, which no measurement has"),
 }
 UNUSABLE = 1 | 2 | 4
 

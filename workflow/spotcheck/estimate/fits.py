@@ -55,7 +55,7 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
         for k, fit in own.items():
             value[(*at, k)], stderr[(*at, k)] = fit.value, fit.stderr
             chi2[(*at, k)] = fit.chi2_reduced
-            status[(*at, k)] |= int(fit.flags) | _remarks(fit) | (store.flag("left_out") if odd else 0)
+            status[(*at, k)] |= int(fit.flags) | remarks_of(fit) | (store.flag("left_out") if odd else 0)
             left_out[(*at, k)] = odd.sentence(int(origin[1][at]), int(origin[2][at])) if odd else ""
             for axis, start in origin.items():
                 value[(*at, k, axis)] += start[at]
@@ -99,11 +99,11 @@ def _both(image: np.ndarray, sensor: SensorModel | None, top_hat: bool) -> tuple
     return {0: first, 1: fit_spots(image, sensor, weighting="equal")}, None
 
 
-def _remarks(fit: SpotFits) -> int:
+def remarks_of(fit: SpotFits) -> int:
     """Flags of a fit that is there, but whose errors are not those of its noise."""
     misfit = np.isfinite(fit.chi2_reduced) and not MISFIT[0] <= fit.chi2_reduced <= MISFIT[1]
     certain = bool(np.any(fit.stderr == 0))
-    return (store.flag("misfit") if misfit else 0) | (store.flag("no_scatter") if certain else 0)
+    return (store.flag("misfit") if misfit else 0) | (store.flag("no_error") if certain else 0)
 
 
 def preferred(fits: xr.Dataset) -> xr.Dataset:

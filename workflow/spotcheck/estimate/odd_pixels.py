@@ -19,8 +19,8 @@ BEYOND = 8.0
 # A line is left out where so many of its pixels are odd, and its mean lies this many scatters of the lines' own off
 # those beside it: the offsets that rows have in some sensors do not.
 LINE_PIXELS, LINE_BEYOND = 10, 8.0
-# The part of a crop whose light is at most its level: a spot covers less than the rest.
-LEVEL_PART = 0.25
+# The part of a crop that reads its level at most: an overexposed spot leaves no more of it dark.
+LEVEL_PART = 0.05
 # Pixels that a sentence names one by one.
 NAMED = 3
 
@@ -63,9 +63,11 @@ def odd_pixels(image: np.ndarray, sensor: SensorModel) -> Odd:
         )
         some = known & np.isfinite(most)
         high[k] = some & (light > FACTOR * np.maximum(most, 0.0) + margin)
-        # In the light darker than a part of the darkest, or, alone, darker than all by as much as they differ.
+        # Many of a line are darker than a part of the darkest beside; one alone than all by as much as they differ,
+        # which readings at full scale do not tell.
         part = np.where(least > 0, least / FACTOR, least)
-        low[k] = some & (light < (np.minimum(least, 0.0) - (most - least) if k == 0 else part) - margin)
+        below = np.where(most + level < sensor.full_scale_dn, np.minimum(least, 0.0) - (most - least), -np.inf)
+        low[k] = some & (light < (below if k == 0 else part) - margin)
     columns, rows = (_lines(np.where(known, image, np.nan), (high | low)[1 + k], k) for k in (0, 1))
     mask = np.zeros(image.shape, bool)
     mask[:, columns] = mask[rows] = True

@@ -331,14 +331,17 @@ def percent_of(part: float | None) -> str:
 
 
 def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
-    """Frames that something kept from use, with the flags' meanings."""
+    """Frames, or pixels of them, that something kept from use, with the flags' meanings."""
     if fits is None:
         return []
-    status = preferred(fits)["status"].transpose(*(axis.name for axis in dataset.axes)).values
+    own = preferred(fits).transpose(*(axis.name for axis in dataset.axes), ...)
+    status, left_out, used = own["status"].values, own["left_out"].values, store.flag("clipped") | store.flag("misfit")
     out = []
     for index, frame in dataset.cells():
         reasons = [
-            text for bit, (_, text) in store.STATUS.items() if status[index] & bit and bit != store.flag("clipped")
+            left_out[index] if bit == store.flag("left_out") else text
+            for bit, (_, text) in store.STATUS.items()
+            if status[index] & bit and not bit & used
         ]
         if reasons:
             out.append((frame.label, "; ".join(reasons)))
