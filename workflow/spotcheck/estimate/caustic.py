@@ -322,9 +322,9 @@ def _turns(axes: Axes, z: np.ndarray) -> str:
 
 
 def beam_rows(ds: xr.Dataset) -> dict[str, xr.Dataset]:
-    """The rows of a caustic file that stand for the beam, by the words for them: the mean of both axes of a round beam,
-    each axis of an astigmatic one."""
-    if ds.attrs["beam"] == "stigmatic":
+    """The rows of a caustic file that stand for the beam, by the words for them: each axis where the frames tell axes,
+    else the mean of both."""
+    if not np.isfinite(float(ds["azimuth_stderr"])):
         return {"mean of both axes": ds.sel(axis="mean")}
     azimuth = float(ds["azimuth"])
     return {f"axis at {azimuth + turn:.1f}°": ds.sel(axis=name) for name, turn in (("x", 0), ("y", 90))}

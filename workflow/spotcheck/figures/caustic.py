@@ -27,7 +27,7 @@ def draw(results: Results) -> style.Drawing:
     figure = style.new(4.3)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     handles, labels = [], []
-    round_ = ds.attrs["beam"] == "stigmatic"
+    round_ = not np.isfinite(float(ds["azimuth_stderr"]))
     names = ["x", "y", "mean"] if round_ else ["x", "y"]
     for name, shift in zip(names, series.offsets(np.unique(z), len(names)), strict=True):
         own = ds.sel(axis=name)
@@ -74,7 +74,7 @@ def _caption(ds: xr.Dataset, factor: float, unit: str) -> str:
         else "No frame tells an axis of the beam, so that its widths along x and y are shown"
     )
     kind = (
-        "the beam counts as round, since they differ by less than 13 % in every frame (ISO 11146-1)"
+        "the beam counts as round, since the widths along them differ by less than 13 % in every frame (ISO 11146-1)"
         if ds.attrs["beam"] == "stigmatic"
         else "the beam is simple astigmatic: each axis has its own M², their mean has none"
     )
