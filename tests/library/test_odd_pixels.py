@@ -65,7 +65,7 @@ def test_a_stuck_line_is_left_out_and_named(tmp_path, sensor, amplitude, sigma, 
 
 
 def test_single_pixels_are_left_out():
-    """Hot, and stuck at 0 below a black level, each beside the spot and farther than three pixels from others: all are
+    """Hot, and stuck at 0 below a black level, each beside the spot and farther than four pixels from others: all are
     found, and no others."""
     rng = np.random.default_rng(2)
     for seed in range(10):
@@ -123,6 +123,16 @@ def test_a_narrow_spot_keeps_its_pixels(sigma):
         x, y = rng.uniform(55, 65, 2)
         pixels = noisy(gaussian(SIDE, 3000.0, x, y, sigma), seed, QUIET).astype(float)
         assert not odd_pixels(pixels, QUIET).mask.any()
+
+
+def test_pairs_of_pixels_and_of_columns():
+    """Two columns side by side at full scale, and a square of four hot pixels beside the spot."""
+    pixels = noisy(gaussian(SIDE, 2000.0, 60.3, 59.8, 7.0), 5, QUIET).astype(float)
+    pixels[:, 66:68] = 4095
+    pixels[20:22, 30:32] = 3000
+    found = odd_pixels(pixels, QUIET)
+    assert found.columns == [66, 67] and not found.rows
+    assert found.pixels == [(20, 30), (20, 31), (21, 30), (21, 31)]
 
 
 @pytest.mark.parametrize("axis", [0, 1])

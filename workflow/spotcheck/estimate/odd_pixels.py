@@ -1,7 +1,7 @@
 """Pixels, columns and rows of one crop that read what no light beside them explains: hot, stuck or dead.
 
 # ASSUME: light on the sensor is nowhere finer than a Gaussian of σ 0.7 px, so that within three pixels of a bright one
-# others have a sixth of its light at least. Speckle as fine as the pixels has a third of a percent of dark ones and one
+# another has a sixth of its light at least. Speckle as fine as the pixels has a third of a percent of dark ones and one
 # in ten million bright ones that break this; so a dark pixel counts in the light only where many of its line are.
 """
 
@@ -12,8 +12,9 @@ from scipy import ndimage
 
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
-# Reach [px] of what is beside a pixel, and the factor by which light may differ within it.
-REACH, FACTOR = 3, 6.0
+# Reach [px] of what is beside a pixel; and the factor by which light may differ from that beyond so many pixels: 1 of a
+# single line or pixel, 3 of two or three. A Gaussian of σ 0.7 px differs by 3 and by 59.
+REACH, FACTORS = 3, {1: 6.0, 3: 100.0}
 # Beyond that, by so many standard deviations of a reading: noise does so once in 1e15.
 BEYOND = 8.0
 # A line is left out where so many of its pixels are odd, and its mean lies this many scatters of the lines' own off
@@ -49,30 +50,33 @@ def odd_pixels(image: np.ndarray, sensor: SensorModel) -> Odd:
     electrons = np.maximum(image - sensor.black_level_dn, 0.0) / sensor.gain_dn_per_e
     spread = sensor.gain_dn_per_e * np.sqrt(electrons + sensor.read_noise_e**2)
     margin = BEYOND * np.sqrt(np.where(known, spread, 0.0) ** 2 + ROUNDING_VARIANCE)
-    side = 2 * REACH + 1
-    beside = np.ones((3, side, side), bool)
-    # All but the pixel, all but its column, all but its row.
-    beside[0, REACH, REACH] = beside[1, :, REACH] = beside[2, REACH, :] = False
-    high, low = np.zeros((2, 3, *image.shape), bool)
-    for k, footprint in enumerate(beside):
-        most = ndimage.maximum_filter(
-            np.where(known, light, -np.inf), footprint=footprint, mode="constant", cval=-np.inf
-        )
-        least = ndimage.minimum_filter(
-            np.where(known, light, np.inf), footprint=footprint, mode="constant", cval=np.inf
-        )
-        some = known & np.isfinite(most)
-        high[k] = some & (light > FACTOR * np.maximum(most, 0.0) + margin)
-        # Many of a line are darker than a part of the darkest beside; one alone than all by as much as they differ,
-        # which readings at full scale do not tell.
-        part = np.where(least > 0, least / FACTOR, least)
-        below = np.where(most + level < sensor.full_scale_dn, np.minimum(least, 0.0) - (most - least), -np.inf)
-        low[k] = some & (light < (below if k == 0 else part) - margin)
-    columns, rows = (_lines(np.where(known, image, np.nan), (high | low)[1 + k], k) for k in (0, 1))
+    of_columns, of_rows, alone = np.zeros((3, *image.shape), bool)
+    for wide, factor in FACTORS.items():
+        most = [_most_beside(np.where(known, light, -np.inf), axis, wide) for axis in (0, 1)]
+        least = [-_most_beside(np.where(known, -light, -np.inf), axis, wide) for axis in (0, 1)]
+        for odd, high, low in zip((of_columns, of_rows), most, least, strict=True):
+            odd |= light > factor * np.maximum(high, 0.0) + margin
+            odd |= light < np.where(low > 0, low / factor, low) - margin
+        # A pixel by itself is dark where all are brighter by as much as they differ, which full scale does not tell.
+        high, low = np.maximum(*most), np.minimum(*least)
+        differ = np.where(high + level < sensor.full_scale_dn, high - low, np.inf)
+        alone |= (light > factor * np.maximum(high, 0.0) + margin) | (light < np.minimum(low, 0.0) - differ - margin)
+    columns, rows = _lines(image, of_columns & known, 0), _lines(image, of_rows & known, 1)
     mask = np.zeros(image.shape, bool)
     mask[:, columns] = mask[rows] = True
-    alone = (high[0] | low[0]) & ~mask
+    alone &= known & ~mask
     return Odd(columns, rows, [(int(y), int(x)) for y, x in np.argwhere(alone)], (mask | alone) & known)
+
+
+def _most_beside(light: np.ndarray, axis: int, wide: int) -> np.ndarray:
+    """The largest light within `REACH` along an axis, and as far across it beyond a line that is `wide`."""
+    along = ndimage.maximum_filter1d(light, 2 * REACH + 1, axis=axis, mode="constant", cval=-np.inf)
+    gap, across = wide // 2, 1 - axis
+    steps = [sign * (gap + step) for sign in (-1, 1) for step in range(1, REACH + 1)]
+    width = [(0, 0), (0, 0)]
+    width[across] = (gap + REACH, gap + REACH)
+    padded, size = np.pad(along, width, constant_values=-np.inf), light.shape[across]
+    return np.maximum.reduce([padded.take(range(gap + REACH + k, gap + REACH + k + size), across) for k in steps])
 
 
 def _lines(image: np.ndarray, odd: np.ndarray, axis: int) -> list[int]:
