@@ -14,7 +14,7 @@ from tests.library.conftest import ROOT
 WORKFLOW = ROOT / "workflow"
 FLOORS = {
     0: ("errors", "text", "schema", "manifest", "instrument", "dataset", "store", "provenance"),
-    1: ("frames", "formats", "crops", "optics", "template"),
+    1: ("frames", "formats", "spotfinding", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "comparison", "simulation", "design"),
     4: ("figures", "discrepancy", "pages", "paper"),

@@ -112,7 +112,7 @@ def test_no_waist_is_nan_not_a_number():
 
 
 def scan(z, sigma_px, stderr_px=0.01):
-    """A fits file of a scan, and its instrument."""
+    """A fits file of a scan of round spots, and its instrument."""
     attrs = {"title": "scan", "dataset": "scan", "not_recorded": "exposure", "preferred": "likelihood"}
     ds = xr.Dataset(attrs=attrs)
     ds["z_m"] = ("z_m", np.asarray(z, float), {"units": "m", "long_name": "z_m"})
@@ -120,8 +120,10 @@ def scan(z, sigma_px, stderr_px=0.01):
     ds["fit"] = ("fit", ["likelihood"], {"units": "1", "long_name": "fit"})
     dims = ("angle", "exposure", "repeat", "z_m", "centring", "fit")
     shape = (1, 1, 1, len(z), 2, 1)
-    for name in caustic.AXES.values():
-        for suffix, values in (("", sigma_px), ("_stderr", np.full(len(z), stderr_px))):
+    unknown = {"": np.zeros(len(z)), "_stderr": np.full(len(z), np.inf)}
+    known = {"": sigma_px, "_stderr": np.full(len(z), stderr_px)}
+    for name in (*caustic.PARAMETERS, "sigma_mean"):
+        for suffix, values in (unknown if name == "orientation" else known).items():
             full = np.repeat(np.asarray(values, float), 2).reshape(shape)
             ds[f"{name}{suffix}"] = (dims, full, {"units": "pixel", "long_name": name})
     ds["status"] = (dims, np.zeros(shape, "i4"), store.status_attributes())
@@ -134,7 +136,7 @@ def test_file_keeps_the_contract_and_leaves_flagged_fits_out(tmp_path):
     radius, truth = tem00(z, 120e-6, 0.1)
     sigma = radius / 2 / PITCH
     fits, instrument = scan(z, sigma)
-    for name in caustic.AXES.values():
+    for name in (*caustic.PARAMETERS, "sigma_mean"):
         fits[name][0, 0, 0, 3] = 500.0
     fits["status"][0, 0, 0, 3] = store.flag("at_limit")
     found = caustic.caustic_of(fits, instrument)
@@ -142,7 +144,10 @@ def test_file_keeps_the_contract_and_leaves_flagged_fits_out(tmp_path):
     with store.read(tmp_path / "caustic.nc") as own:
         values = [float(own[name].sel(axis="mean")) for name in NAMES]
         np.testing.assert_allclose(values, truth, rtol=1e-6)
-        assert int(own["positions"]) == 8
+        assert int(own["positions"]) == 8 and own.attrs["beam"] == "stigmatic"
+        # A round beam has no axes: those of the sensor, along which it is as wide.
+        assert float(own["azimuth"]) == 0.0 and np.isinf(float(own["azimuth_stderr"]))
+        np.testing.assert_allclose(own["m2"], truth[4], rtol=1e-6)
         assert np.isnan(own["beam_radius"].values.reshape(3, -1)[:, 3]).all()
 
 

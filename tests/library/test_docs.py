@@ -213,6 +213,9 @@ MISTAKES = {
     "another format by the name of one that is read": content(b"BM"),
     "a crop that is too large": image(np.zeros((30, 40), np.uint16)),
     "a profile that is not there": instrument("light: {profile: light.nc}"),
+    "a bad column beyond the frame": image(
+        np.zeros((240, 320), np.uint16), "crop_px: 24\nbad_pixels: {columns: [400]}"
+    ),
     "a wrong bit depth": image(np.full((40, 50), 1024, np.uint16), "crop_px: 24\nsensor: {bit_depth: 10}"),
 }
 

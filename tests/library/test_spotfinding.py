@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from spotcheck import crops, frames, store
-from spotcheck.frames import Spot
+from spotcheck import crops, spotfinding, store
+from spotcheck.spotfinding import Spot
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE = 300
@@ -25,10 +25,10 @@ def test_hot_pixels_brighter_than_the_spot(seed, sigma):
     pixels = noisy(gaussian(SIDE, 300.0, x, y, sigma), seed)
     hot = rng.random(pixels.shape) < 1e-3
     pixels[hot] = 1023
-    spot = frames.light_centroid(pixels, 120)
+    spot = spotfinding.light_centroid(pixels, 120)
     # Half a pixel of rounding, and half a pixel for hot pixels on the flank that shift the region's border.
     assert spot.found and abs(spot.column - x) < 1.0 and abs(spot.row - y) < 1.0
-    first = frames.brightest_pixel(pixels)
+    first = spotfinding.brightest_pixel(pixels)
     columns = np.nonzero(pixels.max(axis=0) == 1023)[0]
     assert first.column == columns[0] and pixels[first.row, first.column] == 1023
 
@@ -37,7 +37,7 @@ def test_hot_pixels_brighter_than_the_spot(seed, sigma):
 def test_median_of_nine(shape):
     """As scipy has it, ties and borders included."""
     image = np.random.default_rng(3).integers(0, 9, shape).astype(np.float32)
-    np.testing.assert_array_equal(frames._median_of_nine(image), ndimage.median_filter(image, 3, mode="nearest"))
+    np.testing.assert_array_equal(spotfinding._median_of_nine(image), ndimage.median_filter(image, 3, mode="nearest"))
 
 
 BORDERS = [
@@ -54,11 +54,11 @@ def test_a_spot_at_the_border_is_masked_and_not_shifted(corner, gap, sigma):
     far = SIDE - 1 - gap
     x, y = {"left": (gap, 150.0), "right": (far, 150.0), "top": (150.0, gap), "bottom": (150.0, far)}[corner]
     pixels = noisy(gaussian(SIDE, 600.0, x, y, sigma), 5)
-    spot = frames.light_centroid(pixels, 120)
+    spot = spotfinding.light_centroid(pixels, 120)
     # A spot that is cut by the border has its centroid inside: by σ times the mean of a half normal, and 1 px.
     slack = 1.0 + sigma * np.sqrt(2 / np.pi) * (gap < 2 * sigma)
     assert spot.found and abs(spot.column - x) <= slack and abs(spot.row - y) <= slack
-    crop = frames.cut(pixels, spot, 120)
+    crop = spotfinding.cut(pixels, spot, 120)
     assert crop[60, 60] == pixels[spot.row, spot.column]
     row, column = np.mgrid[:120, :120] + np.array([spot.row - 60, spot.column - 60])[:, None, None]
     inside = (row >= 0) & (row < SIDE) & (column >= 0) & (column < SIDE)
@@ -71,7 +71,7 @@ def test_of_several_equal_maxima_the_left_most_then_the_top_most():
     pixels = np.zeros((50, 60), np.uint16)
     pixels[20:30, 31:40] = 800
     pixels[22:30, 30] = 800
-    assert frames.brightest_pixel(pixels) == Spot(22, 30, True)
+    assert spotfinding.brightest_pixel(pixels) == Spot(22, 30, True)
 
 
 NOISES = [(level, dn) for level in (40.0, 0.0) for dn in (0.3, 0.6, 0.9, 1.2, 1.43, 2.5, 8.0)]
@@ -85,20 +85,68 @@ def test_a_frame_without_light_has_no_spot(level, noise_dn):
     """
     own = SENSOR._replace(black_level_dn=level, read_noise_e=noise_dn / 0.11)
     dark = [noisy(np.zeros((SIDE, SIDE)), seed, own) for seed in range(6)]
-    assert not any(frames.light_centroid(pixels, 120).found for pixels in dark)
+    assert not any(spotfinding.light_centroid(pixels, 120).found for pixels in dark)
+
+
+# Width [px], and the peak over the noise of a pixel from which on every spot is found: a narrow one has few pixels to
+# tell it from a hot pixel by.
+CLEAR = [(0.7, 60), (0.85, 32), (1.0, 22), (1.5, 13), (2.0, 12), (3.0, 11), (5.0, 10), (12.0, 9), (40.0, 9)]
+
+
+@pytest.mark.parametrize(("sigma", "over_noise"), CLEAR)
+@pytest.mark.parametrize("place", ["anywhere", "between blocks"])
+def test_a_spot_of_any_width_is_found_with_a_crop_of_ten_widths(sigma, over_noise, place):
+    """Thirty spots each, or three of the widest, at random and where four blocks of the search meet."""
+    rng, side, crop = np.random.default_rng(int(10 * sigma)), 640 if sigma > 20 else SIDE, max(8, int(10 * sigma))
+    noise_dn = np.hypot(SENSOR.gain_dn_per_e * SENSOR.read_noise_e, np.sqrt(1 / 12))
+    for seed in range(3 if sigma > 20 else 30):
+        x, y = rng.uniform(5 * sigma + 1, side - 5 * sigma - 1, 2)
+        if place == "between blocks":
+            x, y = 16 * np.clip(np.round(np.array([x, y]) / 16), 1, side // 16 - 1) - 0.5
+        spot = spotfinding.light_centroid(noisy(gaussian(side, over_noise * noise_dn, x, y, sigma), seed), crop)
+        # Noise shifts the region's border: by less than a pixel, or a third of the width.
+        slack = max(1.5, sigma / 3)
+        assert spot.found and abs(spot.column - x) < slack and abs(spot.row - y) < slack
+
+
+@pytest.mark.parametrize("sigma", [0.8, 2.0])
+def test_a_narrow_spot_on_uneven_light(sigma):
+    """Light that rises by 28 noises across the frame holds more of it in every block than the spot does."""
+    rise = 40.0 * np.arange(SIDE) / SIDE
+    for seed in range(6):
+        x, y = np.random.default_rng(seed).uniform(30, 200, 2)
+        spot = spotfinding.light_centroid(noisy(gaussian(SIDE, 400.0, x, y, sigma) + rise, seed), 30)
+        assert spot.found and abs(spot.column - x) < 1.5 and abs(spot.row - y) < 1.5
+
+
+def test_no_light_in_many_frames():
+    """Read noise alone, 200 frames of 0.09 Mpx: none. Four readings of a square, 7 noises up: never."""
+    dark = np.random.default_rng(7).normal(40.0, 1.43, (200, SIDE, SIDE))
+    assert not any(spotfinding.light_centroid(np.rint(own).astype(np.uint16), 24).found for own in dark)
+
+
+@pytest.mark.parametrize("value", [0, 1023])
+@pytest.mark.parametrize("line", [np.s_[:, 93], np.s_[170]], ids=["column", "row"])
+def test_a_stuck_line_and_hot_pixels_are_no_spot(line, value):
+    """One pixel in 2000 at full scale and a line at either end, in frames without light."""
+    for seed in range(6):
+        pixels = noisy(np.zeros((SIDE, SIDE)), seed)
+        pixels[np.random.default_rng(seed).random(pixels.shape) < 5e-4] = 1023
+        pixels[line] = value
+        assert not spotfinding.light_centroid(pixels, 24).found
 
 
 @pytest.mark.parametrize("value", [0, 40, 1023])
 def test_a_flat_frame_has_no_spot(value):
     """Equal pixels, dark or overexposed."""
-    assert not frames.light_centroid(np.full((SIDE, SIDE), value, np.uint16), 120).found
+    assert not spotfinding.light_centroid(np.full((SIDE, SIDE), value, np.uint16), 120).found
 
 
 @pytest.mark.parametrize("shape", [(40, 300), (300, 40), (24, 24)])
 def test_frames_that_are_sub_windows(shape):
     """Narrow read-out windows: the spot is found where it is."""
     light = gaussian(300, 500.0, shape[1] * 0.5, shape[0] * 0.5, 4.0)[: shape[0], : shape[1]]
-    spot = frames.light_centroid(noisy(light, 3), min(shape))
+    spot = spotfinding.light_centroid(noisy(light, 3), min(shape))
     assert spot.found and abs(spot.column - shape[1] / 2) <= 1 and abs(spot.row - shape[0] / 2) <= 1
 
 

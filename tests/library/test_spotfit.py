@@ -203,6 +203,24 @@ def test_gaps_are_left_out(weighting):
     assert fits.flags[0] == 0
 
 
+@pytest.mark.parametrize(("side", "sigma"), [(240, 0.7), (400, 0.85), (400, 1.5)])
+@pytest.mark.parametrize("amplitude", [35.0, 2000.0])
+def test_a_spot_within_one_block_of_a_large_image(side, sigma, amplitude):
+    """From 25 noises on, wherever it lies between pixels and blocks; a hot pixel, twice as bright, is no spot. Ten
+    frames each: within 5 errors (false alarm 6e-7)."""
+    rng = np.random.default_rng(4)
+    sensor = SensorModel(0.2, 5.0, black_level_dn=40.0, full_scale_dn=4095.0)
+    for _ in range(10):
+        x, y = side / 2 + rng.uniform(-4, 4, 2)
+        frame = draw(gaussian(side, amplitude, x, y, sigma), 0.0, sensor, rng).astype(float)
+        fit = fit_spots(frame, sensor)
+        assert fit.flags == 0 and abs(fit.sigma_mean - sigma) < 5 * fit.sigma_mean_stderr
+        assert abs(fit.x_centre - x) < 5 * fit.x_centre_stderr and abs(fit.y_centre - y) < 5 * fit.y_centre_stderr
+    dark = draw(np.zeros((side, side)), 0.0, sensor, rng).astype(float)
+    dark[side // 3, side // 3] += 2 * amplitude
+    assert fit_spots(dark, sensor).flags != 0
+
+
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 89.0, 120.0, 179.0])
 def test_orientation_turns_from_x_towards_y(degrees):
     """Noise-free ellipses at any direction."""

@@ -111,10 +111,9 @@ def manifest(wildcards):
 
 
 def instrument(wildcards):
-    """Its data sheet, if there is one, and the profile of the light that it names."""
-    path = Path(dataset_folder(wildcards), "instrument.yaml")
-    profile = DATASETS[wildcards.dataset].instrument.light.profile
-    return [str(own) for own in (path, profile) if own and Path(own).exists()]
+    """Its data sheet, if there is one, and the profile of the light and the mask of bad pixels that it names."""
+    path, found = Path(dataset_folder(wildcards), "instrument.yaml"), DATASETS[wildcards.dataset].instrument
+    return [str(own) for own in (path, found.light.profile, found.bad_pixels.mask) if own and Path(own).exists()]
 
 
 def frames(wildcards):

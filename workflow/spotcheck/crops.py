@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from spotcheck import frames, provenance, store
+from spotcheck import frames, provenance, spotfinding, store
 from spotcheck.dataset import Dataset, check_files, unit_of
 from spotcheck.errors import InputError
 
@@ -44,7 +44,8 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     digest_of = cache(lambda file: provenance.file_digest(dataset.folder / file))
     digests, first = [], dict[bytes, int]()
     for k, frame in enumerate(dataset.frames):
-        pixels = frames.read(dataset, frame)
+        pixels = frames.read_good(dataset, frame)
+        pixels = pixels[~np.isnan(pixels)] if pixels.dtype.kind == "f" else pixels
         digests.append(digest_of(frame.file))
         columns["minimum"][k], columns["maximum"][k] = pixels.min(), pixels.max()
         columns["mean"][k] = pixels.mean(dtype=np.float64)
@@ -125,7 +126,9 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
     ):
         extra[name] = (name, np.arange(size, dtype="i4") * step, {"units": "pixel", "long_name": long_name})
     variables = {
-        "image": store.Variable(("centring", "y", "x"), "f4", "DN", "crop; NaN beyond the frame"),
+        "image": store.Variable(
+            ("centring", "y", "x"), "f4", "DN", "crop; NaN beyond the frame and where the pixel is bad"
+        ),
         "top": store.Variable(("centring",), "i4", "pixel", "row of the frame under row 0 of the crop"),
         "left": store.Variable(("centring",), "i4", "pixel", "column of the frame under column 0 of the crop"),
         "status": store.Variable(("centring",), "i4", "1", "status flags"),
@@ -145,14 +148,19 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
 
 def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str, object]:
     """All variables of one frame; `flags` are set in its status beside what its pixels say."""
-    spots = (frames.light_centroid(pixels, side), frames.brightest_pixel(pixels))
-    images = np.stack([frames.cut(pixels, spot, side) for spot in spots])
+    spots = (spotfinding.light_centroid(pixels, side), spotfinding.brightest_pixel(pixels))
+    images = np.stack([spotfinding.cut(pixels, spot, side) for spot in spots])
     surround = frames.reduce_frame(pixels)
     return {
         "image": images,
         "top": [spot.row - side // 2 for spot in spots],
         "left": [spot.column - side // 2 for spot in spots],
-        "status": [flags | _status(image, spots[0].found, highest) for image in images],
+        "status": [
+            flags
+            | _status(image, spots[0].found, highest)
+            | (0 if _within(pixels, spot, side) else store.flag("masked"))
+            for image, spot in zip(images, spots, strict=True)
+        ],
         "block_mean": surround.block_mean,
         "row_mean": surround.row_mean,
         "column_mean": surround.column_mean,
@@ -162,12 +170,15 @@ def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str
 def _status(image: np.ndarray, found: bool, highest: float) -> int:
     valid = np.isfinite(image)
     clipped = int(np.count_nonzero(image[valid] >= highest))
-    status = 0 if valid.all() else store.flag("masked")
     if clipped == valid.sum():
-        return status | store.flag("saturated")
-    if not found:
-        status |= store.flag("black")
-    return status | (store.flag("clipped") if clipped else 0)
+        return store.flag("saturated")
+    return (0 if found else store.flag("black")) | (store.flag("clipped") if clipped else 0)
+
+
+def _within(pixels: np.ndarray, spot: spotfinding.Spot, side: int) -> bool:
+    """Whether a crop lies within its frame."""
+    starts = spot.row - side // 2, spot.column - side // 2
+    return all(0 <= start <= length - side for start, length in zip(starts, pixels.shape, strict=True))
 
 
 def usable(status: int | np.ndarray | xr.DataArray) -> bool:

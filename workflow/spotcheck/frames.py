@@ -1,29 +1,22 @@
-"""Reading frames, finding the spot, cropping, and reducing what lies around it."""
+"""Reading frames, and reducing what lies around a spot."""
 
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import groupby
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
-from skimage.measure import label
 
 from spotcheck.dataset import Dataset, in_frames
 from spotcheck.errors import InputError
 from spotcheck.formats import files
 from spotcheck.formats.page import PREVIEW, Page
-from spotcheck.instrument import Instrument
+from spotcheck.instrument import BadPixels, Instrument
 from spotcheck.manifest import Frame
 
 # Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
-# Side of the blocks in which the light is first looked for [px]: about the diameter of the smallest spot of interest.
-SEARCH_PX = 16
-# A spot must stand out of the noise of single pixels by this factor. The largest of 1e5 medians of nine reaches 1.9;
-# where a black level of 0 cuts half of the noise away, its estimate comes out at 0.6 of it.
-SPOT_OVER_NOISE = 6.0
-# Nor is anything fainter than this a spot: where rounding hides the noise, its estimate is 0.
-FAINTEST_DN = 2.5
 # Runs of pages that a message lists; more would not be read.
 MOST_RUNS = 5
 
@@ -109,7 +102,43 @@ def probe_all(dataset: Dataset) -> Probe:
             f"instrument.yaml: crop_px is {crop}, but the frames have {first.shape[1]} × {first.shape[0]} px;"
             f" it must be at most {min(first.shape)}"
         )
+    bad_pixels(dataset.instrument.bad_pixels, first.shape)
     return first
+
+
+@lru_cache(maxsize=4)
+def bad_pixels(named: BadPixels, shape: tuple[int, int]) -> np.ndarray | None:
+    """Which pixels [rows, columns] of a sensor instrument.yaml names as bad; None where it names none.
+
+    Raises `InputError` for a mask of another size, or for a place beyond the frame.
+    """
+    out = np.zeros(shape, bool)
+    if named.mask is not None:
+        name = Path(named.mask).name
+        size = files.pages(Path(named.mask), name)[0].shape
+        if size != shape:
+            raise InputError(
+                f"instrument.yaml: key bad_pixels.mask names {name!r}, which has {size[1]} × {size[0]} px, but the"
+                f" frames have {shape[1]} × {shape[0]} px; it must have their size"
+            )
+        out |= files.pixels(Path(named.mask), 0, name) != 0
+    for key, axis, places in (
+        ("columns", 1, named.columns),
+        ("rows", 0, named.rows),
+        ("pixels", 1, [x for x, _ in named.pixels]),
+        ("pixels", 0, [y for _, y in named.pixels]),
+    ):
+        if beyond := [place for place in places if place >= shape[axis]]:
+            raise InputError(
+                f"instrument.yaml: key bad_pixels.{key} names {'xy'[1 - axis]} = {beyond[0]}, but the frames have"
+                f" {shape[1]} × {shape[0]} px; it must be at most {shape[axis] - 1}"
+            )
+    out[:, list(named.columns)] = True
+    out[list(named.rows)] = True
+    out[[y for _, y in named.pixels], [x for x, _ in named.pixels]] = True
+    if out.all():
+        raise InputError("instrument.yaml: key bad_pixels names every pixel of the frames; some must be left")
+    return out if out.any() else None
 
 
 def read(dataset: Dataset, frame: Frame) -> np.ndarray:
@@ -143,90 +172,16 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     return pixels
 
 
+def read_good(dataset: Dataset, frame: Frame) -> np.ndarray:
+    """As `read`, where instrument.yaml names bad pixels as float32 with NaN in their place: not measured."""
+    pixels = read(dataset, frame)
+    bad = bad_pixels(dataset.instrument.bad_pixels, (pixels.shape[0], pixels.shape[1]))
+    return pixels if bad is None else np.where(bad, np.float32(np.nan), pixels.astype(np.float32))
+
+
 def full_scale(instrument: Instrument, container_bits: int) -> int:
     """Largest reading [DN]: of the converter where its depth is given, else of the container."""
     return 2 ** (instrument.sensor.bit_depth or container_bits - instrument.sensor.value_shift_bits) - 1
-
-
-class Spot(NamedTuple):
-    """Where the spot is on the frame: pixel [row, column], and whether there is one."""
-
-    row: int
-    column: int
-    found: bool
-
-
-def brightest_pixel(pixels: np.ndarray) -> Spot:
-    """The maximum of the frame; of several equal ones the left-most, then the top-most (Section 3.1.1)."""
-    rows, columns = np.nonzero(pixels == pixels.max())
-    first = np.lexsort((rows, columns))[0]
-    return Spot(int(rows[first]), int(columns[first]), True)
-
-
-def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
-    """Centroid of the light above half a robust maximum, indifferent to isolated hot pixels.
-
-    The 2 × 2 minimum removes isolated pixels of any brightness before the brightest block is looked for; within a
-    window around it the 3 × 3 median does. Background is the median of the frame, sampled. `found` is False when
-    nothing stands out of the noise: then the place is the frame's centre.
-    """
-    eroded = np.minimum(pixels[:-1, :], pixels[1:, :])
-    eroded = np.minimum(eroded[:, :-1], eroded[:, 1:])
-    side = min(SEARCH_PX, *eroded.shape)
-    rest = [(0, -length % side) for length in eroded.shape]
-    sums = _block_mean(np.pad(eroded, rest, mode="edge"), side)
-    sums = ndimage.uniform_filter(sums, 3, mode="nearest") if min(sums.shape) > 3 else sums
-    block_row, block_column = np.unravel_index(np.argmax(sums), sums.shape)
-    row, column = int(block_row) * side + side // 2, int(block_column) * side + side // 2
-
-    background = float(np.median(pixels[::8, ::8]))
-    # Differences of neighbours see the noise alone, also where a black level of 0 cuts half of it away.
-    noise = float(np.median(np.abs(pixels[::4, :-1:8].astype(float) - pixels[::4, 1::8]))) / 0.954
-    # Twice: a first window may cut a spot that is wider than the block that found it.
-    for _ in range(2):
-        top, left = max(row - window_px // 2, 0), max(column - window_px // 2, 0)
-        window = _median_of_nine(pixels[top : top + window_px, left : left + window_px].astype(np.float32))
-        signal = window - background
-        peak = float(signal.max())
-        found = peak > max(SPOT_OVER_NOISE * noise, FAINTEST_DN)
-        if not found:
-            break
-        regions = label(signal > peak / 2, connectivity=2)
-        light = ndimage.sum_labels(signal, regions, np.arange(1, regions.max() + 1))
-        rows, columns = np.nonzero(regions == 1 + int(np.argmax(light)))
-        weight = signal[rows, columns]
-        row = top + round(float(np.average(rows, weights=weight)))
-        column = left + round(float(np.average(columns, weights=weight)))
-    if not found:
-        return Spot(pixels.shape[0] // 2, pixels.shape[1] // 2, False)
-    return Spot(row, column, True)
-
-
-def _median_of_nine(image: np.ndarray) -> np.ndarray:
-    """3 × 3 median, the border repeated: the middle one of the largest low, the middle middle and the smallest high of
-    three sorted rows. Equal to that of `scipy.ndimage`, whose sorting took most of the time of cropping."""
-    wide = np.pad(image, 1, mode="edge")
-    height, width = image.shape
-    rows = [_sorted(*(wide[i : i + height, j : j + width] for j in range(3))) for i in range(3)]
-    low, middle, high = zip(*rows, strict=True)
-    return _sorted(np.maximum.reduce(low), _sorted(*middle)[1], np.minimum.reduce(high))[1]
-
-
-def _sorted(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Three images in ascending order, pixel by pixel."""
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    middle, high = np.minimum(high, c), np.maximum(high, c)
-    return np.minimum(low, middle), np.maximum(low, middle), high
-
-
-def cut(pixels: np.ndarray, spot: Spot, side: int) -> np.ndarray:
-    """Crop [side, side] as float32 with the spot at pixel (side//2, side//2); NaN beyond the frame's border."""
-    crop = np.full((side, side), np.nan, np.float32)
-    top, left = spot.row - side // 2, spot.column - side // 2
-    rows = slice(max(top, 0), min(top + side, pixels.shape[0]))
-    columns = slice(max(left, 0), min(left + side, pixels.shape[1]))
-    crop[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[rows, columns]
-    return crop
 
 
 class Surround(NamedTuple):
@@ -241,10 +196,19 @@ def reduce_frame(pixels: np.ndarray) -> Surround:
     """Block means (sides of `BLOCK_PX`, the remainder at the right and lower border left out), row and column means."""
     side = min(BLOCK_PX, *pixels.shape)
     return Surround(
-        _block_mean(pixels, side),
-        pixels.mean(axis=1, dtype=np.float64),
-        pixels.mean(axis=0, dtype=np.float64),
+        block_mean(pixels, side),
+        good_mean(pixels, axis=1),
+        good_mean(pixels, axis=0),
     )
+
+
+def good_mean(pixels: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
+    """Mean along axes of all pixels that are not NaN; NaN where there are none."""
+    if pixels.dtype.kind != "f":
+        return np.asarray(pixels.mean(axis=axis, dtype=np.float64))
+    count = np.count_nonzero(~np.isnan(pixels), axis=axis)
+    total = np.nansum(pixels, axis=axis, dtype=np.float64)
+    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
 
 
 def blocks_along(length: int, shape: tuple[int, int]) -> int:
@@ -252,13 +216,16 @@ def blocks_along(length: int, shape: tuple[int, int]) -> int:
     return length // min(BLOCK_PX, *shape)
 
 
-def _block_mean(pixels: np.ndarray, side: int) -> np.ndarray:
+def block_mean(pixels: np.ndarray, side: int) -> np.ndarray:
+    """Means of square blocks, the remainder at the right and lower border left out; NaN pixels do not count."""
     rows, columns = pixels.shape[0] // side, pixels.shape[1] // side
-    trimmed = pixels[: rows * side, : columns * side]
-    return trimmed.reshape(rows, side, columns, side).sum(axis=(1, 3), dtype=np.uint32) / side**2
+    blocks = pixels[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    if pixels.dtype.kind == "f":
+        return good_mean(blocks, axis=(1, 3))
+    return blocks.sum(axis=(1, 3), dtype=np.uint32) / side**2
 
 
 def spots(dataset: Dataset) -> Iterator[tuple[tuple[int, ...], Frame, np.ndarray]]:
-    """Index on the grid, frame and pixels of every spot, one at a time."""
+    """Index on the grid, frame and pixels of every spot, NaN where bad, one at a time."""
     for index, frame in dataset.cells():
-        yield index, frame, read(dataset, frame)
+        yield index, frame, read_good(dataset, frame)

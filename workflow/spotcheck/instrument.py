@@ -30,7 +30,7 @@ RESERVED = {
     *("row_mean", "column_mean", "amplitude", "x_centre", "y_centre", "sigma_major", "sigma_minor", "orientation"),
     *("offset", "sigma_mean", "chi2_reduced", "p1", "p2", "peak", "laser_width", "likelihood_converged", "mean_light"),
     *("sigma", "maximum", "sum", "speckle_contrast", "peak_ratio", "psnr", "law", "fine_exposure", "photons"),
-    *("axis", "power", "other_power", "coefficient", "origin", "scatter", "mean_reading"),
+    *("axis", "power", "other_power", "coefficient", "origin", "scatter", "mean_reading", "azimuth"),
 }
 
 
@@ -95,6 +95,17 @@ class Light:
 
 
 @dataclass(frozen=True)
+class BadPixels:
+    """Section `bad_pixels`: what of the sensor is not measured. An image, once read by its absolute path, whose pixels
+    other than 0 are bad; whole columns and rows; and single pixels (x, y)."""
+
+    mask: str | None = None
+    columns: tuple[int, ...] = ()
+    rows: tuple[int, ...] = ()
+    pixels: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True)
 class Instrument:
     """The content of instrument.yaml with its defaults."""
 
@@ -108,6 +119,7 @@ class Instrument:
     material: Material = field(default_factory=Material)
     model: ModelChoice = field(default_factory=ModelChoice)
     light: Light = field(default_factory=Light)
+    bad_pixels: BadPixels = field(default_factory=BadPixels)
     given: frozenset[str] = frozenset()
 
     def source(self, key: str) -> str:
@@ -129,6 +141,7 @@ SECTIONS = {
     "material": Material,
     "model": ModelChoice,
     "light": Light,
+    "bad_pixels": BadPixels,
 }
 
 
@@ -144,7 +157,8 @@ def read_instrument(path: Path) -> Instrument:
     given = {
         f"{name}.{key}" if key else name for name, own in content.items() for key in (own if name in SECTIONS else [""])
     }
-    _find_profile(path, content.get("light", {}))
+    _find(path, content, "light", "profile", "a light.nc")
+    _find(path, content, "bad_pixels", "mask", "an image")
     sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
     content = _whole(content)
     content["conditions"] = tuple(content.get("conditions", ()))
@@ -160,23 +174,28 @@ def read_instrument(path: Path) -> Instrument:
     return Instrument(**content, **sections, given=frozenset(given))
 
 
-def _find_profile(path: Path, light: dict[str, Any]) -> None:
-    """Put the profile's own path in the place of that from the dataset's folder. Raises `InputError`."""
-    if "profile" not in light:
+def _find(path: Path, content: dict[str, Any], section: str, key: str, wanted: str) -> None:
+    """Put a file's own path in the place of that from the dataset's folder. Raises `InputError`."""
+    own = content.get(section, {})
+    if key not in own:
         return
-    name = light["profile"]
+    name = own[key]
     if re.search("[{}\0]", name):
-        raise InputError(f"{path.name}: key light.profile is {name!r}; it must be a path without braces")
+        raise InputError(f"{path.name}: key {section}.{key} is {name!r}; it must be a path without braces")
     file = path.parent / name
     if not name or not file.is_file():
         raise InputError(
-            f"{path.name}: key light.profile names {name!r}, which is not there; it must be the path of a light.nc,"
+            f"{path.name}: key {section}.{key} names {name!r}, which is not there; it must be the path of {wanted},"
             " relative to the dataset folder"
         )
-    light["profile"] = str(file.resolve())
+    own[key] = str(file.resolve())
 
 
 def _whole(section: dict[str, Any]) -> dict[str, Any]:
-    """Whole numbers written as 240.0 as integers: the schema takes them for such, slices do not."""
-    whole = ("crop_px", "bit_depth", "value_shift_bits")
-    return {key: int(value) if key in whole else value for key, value in section.items()}
+    """Whole numbers written as 240.0 as integers: the schema takes them for such, slices do not; lists as tuples."""
+    whole = ("crop_px", "bit_depth", "value_shift_bits", "columns", "rows", "pixels")
+    return {key: _integers(value) if key in whole else value for key, value in section.items()}
+
+
+def _integers(value: Any) -> Any:
+    return tuple(map(_integers, value)) if isinstance(value, list) else int(value)

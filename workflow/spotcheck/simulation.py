@@ -17,8 +17,7 @@ import tifffile
 import xarray as xr
 import yaml
 
-from spotcheck import frames as images
-from spotcheck import store
+from spotcheck import spotfinding, store
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
@@ -242,10 +241,10 @@ def _extended_frames(
         readings = expose(view, baseline, base, model.present, sensor, Chance(seed, k, site))
         spot, beside = chain.light(view, baseline, base, model.present)
         expected = chain.moments(view, baseline, base, model.present, sensor).mean[0]
-        at = images.Spot(round(float(centres[k, 1])) - int(y[0]), round(float(centres[k, 0])) - int(x[0]), True)
+        at = spotfinding.Spot(round(float(centres[k, 1])) - int(y[0]), round(float(centres[k, 0])) - int(x[0]), True)
         values = {
-            "mean_light": images.cut(np.broadcast_to(spot + beside, (1, *expected.shape))[0], at, side),
-            "mean_reading": images.cut(expected, at, side),
+            "mean_light": spotfinding.cut(np.broadcast_to(spot + beside, (1, *expected.shape))[0], at, side),
+            "mean_reading": spotfinding.cut(expected, at, side),
             "amplitude": amplitude,
             "sigma": sigma,
             "left": at.column - side // 2 + int(x[0]),

@@ -28,6 +28,9 @@ STATUS = {
     64: ("at_limit", "the fit left the range in which a width can be trusted"),
     128: ("no_noise", "gain or read noise is unknown: no likelihood"),
     256: ("copy", "the pixels are those of another frame"),
+    512: ("left_out", "pixels whose readings no light explains were left out of the fit"),
+    1024: ("misfit", "chi-square per degree of freedom is far from 1: errors are off by more than a factor of 2"),
+    2048: ("no_error", "a standard error is 0, which no measurement has"),
 }
 UNUSABLE = 1 | 2 | 4 | 256
 

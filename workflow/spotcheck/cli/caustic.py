@@ -3,7 +3,8 @@
 import argparse
 
 from spotcheck import dataset, provenance, store
-from spotcheck.estimate.caustic import caustic_of
+from spotcheck.estimate.caustic import beam_rows, caustic_of
+from spotcheck.estimate.plus_minus import plus_minus
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,5 +23,5 @@ def run(args: argparse.Namespace) -> None:
     if "skipped" in found.attrs:
         print(f"skipped: {found.attrs['skipped']}")
     else:
-        own = found.sel(axis="mean")
-        print(f"M² = {float(own['m2']):.4g} ± {float(own['m2_stderr']):.2g}")
+        for words, own in beam_rows(found).items():
+            print(f"M² = {plus_minus(float(own['m2']), float(own['m2_stderr']))} ({words})")

@@ -3,7 +3,7 @@
 import argparse
 
 from spotcheck import dataset, provenance, store
-from spotcheck.estimate.fits import fit_crops
+from spotcheck.estimate.fits import fit_crops, preferred
 from spotcheck.estimate.sensor import model_of
 
 
@@ -23,3 +23,5 @@ def run(args: argparse.Namespace) -> None:
     for name in fits["fit"].values:
         own = fits["amplitude"].sel(fit=name)
         print(f"{int(own.notnull().sum())} of {own.size} crops fitted by {str(name).replace('_', ' ')}")
+    for sentence in dict.fromkeys(filter(None, preferred(fits)["left_out"].values.ravel())):
+        print(sentence)

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
             for index in crops.cells(own, store.grid_dims(images))
             if crops.usable(own["status"].isel(index))
         )
-        darks = (frames.reduce_frame(frames.read(found, own)) for own in found.frames if own.kind == "dark")
+        darks = (frames.reduce_frame(frames.read_good(found, own)) for own in found.frames if own.kind == "dark")
         beside = (
             frames.Surround(*(images[name].isel(index).values for name in frames.Surround._fields))
             for index in crops.cells(images, store.grid_dims(images))

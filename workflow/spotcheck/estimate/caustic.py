@@ -5,6 +5,10 @@ Gaussian (its 1/e² radius), so that every root of a coefficient is half of the 
 
 # ASSUME: the fitted Gaussian stands for the beam. The standard takes second moments, which see side lobes and halo that
 # a Gaussian fit passes over: for a beam that is not Gaussian, M² from fits is too small.
+
+A scan has a hyperbola for each of the two axes of the beam, which keep their direction (`beam_axes`), and one for the
+mean of both widths. The mean of an astigmatic beam is no hyperbola, and has no M²; a beam whose axes turn has none at
+all: that takes the measurements of ISO 11146-2.
 """
 
 from __future__ import annotations
@@ -17,12 +21,18 @@ from numpy.typing import ArrayLike
 from scipy import optimize, stats
 
 from spotcheck import store
+from spotcheck.estimate.beam_axes import Axes, Widths, along, axes_of
 from spotcheck.estimate.fits import preferred
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.instrument import Instrument
 
 CONDITION = "z_m"
-AXES = {"major": "sigma_major", "minor": "sigma_minor", "mean": "sigma_mean"}
+PARAMETERS = ("sigma_major", "sigma_minor", "orientation")
+AXES = {
+    "x": "axis of the beam nearer to +x",
+    "y": "axis of the beam across it",
+    "mean": "mean of the longer and the shorter width of each frame",
+}
 # Three coefficients, and one position more is the least that shows how the points scatter about the hyperbola.
 FEWEST_POSITIONS = 4
 LEVEL = 0.6827
@@ -244,7 +254,10 @@ def half_width(stderr: np.ndarray, degrees: int) -> np.ndarray:
 
 
 def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
-    """Caustic file of a scan along z; `skipped` with its reason where there is none."""
+    """Caustic file of a scan along z; `skipped` with its reason where there is none.
+
+    `beam` says whether the beam is stigmatic (both axes alike to 0.87 in every frame) or simple astigmatic.
+    """
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
     if CONDITION not in instrument.conditions or CONDITION not in fits.coords:
         return ds.assign_attrs(skipped=f"a caustic needs the declared condition {CONDITION}")
@@ -255,48 +268,79 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
     assert pitch is not None and wavelength is not None
     own = preferred(fits)
     grid = tuple(str(d) for d in own["status"].dims)
-    own = own.transpose(*grid)
-    good = (own["status"] & store.UNTRUSTED) == 0
+    own = own.transpose(*grid).where((own["status"] & store.UNTRUSTED) == 0)
     z = own[CONDITION].broadcast_like(own["status"]).transpose(*grid).values
-    radius, stderr = (
-        np.stack([own[f"{name}{suffix}"].where(good).values for name in AXES.values()]) * 2 * pitch
-        for suffix in ("", "_stderr")
-    )
-    usable = np.isfinite(radius).all(axis=0) & np.isfinite(stderr).all(axis=0)
+    spots = Widths(*(own[f"{name}{suffix}"].values for suffix in ("", "_stderr") for name in PARAMETERS))
+    mean, mean_stderr = own["sigma_mean"].values, own["sigma_mean_stderr"].values
+    usable = np.isfinite(np.stack([*spots[:5], mean, mean_stderr])).all(axis=0)
     positions = len(np.unique(z[usable]))
     if positions < FEWEST_POSITIONS:
         return ds.assign_attrs(
             skipped=f"a caustic needs usable spots at {FEWEST_POSITIONS} positions or more, and {positions} have one"
         )
+    axes = axes_of(Widths(*(value[usable] for value in spots)))
+    if axes.turned is not None:
+        return ds.assign_attrs(skipped=_turns(axes, z[usable]))
+    projected = (along(spots, axes.azimuth), along(spots, axes.azimuth + 90), (mean, mean_stderr))
+    radius, stderr = (np.where(usable, [own[k] for own in projected], np.nan) * 2 * pitch for k in (0, 1))
     found = [fit_hyperbola(z[usable], r[usable], s[usable]) for r, s in zip(radius, stderr, strict=True)]
     ds = ds.assign_coords({d: fits[d] for d in grid if d in fits.coords})
-    _fill(ds, found, wavelength)
+    _fill(ds, found, wavelength, axes)
     for name, values, long_name in (
         ("beam_radius", radius, "1/e2 beam radius, twice the fitted standard deviation"),
         ("beam_radius_stderr", stderr, "standard error of the beam radius"),
     ):
         ds[name] = (("axis", *grid), values, {"units": "m", "long_name": long_name})
-    own_length = float(ds["rayleigh_length"].sel(axis="mean"))
-    distance = np.abs(np.unique(z[usable]) - float(ds["waist_position"].sel(axis="mean")))
-    for name, count, long_name in (
-        ("positions", positions, "positions with a usable spot; ISO 11146-1 asks for 10 or more"),
-        ("positions_near", int(np.sum(distance < own_length)), "positions within one Rayleigh length of the waist"),
-        ("positions_far", int(np.sum(distance > 2 * own_length)), "positions beyond two Rayleigh lengths"),
+    length, waist = ds["rayleigh_length"].values[:, None], ds["waist_position"].values[:, None]
+    distance = np.abs(np.unique(z[usable]) - waist)
+    for name, dims, count, long_name in (
+        ("positions", (), positions, "positions with a usable spot; ISO 11146-1 asks for 10 or more"),
+        (
+            "positions_near",
+            "axis",
+            np.sum(distance < length, axis=1),
+            "positions within one Rayleigh length of the waist",
+        ),
+        ("positions_far", "axis", np.sum(distance > 2 * length, axis=1), "positions beyond two Rayleigh lengths"),
     ):
-        ds[name] = ((), count, {"units": "1", "long_name": long_name})
+        ds[name] = (dims, count, {"units": "1", "long_name": long_name})
     return ds.assign_attrs(
+        beam="stigmatic" if axes.stigmatic else "simple astigmatic",
         width="twice the standard deviation of the fitted Gaussian, not the second moment of ISO 11146-1",
         level=f"intervals of {100 * LEVEL:.0f} %: standard error times Student's t at degrees_of_freedom",
     )
 
 
-def _fill(ds: xr.Dataset, found: list[Hyperbola], wavelength: float) -> None:
+def _turns(axes: Axes, z: np.ndarray) -> str:
+    """Why a beam whose axes turn has no M²."""
+    assert axes.turned is not None
+    spot, angle = axes.turned
+    return (
+        f"the axes of the beam turn along z: those at {CONDITION} = {z[spot]:.4g} lie {angle:.0f}° from those of the"
+        " whole scan; such a beam is generally astigmatic, and its M² needs the measurements of ISO 11146-2"
+    )
+
+
+def beam_rows(ds: xr.Dataset) -> dict[str, xr.Dataset]:
+    """The rows of a caustic file that stand for the beam, by the words for them: each axis where the frames tell axes,
+    else the mean of both."""
+    if not np.isfinite(float(ds["azimuth_stderr"])):
+        return {"mean of both axes": ds.sel(axis="mean")}
+    azimuth = float(ds["azimuth"])
+    return {f"axis at {azimuth + turn:.1f}°": ds.sel(axis=name) for name, turn in (("x", 0), ("y", 90))}
+
+
+def _fill(ds: xr.Dataset, found: list[Hyperbola], wavelength: float, axes: Axes) -> None:
     """Coefficients, their covariance and what follows from them, one row an axis of the beam."""
     ds["axis"] = (
         "axis",
         np.array(list(AXES), dtype=object),
-        {"units": "1", "long_name": "axis of the fitted Gaussian"},
+        {"units": "1", "long_name": "; ".join(f"{name}: {text}" for name, text in AXES.items())},
     )
+    direction = "direction of the beam's x axis from +x (right) towards +y (down)"
+    ds["azimuth"] = ((), axes.azimuth, {"units": "degree", "long_name": direction})
+    long_name = f"standard error of the {direction}; infinite for a round beam"
+    ds["azimuth_stderr"] = ((), axes.azimuth_stderr, {"units": "degree", "long_name": long_name})
     ds["power"] = ("power", np.arange(3), {"units": "1", "long_name": "power of z less the origin"})
     ds["other_power"] = ("other_power", np.arange(3), {"units": "1", "long_name": "power of z less the origin"})
     ds["coefficient"] = (
@@ -317,6 +361,8 @@ def _fill(ds: xr.Dataset, found: list[Hyperbola], wavelength: float) -> None:
     ):
         ds[name] = ("axis", np.array(values), {"units": units, "long_name": long_name})
     derived = [beam(f, wavelength) for f in found]
+    if not axes.stigmatic:
+        derived[list(AXES).index("mean")] = np.full(5, np.nan), np.full((5, 5), np.nan)
     for k, (name, (units, long_name)) in enumerate(QUANTITIES.items()):
         ds[name] = ("axis", np.array([v[k] for v, _ in derived]), {"units": units, "long_name": long_name})
         error = np.sqrt([c[k, k] for _, c in derived])

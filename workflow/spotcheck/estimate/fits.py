@@ -7,7 +7,8 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.crops import cells, usable
-from spotcheck.estimate.fitted import NAMES, PARAMETERS
+from spotcheck.estimate.fitted import NAMES, PARAMETERS, SpotFits
+from spotcheck.estimate.odd_pixels import Odd, odd_pixels
 from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.sensor import SensorModel
 
@@ -15,6 +16,11 @@ FITS = {
     "likelihood": "maximum likelihood of the instrument's spot, Gaussian or top hat, under the sensor's noise",
     "least_squares": "unweighted least squares of a Gaussian, the paper's estimator",
 }
+# Standard errors go with the root of χ²: outside this range they are off by more than a factor of 2.
+MISFIT = 0.25, 4.0
+# A fit is looked at for odd pixels where its χ² exceeds 1 by so many standard deviations: noise alone does so once in
+# 1e9. It is made again without them where that leaves less than this part of the excess.
+SECOND_LOOK, LEFT = 6.0, 0.5
 
 
 class Spot(NamedTuple):
@@ -35,7 +41,7 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
     dims = (*store.grid_dims(crops), "centring", "fit")
     shape = (*(crops.sizes[d] for d in dims[:-1]), len(FITS))
     value, stderr = (np.full((*shape, len(PARAMETERS)), np.nan) for _ in range(2))
-    chi2 = np.full(shape, np.nan)
+    chi2, left_out = np.full(shape, np.nan), np.full(shape, "", dtype=object)
     status = np.repeat(crops["status"].values[..., None], len(FITS), axis=-1)
     if sensor is None:
         status[..., 0] |= store.flag("no_noise")
@@ -45,13 +51,12 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
         if not usable(crops["status"].values[at]):
             continue
         image = crops["image"].isel(index).values
-        own = {1: fit_spots(image, sensor, weighting="equal")}
-        if sensor is not None:
-            own[0] = fit_spots(image, sensor, top_hat=top_hat)
+        own, odd = _both(image, sensor, top_hat)
         for k, fit in own.items():
             value[(*at, k)], stderr[(*at, k)] = fit.value, fit.stderr
             chi2[(*at, k)] = fit.chi2_reduced
-            status[(*at, k)] |= fit.flags
+            status[(*at, k)] |= int(fit.flags) | remarks_of(fit) | (store.flag("left_out") if odd else 0)
+            left_out[(*at, k)] = odd.sentence(int(origin[1][at]), int(origin[2][at])) if odd else ""
             for axis, start in origin.items():
                 value[(*at, k, axis)] += start[at]
     keep = [name for name in crops.coords if set(crops[name].dims) <= set(dims)]
@@ -70,9 +75,35 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
         chi2,
         {"units": "1", "long_name": "chi-square per degree of freedom under sensor noise"},
     )
+    ds["left_out"] = (dims, left_out, {"units": "1", "long_name": "pixels of the sensor that were left out, and why"})
     ds["status"] = (dims, status.astype("i4"), store.status_attributes())
     chosen = "least_squares" if sensor is None else "likelihood"
     return ds.assign_attrs(preferred=chosen, **{f"fit_{name}": text for name, text in FITS.items()})
+
+
+def _both(image: np.ndarray, sensor: SensorModel | None, top_hat: bool) -> tuple[dict[int, SpotFits], Odd | None]:
+    """Fits of an image in the order of `FITS`, and the odd pixels that they leave out."""
+    if sensor is None:
+        return {1: fit_spots(image, None, weighting="equal")}, None
+    first = fit_spots(image, sensor, top_hat=top_hat)
+    excess = float(first.chi2_reduced) - 1
+    noise = np.sqrt(2 / np.count_nonzero(np.isfinite(image)))
+    if not excess <= SECOND_LOOK * noise:
+        odd = odd_pixels(image, sensor)
+        if odd.mask.any():
+            good = np.where(odd.mask, np.nan, image)
+            again = fit_spots(good, sensor, top_hat=top_hat)
+            better = not np.isfinite(excess) or again.chi2_reduced - 1 < LEFT * excess
+            if again.flags == 0 and better:
+                return {0: again, 1: fit_spots(good, sensor, weighting="equal")}, odd
+    return {0: first, 1: fit_spots(image, sensor, weighting="equal")}, None
+
+
+def remarks_of(fit: SpotFits) -> int:
+    """Flags of a fit that is there, but whose errors are not those of its noise."""
+    misfit = np.isfinite(fit.chi2_reduced) and not MISFIT[0] <= fit.chi2_reduced <= MISFIT[1]
+    certain = bool(np.any(fit.stderr == 0))
+    return (store.flag("misfit") if misfit else 0) | (store.flag("no_error") if certain else 0)
 
 
 def preferred(fits: xr.Dataset) -> xr.Dataset:

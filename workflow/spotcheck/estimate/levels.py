@@ -57,7 +57,7 @@ def levels_of(dataset: Dataset, container_bits: int) -> list[Level]:
     highest = frames.full_scale(dataset.instrument, container_bits)
     ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
     ordered.sort(key=lambda key: key[0] != "dark")
-    read = {key: (frames.read(dataset, own) for own in groups[key]) for key in ordered}
+    read = {key: (frames.read_good(dataset, own) for own in groups[key]) for key in ordered}
     return with_common_drift([level_of(images, *key, highest) for key, images in read.items()])
 
 
@@ -105,10 +105,10 @@ def level_of(images: Iterable[np.ndarray], kind: str, exposure_s: float, photons
     for number, frame in enumerate(images):
         image = frame.astype(float)
         shape = (image.shape[0], image.shape[1])
-        means.append(float(image.mean()))
+        means.append(float(np.nanmean(image)))
         zeros += int(np.count_nonzero(image <= 0))
         full += int(np.count_nonzero(image >= full_scale_dn))
-        pixels += image.size
+        pixels += int(np.count_nonzero(~np.isnan(image)))
         if number % 2 and before is not None:
             rows_of_squares.append(variance_by_row(before, image))
             patterns.append(pattern_of(before, image))
@@ -125,20 +125,22 @@ def level_of(images: Iterable[np.ndarray], kind: str, exposure_s: float, photons
 
 def variance_by_row(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Variance in time [DN²] by row of two frames of equal light: half of that of their difference, without what a
-    lamp drifts between them."""
+    lamp drifts between them. Pixels that are NaN do not count, nor do rows of nothing else."""
     difference = first - second
-    return np.asarray(((difference - difference.mean()) ** 2).mean(axis=1) / 2)
+    rows = frames.good_mean((difference - np.nanmean(difference)) ** 2, axis=1) / 2
+    return rows[~np.isnan(rows)]
 
 
 def pattern_of(first: np.ndarray, second: np.ndarray) -> Spatial:
     """Variances of what two frames share: their covariance holds no noise in time, not even that of whole rows.
 
     Column and row means hold part of the pixels' own pattern; the three are solved for, s² = s²_col + s²_row + s²_pix.
+    Pixels that are NaN do not count.
     """
-    a, b = first - first.mean(), second - second.mean()
+    a, b = first - np.nanmean(first), second - np.nanmean(second)
     rows, columns = a.shape
-    total = float((a * b).mean())
-    of_columns, of_rows = (float((a.mean(axis=k) * b.mean(axis=k)).mean()) for k in (0, 1))
+    total = float(np.nanmean(a * b))
+    of_columns, of_rows = (float(np.nanmean(frames.good_mean(a, k) * frames.good_mean(b, k))) for k in (0, 1))
     rest = rows * columns - rows - columns
     if rest <= 0:
         return Spatial(total, np.nan, np.nan, np.nan)

@@ -48,11 +48,12 @@ def pattern_of(dataset: Dataset, level: Level) -> Pattern:
         exposure = np.nan if frame.exposure_s is None else frame.exposure_s
         same = frame.kind == level.kind and np.array_equal([exposure], [level.exposure_s], equal_nan=True)
         if same and np.array_equal([photons_of(frame)], [level.photons], equal_nan=True):
-            image = frames.read(dataset, frame).astype(np.float32)
+            image = frames.read_good(dataset, frame).astype(np.float32)
             total = image if total is None else total + image
     assert total is not None  # the level was made from them
     mean = total / level.frames
-    mean -= mean.mean(dtype=float)
+    # Bad pixels have no pattern to show.
+    mean = np.nan_to_num(mean - np.nanmean(mean, dtype=float))
     side = max(1, -(-max(mean.shape) // LARGEST))
     rows, columns = (n // side * side for n in mean.shape)
     picture = mean[:rows, :columns].reshape(rows // side, side, columns // side, side).mean(axis=(1, 3))

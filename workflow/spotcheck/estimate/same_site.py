@@ -144,8 +144,10 @@ def _noise_near(pixels: np.ndarray, _: np.ndarray, square: np.ndarray) -> float:
 
 
 def _around(image: np.ndarray) -> np.ndarray:
-    """Mean of the eight pixels around each."""
-    return (9 * uniform_filter(image, 3, mode="nearest") - image) / 8
+    """Mean of the eight pixels around each; NaN where one of the nine is."""
+    # The filter's running sums would carry a gap on to the end of its row and column.
+    gaps = uniform_filter(np.isnan(image).astype(float), 3, mode="nearest") > 0.5 / 9
+    return (9 * np.where(gaps, np.nan, uniform_filter(np.nan_to_num(image), 3, mode="nearest")) - image) / 8
 
 
 def _blocks(image: np.ndarray) -> np.ndarray:

@@ -44,7 +44,7 @@ def level_of(frame: Surround) -> float:
 def judge_darks(darks: Iterable[Surround], spots: Iterable[Surround], full_scale_dn: float) -> Darks:
     """Which dark frames are dark. Light only adds to a reading: no frame, beside its spot, reads less than black; and
     a dark frame reads alike all over."""
-    found = [(level_of(frame), float(np.mean(frame.row_mean))) for frame in darks]
+    found = [(level_of(frame), float(np.nanmean(frame.row_mean))) for frame in darks]
     if not found:
         return Darks([], "")
     darkest = min([*(level for level, _ in found), *(level_of(frame) for frame in spots)])

@@ -16,11 +16,11 @@ from spotcheck.estimate.search import (
     NARROWEST,
     chart_of,
     constrained,
-    find_start,
     least_squares,
     theta_of,
     to_the_root,
 )
+from spotcheck.estimate.start import find_start
 from spotcheck.model import spot
 from spotcheck.model.sensor import SensorModel, checked
 from spotcheck.store import flag

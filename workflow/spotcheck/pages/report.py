@@ -13,6 +13,7 @@ from spotcheck import optics, store
 from spotcheck.dataset import Dataset
 from spotcheck.discrepancy.verdict.words import condition_text, percent_text, value_text
 from spotcheck.errors import InputError
+from spotcheck.estimate.caustic import beam_rows
 from spotcheck.estimate.fits import preferred
 from spotcheck.estimate.fitted import PARAMETERS
 from spotcheck.estimate.photon_transfer import QUANTITIES as MEASURED
@@ -222,20 +223,22 @@ def _number(value: xr.DataArray, form: str = ".3f") -> str:
 
 
 def _caustic(ds: xr.Dataset | None) -> str | None:
-    """Waist, divergence and M² of the direction-averaged width in one sentence."""
+    """Waist, divergence and M² in a sentence for the mean of both axes of a round beam, or for each of them."""
     if ds is None or "skipped" in ds.attrs:
         return None
-    own = ds.sel(axis="mean")
 
-    def quantity(name: str, scale: float, unit: str) -> str:
-        value, error = float(own[name]) * scale, float(own[f"{name}_stderr"]) * scale
-        digits = max(0, 1 - int(np.floor(np.log10(error)))) if error > 0 else 2
-        return f"{value:.{digits}f} ± {error:.{digits}f}{unit}"
+    def quantity(own: xr.Dataset, name: str, scale: float, unit: str) -> str:
+        return plus_minus(float(own[name]) * scale, float(own[f"{name}_stderr"]) * scale, unit)
 
+    parts = [
+        f"{words}: waist w0 = {quantity(own, 'waist_radius', 1e6, 'µm')}"
+        f" at z0 = {quantity(own, 'waist_position', 1e3, 'mm')}, divergence θ ="
+        f" {quantity(own, 'divergence', 1e3, 'mrad')}, M² = {quantity(own, 'm2', 1.0, '')}"
+        for words, own in beam_rows(ds).items()
+    ]
     return (
-        f"The fitted widths follow a hyperbola in z: waist w0 = {quantity('waist_radius', 1e6, ' µm')}"
-        f" at z0 = {quantity('waist_position', 1e3, ' mm')}, divergence θ = {quantity('divergence', 1e3, ' mrad')},"
-        f" M² = {quantity('m2', 1.0, '')} (mean of both axes, 1/e² radii of the fitted Gaussian; standard errors)."
+        f"The fitted widths follow a hyperbola in z ({ds.attrs['beam']} beam; 1/e² radii of the fitted Gaussian,"
+        f" standard errors); {'; '.join(parts)}."
     )
 
 
@@ -329,14 +332,17 @@ def percent_of(part: float | None) -> str:
 
 
 def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
-    """Frames that something kept from use, with the flags' meanings."""
+    """Frames, or pixels of them, that something kept from use, with the flags' meanings."""
     if fits is None:
         return []
-    status = preferred(fits)["status"].transpose(*(axis.name for axis in dataset.axes)).values
+    own = preferred(fits).transpose(*(axis.name for axis in dataset.axes), ...)
+    status, left_out, used = own["status"].values, own["left_out"].values, store.flag("clipped") | store.flag("misfit")
     out = []
     for index, frame in dataset.cells():
         reasons = [
-            text for bit, (_, text) in store.STATUS.items() if status[index] & bit and bit != store.flag("clipped")
+            left_out[index] if bit == store.flag("left_out") else text
+            for bit, (_, text) in store.STATUS.items()
+            if status[index] & bit and not bit & used
         ]
         if reasons:
             out.append((frame.label, "; ".join(reasons)))
