@@ -35,6 +35,7 @@ ROOMS = {
     "instrument": "instrument.yaml",
     "dataset": "the folder",
     "store": "netCDF files",
+    "configuration": "config.yaml and --config",
     "provenance": "digests",
 }
 

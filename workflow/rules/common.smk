@@ -5,14 +5,13 @@ import re
 import sys
 from pathlib import Path
 
+from spotcheck import configuration, store
 from spotcheck import dataset as contract
-from spotcheck import store
 from spotcheck.cli import COMMANDS, vocabulary
 from spotcheck.crops import check_dataset
 from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.baseline import of_instrument
-from spotcheck.schema import breach_of
 from spotcheck.simulation import STACK
 from spotcheck.provenance import code_digest, file_digest, notebook_modules
 
@@ -57,14 +56,7 @@ def has_flats(found):
 
 
 try:
-    # A dataset or folder may be called 2024.
-    config |= {key: str(config[key]).rstrip(os.sep) for key in ("dataset", "results") if key in config}
-    if isinstance(config.get("datasets"), list):
-        config["datasets"] = [str(name).rstrip(os.sep) for name in config["datasets"]]
-    if breach := breach_of(config, "config"):
-        raise InputError(f"config: {breach}")
-    if set("{}") & set(config["results"]):
-        raise InputError(f"config: results is {config['results']}, which has braces in it; name another folder")
+    config |= configuration.settled(config, workflow.config_settings.config_args or ())
     DATASETS = by_name(map(opened, config["datasets"] or [config["dataset"]]))
     # A user's effects run with a user's rights, so only the configuration names them, never a dataset.
     effects.choose(vocabulary.of_config(config))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import template
+from spotcheck import configuration, template
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,3 +15,5 @@ def run(args: argparse.Namespace) -> None:
     """Write both files; nothing that is there is overwritten."""
     written = template.write(args.folder)
     print(f"{args.folder}: wrote {', '.join(written)}; fill in the blanks, then: spotcheck check {args.folder}")
+    if remark := configuration.remark_on(str(args.folder)):
+        print(remark)
