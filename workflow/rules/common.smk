@@ -86,12 +86,6 @@ wildcard_constraints:
     dataset=one_of(DATASETS),
 
 
-# Planning writes nothing; a run notes in each results folder whose it is.
-onstart:
-    for name, found in DATASETS.items():
-        store.claim(Path(config["results"], name), found.folder)
-
-
 def dataset_folder(wildcards):
     """Folder of the dataset."""
     return str(DATASETS[wildcards.dataset].folder)
