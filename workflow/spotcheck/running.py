@@ -10,6 +10,7 @@ import os
 import platform
 import re
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -117,6 +118,7 @@ def end_with_jobs(token: str) -> None:
     def stop(number: int, frame: FrameType | None) -> NoReturn:
         for own in (signal.SIGTERM, signal.SIGINT):
             signal.signal(own, signal.SIG_DFL)
+        print(f"spotcheck: stopped by {signal.Signals(number).name}; the same call goes on from here", file=sys.stderr)
         threading.Thread(target=_end_jobs_for_good, args=(token,), daemon=True).start()
         raise KeyboardInterrupt
 
