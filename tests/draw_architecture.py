@@ -35,7 +35,9 @@ ROOMS = {
     "instrument": "instrument.yaml",
     "dataset": "the folder",
     "store": "netCDF files",
-    "configuration": "config.yaml and --config",
+    "configuration": "config.yaml, --config",
+    "running": "one run at a time",
+    "seen": "what changed",
     "provenance": "digests",
 }
 

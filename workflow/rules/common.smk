@@ -3,9 +3,10 @@ import json
 import os
 import re
 import sys
+from hashlib import sha256
 from pathlib import Path
 
-from spotcheck import configuration, store
+from spotcheck import configuration, seen, store
 from spotcheck import dataset as contract
 from spotcheck.cli import COMMANDS, vocabulary
 from spotcheck.crops import check_dataset
@@ -104,13 +105,28 @@ def instrument(wildcards):
 
 
 def frames(wildcards):
-    """Its raw frames."""
-    return frames_of(DATASETS[wildcards.dataset])
+    """Its raw frames. Their content counts (`content`), not their times, but where a rule makes them."""
+    found = DATASETS[wildcards.dataset]
+    return frames_of(found) if has_rig(found) else [ancient(file) for file in frames_of(found)]
 
 
 def frames_of(found):
     """Files of the raw frames of a dataset."""
     return sorted({str(found.folder / frame.file) for frame in found.frames})
+
+
+def content(wildcards):
+    """Digest of all that a dataset holds, but for frames that a rule makes: results of another content are stale."""
+    found, out = DATASETS[wildcards.dataset], Path(results_folder(wildcards))
+    if wildcards.dataset not in HELD and not (out / "frames.nc").exists():
+        # Nothing is there that could be stale; a run asks again before the job starts.
+        return ""
+    given = [manifest(wildcards), *instrument(wildcards), *([] if has_rig(found) else frames_of(found))]
+    looks = seen.looks(given, seen.memory_of(out))
+    if wildcards.dataset in HELD:
+        seen.remember(looks, seen.memory_of(out))
+    told = [(os.path.relpath(path, found.folder), own.sha256) for path, own in looks.items()]
+    return sha256(json.dumps(told).encode()).hexdigest()[:12]
 
 
 def results_folder(wildcards):

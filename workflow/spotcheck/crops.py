@@ -2,13 +2,12 @@
 
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from spotcheck import frames, provenance, store
+from spotcheck import frames, seen, store
 from spotcheck.dataset import Dataset, check_files, unit_of
 from spotcheck.errors import InputError
 
@@ -23,7 +22,10 @@ def check_dataset(dataset: Dataset) -> frames.Probe:
 
 
 def ingest(dataset: Dataset) -> xr.Dataset:
-    """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels. Decodes each frame once."""
+    """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels. Decodes each frame once.
+
+    Raises `InputError` where a file changes meanwhile, as its digest would not be that of the pixels.
+    """
     probe = check_dataset(dataset)
     highest = frames.full_scale(dataset.instrument, probe.bits)
     names = {
@@ -35,15 +37,18 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     }
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
-    digest_of = cache(lambda file: provenance.file_digest(dataset.folder / file))
-    digests = []
+    looks: dict[str, seen.Look] = {}
     for k, frame in enumerate(dataset.frames):
+        if frame.file not in looks:
+            looks[frame.file] = seen.look(dataset.folder / frame.file)
         pixels = frames.read(dataset, frame)
-        digests.append(digest_of(frame.file))
         columns["minimum"][k], columns["maximum"][k] = pixels.min(), pixels.max()
         columns["mean"][k] = pixels.mean(dtype=np.float64)
         columns["at_full_scale"][k] = np.count_nonzero(pixels >= highest)
         columns["at_zero"][k] = pixels.size - np.count_nonzero(pixels)
+    for file, before in looks.items():
+        if seen.look(dataset.folder / file, before).sha256 != before.sha256:
+            raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
     ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})
     for name, (_, units, long_name) in names.items():
@@ -51,7 +56,7 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     for name, values, long_name in (
         ("file", [f.file for f in dataset.frames], "path in the dataset folder"),
         ("kind", [f.kind for f in dataset.frames], "spot, dark or flat"),
-        ("sha256", digests, "SHA-256 of the file"),
+        ("sha256", [looks[f.file].sha256 for f in dataset.frames], "SHA-256 of the file"),
     ):
         ds[name] = ("frame", np.array(values, dtype=object), {"units": "1", "long_name": long_name})
     for name, numbers, units, long_name in (
@@ -80,7 +85,10 @@ def ingest(dataset: Dataset) -> xr.Dataset:
 
 
 def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: list) -> None:
-    """Write crops.nc: for every spot both crops, their place on the sensor, and the reduced copy of the whole frame."""
+    """Write crops.nc: for every spot both crops, their place on the sensor, and the reduced copy of the whole frame.
+
+    Raises `InputError` where a frame is no more what `table`, its frames.nc, says of it.
+    """
     side = dataset.instrument.crop_px
     shape, highest = (int(table["rows"]), int(table["columns"])), float(table["full_scale"])
     block = min(frames.BLOCK_PX, *shape)
@@ -108,11 +116,11 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
         "row_mean": store.Variable(("row",), "f4", "DN", "mean of each row of the frame"),
         "column_mean": store.Variable(("column",), "f4", "DN", "mean of each column of the frame"),
     }
-    seen = {str(f): str(s) for f, s in zip(table["file"].values, table["sha256"].values, strict=True)}
-    with store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer:
-        for index, frame, pixels in frames.spots(dataset):
-            if seen.get(frame.file) is None:
-                raise InputError(f"{frame.file}: not in frames.nc; run ingest again")
+    with (
+        store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer,
+        seen.as_ingested(dataset, table),
+    ):
+        for index, _, pixels in frames.spots(dataset):
             writer.put(index, _cell(pixels, side, highest))
 
 
