@@ -13,7 +13,10 @@ from tests.library.conftest import ROOT
 
 WORKFLOW = ROOT / "workflow"
 FLOORS = {
-    0: ("errors", "schema", "manifest", "instrument", "dataset", "store", "provenance", "configuration", "running", "seen"),
+    0: (
+        *("errors", "schema", "manifest", "instrument", "dataset", "store", "provenance"),
+        *("configuration", "running", "seen"),
+    ),
     1: ("frames", "pgm", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "comparison", "simulation", "design"),

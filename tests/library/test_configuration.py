@@ -40,7 +40,9 @@ def test_a_path_of_the_file_is_text():
 
 @pytest.mark.parametrize("text", ["[lab #3, b]", "[a: b]", "a", "{a: b}", "[[a], b]"])
 def test_a_list_that_yaml_reads_otherwise_is_refused(text):
-    with pytest.raises(InputError, match=r"^config: datasets is .*; it must be a list such as .* in quotes$") as refused:
+    with pytest.raises(
+        InputError, match=r"^config: datasets is .*; it must be a list such as .* in quotes$"
+    ) as refused:
         settled(read_by_snakemake(f"datasets={text}"), [f"datasets={text}"])
     assert text in str(refused.value)
 
@@ -52,7 +54,7 @@ def test_a_list_with_quotes_is_read():
 
 @pytest.mark.parametrize("word", ["results=", "dataset=", "results=a{b}"])
 def test_what_is_no_path_is_refused(word):
-    with pytest.raises(InputError, match="^config: .*"):
+    with pytest.raises(InputError, match=r"^config: .*"):
         settled(read_by_snakemake(word), [word])
 
 

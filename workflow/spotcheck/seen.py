@@ -38,7 +38,7 @@ class Look(NamedTuple):
 def look(path: str | Path, before: Look | None = None) -> Look:
     """Look at a file; it is read where it does not bear the stamps of an earlier look."""
     # Stamps first: what changes while the file is read then differs from them.
-    now, status = time.time_ns(), os.stat(path)
+    now, status = time.time_ns(), Path(path).stat()
     stamps = status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
     if before is not None and before.settled and before[:4] == stamps:
         return before

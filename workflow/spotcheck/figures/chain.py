@@ -38,8 +38,8 @@ class Layout(NamedTuple):
 
 
 def parse(dot: str) -> Graph:
-    """Nodes and edges of a graph in dot text, sorted by label; lines that are neither are passed over. `InputError` when
-    none is left or the edges run in a circle.
+    """Nodes and edges of a graph in dot text, sorted by label; lines that are neither are passed over. `InputError`
+    when none is left or the edges run in a circle.
 
     Snakemake numbers and lists the rules in the order of a set, another one in each process: what is drawn must not
     follow it.
