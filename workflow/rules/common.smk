@@ -105,7 +105,7 @@ def instrument(wildcards):
 
 
 def frames(wildcards):
-    """Its raw frames. Their content counts (`content`), not their times, but where a rule makes them."""
+    """Its raw frames. Their content counts (`content`), not their times, unless the rig makes them."""
     found = DATASETS[wildcards.dataset]
     return frames_of(found) if has_rig(found) else [ancient(file) for file in frames_of(found)]
 
@@ -116,7 +116,7 @@ def frames_of(found):
 
 
 def content(wildcards):
-    """Digest of all that a dataset holds, but for frames that a rule makes: results of another content are stale."""
+    """Digest of all that a dataset holds but frames that the rig makes; results of another content are stale."""
     found, out = DATASETS[wildcards.dataset], Path(results_folder(wildcards))
     if wildcards.dataset not in HELD and not (out / "frames.nc").exists():
         # Nothing is there that could be stale; a run asks again before the job starts.
