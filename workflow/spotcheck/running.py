@@ -10,7 +10,6 @@ import os
 import platform
 import re
 import signal
-import sys
 import threading
 import time
 from pathlib import Path
@@ -43,9 +42,9 @@ def note_of(results: Path) -> Path:
     return results / ".runs" / "run"
 
 
-def hold(results: Path, token: str) -> TextIO:
+def hold(results: Path, token: str) -> TextIO | None:
     """Hold a results folder for the run of a token, as long as the returned stream is open; ends the jobs that a killed
-    run left behind there, and removes what they were writing.
+    run left behind there. None on a file system that has no locks.
 
     Raises `InputError` where another run holds it.
     """
@@ -60,13 +59,11 @@ def hold(results: Path, token: str) -> TextIO:
             f"{results}: another run is working there; wait until it ends, or name another folder in `results`"
         ) from None
     except OSError:
-        # A file system without locks: Snakemake's own must do.
-        pass
+        stream.close()
+        return None
     stream.seek(0)
-    former = stream.read()
-    if former and former != token:
+    if former := stream.read():
         end_jobs(former)
-    clear_parts(results)
     stream.truncate(0)
     stream.write(token)
     stream.flush()
@@ -118,7 +115,8 @@ def end_with_jobs(token: str) -> None:
     def stop(number: int, frame: FrameType | None) -> NoReturn:
         for own in (signal.SIGTERM, signal.SIGINT):
             signal.signal(own, signal.SIG_DFL)
-        print(f"spotcheck: stopped by {signal.Signals(number).name}; the same call goes on from here", file=sys.stderr)
+        # Not by `print`: the signal may have come in the middle of one.
+        os.write(2, f"spotcheck: stopped by {signal.Signals(number).name}; the same call goes on from here\n".encode())
         threading.Thread(target=_end_jobs_for_good, args=(token,), daemon=True).start()
         raise KeyboardInterrupt
 
