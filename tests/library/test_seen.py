@@ -74,7 +74,7 @@ def test_a_file_that_was_just_written_is_read_again(pair):
 def test_memory_is_kept_and_never_trusted_blindly(pair, tmp_path):
     """What cannot be read of it is as if it were not there; equal looks are not written again."""
     memory = tmp_path / "seen.json"
-    found = seen.looks([*pair, tmp_path / "gone.tif"], memory)
+    found = seen.looks([*pair, tmp_path / "gone.tif"], seen.recall(memory))
     assert list(found) == [str(path) for path in pair]
     seen.remember(found, memory)
     assert seen.recall(memory) == found
@@ -83,7 +83,7 @@ def test_memory_is_kept_and_never_trusted_blindly(pair, tmp_path):
     assert memory.stat().st_mtime_ns == before.st_mtime_ns
     for broken in ("", "[1]", '{"a.tif": [1, 2]}', "{"):
         memory.write_text(broken)
-        assert seen.looks(pair, memory) == found
+        assert seen.looks(pair, seen.recall(memory)) == found
 
 
 def spot_frames(count: int = 3) -> list[np.ndarray]:

@@ -122,7 +122,7 @@ def content(wildcards):
         # Nothing is there that could be stale; a run asks again before the job starts.
         return ""
     given = [manifest(wildcards), *instrument(wildcards), *([] if has_rig(found) else frames_of(found))]
-    looks = seen.looks(given, seen.memory_of(out))
+    looks = seen.looks(given, seen.recall(seen.memory_of(out)))
     if wildcards.dataset in HELD:
         seen.remember(looks, seen.memory_of(out))
     told = [(os.path.relpath(path, found.folder), own.sha256) for path, own in looks.items()]

@@ -1,8 +1,9 @@
 """The first two stages: what each frame is (ingest), and the crop around its spot (crop)."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import xarray as xr
@@ -21,8 +22,9 @@ def check_dataset(dataset: Dataset) -> frames.Probe:
     return frames.probe_all(dataset)
 
 
-def ingest(dataset: Dataset) -> xr.Dataset:
-    """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels. Decodes each frame once.
+def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType({})) -> xr.Dataset:
+    """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels. Decodes each frame once;
+    digests are taken from looks `before`, by path, where the file bears the stamps of then.
 
     Raises `InputError` where a file changes meanwhile, as its digest would not be that of the pixels.
     """
@@ -40,14 +42,15 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     looks: dict[str, seen.Look] = {}
     for k, frame in enumerate(dataset.frames):
         if frame.file not in looks:
-            looks[frame.file] = seen.look(dataset.folder / frame.file)
+            path = dataset.folder / frame.file
+            looks[frame.file] = seen.look(path, before.get(str(path)))
         pixels = frames.read(dataset, frame)
         columns["minimum"][k], columns["maximum"][k] = pixels.min(), pixels.max()
         columns["mean"][k] = pixels.mean(dtype=np.float64)
         columns["at_full_scale"][k] = np.count_nonzero(pixels >= highest)
         columns["at_zero"][k] = pixels.size - np.count_nonzero(pixels)
-    for file, before in looks.items():
-        if seen.look(dataset.folder / file, before).sha256 != before.sha256:
+    for file, own in looks.items():
+        if seen.look(dataset.folder / file, own).sha256 != own.sha256:
             raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
     ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})

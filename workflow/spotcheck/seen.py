@@ -7,7 +7,7 @@ A file whose content differs has another time of change (ctime), which no `cp -p
 import json
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -59,9 +59,8 @@ def recall(memory: Path) -> dict[str, Look]:
         return {}
 
 
-def looks(paths: Iterable[str | Path], memory: Path) -> dict[str, Look]:
-    """Looks at files that are there, by path, with the help of what was remembered."""
-    before = recall(memory)
+def looks(paths: Iterable[str | Path], before: Mapping[str, Look]) -> dict[str, Look]:
+    """Looks at files that are there, by path, with the help of earlier ones."""
     return {str(path): look(path, before.get(str(path))) for path in paths if Path(path).is_file()}
 
 
@@ -79,18 +78,18 @@ def as_ingested(dataset: Dataset, table: xr.Dataset) -> Iterator[None]:
     says of it."""
     ingested = dict(zip(map(str, table["file"].values), map(str, table["sha256"].values), strict=True))
     # A table that was never written has no place to remember anything in.
-    memory = memory_of(Path(table.encoding.get("source", "nowhere")).parent)
-    files = dict.fromkeys(frame.file for frame in dataset.frames)
+    found = recall(memory_of(Path(table.encoding.get("source", "nowhere")).parent))
+    files = {str(dataset.folder / frame.file): frame.file for frame in dataset.frames}
 
-    def check() -> None:
-        found = looks([dataset.folder / file for file in files], memory)
-        for file in files:
+    def check(before: Mapping[str, Look]) -> dict[str, Look]:
+        found = looks(files, before)
+        for path, file in files.items():
             if file not in ingested:
                 raise InputError(f"{file}: not in frames.nc; run again, which ingests it")
-            own = found.get(str(dataset.folder / file))
-            if own is None or own.sha256 != ingested[file]:
+            if path not in found or found[path].sha256 != ingested[file]:
                 raise InputError(f"{file}: has changed since it was ingested; run again when nothing writes to it")
+        return found
 
-    check()
+    found = check(found)
     yield
-    check()
+    check(found)
