@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -266,4 +267,30 @@ def test_other_errors_keep_their_names(tmp_path, monkeypatch):
         raise RuntimeError("NetCDF: bad type")
     with pytest.raises(PermissionError), store.appearing_whole(tmp_path / "r.nc"):
         raise PermissionError(errno.EACCES, "Permission denied", "/data/frames/a.tif")
+    assert list(tmp_path.iterdir()) == []
+
+
+STOPPED = """
+import time
+from pathlib import Path
+from spotcheck import cli, store
+def run(words):
+    with store.appearing_whole(Path("{path}")) as scratch:
+        scratch.write_text("half")
+        print(1, flush=True)
+        time.sleep(60)
+cli.run = run
+cli.main(["ingest"])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stopped_command_takes_its_half_file_with_it(tmp_path, number):
+    """Without a traceback, and with the status that a shell gives to what a signal ended."""
+    command = [sys.executable, "-c", STOPPED.format(path=tmp_path / "r.nc")]
+    with subprocess.Popen(command, cwd=ROOT, stdout=-1, stderr=-1, text=True) as job:
+        assert job.stdout.readline() and len(list(tmp_path.iterdir())) == 1
+        job.send_signal(number)
+        assert job.wait(timeout=20) == 128 + number
+        assert job.stderr.read() == ""
     assert list(tmp_path.iterdir()) == []
