@@ -8,6 +8,7 @@ configfile: "config/config.yaml"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/running.smk"
 include: "workflow/rules/expose.smk"
 include: "workflow/rules/ingest.smk"
 include: "workflow/rules/crop.smk"

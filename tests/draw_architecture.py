@@ -37,6 +37,9 @@ ROOMS = {
     "instrument": "instrument.yaml",
     "dataset": "the folder",
     "store": "netCDF files",
+    "configuration": "config.yaml, --config",
+    "running": "one run at a time",
+    "seen": "what changed",
     "provenance": "digests",
 }
 

@@ -13,7 +13,10 @@ from tests.library.conftest import ROOT
 
 WORKFLOW = ROOT / "workflow"
 FLOORS = {
-    0: ("errors", "text", "schema", "manifest", "instrument", "dataset", "store", "provenance"),
+    0: (
+        *("errors", "text", "schema", "manifest", "instrument", "dataset", "store", "provenance"),
+        *("configuration", "running", "seen"),
+    ),
     1: ("frames", "formats", "spotfinding", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "comparison", "simulation", "design"),

@@ -323,6 +323,22 @@ def test_layers_of_the_chain_respect_its_edges():
     assert chain.implied(graph) == {("3", "4"), ("2", "0")}
 
 
+def test_the_drawn_chain_does_not_follow_the_numbers_of_the_rules():
+    """Snakemake numbers the rules in the order of a set and lists the edges in another."""
+    lines = DOT.splitlines()
+    nodes, edges = lines[4:9], lines[9:15]
+    swapped = str.maketrans("01234", "34120")
+    renumbered = [line[:4] + line[4].translate(swapped) + line[5:] for line in nodes]
+    moved = [" -> ".join(end.strip().translate(swapped) for end in line.split("->")) for line in edges]
+    other = "\n".join([*lines[:4], *renumbered[::-1], *moved[2:], *moved[:2], "}"])
+    found = [chain.parse(text) for text in (DOT, other)]
+    assert found[0].labels != found[1].labels
+    named = [[[graph.labels.get(n) for n in layer] for layer in chain.layout(graph).layers] for graph in found]
+    assert named[0] == named[1]
+    edges_by_name = [[(graph.labels[a], graph.labels[b]) for a, b in graph.edges] for graph in found]
+    assert edges_by_name[0] == edges_by_name[1]
+
+
 def test_barycentres_undo_a_crossing_and_nothing_overlaps():
     graph = chain.Graph({n: n for n in "abcd"}, [("a", "d"), ("b", "c")])
     found = chain.layout(graph)

@@ -1,7 +1,13 @@
 """The netCDF contract, on write and on read; whole files or none; equal inputs, equal bytes."""
 
+import errno
 import hashlib
 import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +15,7 @@ import xarray as xr
 
 from spotcheck import dataset, store
 from spotcheck.errors import InputError
-from tests.library.conftest import HEADER, folder
+from tests.library.conftest import HEADER, ROOT, folder
 
 ROWS = ["frames/a.tif,spot,0,1e-4,0", "frames/b.tif,spot,90,9e-4,1"]
 VARIABLES = {
@@ -188,3 +194,103 @@ def test_asking_whose_a_results_folder_is_writes_nothing(tmp_path):
     (tmp_path / "a").mkdir()
     store.check_claim(tmp_path / "results" / "a", tmp_path / "a")
     assert not (tmp_path / "results").exists()
+
+
+LIMITED = """
+import resource
+from tests.library.test_store import good
+from spotcheck import cli, store
+resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
+cli.run = lambda words: {write}
+cli.main(["ingest"])
+"""
+# A file of a kind, and how large it may grow at most [byte]: less than it needs.
+WRITES = {
+    "netCDF": ('store.write(good(), "{path}", code="c")', 4096),
+    "text": ('store.write_text("{path}", "long" * 5000)', 4096),
+    "nothing": ('store.write_text("{path}", "long")', 0),
+}
+
+
+@pytest.mark.parametrize("kind", WRITES)
+def test_a_file_that_finds_no_room_ends_in_one_sentence(tmp_path, kind):
+    """Here the limit on the size of files stands for a full disk; the earlier file stays, and nothing half written."""
+    path = tmp_path / "r.nc"
+    path.write_bytes(b"the earlier result")
+    write, limit = WRITES[kind]
+    code = LIMITED.format(limit=limit, write=write.format(path=path))
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 2
+    assert run.stderr.splitlines() == [
+        f"spotcheck: {path}: cannot be written (File too large); raise the limit on the size of files (`ulimit -f`) and"
+        " run again"
+    ]
+    assert [own.name for own in tmp_path.iterdir()] == ["r.nc"]
+    assert path.read_bytes() == b"the earlier result"
+
+
+@pytest.mark.parametrize(("number", "way_out"), [(errno.ENOSPC, "room on the disk"), (errno.EDQUOT, "your quota")])
+@pytest.mark.parametrize("kind", ["text", "netCDF"])
+def test_a_full_disk_is_told_by_its_cause(tmp_path, monkeypatch, number, way_out, kind):
+    """Text says why by itself; of netCDF, which does not, the disk is asked."""
+
+    def full(*arguments, **names):
+        raise OSError(number, os.strerror(number))
+
+    def dumped(*arguments, **names):
+        raise RuntimeError("NetCDF: HDF error")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(xr.Dataset, "dump_to_store", dumped)
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(InputError, match=rf"r\.x: cannot be written \({os.strerror(number)}\); .*{way_out}"):
+        if kind == "text":
+            store.write_text(tmp_path / "r.x", "text")
+        else:
+            store.write(good(), tmp_path / "r.x", code="c")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
+def test_a_folder_that_takes_no_file(tmp_path, monkeypatch, number):
+    def refused(path, *arguments, **names):
+        raise OSError(number, os.strerror(number), str(path))
+
+    monkeypatch.setattr(Path, "mkdir", refused)
+    with pytest.raises(InputError, match=rf"deep/r\.txt: cannot be written \({os.strerror(number)}\); "):
+        store.write_text(tmp_path / "deep" / "r.txt", "text")
+
+
+def test_other_errors_keep_their_names(tmp_path, monkeypatch):
+    """What netCDF refuses on a disk with room, and what cannot be read meanwhile, is no fault of the file's place."""
+    with pytest.raises(RuntimeError, match="NetCDF: bad"), store.appearing_whole(tmp_path / "r.nc"):
+        raise RuntimeError("NetCDF: bad type")
+    with pytest.raises(PermissionError), store.appearing_whole(tmp_path / "r.nc"):
+        raise PermissionError(errno.EACCES, "Permission denied", "/data/frames/a.tif")
+    assert list(tmp_path.iterdir()) == []
+
+
+STOPPED = """
+import time
+from pathlib import Path
+from spotcheck import cli, store
+def run(words):
+    with store.appearing_whole(Path("{path}")) as scratch:
+        scratch.write_text("half")
+        print(1, flush=True)
+        time.sleep(60)
+cli.run = run
+cli.main(["ingest"])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stopped_command_takes_its_half_file_with_it(tmp_path, number):
+    """Without a traceback, and with the status that a shell gives to what a signal ended."""
+    command = [sys.executable, "-c", STOPPED.format(path=tmp_path / "r.nc")]
+    with subprocess.Popen(command, cwd=ROOT, stdout=-1, stderr=-1, text=True) as job:
+        assert job.stdout.readline() and len(list(tmp_path.iterdir())) == 1
+        job.send_signal(number)
+        assert job.wait(timeout=20) == 128 + number
+        assert job.stderr.read() == ""
+    assert list(tmp_path.iterdir()) == []

@@ -1,8 +1,10 @@
 """What runs again after an edit: just what the edit touches."""
 
 import csv
+import os
 import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -81,6 +83,41 @@ def test_one_new_frame(checkout):
     (folder / "manifest.csv").write_text(manifest)
     stages = {"ingest", "crop", "sensor", "fit"} | AFTER_FIT
     assert jobs == dict.fromkeys(stages, 1)
+
+
+def of_equal_age(checkout, kind: str) -> tuple[Path, Path]:
+    """A file of the dataset, and another one of its size and times with other content."""
+    folder = checkout / "data" / "mine"
+    frames = sorted((folder / "frames").iterdir())
+    own = {"frame": frames[0], "instrument": folder / "instrument.yaml"}[kind]
+    other = checkout / f"other{own.suffix}"
+    if kind == "frame":
+        shutil.copy2(frames[1], other)
+    else:
+        other.write_text(own.read_text().replace("read_noise_e: 13.0", "read_noise_e: 12.0"))
+    status = own.stat()
+    os.utime(other, ns=(status.st_atime_ns, status.st_mtime_ns))
+    return own, other
+
+
+@pytest.mark.parametrize("kind", ["frame", "instrument"])
+@pytest.mark.parametrize("how", ["cp -p", "mv"])
+def test_another_content_of_equal_age_is_stale(checkout, kind, how):
+    """Times tell nothing of a file that was unpacked, copied or moved into place: its digest does."""
+    own, other = of_equal_age(checkout, kind)
+    before = own.read_bytes(), own.stat()
+    shutil.copy2(other, own) if how == "cp -p" else other.replace(own)
+    jobs = plan(checkout)
+    own.write_bytes(before[0])
+    os.utime(own, ns=(before[1].st_atime_ns, before[1].st_mtime_ns))
+    assert {"ingest", "crop", "sensor", "fit"} <= set(jobs)
+    assert plan(checkout) == {}
+
+
+def test_touched_files_are_what_they_were(checkout):
+    for path in [*(checkout / "data" / "mine" / "frames").iterdir(), checkout / "data" / "mine" / "manifest.csv"]:
+        path.touch()
+    assert plan(checkout) == {}
 
 
 def test_instrument_edit_leaves_the_frames_alone(checkout):

@@ -3,16 +3,16 @@ import json
 import os
 import re
 import sys
+from hashlib import sha256
 from pathlib import Path
 
+from spotcheck import configuration, seen, store
 from spotcheck import dataset as contract
-from spotcheck import store
 from spotcheck.cli import COMMANDS, vocabulary
 from spotcheck.crops import check_dataset
 from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.baseline import of_instrument
-from spotcheck.schema import breach_of
 from spotcheck.simulation import STACK
 from spotcheck.provenance import code_digest, file_digest, notebook_modules
 
@@ -57,14 +57,7 @@ def has_flats(found):
 
 
 try:
-    # A dataset or folder may be called 2024.
-    config |= {key: str(config[key]).rstrip(os.sep) for key in ("dataset", "results") if key in config}
-    if isinstance(config.get("datasets"), list):
-        config["datasets"] = [str(name).rstrip(os.sep) for name in config["datasets"]]
-    if breach := breach_of(config, "config"):
-        raise InputError(f"config: {breach}")
-    if set("{}") & set(config["results"]):
-        raise InputError(f"config: results is {config['results']}, which has braces in it; name another folder")
+    config |= configuration.settled(config, workflow.config_settings.config_args or ())
     DATASETS = by_name(map(opened, config["datasets"] or [config["dataset"]]))
     # A user's effects run with a user's rights, so only the configuration names them, never a dataset.
     effects.choose(vocabulary.of_config(config))
@@ -94,12 +87,6 @@ wildcard_constraints:
     dataset=one_of(DATASETS),
 
 
-# Planning writes nothing; a run notes in each results folder whose it is.
-onstart:
-    for name, found in DATASETS.items():
-        store.claim(Path(config["results"], name), found.folder)
-
-
 def dataset_folder(wildcards):
     """Folder of the dataset."""
     return str(DATASETS[wildcards.dataset].folder)
@@ -117,13 +104,28 @@ def instrument(wildcards):
 
 
 def frames(wildcards):
-    """Its raw frames."""
-    return frames_of(DATASETS[wildcards.dataset])
+    """Its raw frames. Their content counts (`content`), not their times, unless the rig makes them."""
+    found = DATASETS[wildcards.dataset]
+    return frames_of(found) if has_rig(found) else [ancient(file) for file in frames_of(found)]
 
 
 def frames_of(found):
     """Files of the raw frames of a dataset."""
     return sorted({str(found.folder / frame.file) for frame in found.frames})
+
+
+def content(wildcards):
+    """Digest of all that a dataset holds but frames that the rig makes; results of another content are stale."""
+    found, out = DATASETS[wildcards.dataset], Path(results_folder(wildcards))
+    if wildcards.dataset not in HELD and not (out / "frames.nc").exists():
+        # Nothing is there that could be stale; a run asks again before the job starts.
+        return ""
+    given = [manifest(wildcards), *instrument(wildcards), *([] if has_rig(found) else frames_of(found))]
+    looks = seen.looks(given, seen.recall(seen.memory_of(out)))
+    if wildcards.dataset in HELD:
+        seen.remember(looks, seen.memory_of(out))
+    told = [(os.path.relpath(path, found.folder), own.sha256) for path, own in looks.items()]
+    return sha256(json.dumps(told).encode()).hexdigest()[:12]
 
 
 def results_folder(wildcards):

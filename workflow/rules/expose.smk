@@ -21,6 +21,7 @@ for name, planned in {name: found for name, found in DATASETS.items() if has_rig
             runtime=10,
         params:
             folder=lambda wildcards, input: str(Path(input.manifest).parent),
+            content=[file_digest(planned.folder / own)[:12] for own in ("manifest.csv", "rig.yaml")],
             code=code_digest("rig.expose"),
         message:
             f"Exposing {name} on the virtual rig"

@@ -15,6 +15,7 @@ rule ingest:
         runtime=10,
     params:
         folder=dataset_folder,
+        content=content,
         code=code("ingest"),
     message:
         "Recording every frame of {wildcards.dataset}"

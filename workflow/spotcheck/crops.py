@@ -2,15 +2,15 @@
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import xarray as xr
 
-from spotcheck import frames, provenance, spotfinding, store
+from spotcheck import frames, seen, spotfinding, store
 from spotcheck.dataset import Dataset, check_files, unit_of
 from spotcheck.errors import InputError
 
@@ -26,9 +26,13 @@ def check_dataset(dataset: Dataset) -> frames.Probe:
     return frames.probe_all(dataset)
 
 
-def ingest(dataset: Dataset) -> xr.Dataset:
+def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType({})) -> xr.Dataset:
     """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels, and of which other frame it
-    is a copy; `remarks` on what a user should know. Decodes each frame once."""
+    is a copy; `remarks` on what a user should know. Decodes each frame once; digests are taken from looks `before`, by
+    path, where the file bears the stamps of then.
+
+    Raises `InputError` where a file changes meanwhile, as its digest would not be that of the pixels.
+    """
     probe = check_dataset(dataset)
     highest = frames.full_scale(dataset.instrument, probe.bits)
     names = {
@@ -41,12 +45,13 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     }
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
-    digest_of = cache(lambda file: provenance.file_digest(dataset.folder / file))
-    digests, first = [], dict[bytes, int]()
+    looks, first = dict[str, seen.Look](), dict[bytes, int]()
     for k, frame in enumerate(dataset.frames):
+        if frame.file not in looks:
+            path = dataset.folder / frame.file
+            looks[frame.file] = seen.look(path, before.get(str(path)))
         pixels = frames.read_good(dataset, frame)
         pixels = pixels[~np.isnan(pixels)] if pixels.dtype.kind == "f" else pixels
-        digests.append(digest_of(frame.file))
         columns["minimum"][k], columns["maximum"][k] = pixels.min(), pixels.max()
         columns["mean"][k] = pixels.mean(dtype=np.float64)
         columns["at_full_scale"][k] = np.count_nonzero(pixels >= highest)
@@ -55,6 +60,9 @@ def ingest(dataset: Dataset) -> xr.Dataset:
         varied = columns["minimum"][k] < columns["maximum"][k]
         earlier = first.setdefault(hashlib.sha256(pixels.data).digest(), k) if varied else k
         columns["copy_of"][k] = earlier if earlier < k else -1
+    for file, own in looks.items():
+        if seen.look(dataset.folder / file, own).sha256 != own.sha256:
+            raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
     remarks = [*probe.remarks, *copies(dataset, columns["copy_of"])]
     ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name, "remarks": "; ".join(remarks)})
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})
@@ -63,7 +71,7 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     for name, values, long_name in (
         ("file", [f.file for f in dataset.frames], "path in the dataset folder"),
         ("kind", [f.kind for f in dataset.frames], "spot, dark or flat"),
-        ("sha256", digests, "SHA-256 of the file"),
+        ("sha256", [looks[f.file].sha256 for f in dataset.frames], "SHA-256 of the file"),
     ):
         ds[name] = ("frame", np.array(values, dtype=object), {"units": "1", "long_name": long_name})
     for name, numbers, units, long_name in (
@@ -106,7 +114,10 @@ def without_copies(dataset: Dataset, table: xr.Dataset) -> Dataset:
 
 
 def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: list) -> None:
-    """Write crops.nc: for every spot both crops, their place on the sensor, and the reduced copy of the whole frame."""
+    """Write crops.nc: for every spot both crops, their place on the sensor, and the reduced copy of the whole frame.
+
+    Raises `InputError` where a frame is no more what `table`, its frames.nc, says of it.
+    """
     side = dataset.instrument.crop_px
     shape, highest = (int(table["rows"]), int(table["columns"])), float(table["full_scale"])
     block = min(frames.BLOCK_PX, *shape)
@@ -137,12 +148,15 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
         "column_mean": store.Variable(("column",), "f4", "DN", "mean of each column of the frame"),
     }
     columns = (table[name].values for name in ("file", "page", "copy_of"))
-    seen = {(str(file), int(page)): int(own) for file, page, own in zip(*columns, strict=True)}
-    with store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer:
+    copied = {(str(file), int(page)): int(own) >= 0 for file, page, own in zip(*columns, strict=True)}
+    with (
+        store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer,
+        seen.as_ingested(dataset, table),
+    ):
         for index, frame, pixels in frames.spots(dataset):
-            if (frame.file, frame.page) not in seen:
+            if (frame.file, frame.page) not in copied:
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
-            again = store.flag("copy") if seen[frame.file, frame.page] >= 0 else 0
+            again = store.flag("copy") if copied[frame.file, frame.page] else 0
             writer.put(index, _cell(pixels, side, highest, again))
 
 

@@ -118,6 +118,6 @@ def write_sidecar(path: Path) -> None:
     folder = path.parent / ".runs"
     folder.mkdir(exist_ok=True)
     target = folder / f"{path.name}.json"
-    scratch = target.with_suffix(f".{os.getpid()}.part")
+    scratch = target.with_name(f".{target.name}.{os.getpid()}.part")
     scratch.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     scratch.replace(target)

@@ -326,11 +326,8 @@ def _write(
 @contextmanager
 def _stack(path: Path) -> Iterator[tifffile.TiffWriter]:
     """A multi-page TIFF that appears whole or not at all, and equal for equal pages."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_suffix(".part")
-    with tifffile.TiffWriter(scratch) as stack:
+    with store.appearing_whole(path) as scratch, tifffile.TiffWriter(scratch) as stack:
         yield stack
-    scratch.replace(path)
 
 
 def write_contract(dataset: Dataset, folder: Path, simulated: Mapping[str, Any]) -> None:
@@ -338,14 +335,13 @@ def write_contract(dataset: Dataset, folder: Path, simulated: Mapping[str, Any])
     that were `simulated`."""
     conditions = dataset.instrument.conditions
     header = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *conditions]
-    scratch = folder / ".manifest.part"
-    with scratch.open("w", newline="", encoding="utf-8") as stream:
+    table = folder / "manifest.csv"
+    with store.appearing_whole(table) as scratch, scratch.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(header)
         for page, (_, row) in enumerate(dataset.cells()):
             numbers = ("" if v is None else v for v in (row.angle_deg, row.exposure_s, row.repeat))
             writer.writerow([STACK, page, "spot", *numbers, *(row.extra[c] for c in conditions)])
-    scratch.replace(folder / "manifest.csv")
     given = dataset.instrument
     content: dict = {"name": f"{dataset.title} (simulated)", "crop_px": given.crop_px}
     if conditions:

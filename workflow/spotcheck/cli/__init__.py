@@ -7,7 +7,9 @@ that is asked for is imported, because imports are most of a short job's time.
 import argparse
 import importlib
 import io
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 
 import spotcheck
@@ -46,10 +48,15 @@ def main(argv: list[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    if threading.current_thread() is threading.main_thread():
+        # An end that was asked for takes with it what is half written.
+        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         run(sys.argv[1:] if argv is None else argv)
     except InputError as error:
         sys.exit(_say(str(error)))
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
     except OSError as error:
         if error.filename is None:
             raise

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import dataset
+from spotcheck import configuration, dataset
 from spotcheck.crops import check_dataset
 from spotcheck.manifest import KINDS
 from spotcheck.model.baseline import of_instrument
@@ -20,5 +20,7 @@ def run(args: argparse.Namespace) -> None:
     of_instrument(found.instrument, found.exposures)
     kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in KINDS)
     print(f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order")
-    for remark in probe.remarks:
+    for remark in (*probe.remarks, configuration.remark_on(args.dataset)):
+        if remark:
+            print(remark)
         print(remark)

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import dataset, frames, store
+from spotcheck import dataset, frames, seen, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import tolerance_of
 from spotcheck.crops import without_copies
@@ -28,10 +28,10 @@ def run(args: argparse.Namespace) -> None:
     """Say where flats depart from a linear sensor, and what explains it."""
     vocabulary.choose(args)
     found, tolerance = dataset.load(args.dataset), tolerance_of(args.tolerance)
-    with store.read(args.frames) as table:
+    with store.read(args.frames) as table, seen.as_ingested(found, table):
         bits, found = int(table["container_bits"]), without_copies(found, table)
-    full_scale = float(frames.full_scale(found.instrument, bits))
-    transfer = transfer_of(levels_of(found, bits), full_scale)
+        full_scale = float(frames.full_scale(found.instrument, bits))
+        transfer = transfer_of(levels_of(found, bits), full_scale)
     judgement = judge_flats(transfer, full_scale, list(effects.vocabulary().values()))
     verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak)
     verdict |= vocabulary.described()

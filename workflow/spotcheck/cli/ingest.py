@@ -1,8 +1,9 @@
 """`spotcheck ingest`: frames.nc."""
 
 import argparse
+from pathlib import Path
 
-from spotcheck import crops, dataset, provenance, store
+from spotcheck import crops, dataset, provenance, seen, store
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,7 +15,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Check the dataset, decode every frame once, record what it is."""
     found = dataset.load(args.dataset)
-    table = crops.ingest(found)
+    table = crops.ingest(found, seen.recall(seen.memory_of(Path(args.output).parent)))
     inputs = [found.folder / "manifest.csv", found.folder / "instrument.yaml"]
     store.write(table, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     print(f"{found.name}: {table.sizes['frame']} frames recorded")

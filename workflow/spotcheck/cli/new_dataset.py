@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import template
+from spotcheck import configuration, template
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,3 +17,5 @@ def run(args: argparse.Namespace) -> None:
     if others := template.others(args.folder):
         print(f"{args.folder}: files of {', '.join(others)} are not listed; frames must be TIFF, PNG or PGM")
     print(f"{args.folder}: wrote {', '.join(written)}; fill in the blanks, then: spotcheck check {args.folder}")
+    if remark := configuration.remark_on(str(args.folder)):
+        print(remark)

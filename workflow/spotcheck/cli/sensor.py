@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import crops, dataset, frames, provenance, store
+from spotcheck import crops, dataset, frames, provenance, seen, store
 from spotcheck.estimate import sensor
 from spotcheck.estimate.same_site import pairs_along
 from spotcheck.estimate.transfer_data import quantities_of
@@ -20,7 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Settle every sensor quantity and say where each comes from."""
     found = dataset.load(args.dataset)
-    with store.read(args.crops) as images, store.read(args.frames) as table:
+    with store.read(args.crops) as images, store.read(args.frames) as table, seen.as_ingested(found, table):
         own = images.sel(centring="light")
         usable = (
             own["image"].isel(index).values

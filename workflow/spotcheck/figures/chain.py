@@ -38,8 +38,12 @@ class Layout(NamedTuple):
 
 
 def parse(dot: str) -> Graph:
-    """Nodes and edges of a graph in dot text; lines that are neither are passed over. `InputError` when none is left
-    or the edges run in a circle."""
+    """Nodes and edges of a graph in dot text, sorted by label; lines that are neither are passed over. `InputError`
+    when none is left or the edges run in a circle.
+
+    Snakemake numbers and lists the rules in the order of a set, another one in each process: what is drawn must not
+    follow it.
+    """
     labels: dict[str, str] = {}
     edges: list[tuple[str, str]] = []
     for line in dot.splitlines():
@@ -53,8 +57,11 @@ def parse(dot: str) -> Graph:
         labels.setdefault(end, end)
     if not labels:
         raise InputError("the rule graph names no rule; it must be what `snakemake --rulegraph` prints")
-    depths(Graph(labels, edges))
-    return Graph(labels, edges)
+    order = sorted(labels, key=lambda node: (labels[node], node))
+    rank = {node: k for k, node in enumerate(order)}
+    graph = Graph({n: labels[n] for n in order}, sorted(edges, key=lambda edge: (rank[edge[0]], rank[edge[1]])))
+    depths(graph)
+    return graph
 
 
 def depths(graph: Graph) -> dict[str, int]:

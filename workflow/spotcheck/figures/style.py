@@ -10,6 +10,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from spotcheck import store
+
 WIDTH = 6.5  # inch, the width of a page's text
 DPI = 150
 FORMATS = ("svg", "png")
@@ -155,11 +157,9 @@ def legend_above(figure: Figure, handles: list, labels: list[str], columns: int)
 
 def save(drawing: Drawing, folder: Path, name: str) -> None:
     """Write `<name>.svg` and `<name>.png`, each whole or not at all, without date or version inside."""
-    folder.mkdir(parents=True, exist_ok=True)
     for kind in FORMATS:
         stream = io.BytesIO()
         metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
         drawing.figure.savefig(stream, format=kind, metadata=metadata)
-        scratch = folder / f".{name}.{kind}.part"
-        scratch.write_bytes(stream.getvalue())
-        scratch.replace(folder / f"{name}.{kind}")
+        with store.appearing_whole(folder / f"{name}.{kind}") as scratch:
+            scratch.write_bytes(stream.getvalue())

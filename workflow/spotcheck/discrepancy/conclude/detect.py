@@ -163,7 +163,8 @@ def number_parts(scene: Scene, numbers: Mapping[str, Standing]) -> list[Part | N
     """All parts from the frames' numbers: each frame by itself, and brightness and width of each exposure and angle."""
     out, groups = [], groups_of(scene)
     for name, own in numbers.items():
-        for by in groups.keys() & ({"frame"} if name == "centre" else {"frame", "exposure", "angle"}):
+        shared = ("frame",) if name == "centre" else ("frame", "exposure", "angle")
+        for by in (by for by in shared if by in groups):
             every, told = groups[by], own
             if by != "frame":
                 member = np.array([np.isin(own.label[:, 0], at) for at in every], float)
