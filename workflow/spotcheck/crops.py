@@ -149,6 +149,9 @@ def usable(status: int | np.ndarray | xr.DataArray) -> bool:
 
 
 def cells(ds: xr.Dataset, dims: tuple[str, ...]) -> Iterator[dict[str, int]]:
-    """Every index of the named dimensions, as keywords for `isel`; frames are then read one at a time."""
-    for index in np.ndindex(*(ds.sizes[d] for d in dims)):
+    """Every index of the named dimensions that has a frame, as keywords for `isel`; frames are then read one at a time.
+    A grid of as many exposures as repeats is nearly empty."""
+    others = [d for d in ds["status"].dims if d not in dims]
+    there = (ds["status"] != store.flag("missing")).any(others).transpose(*dims).values
+    for index in np.argwhere(there).tolist():
         yield dict(zip(dims, index, strict=True))

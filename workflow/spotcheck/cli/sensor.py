@@ -31,7 +31,6 @@ def run(args: argparse.Namespace) -> None:
         beside = (
             frames.Surround(*(images[name].isel(index).values for name in frames.Surround._fields))
             for index in crops.cells(images, store.grid_dims(images))
-            if not int(own["status"].isel(index)) & store.flag("missing")
         )
         dark = sensor.judge_darks(darks, beside, float(table["full_scale"]))
         measured = {}
