@@ -13,8 +13,8 @@ from tests.library.conftest import ROOT
 
 WORKFLOW = ROOT / "workflow"
 FLOORS = {
-    0: ("errors", "schema", "manifest", "instrument", "dataset", "store", "provenance"),
-    1: ("frames", "pgm", "crops", "optics", "template"),
+    0: ("errors", "schema", "conditions", "plausible", "manifest", "instrument", "dataset", "store", "provenance"),
+    1: ("frames", "pgm", "clip", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "comparison", "simulation", "design"),
     4: ("figures", "discrepancy", "pages", "paper"),

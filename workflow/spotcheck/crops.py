@@ -9,8 +9,10 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import frames, provenance, store
+from spotcheck.clip import end_of, top_of
 from spotcheck.dataset import Dataset, check_files, unit_of
 from spotcheck.errors import InputError
+from spotcheck.plausible import remarks_on
 
 # How the crop is centred: on the light's centroid (default of every stage), or on the maximum, as the paper.
 CENTRINGS = ("light", "maximum")
@@ -25,7 +27,6 @@ def check_dataset(dataset: Dataset) -> frames.Probe:
 def ingest(dataset: Dataset) -> xr.Dataset:
     """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels. Decodes each frame once."""
     probe = check_dataset(dataset)
-    highest = frames.full_scale(dataset.instrument, probe.bits)
     names = {
         "minimum": ("i4", "DN", "smallest reading"),
         "maximum": ("i4", "DN", "largest reading"),
@@ -36,15 +37,19 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
     digest_of = cache(lambda file: provenance.file_digest(dataset.folder / file))
-    digests = []
+    digests, tops = [], []
     for k, frame in enumerate(dataset.frames):
         pixels = frames.read(dataset, frame)
         digests.append(digest_of(frame.file))
-        columns["minimum"][k], columns["maximum"][k] = pixels.min(), pixels.max()
+        top = top_of(pixels)
+        tops.append(top)
+        columns["minimum"][k], columns["maximum"][k] = top.lowest, top.highest
         columns["mean"][k] = pixels.mean(dtype=np.float64)
-        columns["at_full_scale"][k] = np.count_nonzero(pixels >= highest)
         columns["at_zero"][k] = pixels.size - np.count_nonzero(pixels)
+    end = end_of(tops, dataset.instrument, probe.bits)
+    columns["at_full_scale"][:] = [own.pixels if own.highest == end.reading else 0 for own in tops]
     ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
+    ds = store.with_remarks(ds, [*remarks_on(dataset), *end.remarks])
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})
     for name, (_, units, long_name) in names.items():
         ds[name] = ("frame", columns[name], {"units": units, "long_name": long_name})
@@ -73,9 +78,10 @@ def ingest(dataset: Dataset) -> xr.Dataset:
         ("rows", probe.shape[0], "pixel", "rows of every frame"),
         ("columns", probe.shape[1], "pixel", "columns of every frame"),
         ("container_bits", probe.bits, "bit", "bits of a stored pixel"),
-        ("full_scale", highest, "DN", "largest possible reading"),
+        ("full_scale", end.reading, "DN", "largest possible reading"),
     ):
         ds[name] = ((), value, {"units": units, "long_name": long_name})
+    ds["full_scale"].attrs["source"] = end.source
     return ds
 
 
@@ -120,23 +126,25 @@ def _cell(pixels: np.ndarray, side: int, highest: float) -> dict[str, object]:
     """All variables of one frame."""
     spots = (frames.light_centroid(pixels, side), frames.brightest_pixel(pixels))
     images = np.stack([frames.cut(pixels, spot, side) for spot in spots])
-    surround = frames.reduce_frame(pixels)
+    surround, top = frames.reduce_frame(pixels), top_of(pixels)
+    clip = float(top.highest) if top.stops(top.lowest) else highest
     return {
         "image": images,
         "top": [spot.row - side // 2 for spot in spots],
         "left": [spot.column - side // 2 for spot in spots],
-        "status": [_status(image, spots[0].found, highest) for image in images],
+        "status": [_status(image, spots[0].found, highest, clip) for image in images],
         "block_mean": surround.block_mean,
         "row_mean": surround.row_mean,
         "column_mean": surround.column_mean,
     }
 
 
-def _status(image: np.ndarray, found: bool, highest: float) -> int:
+def _status(image: np.ndarray, found: bool, highest: float, clip: float) -> int:
+    """Flags of a crop by the largest reading of all [DN], and that at which the frame itself stops."""
     valid = np.isfinite(image)
-    clipped = int(np.count_nonzero(image[valid] >= highest))
+    clipped = bool(np.any(image[valid] >= clip))
     status = 0 if valid.all() else store.flag("masked")
-    if clipped == valid.sum():
+    if np.all(image[valid] >= highest):
         return status | store.flag("saturated")
     if not found:
         status |= store.flag("black")

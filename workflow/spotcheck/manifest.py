@@ -13,7 +13,10 @@ from spotcheck.errors import InputError
 
 KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
-ALIKE_TWICE = f"give them different repeats (exposures within {100 * EXPOSURE_PART:g} % are one)"
+ALIKE_TWICE = (
+    "every frame must be named once, with a repeat of its own "
+    f"(exposures within {100 * EXPOSURE_PART:g} % are one)"
+)
 IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm")
 
 
@@ -136,9 +139,13 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
 
 def _with_common(frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> tuple[Frame, ...]:
     """Frames of one condition with equal values."""
-    for column in ("angle_deg", "exposure_s"):
-        values = grouped(column, [getattr(frame, column) for frame in frames]).values
-        frames = tuple(replace(frame, **{column: value}) for frame, value in zip(frames, values, strict=True))
+    angles, exposures = (
+        grouped(column, [getattr(frame, column) for frame in frames]).values for column in ("angle_deg", "exposure_s")
+    )
+    frames = tuple(
+        replace(frame, angle_deg=angle, exposure_s=exposure)
+        for frame, angle, exposure in zip(frames, angles, exposures, strict=True)
+    )
     for name in conditions:
         values = [number_in(frame.extra[name]) for frame in frames]
         own = [
@@ -167,9 +174,7 @@ def _check_rows(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ..
             (by_cell, cell, "kind, angle, exposure, repeat and conditions", ALIKE_TWICE),
         ):
             if key in seen:
-                raise InputError(
-                    f"{path.name} lines {seen[key].line} and {frame.line} agree in {what}; {right}"
-                )
+                raise InputError(f"{path.name} lines {seen[key].line} and {frame.line} agree in {what}; {right}")
             seen[key] = frame
     spots = [frame for frame in frames if frame.kind == "spot"]
     for column in ("angle_deg", "exposure_s", "repeat"):

@@ -23,7 +23,7 @@ STATUS = {
     2: ("black", "no light above the noise"),
     4: ("saturated", "every pixel of the crop reads full scale"),
     8: ("masked", "the crop reaches beyond the frame"),
-    16: ("clipped", "some pixels read full scale"),
+    16: ("clipped", "some pixels read full scale, or many exactly the highest reading of the frame"),
     32: ("not_converged", "the fit stopped before its minimum"),
     64: ("at_limit", "the fit left the range in which a width can be trusted"),
     128: ("no_noise", "gain or read noise is unknown: no likelihood"),
@@ -80,6 +80,16 @@ def check(ds: xr.Dataset, what: str) -> xr.Dataset:
         if attribute not in ds.attrs:
             raise ContractError(f"{what}: attribute {attribute} is missing")
     return ds
+
+
+def with_remarks(ds: xr.Dataset, remarks: Sequence[str]) -> xr.Dataset:
+    """The result with sentences on what is odd about it, each of them once."""
+    return ds.assign_attrs(remarks="\n".join(dict.fromkeys(remarks)))
+
+
+def remarks_of(ds: xr.Dataset) -> list[str]:
+    """Sentences on what is odd about a result."""
+    return [text for text in str(ds.attrs.get("remarks", "")).split("\n") if text]
 
 
 def grid(dataset: Dataset) -> xr.Dataset:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import dataset, frames, store
+from spotcheck import dataset, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import tolerance_of
 from spotcheck.discrepancy.conclude.flats import judge_flats
@@ -28,9 +28,8 @@ def run(args: argparse.Namespace) -> None:
     vocabulary.choose(args)
     found, tolerance = dataset.load(args.dataset), tolerance_of(args.tolerance)
     with store.read(args.frames) as table:
-        bits = int(table["container_bits"])
-    full_scale = float(frames.full_scale(found.instrument, bits))
-    transfer = transfer_of(levels_of(found, bits), full_scale)
+        full_scale = float(table["full_scale"])
+    transfer = transfer_of(levels_of(found, full_scale), full_scale)
     judgement = judge_flats(transfer, full_scale, list(effects.vocabulary().values()))
     verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak)
     verdict |= vocabulary.described()

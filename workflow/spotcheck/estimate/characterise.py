@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from spotcheck import frames
-from spotcheck.dataset import check_files, load
+from spotcheck.crops import ingest
+from spotcheck.dataset import load
 from spotcheck.errors import InputError
 from spotcheck.estimate.levels import Level, level_of, levels_of, with_common_drift
 from spotcheck.estimate.photon_transfer import Quantity, Transfer, transfer_of
@@ -165,13 +165,12 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
     K = 0.3055 ± 0.0035 DN/e-
     """
     dataset = load(folder)
-    check_files(dataset)
     if not any(frame.kind in ("flat", "dark") for frame in dataset.frames):
         raise InputError(
             "manifest.csv: has no frame of kind flat or dark; there is nothing to characterise a sensor by"
         )
-    bits = frames.probe_all(dataset).bits
-    found = transfer_of(levels_of(dataset, bits), float(frames.full_scale(dataset.instrument, bits)))
+    full_scale = float(ingest(dataset)["full_scale"])
+    found = transfer_of(levels_of(dataset, full_scale), full_scale)
     return Characterisation(found, dataset.title, dataset.name)
 
 
