@@ -14,8 +14,7 @@ from spotcheck.errors import InputError
 KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
 ALIKE_TWICE = (
-    "every frame must be named once, with a repeat of its own "
-    f"(exposures within {100 * EXPOSURE_PART:g} % are one)"
+    f"every frame must be named once, with a repeat of its own (exposures within {100 * EXPOSURE_PART:g} % are one)"
 )
 IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm")
 

@@ -24,3 +24,5 @@ def run(args: argparse.Namespace) -> None:
     else:
         own = found.sel(axis="mean")
         print(f"M² = {float(own['m2']):.4g} ± {float(own['m2_stderr']):.2g}")
+    for remark in store.remarks_of(found):
+        print(remark)

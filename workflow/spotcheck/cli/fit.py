@@ -3,7 +3,7 @@
 import argparse
 
 from spotcheck import dataset, provenance, store
-from spotcheck.estimate.fits import fit_crops
+from spotcheck.estimate.fits import fit_crops, reasons_text
 from spotcheck.estimate.sensor import model_of
 
 
@@ -20,6 +20,13 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
         fits = fit_crops(crops, model_of(sensor), dataset.load(args.dataset).instrument.model.top_hat)
     store.write(fits, args.output, code=provenance.code_digest(__name__), inputs=[args.crops, args.sensor])
+    there = (fits["status"] & store.flag("missing")) == 0
     for name in fits["fit"].values:
         own = fits["amplitude"].sel(fit=name)
-        print(f"{int(own.notnull().sum())} of {own.size} crops fitted by {str(name).replace('_', ' ')}")
+        fitted, known = int(own.notnull().sum()), there.sel(fit=name)
+        why = reasons_text(fits["status"].sel(fit=name).where(own.isnull() & known, 0).values)
+        print(
+            f"{fitted} of {int(known.sum())} crops fitted by {str(name).replace('_', ' ')}{f': {why}' if why else ''}"
+        )
+    for remark in store.remarks_of(fits):
+        print(remark)

@@ -17,6 +17,11 @@ FITS = {
 }
 
 
+# χ² per degree of freedom of a spot fit that is flagged. Noise alone puts it within some percent of 1. Below half, the
+# stated noise is too large. Speckle alone brings hundreds: above, residuals are 20 times the stated noise or more.
+TOO_LOW, TOO_HIGH = 0.5, 400.0
+
+
 class Spot(NamedTuple):
     """One stored fit: values and standard errors in the order of `PARAMETERS`, centre relative to the crop, χ² per
     degree of freedom, status."""
@@ -54,6 +59,8 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
             status[(*at, k)] |= fit.flags
             for axis, start in origin.items():
                 value[(*at, k, axis)] += start[at]
+    with np.errstate(invalid="ignore"):
+        status[(chi2 < TOO_LOW) | (chi2 > TOO_HIGH)] |= store.flag("misfit")
     keep = [name for name in crops.coords if set(crops[name].dims) <= set(dims)]
     ds = xr.Dataset(coords={name: crops[name] for name in keep}, attrs=_titles(crops))
     ds["fit"] = ("fit", np.array(list(FITS), dtype=object), {"units": "1", "long_name": "how the spot was fitted"})
@@ -65,6 +72,7 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
             stderr[..., k],
             {"units": units, "long_name": f"standard error of {long_name}"},
         )
+    ds["orientation_stderr"].attrs["infinite"] = "the spot is round within its noise"
     ds["chi2_reduced"] = (
         dims,
         chi2,
@@ -72,7 +80,32 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
     )
     ds["status"] = (dims, status.astype("i4"), store.status_attributes())
     chosen = "least_squares" if sensor is None else "likelihood"
-    return ds.assign_attrs(preferred=chosen, **{f"fit_{name}": text for name, text in FITS.items()})
+    ds = ds.assign_attrs(preferred=chosen, **{f"fit_{name}": text for name, text in FITS.items()})
+    return store.with_remarks(ds, _on_misfits(preferred(ds)["chi2_reduced"].values))
+
+
+def _on_misfits(chi2: np.ndarray) -> list[str]:
+    """Sentences on frames whose χ² is far from 1 [any shape; NaN: none]."""
+    out, known = [], chi2[np.isfinite(chi2)]
+    keys = "sensor.gain_dn_per_e or sensor.read_noise_e"
+    for own, why in (
+        (known[known < TOO_LOW], f"the noise that is stated is too large: {keys} is too high or in another unit"),
+        (
+            known[known > TOO_HIGH],
+            f"the light is far from a Gaussian, as the verdict tells, or {keys} is too low or in another unit",
+        ),
+    ):
+        if own.size:
+            middle = float(np.median(own))
+            out.append(f"{own.size} of {known.size} fits have a χ² per degree of freedom of about {middle:.2g}: {why}")
+    return out
+
+
+def reasons_text(status: np.ndarray) -> str:
+    """Why crops have no fit, by their flags [any shape]: "2 × no light above the noise"; "" where none is flagged."""
+    flags = store.UNTRUSTED & np.asarray(status, int).ravel()
+    counts = {text: int(np.sum(flags & bit > 0)) for bit, (_, text) in store.STATUS.items()}
+    return "; ".join(f"{count} × {text}" for text, count in counts.items() if count)
 
 
 def preferred(fits: xr.Dataset) -> xr.Dataset:

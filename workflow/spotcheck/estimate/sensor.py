@@ -133,6 +133,7 @@ def resolve(
             used = used._replace(how="; ".join([used.how, *remarks]))
         ds[name] = ((), used.value, {"units": units, "long_name": long_name, "source": used.how})
         ds[f"{name}_stderr"] = ((), used.stderr, {"units": units, "long_name": f"standard error of {long_name}"})
+    ds["full_well_e"].attrs["infinite"] = "no pixel is ever full"
     _put_sources(ds, found)
     return store.with_remarks(ds, [*remarks, *(own.sentence for own in against)])
 

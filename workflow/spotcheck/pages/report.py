@@ -60,6 +60,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "calibration": _calibration(files.get("calibration")),
         "caustic": _caustic(files.get("caustic")),
         "precision": _precision(files.get("precision")),
+        "remarks": [(name, text) for name, ds in files.items() for text in store.remarks_of(ds)],
         "flagged": _flagged(dataset, files.get("fits")),
         "parameters": parameters(dataset, files, TOP_HAT_RADIUS),
         "fits": _fits(dataset, files.get("fits")),
@@ -144,7 +145,7 @@ def _transfer(ds: xr.Dataset | None) -> dict[str, Any] | None:
                 "why": own.why,
             }
         )
-    return {"rows": rows, "remarks": [text for text in ds.attrs["remarks"].split("; ") if text], "ranges": ranges(ds)}
+    return {"rows": rows, "remarks": store.remarks_of(ds), "ranges": ranges(ds)}
 
 
 def ranges(ds: xr.Dataset) -> list[tuple[str, str, str, str]]:
@@ -335,7 +336,9 @@ def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]
     out = []
     for index, frame in dataset.cells():
         reasons = [
-            text for bit, (_, text) in store.STATUS.items() if status[index] & bit and bit != store.flag("clipped")
+            text
+            for bit, (name, text) in store.STATUS.items()
+            if status[index] & bit and name not in ("clipped", "misfit")
         ]
         if reasons:
             out.append((frame.label, "; ".join(reasons)))
