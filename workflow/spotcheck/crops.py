@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import frames, provenance, store
-from spotcheck.clip import end_of, top_of
+from spotcheck.clip import End, end_of, top_of
 from spotcheck.dataset import Dataset, check_files, unit_of
 from spotcheck.errors import InputError
 from spotcheck.plausible import remarks_on
@@ -83,6 +83,11 @@ def ingest(dataset: Dataset) -> xr.Dataset:
         ds[name] = ((), value, {"units": units, "long_name": long_name})
     ds["full_scale"].attrs["source"] = end.source
     return ds
+
+
+def end_in(table: xr.Dataset) -> End:
+    """Where the readings of a dataset stop, by its frames.nc."""
+    return End(int(table["full_scale"]), str(table["full_scale"].attrs["source"]))
 
 
 def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: list) -> None:

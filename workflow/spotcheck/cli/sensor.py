@@ -3,7 +3,6 @@
 import argparse
 
 from spotcheck import crops, dataset, frames, provenance, store
-from spotcheck.clip import End
 from spotcheck.estimate import sensor
 from spotcheck.estimate.same_site import pairs_along
 from spotcheck.estimate.transfer_data import quantities_of
@@ -39,9 +38,8 @@ def run(args: argparse.Namespace) -> None:
             with store.read(path) as transfer:
                 measured = quantities_of(transfer)
         pairs = {"exposures of a site": pairs_along(own, "exposure"), "repeats": pairs_along(own, "repeat")}
-        end = End(int(table["full_scale"]), table["full_scale"].attrs["source"])
         highest = float(table["maximum"].max())
-        settled = sensor.resolve(found, end, usable, dark, measured, pairs, highest)
+        settled = sensor.resolve(found, crops.end_in(table), usable, dark, measured, pairs, highest)
     inputs = [args.crops, args.frames, *args.transfer, found.folder / "instrument.yaml"]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:
