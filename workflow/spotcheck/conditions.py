@@ -72,8 +72,8 @@ def remarks_on(column: str, values: Sequence[float | None]) -> list[str]:
     alike = ALIKE.get(column, ALIKE_OTHERS)
     if len(distinct) > len(known) / 2 and high - low < alike * max(abs(low), abs(high)):
         return [
-            f"manifest.csv: {column} has {len(distinct)} different values in {len(known)} spot rows, all from {low:.6g} to"
-            f" {high:.6g}: nearly every frame is a condition of its own; {right}"
+            f"manifest.csv: {column} has {len(distinct)} different values in {len(known)} spot rows, all from"
+            f" {low:.6g} to {high:.6g}: nearly every frame is a condition of its own; {right}"
         ]
     return [
         f"manifest.csv: {column} has {count} different values from {first:.6g} to {last:.6g} in steps below the"

@@ -22,7 +22,7 @@ class Usual(NamedTuple):
 
 
 LENGTH = {"mm": 1e-3, "µm": 1e-6, "nm": 1e-9}
-TIME = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
+TIME = {"ms": 1e-3, "µs": 1e-6}
 
 # Ranges of the field, each wide enough that what lies outside is worth a second look: cameras from mobile phones to
 # uncooled InGaAs, light from deep ultraviolet to CO2 lasers.

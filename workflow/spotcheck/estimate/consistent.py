@@ -168,7 +168,7 @@ def in_numbers(dataset: Dataset, gain: float, black: Told, end_dn: float, highes
             why = (
                 f"instrument.yaml: sensor.full_well_e is {given.full_well_e:g}, which is {well_dn:.4g} DN at a gain of"
                 f" {gain:.4g} DN/e-, but frames read up to {highest_dn:g} DN; the well must be at least"
-                f" {(highest_dn - black.value) / gain:.4g} e-"
+                f" {(highest_dn - black.value) / gain:.5g} e-"
             )
             out.append(Contradiction(why, ("full_well_e",)))
     if given.read_noise_e is not None and 0 < gain * given.read_noise_e < ROUNDING_DN:
