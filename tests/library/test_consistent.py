@@ -81,7 +81,7 @@ def test_more_electrons_than_photons_are_impossible():
         "efficiency would be 2." in text and "photons_per_px of manifest.csv is too small" in text
         for text in found.remarks
     )
-    assert np.isnan(found["quantum_efficiency"].value) and np.isfinite(found["full_well"].value)
+    assert np.isnan(found["quantum_efficiency"].value) and np.isfinite(found["threshold"].value)
 
 
 def quantity(name: str, value: float, stderr: float) -> Quantity:

@@ -1,13 +1,17 @@
 """Units that are off by 1e3 or 1e6: a remark with the key and the unit that would make it right, and no refusal."""
 
+import shutil
+
+import numpy as np
 import pytest
 import yaml
 
+from spotcheck import crops, store
 from spotcheck.cli import main
 from spotcheck.dataset import load
 from spotcheck.errors import InputError
 from spotcheck.plausible import USUAL, remarks_on
-from tests.library.conftest import HEADER, ROOT, folder
+from tests.library.conftest import HEADER, ROOT, folder, loaded
 
 ROW = "frames/a.tif,spot,0,0.002,0"
 
@@ -96,10 +100,17 @@ def test_the_shelf_is_plausible(name):
     assert remarks_on(load(ROOT / "data" / name)) == []
 
 
+def test_copies_of_a_frame_are_said(tmp_path):
+    """By the files' digests; frames of one number are alike without being copies."""
+    noisy = np.random.default_rng(1).integers(20, 90, (30, 30), dtype=np.uint16)
+    black = np.zeros((30, 30), np.uint16)
+    dataset = loaded(tmp_path, [noisy, noisy + 1, noisy, noisy, black, black], "crop_px: 24")
+    (text,) = store.remarks_of(crops.ingest(dataset))
+    assert text.startswith("frames/f2.tif is a copy of frames/f0.tif (2 copies in all)")
+
+
 def test_check_says_the_remarks_and_ends_well(shelf, tmp_path, capsys):
     """Status 0: a remark is no mistake."""
-    import shutil
-
     shutil.copytree(shelf / "my-frames", tmp_path / "mine")
     path = tmp_path / "mine" / "instrument.yaml"
     keys = yaml.safe_load(path.read_text()) | {"laser": {"wavelength_m": 0.00065}}

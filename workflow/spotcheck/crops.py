@@ -49,7 +49,8 @@ def ingest(dataset: Dataset) -> xr.Dataset:
     end = end_of(tops, dataset.instrument, probe.bits)
     columns["at_full_scale"][:] = [own.pixels if own.highest == end.reading else 0 for own in tops]
     ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
-    ds = store.with_remarks(ds, [*remarks_on(dataset), *end.remarks])
+    uniform = [own.lowest == own.highest for own in tops]
+    ds = store.with_remarks(ds, [*remarks_on(dataset), *end.remarks, *_copies(dataset, digests, uniform)])
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})
     for name, (_, units, long_name) in names.items():
         ds[name] = ("frame", columns[name], {"units": units, "long_name": long_name})
@@ -83,6 +84,21 @@ def ingest(dataset: Dataset) -> xr.Dataset:
         ds[name] = ((), value, {"units": units, "long_name": long_name})
     ds["full_scale"].attrs["source"] = end.source
     return ds
+
+
+def _copies(dataset: Dataset, digests: list[str], uniform: list[bool]) -> Iterator[str]:
+    """A sentence on frames that are copies of others; black ones without noise are alike by themselves."""
+    first: dict[tuple[str, int], str] = {}
+    copies = []
+    for frame, digest, alike in zip(dataset.frames, digests, uniform, strict=True):
+        if not alike and first.setdefault((digest, frame.page), frame.label) != frame.label:
+            copies.append((frame.label, first[digest, frame.page]))
+    if copies:
+        more = f" ({len(copies)} copies in all)" if len(copies) > 1 else ""
+        yield (
+            f"{copies[0][0]} is a copy of {copies[0][1]}{more}: between copies there is no noise, so scatter and gain"
+            " come out too small; drop them from manifest.csv"
+        )
 
 
 def end_in(table: xr.Dataset) -> End:
