@@ -61,6 +61,7 @@ class Optics:
     working_distance_m: float | None = None
     f_number: float | None = None
     filter_transmission: float | None = None
+    pixel_integration: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,10 @@ def read_instrument(path: Path) -> Instrument:
     }
     _find_profile(path, content.get("light", {}))
     sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
+    if sections["optics"].pixel_integration and sections["model"].top_hat:
+        raise InputError(
+            f"{path.name}: keys optics.pixel_integration and model.top_hat are both true; one of them must be false"
+        )
     content = _whole(content)
     content["conditions"] = tuple(content.get("conditions", ()))
     for condition in content["conditions"]:

@@ -32,10 +32,13 @@ class Spot(NamedTuple):
     status: int
 
 
-def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = False) -> xr.Dataset:
+def fit_crops(
+    crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = False, integrated: bool = False
+) -> xr.Dataset:
     """Fits of both centrings: values, standard errors, χ² and status on the grid; centres in pixels of the sensor.
 
-    Without a sensor model there is no likelihood; the attribute `preferred` says which fit to use.
+    `top_hat` is the plateau of the light, `integrated` whether a pixel reads the mean of the light over it. Without a
+    sensor model there is no likelihood; the attribute `preferred` says which fit to use.
     """
     dims = (*store.grid_dims(crops), "centring", "fit")
     shape = (*(crops.sizes[d] for d in dims[:-1]), len(FITS))
@@ -50,9 +53,9 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
         if not usable(crops["status"].values[at]):
             continue
         image = crops["image"].isel(index).values
-        own = {1: fit_spots(image, sensor, weighting="equal")}
+        own = {1: fit_spots(image, sensor, weighting="equal", integrated=integrated)}
         if sensor is not None:
-            own[0] = fit_spots(image, sensor, top_hat=top_hat)
+            own[0] = fit_spots(image, sensor, top_hat=top_hat, integrated=integrated)
         for k, fit in own.items():
             value[(*at, k)], stderr[(*at, k)] = fit.value, fit.stderr
             chi2[(*at, k)] = fit.chi2_reduced
