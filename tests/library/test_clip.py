@@ -87,6 +87,14 @@ def test_a_saturated_flat_is_clipped_beside_darks():
     assert end_of([], Instrument(), 8).reading == 255
 
 
+@pytest.mark.parametrize(("highest", "end"), [(4080, 4080), (4094, 4094), (4095, 4095), (4000, 4095)])
+def test_a_plateau_just_below_the_stated_depth_is_the_end(highest, end):
+    """Within 1 % of it; further below the sensor saturates, and a remark says so."""
+    top = top_of(spot(np.random.default_rng(5), 3 * highest, highest))
+    found = end_of([top], Instrument(sensor=Sensor(bit_depth=12), given=frozenset({"sensor.bit_depth"})), 16)
+    assert found.reading == end and bool(found.remarks) == (highest == 4000)
+
+
 def test_a_bit_depth_that_frames_contradict_is_said():
     """Declared 16 bit, stopped at 4095: the depth stands, and the sentence says which would be right. A stop that no
     converter has is left to the verdict."""

@@ -22,6 +22,11 @@ BENEATH = 16
 LEAST_PX, GATHER = 10, 5
 
 
+# A plateau above this part of a stated full scale is the converter's end: many stop some readings below their last
+# number, at 4080 or 4094 of 4095. Below it the sensor saturates, which the verdict is to find.
+NEAR_END = 0.99
+
+
 class Top(NamedTuple):
     """Highest and lowest reading of a frame [DN]; how many pixels read the highest, and how many the fullest of the
     `BENEATH` readings below it; and the bits that any of its readings has set."""
@@ -61,8 +66,9 @@ def step_of(bits: int) -> int:
 
 
 def end_of(tops: Sequence[Top], instrument: Instrument, container_bits: int) -> End:
-    """Where the readings of all frames of a dataset stop: at the converter's depth where that is given, else at the
-    plateau of its brightest frames, else at the largest number of the container."""
+    """Where the readings of all frames of a dataset stop: at the largest number of the converter where its depth is
+    given, or at a plateau just below that; else at the plateau of its brightest frames; else at the largest number of
+    the container."""
     declared, depth = full_scale(instrument, container_bits), instrument.sensor.bit_depth
     bits = int(np.bitwise_or.reduce([own.bits for own in tops])) if tops else 0
     remarks = _on_alignment(tops, bits, instrument)
@@ -74,9 +80,10 @@ def end_of(tops: Sequence[Top], instrument: Instrument, container_bits: int) -> 
             "bits of the converter" if depth else f"container of {container_bits} bit (sensor.bit_depth is missing)"
         )
         return End(declared, source, remarks)
-    frames = f"{len(stopped)} frame{'s' if len(stopped) > 1 else ''}"
-    most = max(own.pixels for own in stopped)
-    seen = f"{frames} stop{'' if len(stopped) > 1 else 's'} at exactly {highest} DN, up to {most} pixels of one"
+    frames = f"{len(stopped)} frames stop" if len(stopped) > 1 else "1 frame stops"
+    if depth and highest > NEAR_END * declared:
+        return End(highest, f"where {frames}, within 1 % of sensor.bit_depth {depth}", remarks)
+    seen = f"{frames} at exactly {highest} DN, up to {max(own.pixels for own in stopped)} pixels of one"
     step = step_of(bits)
     width = (highest // step + 1).bit_length() - 1
     right = f"sensor.bit_depth {width}" + (f" and sensor.value_shift_bits {step.bit_length() - 1}" if step > 1 else "")
@@ -84,9 +91,7 @@ def end_of(tops: Sequence[Top], instrument: Instrument, container_bits: int) -> 
     if depth is None:
         missing = f"instrument.yaml: sensor.bit_depth is missing, and {seen}, which is taken for full scale"
         remarks += (f"{missing}; {f'{right} would say so' if whole else 'give it'}",)
-        return End(
-            highest, f"where {frames} stop{'' if len(stopped) > 1 else 's'} (sensor.bit_depth is missing)", remarks
-        )
+        return End(highest, f"where {frames} (sensor.bit_depth is missing)", remarks)
     what = f"instrument.yaml: sensor.bit_depth is {depth}, whose largest reading is {declared} DN, but {seen}"
     ask = f"{right} would be right" if whole else "fits take them as whole, and the verdict looks for saturation"
     return End(declared, "bits of the converter", (*remarks, f"{what}; {ask}"))
