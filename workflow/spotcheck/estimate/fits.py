@@ -18,8 +18,8 @@ FITS = {
 
 
 # χ² per degree of freedom of a spot fit that is flagged. Noise alone puts it within some percent of 1. Below half, the
-# stated noise is too large. Speckle alone brings hundreds: above, residuals are 20 times the stated noise or more.
-TOO_LOW, TOO_HIGH = 0.5, 400.0
+# stated noise is too large. Speckle on the composite brings up to 170: above, residuals are 14 times the stated noise.
+TOO_LOW, TOO_HIGH = 0.5, 200.0
 
 
 class Spot(NamedTuple):
