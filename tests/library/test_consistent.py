@@ -137,6 +137,20 @@ def test_what_a_contradicted_key_leaves(tmp_path):
     assert np.isinf(float(ds["full_well_e"])) and "full_well_e is 900" in ds["full_well_e"].attrs["source"]
 
 
+def test_a_noise_that_rounding_hides_is_no_contradiction(tmp_path):
+    """Darks of no noise give 0.396 DN at most, 1.98 e- at 0.2 DN/e-: a data sheet of 1 e- may well be right."""
+    measured = MEASURED | {"dark_noise": quantity("dark_noise", 1.98, 0.01)}
+    ds = settled(tmp_path, "read_noise_e: 1", measured=measured)
+    assert float(ds["read_noise_e"]) == 1 and not any("flats and darks" in text for text in store.remarks_of(ds))
+
+
+def test_an_efficiency_that_flats_contradict_stays(tmp_path):
+    """It is said, and the noise of a reading does not rest on it."""
+    measured = MEASURED | {"quantum_efficiency": quantity("quantum_efficiency", 0.3, 0.005)}
+    ds = settled(tmp_path, "quantum_efficiency: 0.6", measured=measured)
+    assert float(ds["quantum_efficiency"]) == 0.6 and "quantum_efficiency is 0.6" in store.remarks_of(ds)[0]
+
+
 @pytest.mark.parametrize(
     "sensor", ["gain_dn_per_e: 0.22, read_noise_e: 13", "full_well_e: 15000, black_level_dn: 50.5"]
 )
