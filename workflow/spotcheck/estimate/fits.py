@@ -92,7 +92,11 @@ def _on_misfits(chi2: np.ndarray) -> list[str]:
     out, known = [], chi2[np.isfinite(chi2)]
     keys = "sensor.gain_dn_per_e or sensor.read_noise_e"
     for own, why in (
-        (known[known < TOO_LOW], f"the noise that is stated is too large: {keys} is too high or in another unit"),
+        (
+            known[known < TOO_LOW],
+            f"the noise that is stated is too large: {keys} is too high or in another unit, or sensor.black_level_dn is"
+            " missing or too low",
+        ),
         (
             known[known > TOO_HIGH],
             f"the light is far from a Gaussian, as the verdict tells, or {keys} is too low or in another unit",
