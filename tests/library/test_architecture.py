@@ -14,10 +14,10 @@ from tests.library.conftest import ROOT
 WORKFLOW = ROOT / "workflow"
 FLOORS = {
     0: (
-        *("errors", "text", "schema", "manifest", "instrument", "dataset", "store", "provenance"),
-        *("configuration", "running", "seen"),
+        *("errors", "text", "schema", "conditions", "plausible", "manifest", "instrument", "dataset", "store"),
+        *("provenance", "configuration", "running", "seen"),
     ),
-    1: ("frames", "formats", "spotfinding", "crops", "optics", "template"),
+    1: ("frames", "formats", "spotfinding", "clip", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "comparison", "simulation", "design"),
     4: ("figures", "discrepancy", "pages", "paper"),

@@ -23,17 +23,19 @@ def effects(*kinds) -> tuple[Present, ...]:
     return tuple(Present(vocabulary()[name], form, values) for name, form, values in kinds)
 
 
+@pytest.mark.parametrize("integrated", [False, True])
 @pytest.mark.parametrize(("kinds", "count"), [((), 1), ((GHOST,), 2), ((BLUR,), 5), ((GHOST, BLUR), 10)])
-def test_light_is_the_sum_of_its_copies(kinds, count):
-    """Each a spot of its own, drawn where it was moved to."""
+def test_light_is_the_sum_of_its_copies(kinds, count, integrated):
+    """Each a spot of its own, drawn where it was moved to; nine times as many where a pixel reads the mean over it."""
     one = np.ones((1, 1, 1))
     x, y = np.arange(60.0)[None, None], np.arange(50.0)[None, :, None]
     view = View(x, y, 28 * one, 23 * one, 9e-4 * one, one, one, 0 * one, 0 * one, 9e-4, 9e-4, 0.0, 0.0, 50.0, 1.0)
-    baseline, base = Baseline(0.0, "free", False, 9e-4, SHAPE), Free(300 * one, 5 * one)
-    copies = copies_of(view, effects(*kinds), 300 * one, 5 * one).each
-    assert len(copies) == count
+    point, base = Baseline(0.0, "free", False, 9e-4, SHAPE), Free(300 * one, 5 * one)
+    baseline = point._replace(pixel_integration=integrated)
+    copies = copies_of(view, baseline, effects(*kinds), 300 * one, 5 * one).each
+    assert len(copies) == count * (9 if integrated else 1)
     moved = [view._replace(x0=view.x0 + dx, y0=view.y0 + dy) for dx, dy, _ in copies]
-    want = sum(weight * light(own, baseline, base, ())[0] for own, (_, _, weight) in zip(moved, copies, strict=True))
+    want = sum(weight * light(own, point, base, ())[0] for own, (_, _, weight) in zip(moved, copies, strict=True))
     np.testing.assert_allclose(light(view, baseline, base, effects(*kinds))[0], want, rtol=1e-12, atol=1e-9)
 
 
@@ -43,7 +45,9 @@ def test_a_path_has_as_many_copies_as_its_length_asks_for(length):
     one, sigma = np.ones((1, 1, 1)), 6.0
     x = np.arange(60.0)[None, None]
     view = View(x, 0 * one, 28 * one, 0 * one, one, one, one, 0 * one, 0 * one, 1.0, 1.0, 0.0, 0.0, 50.0, 1.0)
-    copies = copies_of(view, effects(("motion_blur", "", (length, 0.0))), one, sigma * one).each
+    copies = copies_of(
+        view, Baseline(0.0, "free", False, 1.0), effects(("motion_blur", "", (length, 0.0))), one, sigma * one
+    ).each
     got = sum(weight * np.exp(-((x - 28 - dx) ** 2) / (2 * sigma**2)) for dx, _, weight in copies)
     ends = (erf((x - 28 + sign * length / 2) / (sigma * np.sqrt(2))) for sign in (1, -1))
     want = sigma * np.sqrt(np.pi / 2) / length * np.subtract(*ends)

@@ -18,7 +18,7 @@ CCD = SHARED / "data" / "emva-ccd"
 
 def ours(folder):
     found = load(folder)
-    return transfer_of(levels_of(found, 16), 4095.0).quantities
+    return transfer_of(levels_of(found, 4095.0), 4095.0).quantities
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_dsnu_differs_and_why(ccd):
     pairs = [(b - a).mean(axis=1).var() for a, b in zip(images[::2], images[1::2], strict=True)]
     white = [(b - a).var() / a.shape[1] for a, b in zip(images[::2], images[1::2], strict=True)]
     assert np.mean(pairs) > 3 * np.mean(white)
-    totals = np.array([level.spatial.total for level in levels_of(found, 16) if level.kind == "dark"])
+    totals = np.array([level.spatial.total for level in levels_of(found, 4095.0) if level.kind == "dark"])
     one_pair = totals.std(ddof=1)
     theirs = (other["DSNU1288"] * own["gain"].value) ** 2
     assert abs(theirs - totals.mean()) < 3 * one_pair

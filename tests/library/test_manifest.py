@@ -179,7 +179,7 @@ def test_copies_are_no_repeats(tmp_path, capsys):
     found = loaded(tmp_path, [spots[0], spots[1], spots[0], black, black, spots[2], spots[0]], text)
     table = crops.ingest(found)
     assert table["copy_of"].values.tolist() == [-1, -1, 0, -1, -1, -1, 0]
-    assert table.attrs["remarks"].split("; ") == [
+    assert store.remarks_of(table) == [
         f"frames/f{k}.tif holds the same pixels as frames/f0.tif, so that it is left out as a copy" for k in (2, 6)
     ]
     crops.crop(found, table, tmp_path / "crops.nc", code="c", inputs=[])
@@ -194,8 +194,8 @@ def test_copies_are_no_repeats(tmp_path, capsys):
 def test_many_copies_are_counted(tmp_path):
     """A remark that nobody reads says nothing."""
     found = loaded(tmp_path, [RAMP] * 9, "crop_px: 8")
-    assert len(crops.ingest(found).attrs["remarks"].split("; ")) == crops.MOST_COPIES + 1
-    assert crops.ingest(found).attrs["remarks"].endswith("3 more frames are copies")
+    assert len(store.remarks_of(crops.ingest(found))) == crops.MOST_COPIES + 1
+    assert store.remarks_of(crops.ingest(found))[-1] == "3 more frames are copies"
 
 
 def test_copies_of_flats_and_darks_give_no_noise(tmp_path):

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from spotcheck.clip import End
 from spotcheck.estimate import sensor as sensor_stage
 from spotcheck.estimate.noise_curve import gain_from_curve, noise_curve
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE = 240
+END = End(1023, "bits of the converter")
 
 
 def light_of(kind: str, seed: int) -> np.ndarray:
@@ -80,7 +82,7 @@ def test_the_data_sheet_speaks_first(tmp_path):
     """What instrument.yaml gives is used; full scale is the converter's; nothing is estimated."""
     text = "sensor: {bit_depth: 10, gain_dn_per_e: 0.2, read_noise_e: 5, black_level_dn: 3}\ncrop_px: 8"
     ds = loaded(tmp_path, [np.zeros((9, 9), np.uint16)], text)
-    out = sensor_stage.resolve(ds, 16, [])
+    out = sensor_stage.resolve(ds, END, [])
     model = sensor_stage.model_of(out)
     assert (model.gain_dn_per_e, model.read_noise_e, model.black_level_dn) == (0.2, 5, 3)
     assert model.full_scale_dn == 1023 and np.isinf(model.full_well_e)
@@ -91,14 +93,14 @@ def test_gain_and_read_noise_from_frames(tmp_path):
     """Both within 10 % from four frames, with the method named; without light they stay unknown, with the reason."""
     ds = loaded(tmp_path, [np.zeros((9, 9), np.uint16)], "sensor: {bit_depth: 10, black_level_dn: 40}\ncrop_px: 8")
     images = [noisy(light_of("spot", s), s).astype(float) for s in range(4)]
-    out = sensor_stage.resolve(ds, 16, images)
+    out = sensor_stage.resolve(ds, END, images)
     # The scatter of one frame is 3 % (test above).
     assert float(out["gain_dn_per_e"]) == pytest.approx(0.11, rel=0.1)
     assert float(out["read_noise_e"]) == pytest.approx(13.0, rel=0.1)
     assert "4 frames" in out["gain_dn_per_e"].attrs["source"]
     assert 0 < float(out["gain_dn_per_e_stderr"]) < 0.01
     dark = [noisy(np.zeros((SIDE, SIDE)), 1).astype(float)]
-    unknown = sensor_stage.resolve(ds, 16, dark)
+    unknown = sensor_stage.resolve(ds, END, dark)
     assert sensor_stage.model_of(unknown) is None
     assert unknown["read_noise_e"].attrs["source"].startswith("unknown")
 
@@ -106,5 +108,5 @@ def test_gain_and_read_noise_from_frames(tmp_path):
 def test_read_noise_comes_with_its_error(tmp_path):
     """Estimated from frames like the gain, and with an error like it."""
     ds = loaded(tmp_path, [np.zeros((9, 9), np.uint16)], "sensor: {bit_depth: 10, black_level_dn: 40}\ncrop_px: 8")
-    out = sensor_stage.resolve(ds, 16, [noisy(light_of("spot", s), s).astype(float) for s in range(4)])
+    out = sensor_stage.resolve(ds, END, [noisy(light_of("spot", s), s).astype(float) for s in range(4)])
     assert np.isfinite(out["read_noise_e_stderr"])

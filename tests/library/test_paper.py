@@ -6,6 +6,7 @@ import pytest
 import xarray as xr
 
 from spotcheck import dataset, store
+from spotcheck.clip import End
 from spotcheck.estimate import sensor
 from spotcheck.paper import derived, measured, simulated, verdicts
 from spotcheck.paper.results import Results
@@ -138,7 +139,7 @@ def results(tmp_path) -> Results:
     for name, value in (("rows", 3072), ("columns", 4096), ("full_scale", 1023)):
         frames[name] = ((), value, {"units": "1", "long_name": name})
     store.write(frames, tmp_path / "frames.nc", code="c")
-    store.write(sensor.resolve(data, 16, []), tmp_path / "sensor.nc", code="c")
+    store.write(sensor.resolve(data, End(1023, "bits of the converter"), []), tmp_path / "sensor.nc", code="c")
     return Results(data, tmp_path)
 
 

@@ -51,7 +51,7 @@ def test_pictures_of_dark_and_half(folder):
     """The stripes' rms without light, √(1/20 · 19/20) 4 DN, in the spectrum along rows and not along columns; blocks of
     3 px keep the picture below its largest size."""
     dataset = load(folder)
-    found = transfer_of(levels_of(dataset, 16), 4095.0)
+    found = transfer_of(levels_of(dataset, 4095.0), 4095.0)
     levels = chosen(found)
     assert levels["dark"].kind == "dark" and abs(levels["flat"].mean - 50 - 0.3 * 4000) < 200
     own = pattern_of(dataset, levels["dark"])
@@ -64,7 +64,7 @@ def test_pictures_of_dark_and_half(folder):
 
 def test_they_are_in_the_file(folder):
     dataset = load(folder)
-    found = transfer_of(levels_of(dataset, 16), 4095.0)
+    found = transfer_of(levels_of(dataset, 4095.0), 4095.0)
     ds = add_patterns(dataset_of(found, "T", "d"), dataset, found)
     assert ds["flat_picture"].shape == ds["dark_picture"].shape == (13, 200)
     assert float(ds["dark_shown_at"]) == pytest.approx(50.2, abs=0.2)

@@ -264,7 +264,7 @@ def test_levels_of_a_folder_are_grouped(tmp_path):
             rows.append(f"{name},{kind},,{exposure},{repeat + photons},{photons if kind == 'flat' else ''}")
     (tmp_path / "manifest.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "instrument.yaml").write_text("crop_px: 24\nsensor: {bit_depth: 12}\n")
-    found = levels_of(load(tmp_path), 16)
+    found = levels_of(load(tmp_path), 4095.0)
     assert [(own.kind, own.photons, own.frames) for own in found] == [
         ("dark", 0, 3),
         ("flat", 300, 3),

@@ -6,9 +6,11 @@ import pytest
 from spotcheck.discrepancy.observe.frames import round_spot
 from spotcheck.discrepancy.observe.pixels import Numbers
 from spotcheck.discrepancy.search.light import find
+from spotcheck.model.baseline import Baseline
 from spotcheck.model.effects import vocabulary
 from tests.library.small_light import BLACK, CONTEXT, SENSOR, beam, designed, drawn, gaussian, started
 
+GAUSSIAN = Baseline(0.0, "free", False, 1.0)
 KNOWN = ("dark_offset", "nonlinearity", "smear", "super_gaussian", "ghost_reflection", "speckle", "row_noise")
 
 
@@ -44,7 +46,7 @@ def test_a_level_far_below_the_light_is_found_under_grains():
         seed, 6, clip=560.0, shape=lambda u, v: 8 * gaussian(u, v), speckle=(0.4, 1.0), skewed=True, uneven=0.015
     )
     frames, model = started(images, known)
-    first = np.log([round_spot(image, SENSOR, top_hat=False) for image in images])
+    first = np.log([round_spot(image, SENSOR, GAUSSIAN) for image in images])
     numbers = Numbers(first[:, 0], first[:, 3], np.exp(first[:, 1]), np.exp(first[:, 2]))
     model = model._replace(lights=None, numbers=numbers)
     assert np.median(np.exp(numbers.log_peak) / known[:, 1]) < 4

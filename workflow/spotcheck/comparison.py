@@ -54,7 +54,11 @@ def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scal
     ds["psnr"] = (
         (*grid, "registration", "data_range"),
         _psnr(crops, fits, grid, full_scale),
-        {"units": "dB", "long_name": "peak signal-to-noise ratio of measured against simulated"},
+        {
+            "units": "dB",
+            "long_name": "peak signal-to-noise ratio of measured against simulated",
+            "infinite": "both frames are alike to the last digit",
+        },
     )
     ds["status"] = (
         fit_dims,

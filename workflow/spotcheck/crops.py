@@ -11,8 +11,10 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import frames, seen, spotfinding, store
+from spotcheck.clip import End, end_of, top_of
 from spotcheck.dataset import Dataset, check_files, unit_of
 from spotcheck.errors import InputError
+from spotcheck.plausible import remarks_on
 
 # How the crop is centred: on the light's centroid (default of every stage), or on the maximum, as the paper.
 CENTRINGS = ("light", "maximum")
@@ -34,7 +36,6 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
     Raises `InputError` where a file changes meanwhile, as its digest would not be that of the pixels.
     """
     probe = check_dataset(dataset)
-    highest = frames.full_scale(dataset.instrument, probe.bits)
     names = {
         "minimum": ("i4", "DN", "smallest reading"),
         "maximum": ("i4", "DN", "largest reading"),
@@ -45,26 +46,29 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
     }
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
-    looks, first = dict[str, seen.Look](), dict[bytes, int]()
+    looks, first, tops = dict[str, seen.Look](), dict[bytes, int](), []
     for k, frame in enumerate(dataset.frames):
         if frame.file not in looks:
             path = dataset.folder / frame.file
             looks[frame.file] = seen.look(path, before.get(str(path)))
-        pixels = frames.read_good(dataset, frame)
-        pixels = pixels[~np.isnan(pixels)] if pixels.dtype.kind == "f" else pixels
-        columns["minimum"][k], columns["maximum"][k] = pixels.min(), pixels.max()
+        pixels = frames.readings(frames.read_good(dataset, frame))
+        top = top_of(pixels)
+        tops.append(top)
+        columns["minimum"][k], columns["maximum"][k] = top.lowest, top.highest
         columns["mean"][k] = pixels.mean(dtype=np.float64)
-        columns["at_full_scale"][k] = np.count_nonzero(pixels >= highest)
         columns["at_zero"][k] = pixels.size - np.count_nonzero(pixels)
         # ASSUME: noise makes no two exposures equal in every pixel, unless all of them read the same, as black ones do.
-        varied = columns["minimum"][k] < columns["maximum"][k]
+        varied = top.lowest < top.highest
         earlier = first.setdefault(hashlib.sha256(pixels.data).digest(), k) if varied else k
         columns["copy_of"][k] = earlier if earlier < k else -1
     for file, own in looks.items():
         if seen.look(dataset.folder / file, own).sha256 != own.sha256:
             raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
-    remarks = [*probe.remarks, *copies(dataset, columns["copy_of"])]
-    ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name, "remarks": "; ".join(remarks)})
+    end = end_of(tops, dataset.instrument, probe.bits)
+    columns["at_full_scale"][:] = [own.pixels if own.highest == end.reading else 0 for own in tops]
+    ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
+    remarks = [*probe.remarks, *remarks_on(dataset), *end.remarks, *copies(dataset, columns["copy_of"])]
+    ds = store.with_remarks(ds, remarks)
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})
     for name, (_, units, long_name) in names.items():
         ds[name] = ("frame", columns[name], {"units": units, "long_name": long_name})
@@ -93,9 +97,10 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
         ("rows", probe.shape[0], "pixel", "rows of every frame"),
         ("columns", probe.shape[1], "pixel", "columns of every frame"),
         ("container_bits", probe.bits, "bit", "bits of a stored pixel"),
-        ("full_scale", highest, "DN", "largest possible reading"),
+        ("full_scale", end.reading, "DN", "largest possible reading"),
     ):
         ds[name] = ((), value, {"units": units, "long_name": long_name})
+    ds["full_scale"].attrs["source"] = end.source
     return ds
 
 
@@ -111,6 +116,11 @@ def without_copies(dataset: Dataset, table: xr.Dataset) -> Dataset:
     """The dataset without frames that hold the pixels of an earlier one and so measure nothing anew."""
     kept = [frame for frame, own in zip(dataset.frames, table["copy_of"].values, strict=True) if own < 0]
     return replace(dataset, frames=tuple(kept))
+
+
+def end_in(table: xr.Dataset) -> End:
+    """Where the readings of a dataset stop, by its frames.nc."""
+    return End(int(table["full_scale"]), str(table["full_scale"].attrs["source"]))
 
 
 def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: list) -> None:
@@ -164,14 +174,15 @@ def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str
     """All variables of one frame; `flags` are set in its status beside what its pixels say."""
     spots = (spotfinding.light_centroid(pixels, side), spotfinding.brightest_pixel(pixels))
     images = np.stack([spotfinding.cut(pixels, spot, side) for spot in spots])
-    surround = frames.reduce_frame(pixels)
+    surround, top = frames.reduce_frame(pixels), top_of(frames.readings(pixels))
+    clip = float(top.highest) if top.stops(top.lowest) else highest
     return {
         "image": images,
         "top": [spot.row - side // 2 for spot in spots],
         "left": [spot.column - side // 2 for spot in spots],
         "status": [
             flags
-            | _status(image, spots[0].found, highest)
+            | _status(image, spots[0].found, highest, clip)
             | (0 if _within(pixels, spot, side) else store.flag("masked"))
             for image, spot in zip(images, spots, strict=True)
         ],
@@ -181,11 +192,12 @@ def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str
     }
 
 
-def _status(image: np.ndarray, found: bool, highest: float) -> int:
+def _status(image: np.ndarray, found: bool, highest: float, clip: float) -> int:
+    """Flags of a crop by the largest reading of all [DN], and that at which the frame itself stops."""
     valid = np.isfinite(image)
-    clipped = int(np.count_nonzero(image[valid] >= highest))
-    if clipped == valid.sum():
+    if np.all(image[valid] >= highest):
         return store.flag("saturated")
+    clipped = bool(np.any(image[valid] >= clip))
     return (0 if found else store.flag("black")) | (store.flag("clipped") if clipped else 0)
 
 
@@ -201,6 +213,9 @@ def usable(status: int | np.ndarray | xr.DataArray) -> bool:
 
 
 def cells(ds: xr.Dataset, dims: tuple[str, ...]) -> Iterator[dict[str, int]]:
-    """Every index of the named dimensions, as keywords for `isel`; frames are then read one at a time."""
-    for index in np.ndindex(*(ds.sizes[d] for d in dims)):
+    """Every index of the named dimensions that has a frame, as keywords for `isel`; frames are then read one at a time.
+    A grid of as many exposures as repeats is nearly empty."""
+    others = [d for d in ds["status"].dims if d not in dims]
+    there = (ds["status"] != store.flag("missing")).any(others).transpose(*dims).values
+    for index in np.argwhere(there).tolist():
         yield dict(zip(dims, index, strict=True))

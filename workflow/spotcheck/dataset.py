@@ -4,6 +4,7 @@ and the grid that its spots span.
 Everything that can be said without decoding a pixel is checked on loading; a breach raises `InputError`.
 """
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,7 +33,7 @@ class Axis:
 
     def index(self, value: float | None) -> int:
         """Place of a value on the axis."""
-        return 0 if self.values is None or value is None else self.values.index(value)
+        return 0 if self.values is None or value is None else bisect_left(self.values, value)
 
 
 @dataclass(frozen=True, repr=False)

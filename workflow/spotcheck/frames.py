@@ -179,6 +179,11 @@ def read_good(dataset: Dataset, frame: Frame) -> np.ndarray:
     return pixels if bad is None else np.where(bad, np.float32(np.nan), pixels.astype(np.float32))
 
 
+def readings(pixels: np.ndarray) -> np.ndarray:
+    """The readings of all pixels that are measured [DN], unsigned: the image itself where no pixel is bad."""
+    return pixels if pixels.dtype.kind == "u" else pixels[~np.isnan(pixels)].astype(np.uint16)
+
+
 def full_scale(instrument: Instrument, container_bits: int) -> int:
     """Largest reading [DN]: of the converter where its depth is given, else of the container."""
     return 2 ** (instrument.sensor.bit_depth or container_bits - instrument.sensor.value_shift_bits) - 1

@@ -8,6 +8,7 @@ from typing import Any
 
 from spotcheck.errors import InputError
 from spotcheck.manifest import REQUIRED_COLUMNS
+from spotcheck.plausible import USUAL, hint
 from spotcheck.schema import breach_of, read_keys
 
 # No condition may bear the name of a standard column, or of a dimension or variable of the results.
@@ -60,6 +61,7 @@ class Optics:
     working_distance_m: float | None = None
     f_number: float | None = None
     filter_transmission: float | None = None
+    pixel_integration: bool = False
 
 
 @dataclass(frozen=True)
@@ -153,13 +155,17 @@ def read_instrument(path: Path) -> Instrument:
     # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
     content = {k: ({} if v is None and k in SECTIONS else v) for k, v in content.items()}
     if breach := breach_of(content, "instrument"):
-        raise InputError(f"{path.name}: {breach}")
+        raise InputError(f"{path.name}: {breach}{_in_another_unit(content, breach)}")
     given = {
         f"{name}.{key}" if key else name for name, own in content.items() for key in (own if name in SECTIONS else [""])
     }
     _find(path, content, "light", "profile", "a light.nc")
     _find(path, content, "bad_pixels", "mask", "an image")
     sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
+    if sections["optics"].pixel_integration and sections["model"].top_hat:
+        raise InputError(
+            f"{path.name}: keys optics.pixel_integration and model.top_hat are both true; one of them must be false"
+        )
     content = _whole(content)
     content["conditions"] = tuple(content.get("conditions", ()))
     for condition in content["conditions"]:
@@ -172,6 +178,16 @@ def read_instrument(path: Path) -> Instrument:
                 f"{path.name}: key conditions names {condition!r}; it must be a word of letters, digits and underscores"
             )
     return Instrument(**content, **sections, given=frozenset(given))
+
+
+def _in_another_unit(content: dict[str, Any], breach: str) -> str:
+    """In which unit a number that is refused would be a usual one; "" where in none."""
+    for key, usual in USUAL.items():
+        section, _, name = key.partition(".")
+        if f"key {key} is " in breach and isinstance(content[section][name], int | float):
+            right = hint(content[section][name], usual)
+            return f" ({right})" if right else ""
+    return ""
 
 
 def _find(path: Path, content: dict[str, Any], section: str, key: str, wanted: str) -> None:

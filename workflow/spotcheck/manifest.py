@@ -9,6 +9,7 @@ from pathlib import Path, PureWindowsPath
 from typing import Any
 from unicodedata import normalize
 
+from spotcheck.conditions import EXPOSURE_PART, grouped
 from spotcheck.errors import InputError
 from spotcheck.text import read_text
 
@@ -16,6 +17,9 @@ KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
 # The column that gives the light of a flat.
 PHOTONS = "photons_per_px"
+ALIKE_TWICE = (
+    f"every frame must be named once, with a repeat of its own (exposures within {100 * EXPOSURE_PART:g} % are one)"
+)
 IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm")
 # Longest path of a file [characters]; what is longer is no name, and systems refuse to look for it.
 LONGEST_NAME = 250
@@ -45,7 +49,8 @@ class Frame:
 
 
 def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, ...]:
-    """Rows of manifest.csv in their order, checked among themselves and against the files of the folder."""
+    """Rows of manifest.csv in their order, checked among themselves and against the files of the folder. Exposures,
+    angles and declared conditions that are equal within their tolerances are made equal (see `conditions`)."""
     if not path.is_file():
         raise InputError(f"{path.name}: not there; a dataset needs it ({', '.join(REQUIRED_COLUMNS)})")
     columns, rows = _rows(path, conditions)
@@ -68,6 +73,7 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
     if not rows:
         raise InputError(f"{path.name}: no rows; it must name at least one frame")
     frames = _as_on_disk(path.parent, tuple(_frame(path, line, row, conditions) for line, row in rows))
+    frames = _with_common(frames, conditions)
     _check_rows(path, frames, conditions)
     return frames
 
@@ -172,6 +178,25 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
     )
 
 
+def _with_common(frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> tuple[Frame, ...]:
+    """Frames of one condition with equal values."""
+    angles, exposures = (
+        grouped(column, [getattr(frame, column) for frame in frames]).values for column in ("angle_deg", "exposure_s")
+    )
+    frames = tuple(
+        replace(frame, angle_deg=angle, exposure_s=exposure)
+        for frame, angle, exposure in zip(frames, angles, exposures, strict=True)
+    )
+    for name in conditions:
+        values = [number_in(frame.extra[name]) for frame in frames]
+        own = [
+            frame.extra if value == before else frame.extra | {name: repr(value)}
+            for frame, before, value in zip(frames, values, grouped(name, values).values, strict=True)
+        ]
+        frames = tuple(replace(frame, extra=extra) for frame, extra in zip(frames, own, strict=True))
+    return frames
+
+
 def _inside(folder: Path, file: str) -> bool:
     try:
         return (folder / file).resolve().is_relative_to(folder.resolve())
@@ -185,15 +210,12 @@ def _check_rows(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ..
     for frame in frames:
         at = tuple(number_in(frame.extra[name]) for name in conditions)
         cell = (frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat, at)
-        for seen, key, what in (
-            (by_page, (frame.file, frame.page), "file and page"),
-            (by_cell, cell, "kind, angle, exposure, repeat and conditions"),
+        for seen, key, what, right in (
+            (by_page, (frame.file, frame.page), "file and page", "every frame must be named once"),
+            (by_cell, cell, "kind, angle, exposure, repeat and conditions", ALIKE_TWICE),
         ):
             if key in seen:
-                raise InputError(
-                    f"{path.name} lines {seen[key].line} and {frame.line} agree in {what};"
-                    f" every frame must be named once"
-                )
+                raise InputError(f"{path.name} lines {seen[key].line} and {frame.line} agree in {what}; {right}")
             seen[key] = frame
     spots = [frame for frame in frames if frame.kind == "spot"]
     for column in ("angle_deg", "exposure_s", "repeat"):

@@ -26,13 +26,13 @@ STATUS = {
     2: ("black", "no light above the noise"),
     4: ("saturated", "every pixel of the crop reads full scale"),
     8: ("masked", "the crop reaches beyond the frame"),
-    16: ("clipped", "some pixels read full scale"),
+    16: ("clipped", "some pixels read full scale, or many exactly the highest reading of the frame"),
     32: ("not_converged", "the fit stopped before its minimum"),
     64: ("at_limit", "the fit left the range in which a width can be trusted"),
     128: ("no_noise", "gain or read noise is unknown: no likelihood"),
     256: ("copy", "the pixels are those of another frame"),
     512: ("left_out", "pixels whose readings no light explains were left out of the fit"),
-    1024: ("misfit", "chi-square per degree of freedom is far from 1: errors are off by more than a factor of 2"),
+    1024: ("misfit", "chi-square is far from what the stated noise lets expect"),
     2048: ("no_error", "a standard error is 0, which no measurement has"),
 }
 UNUSABLE = 1 | 2 | 4 | 256
@@ -103,6 +103,32 @@ def check(ds: xr.Dataset, what: str) -> xr.Dataset:
     return ds
 
 
+def with_remarks(ds: xr.Dataset, remarks: Sequence[str]) -> xr.Dataset:
+    """The result with sentences on what is odd about it, each of them once."""
+    return ds.assign_attrs(remarks="\n".join(dict.fromkeys(remarks)))
+
+
+def remarks_of(ds: xr.Dataset) -> list[str]:
+    """Sentences on what is odd about a result."""
+    return [text for text in str(ds.attrs.get("remarks", "")).split("\n") if text]
+
+
+def _exact(ds: xr.Dataset) -> Iterator[str]:
+    """Sentences on numbers that no measurement gives: standard errors of exactly 0, and infinities that their variable
+    does not explain (attribute `infinite`)."""
+    for name, variable in ds.variables.items():
+        if variable.dtype.kind != "f":
+            continue
+        infinite = int(np.isinf(variable.values).sum())
+        if infinite and "infinite" not in variable.attrs:
+            yield f"{name} is infinite in {infinite} of {variable.size} places"
+        if str(name).endswith(("stderr", "_error")) and (none := int((variable.values == 0).sum())):
+            yield (
+                f"{name} is exactly 0 in {none} of {variable.size} places: what it is the error of was not measured,"
+                " or from copies of one frame"
+            )
+
+
 def grid(dataset: Dataset) -> xr.Dataset:
     """Empty dataset over the grid of spots: coordinates of the recorded axes, attribute for the others."""
     coords = {
@@ -133,7 +159,7 @@ def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str |
     """Write a result with its provenance. `code` is a digest (see `provenance`), `inputs` the files it was made
     from."""
     path = Path(path)
-    ds = ds.assign_attrs(_provenance_attributes(code, inputs))
+    ds = with_remarks(ds, [*remarks_of(ds), *_exact(ds)]).assign_attrs(_provenance_attributes(code, inputs))
     check(ds, path.name)
     encoding: dict[str, dict] = {}
     for name, variable in ds.variables.items():

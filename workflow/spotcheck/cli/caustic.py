@@ -25,3 +25,5 @@ def run(args: argparse.Namespace) -> None:
     else:
         for words, own in beam_rows(found).items():
             print(f"M² = {plus_minus(float(own['m2']), float(own['m2_stderr']))} ({words})")
+    for remark in store.remarks_of(found):
+        print(remark)

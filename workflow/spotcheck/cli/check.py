@@ -6,6 +6,7 @@ from spotcheck import configuration, dataset
 from spotcheck.crops import check_dataset
 from spotcheck.manifest import KINDS
 from spotcheck.model.baseline import of_instrument
+from spotcheck.plausible import remarks_on
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,13 +15,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Say how many frames of which kind there are, or raise `InputError`."""
+    """Say how many frames of which kind there are and what is odd about their numbers, or raise `InputError`."""
     found = dataset.load(args.dataset)
     probe = check_dataset(found)
     of_instrument(found.instrument, found.exposures)
     kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in KINDS)
     print(f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order")
-    for remark in (*probe.remarks, configuration.remark_on(args.dataset)):
+    for remark in (*probe.remarks, *remarks_on(found), configuration.remark_on(args.dataset)):
         if remark:
             print(remark)
-        print(remark)

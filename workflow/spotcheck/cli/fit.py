@@ -3,13 +3,13 @@
 import argparse
 
 from spotcheck import dataset, provenance, store
-from spotcheck.estimate.fits import fit_crops, preferred
+from spotcheck.estimate.fits import fit_crops, preferred, reasons_text
 from spotcheck.estimate.sensor import model_of
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
-    parser.add_argument("dataset", help="folder of the dataset, whose instrument says if the spot is a top hat")
+    parser.add_argument("dataset", help="folder of the dataset, whose instrument says what the spot is")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
     parser.add_argument("--output", required=True, help="fits.nc to write")
@@ -17,11 +17,19 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Fit every crop."""
+    given = dataset.load(args.dataset).instrument
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
-        fits = fit_crops(crops, model_of(sensor), dataset.load(args.dataset).instrument.model.top_hat)
+        fits = fit_crops(crops, model_of(sensor), given.model.top_hat, given.optics.pixel_integration)
     store.write(fits, args.output, code=provenance.code_digest(__name__), inputs=[args.crops, args.sensor])
+    there = (fits["status"] & store.flag("missing")) == 0
     for name in fits["fit"].values:
         own = fits["amplitude"].sel(fit=name)
-        print(f"{int(own.notnull().sum())} of {own.size} crops fitted by {str(name).replace('_', ' ')}")
+        fitted, known = int(own.notnull().sum()), there.sel(fit=name)
+        why = reasons_text(fits["status"].sel(fit=name).where(own.isnull() & known, 0).values)
+        print(
+            f"{fitted} of {int(known.sum())} crops fitted by {str(name).replace('_', ' ')}{f': {why}' if why else ''}"
+        )
     for sentence in dict.fromkeys(filter(None, preferred(fits)["left_out"].values.ravel())):
         print(sentence)
+    for remark in store.remarks_of(fits):
+        print(remark)

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import dataset, frames, seen, store
+from spotcheck import dataset, seen, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import tolerance_of
 from spotcheck.crops import without_copies
@@ -29,9 +29,8 @@ def run(args: argparse.Namespace) -> None:
     vocabulary.choose(args)
     found, tolerance = dataset.load(args.dataset), tolerance_of(args.tolerance)
     with store.read(args.frames) as table, seen.as_ingested(found, table):
-        bits, found = int(table["container_bits"]), without_copies(found, table)
-        full_scale = float(frames.full_scale(found.instrument, bits))
-        transfer = transfer_of(levels_of(found, bits), full_scale)
+        full_scale, found = float(table["full_scale"]), without_copies(found, table)
+        transfer = transfer_of(levels_of(found, full_scale), full_scale)
     judgement = judge_flats(transfer, full_scale, list(effects.vocabulary().values()))
     verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak)
     verdict |= vocabulary.described()

@@ -19,5 +19,5 @@ def run(args: argparse.Namespace) -> None:
     inputs = [found.folder / "manifest.csv", found.folder / "instrument.yaml"]
     store.write(table, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     print(f"{found.name}: {table.sizes['frame']} frames recorded")
-    for remark in filter(None, table.attrs["remarks"].split("; ")):
+    for remark in store.remarks_of(table):
         print(remark)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import xarray as xr
 
+from spotcheck import store
 from spotcheck.dataset import Dataset
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.observe.frames import Setting
@@ -45,7 +46,7 @@ def open_set(found: Dataset, crops: xr.Dataset, sensor: xr.Dataset) -> OpenSet |
     rows, columns = crops.sizes["row"], crops.sizes["column"]
     baseline = of_instrument(found.instrument, found.exposures)
     setting = Setting(baseline, model, stderr_of(sensor), rows, columns, known_beforehand(sensor))
-    remarks = (missing, astray, never_chose(shots), sensor.attrs.get("remark", ""))
+    remarks = (missing, astray, never_chose(shots), *store.remarks_of(sensor))
     return OpenSet(shots, setting, "; ".join(remark for remark in remarks if remark))
 
 

@@ -31,7 +31,6 @@ def run(args: argparse.Namespace) -> None:
         beside = (
             frames.Surround(*(images[name].isel(index).values for name in frames.Surround._fields))
             for index in crops.cells(images, store.grid_dims(images))
-            if not int(own["status"].isel(index)) & store.flag("missing")
         )
         dark = sensor.judge_darks(darks, beside, float(table["full_scale"]))
         measured = {}
@@ -39,8 +38,11 @@ def run(args: argparse.Namespace) -> None:
             with store.read(path) as transfer:
                 measured = quantities_of(transfer)
         pairs = {"exposures of a site": pairs_along(own, "exposure"), "repeats": pairs_along(own, "repeat")}
-        settled = sensor.resolve(found, int(table["container_bits"]), usable, *dark, measured=measured, pairs=pairs)
+        highest = float(table["maximum"].max())
+        settled = sensor.resolve(found, crops.end_in(table), usable, dark, measured, pairs, highest)
     inputs = [args.crops, args.frames, *args.transfer, found.folder / "instrument.yaml"]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:
         print(f"{name} = {float(settled[name]):.4g} {settled[name].attrs['units']} ({settled[name].attrs['source']})")
+    for remark in store.remarks_of(settled):
+        print(remark)

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import dataset, frames, provenance, seen, store
+from spotcheck import dataset, provenance, seen, store
 from spotcheck.crops import without_copies
 from spotcheck.estimate.levels import levels_of
 from spotcheck.estimate.pattern import add_patterns
@@ -21,11 +21,11 @@ def run(args: argparse.Namespace) -> None:
     """Characterise the sensor by its flats and darks."""
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table, seen.as_ingested(found, table):
-        bits, found = int(table["container_bits"]), without_copies(found, table)
-        transfer = transfer_of(levels_of(found, bits), float(frames.full_scale(found.instrument, bits)))
+        full_scale, found = float(table["full_scale"]), without_copies(found, table)
+        transfer = transfer_of(levels_of(found, full_scale), full_scale)
         measured = add_patterns(dataset_of(transfer, found.title, found.name), found, transfer)
     store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     for own in quantities_of(measured).values():
         print(own)
-    for remark in filter(None, measured.attrs["remarks"].split("; ")):
+    for remark in store.remarks_of(measured):
         print(remark)

@@ -36,6 +36,8 @@ AXES = {
 # Three coefficients, and one position more is the least that shows how the points scatter about the hyperbola.
 FEWEST_POSITIONS = 4
 LEVEL = 0.6827
+# M² below 1 by this many standard errors is impossible, and no longer chance (1 of 700 scans of a perfect beam).
+IMPOSSIBLE = 3.0
 QUANTITIES = {
     "waist_radius": ("m", "1/e2 radius w0 at the waist"),
     "waist_position": ("m", "distance z0 of the waist"),
@@ -304,6 +306,7 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
         ("positions_far", "axis", np.sum(distance > 2 * length, axis=1), "positions beyond two Rayleigh lengths"),
     ):
         ds[name] = (dims, count, {"units": "1", "long_name": long_name})
+    ds = store.with_remarks(ds, _on_quality(ds, pitch, wavelength))
     return ds.assign_attrs(
         beam="stigmatic" if axes.stigmatic else "simple astigmatic",
         width="twice the standard deviation of the fitted Gaussian, not the second moment of ISO 11146-1",
@@ -328,6 +331,22 @@ def beam_rows(ds: xr.Dataset) -> dict[str, xr.Dataset]:
         return {"mean of both axes": ds.sel(axis="mean")}
     azimuth = float(ds["azimuth"])
     return {f"axis at {azimuth + turn:.1f}°": ds.sel(axis=name) for name, turn in (("x", 0), ("y", 90))}
+
+
+def _on_quality(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
+    """The sentence on axes whose M² is below 1 beyond its error: no beam is better than a Gaussian one."""
+    low = [
+        f"{name} {plus_minus(value, error)}"
+        for name, value, error in zip(AXES, ds["m2"].values, ds["m2_stderr"].values, strict=True)
+        if value + IMPOSSIBLE * error < 1
+    ]
+    if not low:
+        return []
+    return [
+        f"M² is below 1 ({', '.join(low)}), and no beam's is; it grows with sensor.pixel_pitch_m ({pitch:g}) squared"
+        f" and falls with laser.wavelength_m ({wavelength:g}) and with the unit of {CONDITION}: one of them is off,"
+        " or the camera sees an image of the beam and not the beam"
+    ]
 
 
 def _fill(ds: xr.Dataset, found: list[Hyperbola], wavelength: float, axes: Axes) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from spotcheck import frames
+from spotcheck import store
 from spotcheck.crops import ingest, without_copies
 from spotcheck.dataset import load
 from spotcheck.errors import InputError
@@ -171,9 +171,9 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
             "manifest.csv: has no frame of kind flat or dark; there is nothing to characterise a sensor by"
         )
     table = ingest(dataset)
-    bits, distinct = int(table["container_bits"]), without_copies(dataset, table)
-    found = transfer_of(levels_of(distinct, bits), float(frames.full_scale(dataset.instrument, bits)))
-    found.remarks.extend(filter(None, table.attrs["remarks"].split("; ")))
+    full_scale = float(table["full_scale"])
+    found = transfer_of(levels_of(without_copies(dataset, table), full_scale), full_scale)
+    found.remarks.extend(store.remarks_of(table))
     return Characterisation(found, dataset.title, dataset.name)
 
 

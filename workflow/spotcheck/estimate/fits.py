@@ -1,5 +1,6 @@
 """The fit stage: every crop of a file, one at a time, by both estimators."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +17,14 @@ FITS = {
     "likelihood": "maximum likelihood of the instrument's spot, Gaussian or top hat, under the sensor's noise",
     "least_squares": "unweighted least squares of a Gaussian, the paper's estimator",
 }
-# Standard errors go with the root of χ²: outside this range they are off by more than a factor of 2.
-MISFIT = 0.25, 4.0
 # A fit is looked at for odd pixels where its χ² exceeds 1 by so many standard deviations: noise alone does so once in
 # 1e9. It is made again without them where that leaves less than this part of the excess.
 SECOND_LOOK, LEFT = 6.0, 0.5
+
+
+# χ² per degree of freedom of a spot fit that is flagged. Noise alone puts it within some percent of 1. Below half, the
+# stated noise is too large. Speckle on the composite brings up to 170: above, residuals are 14 times the stated noise.
+TOO_LOW, TOO_HIGH = 0.5, 200.0
 
 
 class Spot(NamedTuple):
@@ -33,10 +37,13 @@ class Spot(NamedTuple):
     status: int
 
 
-def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = False) -> xr.Dataset:
+def fit_crops(
+    crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = False, integrated: bool = False
+) -> xr.Dataset:
     """Fits of both centrings: values, standard errors, χ² and status on the grid; centres in pixels of the sensor.
 
-    Without a sensor model there is no likelihood; the attribute `preferred` says which fit to use.
+    `top_hat` is the plateau of the light, `integrated` whether a pixel reads the mean of the light over it. Without a
+    sensor model there is no likelihood; the attribute `preferred` says which fit to use.
     """
     dims = (*store.grid_dims(crops), "centring", "fit")
     shape = (*(crops.sizes[d] for d in dims[:-1]), len(FITS))
@@ -51,7 +58,7 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
         if not usable(crops["status"].values[at]):
             continue
         image = crops["image"].isel(index).values
-        own, odd = _both(image, sensor, top_hat)
+        own, odd = _both(image, sensor, top_hat, integrated)
         for k, fit in own.items():
             value[(*at, k)], stderr[(*at, k)] = fit.value, fit.stderr
             chi2[(*at, k)] = fit.chi2_reduced
@@ -70,6 +77,7 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
             stderr[..., k],
             {"units": units, "long_name": f"standard error of {long_name}"},
         )
+    ds["orientation_stderr"].attrs["infinite"] = "the spot is round within its noise"
     ds["chi2_reduced"] = (
         dims,
         chi2,
@@ -78,30 +86,63 @@ def fit_crops(crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = Fal
     ds["left_out"] = (dims, left_out, {"units": "1", "long_name": "pixels of the sensor that were left out, and why"})
     ds["status"] = (dims, status.astype("i4"), store.status_attributes())
     chosen = "least_squares" if sensor is None else "likelihood"
-    return ds.assign_attrs(preferred=chosen, **{f"fit_{name}": text for name, text in FITS.items()})
+    ds = ds.assign_attrs(preferred=chosen, **{f"fit_{name}": text for name, text in FITS.items()})
+    return store.with_remarks(ds, _on_misfits(preferred(ds)["chi2_reduced"].values))
 
 
-def _both(image: np.ndarray, sensor: SensorModel | None, top_hat: bool) -> tuple[dict[int, SpotFits], Odd | None]:
+def _on_misfits(chi2: np.ndarray) -> list[str]:
+    """Sentences on frames whose χ² is far from 1 [any shape; NaN: none]."""
+    out, known = [], chi2[np.isfinite(chi2)]
+    keys = "sensor.gain_dn_per_e or sensor.read_noise_e"
+    for own, why in (
+        (
+            known[known < TOO_LOW],
+            f"the noise that is stated is too large: {keys} is too high or in another unit, or sensor.black_level_dn is"
+            " missing or too low",
+        ),
+        (
+            known[known > TOO_HIGH],
+            f"the light is far from a Gaussian, as the verdict tells, or {keys} is too low or in another unit",
+        ),
+    ):
+        if own.size:
+            middle = float(np.median(own))
+            out.append(f"{own.size} of {known.size} fits have a χ² per degree of freedom of about {middle:.2g}: {why}")
+    return out
+
+
+def reasons_text(status: np.ndarray) -> str:
+    """Why crops have no fit, by their flags [any shape]: "2 × no light above the noise"; "" where none is flagged."""
+    flags = store.UNTRUSTED & np.asarray(status, int).ravel()
+    counts = {text: int(np.sum(flags & bit > 0)) for bit, (_, text) in store.STATUS.items()}
+    return "; ".join(f"{count} × {text}" for text, count in counts.items() if count)
+
+
+def _both(
+    image: np.ndarray, sensor: SensorModel | None, top_hat: bool, integrated: bool
+) -> tuple[dict[int, SpotFits], Odd | None]:
     """Fits of an image in the order of `FITS`, and the odd pixels that they leave out."""
+    equal = partial(fit_spots, sensor=sensor, weighting="equal", integrated=integrated)
     if sensor is None:
-        return {1: fit_spots(image, None, weighting="equal")}, None
-    first = fit_spots(image, sensor, top_hat=top_hat)
+        return {1: equal(image)}, None
+    likely = partial(fit_spots, sensor=sensor, top_hat=top_hat, integrated=integrated)
+    first = likely(image)
     excess = float(first.chi2_reduced) - 1
     noise = np.sqrt(2 / np.count_nonzero(np.isfinite(image)))
     if not excess <= SECOND_LOOK * noise:
         odd = odd_pixels(image, sensor)
         if odd.mask.any():
             good = np.where(odd.mask, np.nan, image)
-            again = fit_spots(good, sensor, top_hat=top_hat)
+            again = likely(good)
             better = not np.isfinite(excess) or again.chi2_reduced - 1 < LEFT * excess
             if again.flags == 0 and better:
-                return {0: again, 1: fit_spots(good, sensor, weighting="equal")}, odd
-    return {0: first, 1: fit_spots(image, sensor, weighting="equal")}, None
+                return {0: again, 1: equal(good)}, odd
+    return {0: first, 1: equal(image)}, None
 
 
 def remarks_of(fit: SpotFits) -> int:
     """Flags of a fit that is there, but whose errors are not those of its noise."""
-    misfit = np.isfinite(fit.chi2_reduced) and not MISFIT[0] <= fit.chi2_reduced <= MISFIT[1]
+    misfit = np.isfinite(fit.chi2_reduced) and not TOO_LOW <= fit.chi2_reduced <= TOO_HIGH
     certain = bool(np.any(fit.stderr == 0))
     return (store.flag("misfit") if misfit else 0) | (store.flag("no_error") if certain else 0)
 

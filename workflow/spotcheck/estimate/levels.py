@@ -47,18 +47,17 @@ class Level(NamedTuple):
     shape: tuple[int, int]
 
 
-def levels_of(dataset: Dataset, container_bits: int) -> list[Level]:
-    """All levels of a dataset, darks first, by exposure and light."""
+def levels_of(dataset: Dataset, full_scale_dn: float) -> list[Level]:
+    """All levels of a dataset, darks first, by exposure and light; readings end at `full_scale_dn`."""
     groups: dict[tuple[str, float, float], list[Frame]] = {}
     for frame in dataset.frames:
         if frame.kind in ("flat", "dark"):
             exposure = np.nan if frame.exposure_s is None else frame.exposure_s
             groups.setdefault((frame.kind, exposure, photons_of(frame)), []).append(frame)
-    highest = frames.full_scale(dataset.instrument, container_bits)
     ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
     ordered.sort(key=lambda key: key[0] != "dark")
     read = {key: (frames.read_good(dataset, own) for own in groups[key]) for key in ordered}
-    return with_common_drift([level_of(images, *key, highest) for key, images in read.items()])
+    return with_common_drift([level_of(images, *key, full_scale_dn) for key, images in read.items()])
 
 
 def with_common_drift(levels: list[Level]) -> list[Level]:

@@ -111,8 +111,9 @@ def _evaluate(frames, baseline: Baseline, sensor: SensorModel, shared: np.ndarra
     for frame in frames:
 
         def spot(p1, p2, peak, t=frame.exposure_s):
-            """Peak [DN] and 1/σ_g² [1/px²] of this frame."""
-            return np.array([peak * baseline.relative_peak(t, p1, p2), baseline.sigma(t, p1, p2) ** -2])
+            """Peak [DN] and 1/σ_g² [1/px²] of this frame, as pixels sample it."""
+            own = baseline.sampled(peak * baseline.relative_peak(t, p1, p2), baseline.sigma(t, p1, p2))
+            return np.array([own[0], own[1] ** -2])
 
         amplitude, curvature = spot(*shared)
         x, y = local[frame.site] - (frame.left, frame.top)

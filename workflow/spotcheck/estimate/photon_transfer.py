@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.estimate.consistent import in_levels
 from spotcheck.estimate.levels import Level
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.model.sensor import ROUNDING_VARIANCE
@@ -130,7 +131,18 @@ def line(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> Line:
 
 
 def transfer_of(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
-    """Everything that the levels allow."""
+    """Everything that the levels allow; what contradictions among them make wrong is unknown."""
+    found = _by_levels(levels, full_scale_dn)
+    quantities, eta = dict(found.quantities), found.quantities.get("quantum_efficiency")
+    known = eta if eta is not None and np.isfinite(eta.value) else None
+    for own in in_levels(levels, found.flats, found.signal, known):
+        found.remarks.append(own.sentence)
+        quantities |= {name: unknown(name, own.why) for name in own.unknown if name in quantities}
+    return found._replace(quantities=quantities)
+
+
+def _by_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
+    """Everything that the levels allow if they are what the manifest says."""
     remarks: list[str] = []
     darks, lit = _dark([own for own in levels if own.kind == "dark"], full_scale_dn)
     if lit:
@@ -292,6 +304,11 @@ def _dark_quantities(
     if noisy:
         variance, error = _at_zero([(own.exposure_s, own.variance, own.variance_error) for own in noisy])
         least = max(variance, LEAST_DARK)
+        if variance < LEAST_DARK:
+            remarks.append(
+                f"the darks' noise of {np.sqrt(max(variance, 0.0)):.2g} DN is below that of rounding: their noise is at"
+                " most what is given"
+            )
         _put(out, "dark_noise_dn", np.sqrt(least), error / (2 * np.sqrt(least)))
 
 

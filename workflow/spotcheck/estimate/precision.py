@@ -173,7 +173,8 @@ def sentence(ds: xr.Dataset) -> str:
             parts.append(f"from {_time(enough)} on it falls by no more than {ENOUGH:.0%}")
     for source in ("measured", "simulated"):
         ratio, error = pooled_ratio(ds, source, "sigma_mean")
-        if np.isfinite(ratio):
+        # Copies of one frame do not scatter at all.
+        if np.isfinite(ratio) and error > 0:
             digits = max(0, 1 - int(np.floor(np.log10(error))))
             meaning = ""
             if source == "measured":

@@ -64,4 +64,4 @@ def simulate_and_fit(baseline: Baseline, p1: float, p2: float, peak: float, expo
     """
     pixel = np.arange(side, dtype=float)
     light = (baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2) for t in exposure_s)
-    return fit_spots(light, weighting="equal").sigma_mean
+    return fit_spots(light, weighting="equal", integrated=baseline.pixel_integration).sigma_mean

@@ -43,7 +43,7 @@ def pairs_along(images: xr.Dataset, axis: str) -> Iterator[tuple[np.ndarray, np.
         return
     for index in cells(images, tuple(d for d in dims if d != axis)):
         row = images.isel(index)
-        places = [k for k in range(row.sizes[axis])[::-1] if usable(row["status"][k])]
+        places = [k for k, status in enumerate(row["status"].values) if usable(status)][::-1]
         for k, other in zip(places[1::2], places[::2], strict=False):
             first, second = row.isel({axis: k}), row.isel({axis: other})
             down, right = (int(second[name]) - int(first[name]) for name in ("top", "left"))

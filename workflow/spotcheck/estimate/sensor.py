@@ -8,11 +8,15 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import store
+from spotcheck.clip import End
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.by_spots import BySpots, seen_by_spots
+from spotcheck.estimate.consistent import SURELY, Told, black_too_high, in_numbers, in_sources, too_long
 from spotcheck.estimate.noise_curve import ENDS
 from spotcheck.estimate.photon_transfer import Quantity
-from spotcheck.frames import Surround, full_scale
+from spotcheck.frames import Surround
+from spotcheck.instrument import Instrument
+from spotcheck.manifest import KINDS
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
 QUANTITIES = {
@@ -30,10 +34,15 @@ LIT = 1e-3
 
 
 class Darks(NamedTuple):
-    """Level [DN] of each dark frame without light in it, and what is wrong with the others ("" if nothing)."""
+    """Level [DN] of each dark frame without light in it; what is wrong with the others ("" if nothing); and the lowest
+    level of any frame, spots too [DN]."""
 
-    levels: list[float]
-    remark: str
+    levels: Sequence[float] = ()
+    remark: str = ""
+    darkest: float = np.nan
+
+
+NO_DARKS = Darks()
 
 
 def level_of(frame: Surround) -> float:
@@ -45,17 +54,15 @@ def judge_darks(darks: Iterable[Surround], spots: Iterable[Surround], full_scale
     """Which dark frames are dark. Light only adds to a reading: no frame, beside its spot, reads less than black; and
     a dark frame reads alike all over."""
     found = [(level_of(frame), float(np.nanmean(frame.row_mean))) for frame in darks]
-    if not found:
-        return Darks([], "")
-    darkest = min([*(level for level, _ in found), *(level_of(frame) for frame in spots)])
+    darkest = min([*(level for level, _ in found), *(level_of(frame) for frame in spots)], default=np.nan)
     good = [level for level, mean in found if max(level, mean) <= darkest + LIT * full_scale_dn]
     if len(good) == len(found):
-        return Darks(good, "")
+        return Darks(good, "", darkest)
     brightest = max(mean for _, mean in found)
     lit = f"{len(found) - len(good)} of {len(found)} dark frames hold light"
     why = f"they read up to {brightest:.4g} DN on average, where black is {darkest:.4g} DN at most"
     taken = "that of the others" if good else "not taken from them"
-    return Darks(good, f"{lit} ({why}), so the black level is {taken}")
+    return Darks(good, f"{lit} ({why}), so the black level is {taken}", darkest)
 
 
 # Where a number may come from, best first: what a data sheet gives is taken, then what flats and darks show.
@@ -75,73 +82,143 @@ SHOWN_BY = ("where the readings of spots gather", "where the readings of spots g
 
 
 class Found(NamedTuple):
-    """A number from one source: value, standard error (NaN: not known), and how it came about."""
+    """A number from one source: value, standard error (NaN: not known), how it came about, and what contradicts it so
+    that the next source is asked ("": nothing)."""
 
     value: float
     stderr: float
     how: str
+    refused: str = ""
 
 
 def resolve(
     dataset: Dataset,
-    container_bits: int,
+    end: End,
     crops: Iterable[np.ndarray],
-    dark_means: Sequence[float] = (),
-    remark: str = "",
+    darks: Darks = NO_DARKS,
     measured: Mapping[str, Quantity] | None = None,
     pairs: Mapping[str, Iterable[tuple[np.ndarray, np.ndarray]]] | None = None,
+    highest_dn: float = np.nan,
 ) -> xr.Dataset:
     """Every sensor quantity with its standard error and its source; NaN and the reason where it stays unknown; and what
-    every source says, side by side. With a `remark` on the dark frames wherever the black level would come from them;
-    `measured` is the photon transfer of flats and darks; `pairs` are images [DN] of the same pixels by what they are
-    pairs of."""
-    given = dataset.instrument.sensor
-    highest = full_scale(dataset.instrument, container_bits)
+    every source says, side by side.
+
+    `end` is where readings stop; `measured` is the photon transfer of flats and darks; `pairs` are images [DN] of the
+    same pixels by what they are pairs of; `highest_dn` is what any frame reads at most. The attribute `remarks` tells
+    what speaks against the dark frames, and which numbers contradict each other.
+    """
+    given = dataset.instrument
+    found = _by_sheet(given)
+    remarks = _add_flats(found, dataset, darks, measured or {})
+    too_high = black_too_high(_told(found, SHEET).get("black_level_dn"), darks.darkest)
+    against = [too_high] if too_high else []
+    if too_high:
+        found["black_level_dn"][SHEET] = found["black_level_dn"][SHEET]._replace(refused=too_high.sentence)
+    black = _first(found["black_level_dn"], None).value
+    seen = seen_by_spots(crops, pairs or {}, None if np.isnan(black) else black, end.reading)
+    _add_spots(found, seen, np.isnan(black), given.model.top_hat)
+    against += in_sources(*(_told(found, source) for source in SOURCES))
+    gain, level = (
+        _first(found["gain_dn_per_e"], None).value,
+        _first(found["black_level_dn"], given.sensor.black_level_dn),
+    )
+    against += in_numbers(dataset, gain, Told(level.value, level.stderr), end.reading, highest_dn)
+    refused = {name: own.sentence for own in against for name in own.unknown}
+    ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
+    for name, (units, long_name) in QUANTITIES.items():
+        used = _used(name, found[name], getattr(given.sensor, name, None), refused.get(name, ""))
+        if name == "full_scale_dn":
+            used = Found(float(end.reading), np.nan, end.source)
+        if name == "black_level_dn" and remarks:
+            used = used._replace(how="; ".join([used.how, *remarks]))
+        ds[name] = ((), used.value, {"units": units, "long_name": long_name, "source": used.how})
+        ds[f"{name}_stderr"] = ((), used.stderr, {"units": units, "long_name": f"standard error of {long_name}"})
+    ds["full_well_e"].attrs["infinite"] = "no pixel is ever full"
+    _put_sources(ds, found)
+    return store.with_remarks(ds, [*remarks, *(own.sentence for own in against)])
+
+
+def _by_sheet(instrument: Instrument) -> dict[str, dict[str, Found]]:
+    """What the data sheet gives of each quantity."""
     found: dict[str, dict[str, Found]] = {name: {} for name in QUANTITIES}
-    default: dict[str, float | None] = {}
     for name in QUANTITIES:
-        own, source = getattr(given, name, None), dataset.instrument.source(f"sensor.{name}")
+        own, source = getattr(instrument.sensor, name, None), instrument.source(f"sensor.{name}")
         if source == "instrument.yaml" and own is not None:
             # An error of 0 says that none is stated.
-            found[name][SHEET] = Found(float(own), getattr(given, f"{name}_stderr", 0.0) or np.nan, source)
-        else:
-            default[name] = own
+            stderr = getattr(instrument.sensor, f"{name}_stderr", 0.0) or np.nan
+            found[name][SHEET] = Found(float(own), stderr, source)
+    return found
+
+
+def _add_flats(
+    found: dict[str, dict[str, Found]], dataset: Dataset, darks: Darks, measured: Mapping[str, Quantity]
+) -> list[str]:
+    """What flats and darks show, and remarks on what they do not."""
     for name, key in BY_FLATS.items():
-        own = (measured or {}).get(key)
+        own = measured.get(key)
         if own is not None and np.isfinite(own.value):
             # A dark current below 0 by chance is none.
             value = max(own.value, 0.0) if name == "dark_current_e_per_s" else own.value
             found[name][FLATS] = Found(value, own.stderr, "photon transfer of flats and darks")
+    current, times = (
+        found["dark_current_e_per_s"],
+        {
+            kind: [own.exposure_s for own in dataset.frames if own.kind == kind and own.exposure_s is not None]
+            for kind in KINDS
+        },
+    )
+    if not {FLATS, SHEET} & current.keys() and (why := too_long(times["dark"], times["spot"], "spots")):
+        lost = found["read_noise_e"].pop(FLATS, None) or SHEET not in found["black_level_dn"]
+        found["black_level_dn"].pop(FLATS, None)
+        return [why] if lost else []
     # Without a dark current of its own the black level is what darks read, not what they would at no exposure.
-    if len(dark_means) and (remark or not {FLATS, SHEET} & found["dark_current_e_per_s"].keys()):
-        count = len(dark_means)
-        error = float(np.std(dark_means, ddof=1) / np.sqrt(count)) if count > 1 else np.nan
+    if len(darks.levels) and (darks.remark or not {FLATS, SHEET} & current.keys()):
+        count = len(darks.levels)
+        error = float(np.std(darks.levels, ddof=1) / np.sqrt(count)) if count > 1 else np.nan
         how = f"mean of {count} dark frame{'s' if count > 1 else ''}"
-        found["black_level_dn"][FLATS] = Found(float(np.mean(dark_means)), error, how)
-    remark = "" if SHEET in found["black_level_dn"] else remark
-    if not len(dark_means) and remark:
+        found["black_level_dn"][FLATS] = Found(float(np.mean(darks.levels)), error, how)
+    remarks = [darks.remark] if darks.remark and SHEET not in found["black_level_dn"] else []
+    if remarks and not len(darks.levels):
         # No dark frame is dark: neither their level nor their noise means anything.
         for name in ("black_level_dn", "dark_current_e_per_s"):
             found[name].pop(FLATS, None)
-    black = _first(found["black_level_dn"], None).value
-    seen = seen_by_spots(crops, pairs or {}, None if np.isnan(black) else black, highest)
-    _add_spots(found, seen, np.isnan(black), dataset.instrument.model.top_hat)
-    ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
-    ds.attrs["remark"] = remark
-    for name, (units, long_name) in QUANTITIES.items():
-        used = _used(name, found[name], default.get(name))
-        if name == "full_scale_dn":
-            missing = given.bit_depth is None
-            how = (
-                f"container of {container_bits} bit (sensor.bit_depth is missing)"
-                if missing
-                else "bits of the converter"
-            )
-            used = Found(float(highest), np.nan, how)
-        if name == "black_level_dn" and remark:
-            used = used._replace(how=f"{used.how}; {remark}")
-        ds[name] = ((), used.value, {"units": units, "long_name": long_name, "source": used.how})
-        ds[f"{name}_stderr"] = ((), used.stderr, {"units": units, "long_name": f"standard error of {long_name}"})
+    if FLATS not in current and SHEET in current and times["dark"]:
+        remarks += _without_current(found, min(times["dark"]))
+    return remarks
+
+
+def _without_current(found: dict[str, dict[str, Found]], exposure_s: float) -> list[str]:
+    """Take the dark current of the data sheet off what the shortest darks read; a remark where they hold less."""
+    electrons, gain = (
+        found["dark_current_e_per_s"][SHEET].value * exposure_s,
+        _first(found["gain_dn_per_e"], None).value,
+    )
+    level, noise = (found[name].get(FLATS) for name in ("black_level_dn", "read_noise_e"))
+    too_much = []
+    if level is not None and np.isfinite(gain):
+        found["black_level_dn"][FLATS] = level._replace(value=level.value - gain * electrons)
+        too_much += [f"a level of {level.value:.4g} DN"] if level.value < gain * electrons else []
+    if noise is not None:
+        rest = noise.value**2 - electrons
+        found["read_noise_e"][FLATS] = noise._replace(value=float(np.sqrt(max(rest, 0.0))))
+        too_much += [f"a noise of {noise.value:.4g} e-"] if rest < -SURELY * 2 * noise.value * noise.stderr else []
+    if not too_much:
+        return []
+    for name in ("black_level_dn", "read_noise_e"):
+        found[name].pop(FLATS, None)
+    return [
+        f"instrument.yaml: sensor.dark_current_e_per_s is {electrons / exposure_s:g}, which is {electrons:.4g} e- in"
+        f" darks of {exposure_s:g} s, but these have {' and '.join(too_much)} only"
+    ]
+
+
+def _told(found: Mapping[str, Mapping[str, Found]], source: str) -> dict[str, Told]:
+    """What one source says of each quantity."""
+    return {name: Told(own[source].value, own[source].stderr) for name, own in found.items() if source in own}
+
+
+def _put_sources(ds: xr.Dataset, found: Mapping[str, Mapping[str, Found]]) -> None:
+    """What every source says, side by side."""
     ds["source"] = ("source", np.array(SOURCES, object), {"units": "1", "long_name": "where a number comes from"})
     for name, (units, long_name) in QUANTITIES.items():
         table = np.array([found[name].get(source, (np.nan, np.nan))[:2] for source in SOURCES])
@@ -149,21 +226,22 @@ def resolve(
         ds[f"{name}_by_stderr"] = (
             "source", table[:, 1], {"units": units, "long_name": f"standard error of {long_name} by each source"},
         )  # fmt: skip
-    return ds
 
 
 def _first(found: Mapping[str, Found], default: float | None) -> Found:
-    """What the best source says, else the default."""
+    """What the best source that nothing contradicts says, else the default."""
     for source in SOURCES:
-        if source in found:
+        if source in found and not found[source].refused:
             return found[source]
     return Found(np.nan if default is None else float(default), np.nan, "default")
 
 
-def _used(name: str, found: Mapping[str, Found], default: float | None) -> Found:
-    """The number that the chain runs on."""
+def _used(name: str, found: Mapping[str, Found], default: float | None, refused: str) -> Found:
+    """The number that the chain runs on; unknown where a contradiction has it `refused`."""
     if name in NEVER_TAKEN:
-        return found.get(SHEET) or Found(np.inf, np.nan, "none given")
+        return Found(np.inf, np.nan, refused) if refused else found.get(SHEET) or Found(np.inf, np.nan, "none given")
+    if refused and name != "black_level_dn":
+        return Found(np.nan, np.nan, f"unknown: {refused}")
     own = _first(found, default)
     if np.isnan(own.value):
         return own._replace(

@@ -31,8 +31,6 @@ WEIGHTINGS = {"likelihood": LIKELIHOOD, "equal": EQUAL}
 ROUND = 13.8
 # A width or an amplitude known to no better than this part of itself was not measured.
 KNOWN = 0.5
-# Variance that a pixel's own width adds to a spot's [px²].
-PIXEL_VARIANCE = 1 / 12
 
 
 class Design(NamedTuple):
@@ -75,7 +73,7 @@ def fit_spots(
         where light brings shot noise (by a factor of two to three for a bright spot), and χ² is NaN.
     top_hat : fit the Gaussian under a plateau at exp(−1/4) of its peak (Eqs. 39–40 of the paper).
     integrated : light is integrated over each pixel and not sampled at its centre: amplitude and widths are those of
-        the light before, to 1e-5 of the peak for widths of 3 px or more.
+        the light before, to 2e-3/σ⁴ of the peak for a width of σ px.
     fixed : parameters by name that are held at a value, such as `{"offset": 40.0}`; their standard error is 0.
     circular : fit one width for both axes.
 
@@ -158,7 +156,7 @@ def _design(held: dict[str, float], circular: bool, top_hat: bool, integrated: b
     if circular:
         free[4:6] = False
     if integrated:
-        values[3:5] = np.sqrt(values[3:5] ** 2 + PIXEL_VARIANCE)
+        values[3:5] = np.sqrt(values[3:5] ** 2 + spot.PIXEL_VARIANCE)
     return Design(free, values, circular, top_hat)
 
 
@@ -262,7 +260,7 @@ def _is_round(theta: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def _without_pixel(value: np.ndarray, slopes: np.ndarray) -> None:
     """Take the pixel's own width off, in place: σ² − 1/12 along each axis, the peak raised as the area shrinks."""
     seen = value[:, 3:5].copy()
-    own = np.sqrt(np.maximum(seen**2 - PIXEL_VARIANCE, 1e-6))
+    own = np.sqrt(np.maximum(seen**2 - spot.PIXEL_VARIANCE, 1e-6))
     raised = np.prod(seen, axis=1) / np.prod(own, axis=1)
     # d ln A = d ln(σ seen) − d ln(σ own), with σ own dσ own = σ seen dσ seen
     for k in (0, 1):

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from spotcheck import store
 from spotcheck.estimate.levels import Level, Spatial
 from spotcheck.estimate.photon_transfer import QUANTITIES, Quantity, Transfer, by_range, unknown
 
@@ -23,7 +24,7 @@ COLUMNS = {
 
 def dataset_of(found: Transfer, title: str, name: str) -> xr.Dataset:
     """Variables over `dark` and `flat` (levels), and over `quantity`; title and name of what was measured."""
-    ds = xr.Dataset(attrs={"title": title, "dataset": name, "remarks": "; ".join(found.remarks)})
+    ds = store.with_remarks(xr.Dataset(attrs={"title": title, "dataset": name}), found.remarks)
     for kind, levels in (("dark", found.darks), ("flat", found.flats)):
         for name, (units, long_name, field) in COLUMNS.items():
             values = np.array([getattr(own, field) for own in levels], float)

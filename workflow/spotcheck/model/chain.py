@@ -165,7 +165,7 @@ def light(view: View, baseline: Baseline, base: Law | Free, present: Sequence[Pr
         shape = np.minimum(shape, spot.top_hat_level(amplitude)) if baseline.top_hat else shape
         return shape if baseline.learned is None else shape + amplitude * baseline.learned(dx / sigma, dy / sigma)
 
-    blurred = _blurred(sharp, view, present)
+    blurred = _blurred(sharp, view, present, baseline.pixel_integration)
     total = blurred(0.0, 0.0)
     for own in _at(present, Place.ADDED):
         total = total + own.apply(view, blurred, amplitude, sigma)
@@ -177,14 +177,15 @@ def light(view: View, baseline: Baseline, base: Law | Free, present: Sequence[Pr
     return total, beside
 
 
-def _blurred(sharp, view: View, present: Sequence[Present]):
-    """A displaced spot as a function of its displacement, averaged over its paths."""
+def _blurred(sharp, view: View, present: Sequence[Present], integrated: bool):
+    """A displaced spot as a function of its displacement, averaged over its paths, and over each pixel where light is
+    `integrated`."""
     paths = _at(present, Place.BLUR)
-    if not paths:
+    if not paths and not integrated:
         return sharp
     exposed = view._replace(exposure_s=true_exposure(view, present))
     # Two smears in a row are every pair of their shifts.
-    every = list(product(*(own.apply(exposed) for own in paths)))
+    every = list(product(*(own.apply(exposed) for own in paths), *([spot.PIXEL] if integrated else [])))
 
     def blurred(shift_x, shift_y):
         total = 0.0
@@ -225,9 +226,9 @@ class Copies:
     __rmul__ = __mul__
 
 
-def copies_of(view: View, present: Sequence[Present], amplitude, sigma) -> Copies:
+def copies_of(view: View, baseline: Baseline, present: Sequence[Present], amplitude, sigma) -> Copies:
     """The displaced copies of the spot of which its light is the sum; what is added otherwise is left out."""
-    blurred = _blurred(lambda dx, dy: Copies(((dx, dy, 1.0),)), view, present)
+    blurred = _blurred(lambda dx, dy: Copies(((dx, dy, 1.0),)), view, present, baseline.pixel_integration)
     total = blurred(0.0, 0.0)
     for own in _at(present, Place.ADDED):
         total = total + own.apply(view, blurred, amplitude, sigma)

@@ -1,17 +1,32 @@
 """The spot's shape on the sensor. The one place where coordinates and widths get their meaning:
 
 x is the column, to the right; y the row, downwards; pixel centres lie at integers; light is sampled at pixel centres,
-not integrated over them (the difference is a widening of 1/(24 σ) px). An amplitude is a peak. The orientation is the
-angle of the long axis from +x towards +y. All functions accept complex arguments: derivatives come by complex step.
+or is the mean over each pixel where the instrument says so (the difference is a widening of 1/(24 σ) px). An amplitude
+is the peak of the light itself. The orientation is the angle of the long axis from +x towards
++y. All functions accept complex arguments: derivatives come by complex step.
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 # Top hat (Eq. 40): light above exp(−2 r_TH²) of the peak is cut, with r_TH = √(1/8) in units of the beam radius.
 TOP_HAT_RADIUS = math.sqrt(1 / 8)
 TOP_HAT_LEVEL = math.exp(-2 * TOP_HAT_RADIUS**2)
+
+# Three points of Gauss and Legendre across a pixel [px] and their weights, exact to the fifth power. Of the mean of a
+# Gaussian of σ [px] over a pixel, 1.5e-5/σ⁶ of the peak is missed; shapes with edges, such as a top hat, are stepped.
+ACROSS = ((-math.sqrt(0.15), 5 / 18), (0.0, 8 / 18), (math.sqrt(0.15), 5 / 18))
+PIXEL = tuple((dx, dy, along * across) for dx, along in ACROSS for dy, across in ACROSS)
+# Variance that a pixel's own width adds to a spot's along each axis [px²].
+PIXEL_VARIANCE = 1 / 12
+
+
+def over_pixel(light: Callable[[Any, Any], Any]):
+    """Mean over a pixel of light that is a function of how far it is displaced to the right and down [px]."""
+    return sum(weight * light(dx, dy) for dx, dy, weight in PIXEL)
 
 
 def circular_gaussian(x, y, amplitude, x0, y0, sigma):

@@ -61,6 +61,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
         "calibration": _calibration(files.get("calibration")),
         "caustic": _caustic(files.get("caustic")),
         "precision": _precision(files.get("precision")),
+        "remarks": [(name, text) for name, ds in files.items() for text in store.remarks_of(ds)],
         "flagged": _flagged(dataset, files.get("fits")),
         "parameters": parameters(dataset, files, TOP_HAT_RADIUS),
         "fits": _fits(dataset, files.get("fits")),
@@ -104,7 +105,6 @@ def _frames(table: xr.Dataset) -> dict[str, Any]:
         "full_scale": int(table["full_scale"]),
         "clipped": int((table["at_full_scale"] > 0).sum()),
         "maximum": int(table["maximum"].max()),
-        "remarks": [text for text in table.attrs["remarks"].split("; ") if text],
     }
 
 
@@ -146,7 +146,7 @@ def _transfer(ds: xr.Dataset | None) -> dict[str, Any] | None:
                 "why": own.why,
             }
         )
-    return {"rows": rows, "remarks": [text for text in ds.attrs["remarks"].split("; ") if text], "ranges": ranges(ds)}
+    return {"rows": rows, "remarks": store.remarks_of(ds), "ranges": ranges(ds)}
 
 
 def ranges(ds: xr.Dataset) -> list[tuple[str, str, str, str]]:

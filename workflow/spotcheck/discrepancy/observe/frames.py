@@ -81,14 +81,24 @@ def around(shot: Shot) -> Around | None:
     return Around(middle[0], middle[1], blocks.mean[row, column], blocks.side**2)
 
 
-def round_spot(pixels: np.ndarray, sensor: SensorModel, top_hat: bool) -> np.ndarray:
+def round_spot(pixels: np.ndarray, sensor: SensorModel, baseline: Baseline) -> np.ndarray:
     """Peak [DN], centre x, y [px] and σ_g [px] of a round spot; NaN where there is no fit.
 
     By the sensor's law, or by least squares where that has no root though hardly a reading is at full scale: noise may
     be far above the data sheet's.
     """
     ways = ("likelihood", "equal") if np.mean(pixels >= sensor.full_scale_dn) < CLIPPED else ("likelihood",)
-    fits = (fit_spots(pixels[None], sensor, weighting=way, top_hat=top_hat, circular=True) for way in ways)
+    fits = (
+        fit_spots(
+            pixels[None],
+            sensor,
+            weighting=way,
+            top_hat=baseline.top_hat,
+            integrated=baseline.pixel_integration,
+            circular=True,
+        )
+        for way in ways
+    )
     fit = next((fit for fit in fits if fit.flags[0] == 0), None)
     return np.full(4, np.nan) if fit is None else fit.value[0, :4]
 
@@ -98,7 +108,7 @@ def first_numbers(frames: Sequence[Frame], design: Design, setting: Setting) -> 
     have."""
     found = np.full((len(frames), 4), np.nan)
     for k, frame in enumerate(frames):
-        found[k] = round_spot(frame.pixels, setting.sensor, setting.baseline.top_hat)
+        found[k] = round_spot(frame.pixels, setting.sensor, setting.baseline)
     side = np.array([frame.pixels.shape for frame in frames], float)
     known = np.isfinite(found).all(axis=1) & (found[:, 3] < criteria.WIDEST.value * side.min(axis=1))
     known &= (np.abs(found[:, [2, 1]] - side / 2) < side / 2).all(axis=1)

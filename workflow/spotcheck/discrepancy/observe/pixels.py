@@ -203,7 +203,8 @@ class Expectation:
         else:
             spot, beside = self.light(frame, k, own)
             u, v = self._place(view, own, 0.0, 0.0)
-            every = copies_of(view, model.present, np.exp(own.log_peak), np.exp(own.log_width)).each
+            peak, width = np.exp(own.log_peak), np.exp(own.log_width)
+            every = copies_of(view, model.baseline_of(k), model.present, peak, width).each
             copies = ((u, v, 1.0),)
             if len(every) > 1:
                 copies = tuple((*self._place(view, own, dx, dy), float(weight)) for dx, dy, weight in every)
