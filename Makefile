@@ -10,8 +10,8 @@ BENCH  := .venv-bench
 CHECK  := results/check
 WHEEL  := build/wheel
 
-.PHONY: all quick test wheel lint check-numbers bench validate validate-times validate-second validate-light \
-    validate-real snakemake-report lock lock-bench clean
+.PHONY: all quick test wheel load load-kills load-hostile load-scale test-slurm newest licences lint check-numbers bench \
+    validate validate-times validate-second validate-light validate-real snakemake-report lock lock-bench clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
@@ -38,6 +38,35 @@ wheel: $(READY)
 	$(PYTHON) -m venv $(WHEEL)/venv
 	$(WHEEL)/venv/bin/pip install --quiet $(WHEEL)/dist/*.whl
 	cd $(WHEEL) && venv/bin/python -I ../../tests/check_wheel.py
+
+# How the workflow bears what happens to it, each programme with rows of workflow/docs/load.md; some three hours in all.
+load: load-kills load-hostile load-scale test-slurm
+	$(BIN)/python -m tests.load.table
+
+load-kills: $(READY)
+	$(BIN)/python -m tests.load.kills
+
+load-hostile: $(READY)
+	$(BIN)/python -m tests.load.hostile --inputs 20000
+
+load-scale: $(READY)
+	$(BIN)/python -m tests.load.scale
+
+# The workflow on a real Slurm of two nodes, which Debian's packages bring; as root, in a mount namespace of its own.
+test-slurm: $(READY)
+	@if [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null; then echo "skipped: needs root and apt-get"; else \
+	    apt-get install --quiet --yes --no-install-recommends slurmctld slurmd slurm-client munge && \
+	    unshare --mount $(BIN)/python -m tests.load.slurm; fi
+
+# The newest versions that pyproject.toml allows, in an environment of their own, and the tests that take little time.
+newest:
+	$(PYTHON) -m venv .venv-newest
+	.venv-newest/bin/pip install --quiet --upgrade --editable ".[workflow,dev]" --editable workflow/rig
+	.venv-newest/bin/python -m pytest --numprocesses $(CORES) --dist loadgroup -m "not slow"
+
+# The licence of every package that the lock installs.
+licences: $(READY)
+	$(BIN)/pip-licenses --order license
 
 lint: $(READY)
 	$(BIN)/ruff check .

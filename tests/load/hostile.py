@@ -30,6 +30,7 @@ from PIL import Image, PngImagePlugin
 
 from spotcheck import crops, dataset
 from spotcheck.errors import InputError
+from tests.load.rows import Row, write
 
 # A reader that computes longer than this on some kilobytes hangs [s]; a busy machine does not count.
 LONGEST_S = 10
@@ -321,17 +322,18 @@ def main() -> None:
     parser.add_argument("--inputs", type=int, default=1000, help="inputs of each kind")
     parser.add_argument("--seed", type=int, default=1, help="seed of the changes to image files")
     args = parser.parse_args()
-    print("| input | tries | read | refused in a sentence | anything else | longest |\n|---|---|---|---|---|---|")
-    bad = False
+    bad, rows = False, []
     with tempfile.TemporaryDirectory() as folder:
         for name, own in tallies(Path(folder), args.inputs, args.seed):
             other = {end: n for end, n in own.ends.items() if end not in ("read", "refused")}
-            said = ", ".join(f"{n} {end}" for end, n in other.items()) or "0"
-            print(f"| {name} | {own.ends.total()} | {own.ends['read']} | {own.ends['refused']} | {said} |"
-                  f" {own.longest_s:.2g} s |", flush=True)  # fmt: skip
+            said = ", ".join(f"{n} {end}" for end, n in other.items()) or "nothing else"
+            rows.append(Row(name, own.ends.total(), f"{own.ends['read']} read, {own.ends['refused']} refused in a "
+                            f"sentence, {said}; {own.longest_s:.2g} s at most"))  # fmt: skip
+            print(rows[-1].what, rows[-1].happened, sep=": ", flush=True)
             if own.worst:
                 bad = True
                 print(f"{name}: {own.worst[0]} by {own.worst[1]!r:.3000}", file=sys.stderr)
+    write("hostile", rows)
     sys.exit(bad)
 
 

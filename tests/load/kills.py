@@ -6,7 +6,6 @@ disturbed. It prints what happened how often, and writes it to results/load/kill
 """
 
 import argparse
-import json
 import os
 import shutil
 import signal
@@ -19,14 +18,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import xarray as xr
-import yaml
 
 from spotcheck import running
 from tests.conftest import ROOT, SNAKEMAKE, environment
+from tests.load.rows import Row, write
+from tests.load.values import differing, values_of
 
 SAMPLE = ROOT / "data" / "zscan-sample"
-OUT = ROOT / "results" / "load" / "kills.json"
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 WHOM = ("Snakemake", "all its processes")
 # A run that is asked to end must have ended by then [s].
@@ -53,30 +51,6 @@ def start(command: list[str], log: Path) -> subprocess.Popen:
         return subprocess.Popen(
             command, cwd=ROOT, env=environment(), stdout=stream, stderr=stream, start_new_session=True
         )
-
-
-def values_of(results: Path) -> dict[str, object]:
-    """Content of every netCDF, JSON and YAML file below a folder, sidecars of single runs apart."""
-    readers = {".nc": xr.load_dataset, ".json": lambda p: json.loads(p.read_text()), ".yaml": read_yaml}
-    paths = (p for p in sorted(results.rglob("*")) if p.suffix in readers and ".runs" not in p.parts)
-    return {str(path.relative_to(results)): readers[path.suffix](path) for path in paths}
-
-
-def read_yaml(path: Path) -> object:
-    """Content of a YAML file."""
-    return yaml.safe_load(path.read_text(encoding="utf-8"))
-
-
-def differing(one: dict[str, object], other: dict[str, object]) -> list[str]:
-    """Names of the files that only one has, or that hold other values."""
-    return [
-        name for name in sorted({*one, *other}) if not (name in one and name in other and same(one[name], other[name]))
-    ]
-
-
-def same(one: object, other: object) -> bool:
-    """Whether two contents are equal in every value and attribute."""
-    return one.identical(other) if isinstance(one, xr.Dataset) else one == other
 
 
 def killed(command: list[str], log: Path, number: signal.Signals, whom: str, after_s: float) -> float:
@@ -150,17 +124,14 @@ def tried(folder: Path, base: Path, words: list[str], tries: int, seed: int) -> 
     return [*found, beside(folder, base, words)]
 
 
-def rows(found: list[Try]) -> list[dict]:
-    """What was done, how often, what happened how often, and the longest that a run took to end [s]."""
-    return [
-        {
-            "what": what,
-            "tries": len(own := [one for one in found if one.what == what]),
-            "happened": dict(Counter(one.happened for one in own)),
-            "longest_end_s": round(max(one.ended_s for one in own), 2),
-        }
-        for what in dict.fromkeys(one.what for one in found)
-    ]
+def rows(found: list[Try]) -> list[Row]:
+    """What was done, how often, what happened how often, and the longest that a run took to end."""
+    out = []
+    for what in dict.fromkeys(one.what for one in found):
+        own = [one for one in found if one.what == what]
+        happened = "; ".join(f"{count} × {said}" for said, count in Counter(one.happened for one in own).items())
+        out.append(Row(what, len(own), f"{happened} (ended within {max(one.ended_s for one in own):.1f} s)"))
+    return out
 
 
 def main() -> None:
@@ -174,12 +145,7 @@ def main() -> None:
     folder = shutil.copytree(SAMPLE, base / "sample")
     words = ["--until", *args.until] if args.until else []
     found = tried(folder, base, words, args.tries, args.seed)
-    table = rows(found)
-    for row in table:
-        happened = "; ".join(f"{count} × {what}" for what, count in row["happened"].items())
-        print(f"{row['what']:32} {row['tries']:4}   {happened} (ended within {row['longest_end_s']} s)")
-    OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(json.dumps({"until": args.until, "seed": args.seed, "rows": table}, indent=1) + "\n")
+    write("kills", rows(found))
     if all(one.happened == WELL for one in found[:-1]):
         shutil.rmtree(base)
     else:

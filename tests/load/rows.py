@@ -18,12 +18,10 @@ class Row(NamedTuple):
 
 
 def write(programme: str, rows: Sequence[Row]) -> None:
-    """Keep the rows of a programme, in place of those of its last run, and print them."""
+    """Keep the rows of a programme, in place of those of its last run."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     text = json.dumps([row._asdict() for row in rows], indent=1, ensure_ascii=False)
     (RESULTS / f"{programme}.json").write_text(text + "\n", encoding="utf-8")
-    for row in rows:
-        print(f"{row.what}: {row.tries} tried; {row.happened}")
 
 
 def read(programme: str) -> list[Row]:

@@ -48,7 +48,8 @@ def main() -> None:
     args = parser.parse_args()
     frames, datasets = ([int(number) for number in own.split(",")] for own in (args.frames, args.datasets))
     with tempfile.TemporaryDirectory(prefix="scale-") as base:
-        write("scale", [*of_frames(Path(base), frames), *of_datasets(Path(base), datasets)])
+        rows = [*of_frames(Path(base), frames), *of_datasets(Path(base), datasets)]
+        write("scale", rows)
 
 
 def of_frames(base: Path, counts: Sequence[int]) -> list[Row]:

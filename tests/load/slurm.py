@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tests.conftest import ROOT, small_rig_dataset
 from tests.load.rows import Row, write
-from tests.load.values import differences
+from tests.load.values import differing, values_of
 
 NODES = ("n1", "n2")
 # What a run on the cluster may take at most [s].
@@ -81,7 +81,8 @@ def main() -> None:
             ran(on_cluster(), names, far)
             took = time.monotonic() - started
             rows = [compared("default dataset on two nodes", local / "virtual-rig", far / "virtual-rig")]
-            same = [name for name in sets[:2] if not differences(local / name.name, far / name.name)]
+            pairs = [(values_of(where / name.name) for where in (local, far)) for name in sets[:2]]
+            same = [pair for pair in pairs if not differing(*pair)]
             done = sum((far / own.name / "report.html").exists() for own in sets)
             said = f"{done} finished, all in {took / 60:.0f} min; of 2 that ran here too {len(same)} have equal values"
             rows.append(Row(f"{args.sets} datasets beside it, in one call", args.sets, said))
@@ -122,7 +123,7 @@ def begun(options: Sequence[str], names: Sequence[str], results: Path) -> subpro
 
 def compared(what: str, here: Path, there: Path) -> Row:
     """A row on whether a run there gave the values of one here."""
-    off = differences(here, there)
+    off = differing(values_of(here), values_of(there))
     return Row(what, 1, f"differs in {', '.join(off[:5])}" if off else "values equal to the local run's")
 
 

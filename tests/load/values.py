@@ -1,4 +1,4 @@
-"""Whether two runs gave the same values: every number of every result, whatever the file's bytes."""
+"""Whether two runs gave the same values: every number and attribute of every result, whatever the file's bytes."""
 
 import json
 from pathlib import Path
@@ -6,31 +6,26 @@ from pathlib import Path
 import xarray as xr
 import yaml
 
-# Not results: what changes from run to run.
-TIMES = ("benchmarks", "logs", "notebooks", "provenance")
+
+def values_of(results: Path) -> dict[str, object]:
+    """Content of every netCDF, JSON and YAML file below a folder, sidecars of single runs apart."""
+    readers = {".nc": xr.load_dataset, ".json": lambda p: json.loads(p.read_text()), ".yaml": read_yaml}
+    paths = (p for p in sorted(results.rglob("*")) if p.suffix in readers and ".runs" not in p.parts)
+    return {str(path.relative_to(results)): readers[path.suffix](path) for path in paths}
 
 
-def differences(one: Path, other: Path) -> list[str]:
-    """Results of one folder that are missing in another or differ from it, by name."""
-    names = {
-        path.relative_to(folder) for folder in (one, other) for path in folder.rglob("*") if is_result(path, folder)
-    }
-    return sorted(str(name) for name in names if not same(one / name, other / name))
+def read_yaml(path: Path) -> object:
+    """Content of a YAML file."""
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
-def is_result(path: Path, folder: Path) -> bool:
-    """Whether a file holds values: netCDF, JSON, YAML or CSV outside of logs and times."""
-    inner = path.relative_to(folder).parts
-    hidden = any(part.startswith(".") or part in TIMES for part in inner)
-    return path.suffix in (".nc", ".json", ".yaml", ".csv") and not hidden
+def differing(one: dict[str, object], other: dict[str, object]) -> list[str]:
+    """Names of the files that only one has, or that hold other values."""
+    return [
+        name for name in sorted({*one, *other}) if not (name in one and name in other and same(one[name], other[name]))
+    ]
 
 
-def same(one: Path, other: Path) -> bool:
-    """Whether two files hold the same values."""
-    if not (one.exists() and other.exists()):
-        return False
-    if one.suffix == ".nc":
-        with xr.open_dataset(one, decode_times=False) as a, xr.open_dataset(other, decode_times=False) as b:
-            return bool(a.equals(b))
-    read = {".json": json.loads, ".yaml": yaml.safe_load}.get(one.suffix, str)
-    return bool(read(one.read_text(encoding="utf-8")) == read(other.read_text(encoding="utf-8")))
+def same(one: object, other: object) -> bool:
+    """Whether two contents are equal in every value and attribute."""
+    return one.identical(other) if isinstance(one, xr.Dataset) else one == other
