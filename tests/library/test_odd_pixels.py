@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from spotcheck import crops, store
-from spotcheck.estimate.fits import fit_crops, remarks_of
+from spotcheck.estimate.fits import TOO_HIGH, fit_crops, remarks_of
 from spotcheck.estimate.odd_pixels import odd_pixels
 from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.sensor import SensorModel
@@ -152,11 +152,12 @@ def test_gaps_are_no_neighbours():
 
 
 def test_remarks_on_errors(tmp_path):
-    """χ² far from 1 by a wrong gain, either way; errors that hold have none. Both leave the fit in use."""
+    """χ² far from 1, as by a wrong gain; errors that hold have none. Both leave the fit in use."""
     image = noisy(gaussian(SIDE, 900.0, 60.3, 59.8, 7.0), 1, QUIET)
-    for factor, want in ((1.0, set()), (8.0, {"misfit"}), (1e-3, {"misfit"})):
+    for factor, want in ((1.0, set()), (8.0, {"misfit"})):
         fits = stored(tmp_path / str(factor), [image], QUIET._replace(gain_dn_per_e=0.2 * factor))
         status = fits["status"].sel(fit="likelihood").values[0]
         assert flags(status) == want and not status & store.UNTRUSTED
     fit = fit_spots(image, QUIET)
+    assert flags(remarks_of(replace(fit, chi2_reduced=np.asarray(2 * TOO_HIGH)))) == {"misfit"}
     assert flags(remarks_of(replace(fit, stderr=np.where(np.arange(8) == 3, 0.0, fit.stderr)))) == {"no_error"}
