@@ -2,16 +2,14 @@
 
 import shutil
 
-import numpy as np
 import pytest
 import yaml
 
-from spotcheck import crops, store
 from spotcheck.cli import main
 from spotcheck.dataset import load
 from spotcheck.errors import InputError
 from spotcheck.plausible import USUAL, remarks_on
-from tests.library.conftest import HEADER, ROOT, folder, loaded
+from tests.library.conftest import HEADER, ROOT, folder
 
 ROW = "frames/a.tif,spot,0,0.002,0"
 
@@ -98,15 +96,6 @@ def test_an_object_nearer_than_the_focal_length(tmp_path):
 def test_the_shelf_is_plausible(name):
     """Nothing to remark on the datasets of the repository."""
     assert remarks_on(load(ROOT / "data" / name)) == []
-
-
-def test_copies_of_a_frame_are_said(tmp_path):
-    """By the files' digests; frames of one number are alike without being copies."""
-    noisy = np.random.default_rng(1).integers(20, 90, (30, 30), dtype=np.uint16)
-    black = np.zeros((30, 30), np.uint16)
-    dataset = loaded(tmp_path, [noisy, noisy + 1, noisy, noisy, black, black], "crop_px: 24")
-    (text,) = store.remarks_of(crops.ingest(dataset))
-    assert text.startswith("frames/f2.tif is a copy of frames/f0.tif (2 copies in all)")
 
 
 def test_check_says_the_remarks_and_ends_well(shelf, tmp_path, capsys):
