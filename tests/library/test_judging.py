@@ -43,6 +43,8 @@ def test_the_verdict_on_spots_is_that_of_the_commands(tmp_path, monkeypatch):
     simulate_dataset(made, tmp_path / "drawn", p1_px=0.0, p2_px=3.0, peak_dn=600, seed=2)
     verdict = judge_dataset(tmp_path / "drawn", tmp_path / "out")
     assert verdict["status"] == "consistent" and (tmp_path / "out" / "drawn" / "model.yaml").exists()
+    # One exposure tells a width, neither p1 nor p2.
+    assert {own["before"] for own in verdict["baseline_shift"].values()} == {None}
     for command, options in COMMANDS.items():
         main([command, "drawn", *options.split()])
     assert verdict == json.loads(Path("again", "verdict.json").read_text(encoding="utf-8"))

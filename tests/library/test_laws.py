@@ -106,6 +106,19 @@ def test_z_is_as_unlikely_as_t():
     assert components.z_of(60.0, 1e9) == pytest.approx(60.0, rel=1e-3)
 
 
+def test_p1_and_p2_are_off_by_their_errors():
+    """Mean and variance of 200 pulls: within 4 standard errors of 0 and 1 (false alarms: 2 in 10,000). What the laws
+    doubt of a width that all frames share is no error of theirs."""
+    own, pulls = design(), []
+    for seed in range(200):
+        numbers = drawn(np.random.default_rng([seed, 4]), own)
+        base = laws.laws_of(numbers, own, LINEAR, SENSOR, 240.0, effects=()).base
+        pulls.append(np.divide(np.subtract(base.law[:2], LAW[:2]), base.law_errors))
+    pulls = np.array(pulls)
+    assert np.all(np.abs(pulls.mean(0)) < 4 / np.sqrt(200))
+    assert np.all(np.abs(pulls.var(0) - 1) < 4 * np.sqrt(2 / 200)), pulls.var(0)
+
+
 def test_laws_are_recovered_without_noise():
     """Exactly, however far from the start: ln(1 + t₀/t) is 0.26 at the shortest exposure."""
     own, rng = design(), np.random.default_rng(1)

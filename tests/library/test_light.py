@@ -8,8 +8,10 @@ import pytest
 from scipy import integrate, optimize, special, stats
 
 from spotcheck import store
+from spotcheck.discrepancy.conclude.judge import lights_of
 from spotcheck.discrepancy.conclude.judgement import Light
 from spotcheck.discrepancy.conclude.light import (
+    ALL,
     attributes_of,
     described,
     gauge_of,
@@ -63,6 +65,15 @@ def lobes(size: float, order: int = 3) -> np.ndarray:
 
 # ½ ∫|cos| dφ ∫ρ⁴ exp(−5ρ²/8) dρ over 2π, for lobes of size 1.
 LOBE_POWER = 0.5 * 4 * 3 * np.sqrt(np.pi) / (8 * 0.625**2.5) / (2 * np.pi)
+
+
+def test_more_than_all_light_is_no_light():
+    """Lobes so large that the shape lies below 0 where it is not in one of them."""
+    effects = tuple(vocabulary().values())
+    for power, count in ((0.3, 1), (1.2, 0)):
+        fit = known(lobes(power / LOBE_POWER))
+        assert light_of(fit).power == pytest.approx(power, rel=0.1)
+        assert len(lights_of(fit, (ALL,), effects, CONTEXT)) == count
 
 
 def test_an_ellipse():

@@ -85,8 +85,11 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
 
 
 def lights_of(fitted: Fitted, within: Sequence[Seen], effects: Sequence[Effect], context: Context) -> tuple[Light, ...]:
-    """The learned lights, where the shape of one at least is told, and its power more than an effect calls nothing."""
+    """The learned lights, where the shape of one at least is told, and its power more than an effect calls nothing. A
+    shape that has more than all light elsewhere is no light's, and tells nothing."""
     lights = tuple(light_of(fitted, own, k) for k, own in enumerate(within))
+    if any(light.power > 1 for light in lights):
+        return ()
     for light in lights:
         own, told = present_of(light, effects), light.power > criteria.STATED.value * light.error
         if told and own is not None and own.effect.excess(light.power, context) >= 1:
@@ -174,20 +177,15 @@ def errors_of(outcome: Outcome) -> dict[str, tuple[float, ...]]:
 
 
 def _shift(declared: Fitted, after: Laws, seen: Observed, setting: Setting, wide: float) -> Shift:
-    """p1 and p2 under the declared shape, and beside all that was found, in the gauge of a shape that is `wide` [σ]."""
+    """p1 and p2 under the declared shape, and beside all that was found, in the gauge of a shape that is `wide` [σ];
+    nothing for one exposure, which tells neither."""
+    if seen.design.exposures.size < 2:
+        return NOTHING
     numbers = numbers_of(declared)
     before = laws_of(numbers, seen.design, setting.baseline, setting.sensor, seen.context.crop_px, effects=())
     if before.base is None or after.base is None:
         return NOTHING
     first, last, laser = before.base.law, after.base.law, setting.baseline.laser_px
-    slopes = after.base.slopes
-    covariance = np.linalg.pinv(slopes.T @ after.base.found.inverse @ slopes)
-    # Parameters are p1 and the width at the reference exposure t: p2 is that less p1 ln t.
-    turn = np.zeros((2, len(covariance)))
-    held = after.base.mean.law_free
-    for row, (p1, width) in enumerate(((1.0, 0.0), (-np.log(seen.design.reference_s), 1.0))):
-        for column, place in enumerate(held):
-            turn[row, column] = (p1, width)[place]
-    errors = wide * np.sqrt(np.diag(turn @ covariance @ turn.T))
     moved = (wide * last.p1, wide * (laser + last.p2) - laser)
-    return Shift((first.p1, first.p2), moved, (float(errors[0]), float(errors[1])))
+    p1, p2 = after.base.law_errors
+    return Shift((first.p1, first.p2), moved, (wide * p1, wide * p2))

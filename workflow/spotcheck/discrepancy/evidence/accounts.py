@@ -97,6 +97,21 @@ class Account(NamedTuple):
         """p1 and p2 [px]; the peak is 1."""
         return self.mean.at(self.theta)[0]
 
+    @property
+    def law_errors(self) -> tuple[float, float]:
+        """Standard errors of p1 and p2 [px], without `COMMON_WIDTH`: the light's shape, declared or in its gauge, says
+        how wide a spot is."""
+        inverse, design = self.found.inverse, self.mean.problem.design
+        covariance = np.linalg.pinv(self.slopes.T @ inverse @ self.slopes)
+        common = covariance @ self.slopes.T @ inverse[:, -1]
+        covariance -= len(design.site) * criteria.COMMON_WIDTH.value**2 * np.outer(common, common)
+        # Parameters are p1 and the width at the reference exposure t: p2 is that less p1 ln t.
+        turn = np.zeros((2, len(covariance)))
+        each = np.array([[1.0, 0.0], [-np.log(design.reference_s), 1.0]])
+        turn[:, : len(self.mean.law_free)] = each[:, list(self.mean.law_free)]
+        p1, p2 = np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0))
+        return float(p1), float(p2)
+
 
 def problem_of(
     numbers: FrameNumbers,
