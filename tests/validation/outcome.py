@@ -238,3 +238,14 @@ def by_kind(records: Sequence[Record]) -> list[tuple[str, ...]]:
     for record in filter(scored, records):
         kinds.setdefault(count_of(record), Counter())[record["outcome"]] += 1
     return [(kind, str(own.total()), *(str(own[word]) for word in COUNTED)) for kind, own in kinds.items()]
+
+
+def timing(records: Sequence[Record]) -> list[str]:
+    """Median seconds of a verdict, where they were taken."""
+    taken = [r for r in records if r.get("seconds")]
+    if not taken:
+        return []
+    own = [r["seconds"] for r in taken]
+    quiet = [r["seconds"] for r in taken if status(r) == "consistent"]
+    said = f"A verdict took {np.median(own):.1f} s in the median ({np.quantile(own, 0.9):.1f} s for one in ten)"
+    return [said + (f", a `consistent` one {np.median(quiet):.1f} s." if quiet else "."), ""]

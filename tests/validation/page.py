@@ -42,7 +42,7 @@ def as_markdown(figures: Sequence[Figure], records: Sequence[Record], commit: st
             *(f"- {r['job']['seed']} {r['job']['kind']}: {r['error']}" for r in errors[:20]),
             "",
         ]
-    return "\n".join([*out, *timing(counted)])
+    return "\n".join([*out, *outcome.timing(counted)])
 
 
 def row(figure: Figure) -> tuple[str, ...]:
@@ -101,17 +101,6 @@ def summary(figures: Sequence[Figure], records: Sequence[Record]) -> str:
     return f"{sum(map(outcome.scored, records))} sets, {count(figures)}" + (
         f" (short: {'; '.join(short)})" if short else ""
     )
-
-
-def timing(records: Sequence[Record]) -> list[str]:
-    """Median seconds of a verdict, where they were taken."""
-    taken = [r for r in records if r.get("seconds")]
-    if not taken:
-        return []
-    own = [r["seconds"] for r in taken]
-    quiet = [r["seconds"] for r in taken if outcome.status(r) == "consistent"]
-    said = f"A verdict took {np.median(own):.1f} s in the median ({np.quantile(own, 0.9):.1f} s for one in ten)"
-    return [said + (f", a `consistent` one {np.median(quiet):.1f} s." if quiet else "."), ""]
 
 
 def _part(records: Sequence[Record], test: Callable[[Record], bool]) -> str:

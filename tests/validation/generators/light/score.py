@@ -13,8 +13,7 @@ from scipy import stats
 from tests.validation.figure import Figure, Range
 from tests.validation.generators.names import before
 from tests.validation.intervals import bootstrap
-from tests.validation.outcome import word_for
-from tests.validation.page import timing
+from tests.validation.outcome import timing, word_for
 from tests.validation.protocol import Record
 from tests.validation.table import markdown
 
