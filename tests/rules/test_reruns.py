@@ -76,11 +76,12 @@ def test_one_new_frame(checkout):
     folder = checkout / "data" / "mine"
     rows = list(csv.DictReader((folder / "manifest.csv").read_text().splitlines()))
     shutil.copy(folder / rows[0]["file"], folder / "frames" / "new.tif")
-    manifest = (folder / "manifest.csv").read_text()
-    (folder / "manifest.csv").write_text(manifest + f"frames/new.tif,spot,0,{rows[0]['exposure_s']},99\n")
+    manifest = (folder / "manifest.csv").read_bytes()
+    more = f"frames/new.tif,spot,0,{rows[0]['exposure_s']},99\n"
+    (folder / "manifest.csv").write_bytes(manifest + more.encode())
     jobs = plan(checkout)
     (folder / "frames" / "new.tif").unlink()
-    (folder / "manifest.csv").write_text(manifest)
+    (folder / "manifest.csv").write_bytes(manifest)
     stages = {"ingest", "crop", "sensor", "fit"} | AFTER_FIT
     assert jobs == dict.fromkeys(stages, 1)
 
