@@ -120,8 +120,9 @@ def whole(reading: int) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def dark(frame: Frame) -> Frame:
-    """The same without its spot."""
-    return frame._replace(pixels=draw(np.zeros(SHAPE), 0.0, SENSOR, np.random.default_rng(frame.repeat)))
+    """The same without its spot, and with noise of its own."""
+    seed = [frame.repeat, int(frame.angle or 0), round(1e6 * (frame.exposure or 0))]
+    return frame._replace(pixels=draw(np.zeros(SHAPE), 0.0, SENSOR, np.random.default_rng(seed)))
 
 
 def sheet(**sensor: Any) -> dict[str, Any]:

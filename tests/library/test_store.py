@@ -288,7 +288,12 @@ cli.main(["ingest"])
 def test_a_stopped_command_takes_its_half_file_with_it(tmp_path, number):
     """Without a traceback, and with the status that a shell gives to what a signal ended."""
     command = [sys.executable, "-c", STOPPED.format(path=tmp_path / "r.nc")]
-    with subprocess.Popen(command, cwd=ROOT, stdout=-1, stderr=-1, text=True) as job:
+
+    def heard() -> None:
+        # What a shell starts in the background, and so all that it starts, does not hear SIGINT.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    with subprocess.Popen(command, cwd=ROOT, stdout=-1, stderr=-1, text=True, preexec_fn=heard) as job:
         assert job.stdout.readline() and len(list(tmp_path.iterdir())) == 1
         job.send_signal(number)
         assert job.wait(timeout=20) == 128 + number

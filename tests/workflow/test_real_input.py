@@ -68,9 +68,13 @@ def test_without_exposures_there_are_fits_and_metrics(zscan):
 
 def test_caustic(zscan):
     """The beam of made-with.yaml: both waists, where they lie, M² and direction, each within four standard errors (of
-    nine numbers one in 2000 sets misses by chance)."""
-    _, results = zscan
+    nine numbers one in 2000 sets misses by chance). Of a real beam nobody knows them; it is no better than a Gaussian.
+    """
+    folder, results = zscan
     with xr.open_dataset(results / "caustic.nc") as caustic:
+        if not (folder / "made-with.yaml").exists():
+            assert (caustic["m2"] + 3 * caustic["m2_stderr"]).sel(axis=["x", "y"]).min() > 1
+            return
         assert caustic.attrs["beam"] == "simple astigmatic"
         want = {"waist_radius": (56e-6, 60e-6), "waist_position": (0.198, 0.204), "m2": (1.1, 1.1)}
         for name, values in want.items():

@@ -3,8 +3,10 @@ import json
 import os
 import re
 import sys
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from types import SimpleNamespace
 
 from spotcheck import configuration, seen, store
 from spotcheck import dataset as contract
@@ -114,18 +116,34 @@ def frames_of(found):
     return sorted({str(found.folder / frame.file) for frame in found.frames})
 
 
-def content(wildcards):
-    """Digest of all that a dataset holds but frames that the rig makes; results of another content are stale."""
-    found, out = DATASETS[wildcards.dataset], Path(results_folder(wildcards))
-    if wildcards.dataset not in HELD and not (out / "frames.nc").exists():
-        # Nothing is there that could be stale; a run asks again before the job starts.
-        return ""
+@cache
+def content_of(name):
+    """Digest of all that a dataset holds but frames that the rig makes; a run remembers what it looked at."""
+    found, memory = DATASETS[name], seen.memory_of(Path(OUT.format(dataset=name)))
+    wildcards = SimpleNamespace(dataset=name)
     given = [manifest(wildcards), *instrument(wildcards), *([] if has_rig(found) else frames_of(found))]
-    looks = seen.looks(given, seen.recall(seen.memory_of(out)))
-    if wildcards.dataset in HELD:
-        seen.remember(looks, seen.memory_of(out))
+    looks = seen.looks(given, seen.recall(memory))
+    if not PLANS:
+        memory.parent.mkdir(parents=True, exist_ok=True)
+        seen.remember(looks, memory)
     told = [(os.path.relpath(path, found.folder), own.sha256) for path, own in looks.items()]
     return sha256(json.dumps(told).encode()).hexdigest()[:12]
+
+
+def content(wildcards):
+    """The same, as a parameter: results of another content are stale."""
+    # A plan looks at no frame where nothing is there that could be stale.
+    return content_of(wildcards.dataset) if not PLANS or content_note(wildcards) else ""
+
+
+def content_note(wildcards):
+    """A file that is as old as what the dataset holds, whatever its files' times: it tells what is stale where Snakemake's
+    records of parameters have gone, or never were, as where results were moved."""
+    note = seen.memory_of(Path(results_folder(wildcards))).with_name("content")
+    if not PLANS and (not note.exists() or note.read_text() != content_of(wildcards.dataset)):
+        note.parent.mkdir(parents=True, exist_ok=True)
+        note.write_text(content_of(wildcards.dataset))
+    return [str(note)] if note.exists() else []
 
 
 def results_folder(wildcards):

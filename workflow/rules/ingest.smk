@@ -2,6 +2,7 @@ rule ingest:
     input:
         manifest,
         instrument,
+        content_note,
         frames=frames,
     output:
         update(f"{OUT}/frames.nc"),

@@ -17,6 +17,7 @@ RESERVED = {
     *("page", "angle", "exposure", "repeat", "y", "x", "row", "column", "block_y", "block_x", "source", "parameter"),
     *(
         "status",
+        "left_out",
         "centring",
         "fit",
         "estimator",
