@@ -27,8 +27,8 @@ jobs += [subprocess.Popen([sys.executable, "-c", deaf], stdout=-1)]
 for job in jobs:
     job.stdout.readline()
 running.end_with_jobs(token)
-print(token, flush=True)
 try:
+    print(token, flush=True)
     while True:
         time.sleep(0.1)
 except KeyboardInterrupt:
