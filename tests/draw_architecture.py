@@ -40,6 +40,7 @@ ROOMS = {
     "instrument": "instrument.yaml",
     "dataset": "the folder",
     "store": "netCDF files",
+    "writing": "files appear whole",
     "configuration": "config.yaml, --config",
     "running": "one run at a time",
     "seen": "what changed",

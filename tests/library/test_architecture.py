@@ -14,8 +14,8 @@ from tests.library.conftest import ROOT
 WORKFLOW = ROOT / "workflow"
 FLOORS = {
     0: (
-        *("errors", "text", "schema", "conditions", "plausible", "manifest", "instrument", "dataset", "store"),
-        *("provenance", "configuration", "running", "seen"),
+        *("errors", "text", "writing", "schema", "conditions", "plausible", "manifest", "instrument", "dataset"),
+        *("store", "provenance", "configuration", "running", "seen"),
     ),
     1: ("frames", "formats", "spotfinding", "clip", "crops", "optics", "template"),
     2: ("model",),

@@ -8,7 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
 
-from spotcheck import configuration, seen, store
+from spotcheck import configuration, seen, store, writing
 from spotcheck import dataset as contract
 from spotcheck.cli import COMMANDS, vocabulary
 from spotcheck.crops import check_dataset
@@ -141,8 +141,7 @@ def content_note(wildcards):
     records of parameters have gone, or never were, as where results were moved."""
     note = seen.memory_of(Path(results_folder(wildcards))).with_name("content")
     if not PLANS and (not note.exists() or note.read_text() != content_of(wildcards.dataset)):
-        note.parent.mkdir(parents=True, exist_ok=True)
-        note.write_text(content_of(wildcards.dataset))
+        writing.text(note, content_of(wildcards.dataset))
     return [str(note)] if note.exists() else []
 
 

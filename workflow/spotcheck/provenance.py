@@ -8,13 +8,14 @@ import ast
 import hashlib
 import importlib.metadata
 import json
-import os
 import platform
 import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
+
+from spotcheck import writing
 
 PACKAGE = Path(__file__).parent
 ROOT = PACKAGE.parent
@@ -115,9 +116,4 @@ def write_sidecar(path: Path) -> None:
         "python": platform.python_version(),
         "packages": {name: importlib.metadata.version(name) for name in packages},
     }
-    folder = path.parent / ".runs"
-    folder.mkdir(exist_ok=True)
-    target = folder / f"{path.name}.json"
-    scratch = target.with_name(f".{target.name}.{os.getpid()}.part")
-    scratch.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    scratch.replace(target)
+    writing.text(path.parent / ".runs" / f"{path.name}.json", json.dumps(record, indent=1) + "\n")

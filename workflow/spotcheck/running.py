@@ -27,8 +27,8 @@ TOKEN = "SPOTCHECK_RUN"
 GRACE_S = 4.0
 # How often new jobs are looked for while a run is being stopped [s]: one may be starting just then.
 AGAIN_S = 0.2
-# What is being written bears the name that it will have, its writer's number, and this ending (`store`, `provenance`,
-# the rig); notebooks need their own.
+# What is being written bears the name that it will have, its writer's number, and this ending (`writing`, the rig);
+# notebooks need their own.
 PART = re.compile(r"\..+\.(\d+)\.part|.+\.part\.ipynb")
 
 

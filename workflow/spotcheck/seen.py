@@ -5,7 +5,6 @@ A file whose content differs has another time of change (ctime), which no `cp -p
 """
 
 import json
-import os
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from typing import NamedTuple
 
 import xarray as xr
 
-from spotcheck import provenance
+from spotcheck import provenance, writing
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 
@@ -67,9 +66,7 @@ def looks(paths: Iterable[str | Path], before: Mapping[str, Look]) -> dict[str, 
 def remember(found: dict[str, Look], memory: Path) -> None:
     """Write looks down, where they differ from what is remembered."""
     if found != recall(memory):
-        scratch = memory.with_name(f".{memory.name}.{os.getpid()}.part")
-        scratch.write_text(json.dumps(found), encoding="utf-8")
-        scratch.replace(memory)
+        writing.text(memory, json.dumps(found))
 
 
 @contextmanager

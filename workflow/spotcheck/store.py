@@ -4,9 +4,7 @@ Every variable and coordinate carries `units` and `long_name`; dimensions bear t
 appears whole or not at all; equal inputs and equal code give equal files.
 """
 
-import errno
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +15,7 @@ import numpy as np
 import xarray as xr
 from xarray.backends import NetCDF4DataStore
 
-from spotcheck import provenance
+from spotcheck import provenance, writing
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 
@@ -40,20 +38,6 @@ UNUSABLE = 1 | 2 | 4 | 256
 # HDF5 keeps chunks that were touched, and frames are touched once: a cache of some frames, so that memory does not grow
 # with their number.
 netCDF4.set_chunk_cache(2**21)
-
-
-# Why a file cannot be written though the program is right, and what mends it.
-CAUSES = {
-    errno.ENOSPC: "make room on the disk and run again",
-    errno.EDQUOT: "make room within your quota and run again",
-    errno.EFBIG: "raise the limit on the size of files (`ulimit -f`) and run again",
-    errno.EROFS: "name a folder on a disk that can be written",
-    errno.EACCES: "mend the permissions of its folder, or name another one",
-    errno.EPERM: "mend the permissions of its folder, or name another one",
-}
-# Room that a disk must have beyond what was written before another cause is looked for [byte]: HDF5 writes in blocks of
-# at most this size.
-PROBE_BYTES = 2**20
 
 
 class ContractError(ValueError):
@@ -231,40 +215,10 @@ def read(path: str | Path) -> xr.Dataset:
 
 @contextmanager
 def appearing_whole(path: Path) -> Iterator[Path]:
-    """A scratch name in the same folder that takes the final name only when all was written.
-
-    Raises `InputError` where the disk is full or the folder cannot be written; an earlier file stays as it was then.
-    """
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    """A result that takes its name only when all was written (`writing.whole`), with its sidecar."""
+    with writing.whole(path) as scratch:
         yield scratch
-        scratch.replace(path)
-        provenance.write_sidecar(path)
-    except (OSError, RuntimeError) as error:
-        if cause := _cause(error, scratch):
-            raise InputError(f"{path}: cannot be written ({os.strerror(cause)}); {CAUSES[cause]}") from None
-        raise
-    finally:
-        scratch.unlink(missing_ok=True)
-
-
-def _cause(error: OSError | RuntimeError, scratch: Path) -> int | None:
-    """The error number, where it is one of `CAUSES`, of what stopped the writing of a scratch file."""
-    if isinstance(error, OSError):
-        # What is read meanwhile has a name of its own.
-        named = Path(error.filename or scratch)
-        ours = scratch.is_relative_to(named) or named.suffix == scratch.suffix
-        return error.errno if ours and error.errno in CAUSES else None
-    if not str(error).startswith("NetCDF: "):
-        return None
-    # netCDF does not say why it could not write: the disk does, when as much is asked of it once more.
-    try:
-        with tempfile.TemporaryFile(dir=scratch.parent) as probe:
-            os.posix_fallocate(probe.fileno(), 0, PROBE_BYTES + (scratch.stat().st_size if scratch.exists() else 0))
-    except OSError as found:
-        return found.errno if found.errno in CAUSES else None
-    return None
+    provenance.write_sidecar(path)
 
 
 def write_text(path: str | Path, text: str) -> None:

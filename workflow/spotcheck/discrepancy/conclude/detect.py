@@ -113,8 +113,8 @@ def look(frames: Sequence[Frame], model: Model | Fitted, design: Design) -> Look
     total, *fields = (spectra.Field(*sums[j : j + 3]) for j in range(0, len(sums), 3))
     _, cells, pairs, electrons, odd = zip(*sorted(seen, key=lambda own: own[0]), strict=True)
     parts = [
-        spectra.grain_part("grain: frame", pairs),
-        spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in fields]),
+        spectra.grain_part("grain: frame", pairs, whole.step),
+        spectra.grain_part("grain: site", [spectra.pairs_of(own) for own in fields], whole.step),
         peak_of(whole, [window for window, _ in sites], fields),
         odd_pixels("readings: one frame", odd, electrons, sensor),
     ]
@@ -132,7 +132,8 @@ def peak_of(whole: Window, windows: Sequence[Window], fields: Sequence[spectra.F
         for own, window in zip(fields, windows, strict=True):
             every.add(placed(window.corner, window.shape, whole.corner), own)
         fields = [every]
-    return spectra.peak_part("spectrum: peak", fields) if len({own.pull.shape for own in fields}) == 1 else None
+    alike = len({own.pull.shape for own in fields}) == 1
+    return spectra.peak_part("spectrum: peak", fields, whole.step) if alike else None
 
 
 def groups_of(scene: Scene) -> dict[str, list[np.ndarray]]:

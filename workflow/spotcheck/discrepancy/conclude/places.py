@@ -38,9 +38,10 @@ def places_of(parts: Sequence[Part]) -> tuple[Where, ...]:
 
 
 class Scene(NamedTuple):
-    """What words for places need: the first row and column on the sensor, readings [DN] at the bounds between levels of
-    light, light [e-] up to which they count, and each frame's exposure [s] and angle [deg]."""
+    """What words for places need: the first row and column on the sensor, in steps of so many px; readings [DN] at the
+    bounds between levels of light, light [e-] up to which they count, and each frame's exposure [s] and angle [deg]."""
 
+    step: int
     corner: tuple[int, int]
     readings: np.ndarray
     brightest: float
@@ -55,7 +56,9 @@ def scene_of(frames: Sequence[Frame], model: Model) -> Scene:
     exposure, angle = (
         np.array([float(np.ravel(getattr(own.view, name))[0]) for own in frames]) for name in ("exposure_s", "angle")
     )
-    return Scene(Window(frames).corner, readings, brightest / sensor.gain_dn_per_e, exposure, np.rad2deg(angle))
+    return Scene(
+        frames[0].step, Window(frames).corner, readings, brightest / sensor.gain_dn_per_e, exposure, np.rad2deg(angle)
+    )
 
 
 def cell_words(what: str, kind: str, label: tuple[int, int], frames: np.ndarray, scene: Scene) -> str:
@@ -71,10 +74,12 @@ def place_of(kind: str, label: tuple[int, int], scene: Scene) -> str:
     one, two = label
     if kind in ("block", "patch"):
         side = BLOCK if kind == "block" else PATCH
-        row, column = (first + side * own + side // 2 for first, own in zip(scene.corner, label, strict=True))
-        return f"{side} px about row {row}, column {column}"
+        row, column = (
+            scene.step * (first + side * own + side // 2) for first, own in zip(scene.corner, label, strict=True)
+        )
+        return f"{scene.step * side} px about row {row}, column {column}"
     if kind in ("row", "column"):
-        return f"{kind}s, most of all {kind} {scene.corner[kind == 'column'] + one}"
+        return f"{kind}s, most of all {kind} {scene.step * (scene.corner[kind == 'column'] + one)}"
     if kind == "level":
         low, high = (f"{own:,.{0 if own >= 10 else 1}f}" for own in scene.readings[one : one + 2])
         if one == 0:

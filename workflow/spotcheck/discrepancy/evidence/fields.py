@@ -15,7 +15,7 @@ from scipy import fft, special
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.parts import Part, lower, smallest_of, upper
 
-# Standard deviations of the kernels [px]; of wider structure cells tell more.
+# Standard deviations of the kernels in steps; of wider structure cells tell more.
 GRAINS = (0.7, 2.0, 5.6)
 # Padding of a field before its peak is sought: between two frequencies of this grid a peak loses 3 % at most.
 PADDED = 2
@@ -97,7 +97,7 @@ def pairs_of(field: Field) -> Pairs:
     return Pairs(total + np.tensordot(kernels, pull, 2), total - field.taken[0], variance)
 
 
-def grain_part(name: str, pairs: Sequence[Pairs]) -> Part | None:
+def grain_part(name: str, pairs: Sequence[Pairs], step: int) -> Part | None:
     """Whether pixels look more or less alike than they should, over some grain, in independent fields together, each in
     units of what it should have."""
     units = [np.where(own.mean > 0, own.mean, np.inf) for own in pairs]
@@ -112,10 +112,10 @@ def grain_part(name: str, pairs: Sequence[Pairs]) -> Part | None:
     z, beyond = (value - mean) / np.sqrt(variance), 2 * mean / variance * (value - mean)
     j = int(np.argmin(p))
     size = float(np.sign(beyond[j]) * np.sqrt(abs(beyond[j])))
-    return Part(name, float(z[j]), smallest_of(float(p[j]), p.size), f"grain of {grain[j]:.2g} px", size)
+    return Part(name, float(z[j]), smallest_of(float(p[j]), p.size), f"grain of {step * grain[j]:.2g} px", size)
 
 
-def peak_part(name: str, fields: Sequence[Field]) -> Part | None:
+def peak_part(name: str, fields: Sequence[Field], step: int) -> Part | None:
     """Whether the highest peak of the fields' power together is too high: a χ² field of two degrees of freedom a field,
     by the expected Euler characteristic of what lies above (Worsley 1994, doi:10.2307/1427576)."""
     fields = [own for own in fields if own.weight.any()]
@@ -141,7 +141,7 @@ def peak_part(name: str, fields: Sequence[Field]) -> Part | None:
     freedom = 2 * len(fields)
     area, edge = np.pi / 2 * (high**2 - low**2), np.pi / 2 * (high + low)
     p = chance_of_peak(float(power[j, i]), freedom, 4 * np.pi**2 * spread, area, edge)
-    period, turn = 1 / radius[j, i], np.degrees(np.arctan2(ky[j, 0], kx[0, i])) % 180
+    period, turn = step / radius[j, i], np.degrees(np.arctan2(ky[j, 0], kx[0, i])) % 180
     beyond, where = float(power[j, i] - freedom), f"stripes of {period:.1f} px across {turn:.0f}°"
     return Part(name, beyond / np.sqrt(2 * freedom), p, where, float(np.sqrt(max(beyond, 0.0))))
 

@@ -21,7 +21,7 @@ from spotcheck.discrepancy.nuisance.threads import shared
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Frame
 
-# The finest and the coarsest grain [px]: below, all pixels are on their own; the other is the farthest lag's.
+# The finest and the coarsest grain in steps: below, all pixels are on their own; the other is the farthest lag's.
 FINEST, COARSEST = 0.2, 20.0
 # Less than this part of a field's variance that is left tells nothing of the rest.
 LEAST = 0.05
@@ -34,10 +34,10 @@ class Correlation(NamedTuple):
     grain: float
 
 
-def correlation_of(product: np.ndarray, unit: np.ndarray) -> Correlation:
+def correlation_of(product: np.ndarray, unit: np.ndarray, step: int) -> Correlation:
     """From products of pixels at each of the distances [lag], and what they would be for a variance of 1 that all
-    pixels share: least squares of their ratio."""
-    square = np.array([down**2 + right**2 for down, right in LAGS], float)
+    pixels share, a lag being so many pixels: least squares of their ratio."""
+    square = step**2 * np.array([down**2 + right**2 for down, right in LAGS], float)
     good = unit > 0
     weight, ratio = unit[good], product[good] / unit[good]
 
@@ -46,18 +46,21 @@ def correlation_of(product: np.ndarray, unit: np.ndarray) -> Correlation:
         size = max(float((weight * law) @ ratio) / float((weight * law) @ law), 0.0)
         return size, float(weight @ (ratio - size * law) ** 2)
 
-    best = minimize_scalar(lambda x: fitted(x)[1], bounds=(np.log(FINEST), np.log(COARSEST)), method="bounded")
+    best = minimize_scalar(
+        lambda x: fitted(x)[1], bounds=(np.log(step * FINEST), np.log(step * COARSEST)), method="bounded"
+    )
     return Correlation(fitted(best.x)[0], float(np.exp(best.x)))
 
 
 def neighbours(grain: float) -> float:
-    """How many pixels of a field count as one in the variance of its squares: the sum of its squared correlations."""
+    """How many pixels of a field count as one in the variance of its squares: the sum of its squared correlations; its
+    grain in steps from pixel to pixel."""
     steps = np.arange(-int(4 * grain) - 1, int(4 * grain) + 2)
     return float(np.exp(-((steps / max(grain, FINEST)) ** 2)).sum() ** 2)
 
 
 def drawn_field(rng: np.random.Generator, shape: tuple[int, ...], grain: float) -> np.ndarray:
-    """A normal field [row, column] of variance 1 and a grain [px]; of grain 0 each pixel is its own."""
+    """A normal field [row, column] of variance 1 and a grain in steps; of grain 0 each pixel is its own."""
     white = rng.standard_normal(shape)
     if grain <= 0:
         return white
@@ -79,7 +82,7 @@ class Drawn:
         self.frames, self.ready, self.whole = frames, ready, whole
         rng = np.random.default_rng(0)
         self.windows = list(windows_of(frames, design))
-        self.fields = [drawn_field(rng, window.shape, grain) for window, _ in self.windows]
+        self.fields = [drawn_field(rng, window.shape, grain / window.step) for window, _ in self.windows]
         self.sensor = drawn_field(rng, (0, 0) if whole is None else whole.cell.shape, 0.0)
         self.window = {k: j for j, (_, own) in enumerate(self.windows) for k in own}
         # Coefficients of the shape, and steps of numbers and free parameters [·, kind], by which the fit answers.
@@ -153,7 +156,7 @@ def completed(
     """
     product, unit = (np.sum([getattr(own, name) for own in sites], axis=0) for name in ("product", "product_unit"))
     product[0] -= by_sensor * unit[0]
-    found = correlation_of(product, unit)
+    found = correlation_of(product, unit, sites[0].step)
     whole = whole_of(sites) if by_sensor > 0 else None
     drawn = Drawn(frames, design, ready, found.grain, whole)
     of_cells, by_lag = np.zeros((2, CELLS)), np.zeros((2, len(LAGS)))
@@ -174,7 +177,7 @@ def completed(
             every[:, :, *placed(own.corner, own.cell.shape, whole.corner)] += of_sensor, of_sensor**2
     # What products lack is as much of what they are as it is in those of drawn fields.
     part = max(by_lag[1, 0] / by_lag[0, 0], LEAST) if by_lag[0, 0] > 0 else 1.0
-    grain = correlation_of(product + found.variance / part * (by_lag[0] - by_lag[1]), unit).grain
+    grain = correlation_of(product + found.variance / part * (by_lag[0] - by_lag[1]), unit, sites[0].step).grain
     by_pixel = kept_of(by_cell(whole, every, by_sensor)) if whole is not None else np.ones(CELLS)
     return [own._replace(kept=kept_of(of_cells), kept_by_sensor=by_pixel, grain=grain) for own in sites]
 

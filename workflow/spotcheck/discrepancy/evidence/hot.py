@@ -105,7 +105,8 @@ def oddest(
         z = float(sums.pull[row, column] / np.sqrt(sums.weight[row, column]))
         mean = np.array([electrons[k][r, c] for k, r, c in inside], float)
         chance = chance_of_sum(total, mean, sensor, z > 0)
-        found.append(Oddest(chance, 2 * int(seen.sum()), z, row + window.corner[0], column + window.corner[1]))
+        found.append(Oddest(chance, 2 * int(seen.sum()), z, window.step * (row + window.corner[0]),
+                            window.step * (column + window.corner[1])))  # fmt: skip
     return min(found, key=lambda own: own.chance)
 
 

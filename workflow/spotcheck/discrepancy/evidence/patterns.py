@@ -72,7 +72,7 @@ def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], 
     known = sensor.value if sensor is not None else 0.0
     found = {
         ("field", "sensor"): sensor,
-        ("field", "site"): variance_of(shared(sites), known, neighbours(sites[0].grain)),
+        ("field", "site"): variance_of(shared(sites), known, neighbours(sites[0].grain / sites[0].step)),
         ("row", "frame"): variance_of(rows),
     }
     alone = len(sites) == 1 and sites[0].single

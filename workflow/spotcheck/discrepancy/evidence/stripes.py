@@ -13,8 +13,9 @@ from spotcheck.discrepancy.nuisance.numbers import fit_numbers
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers, told
 
-# A sensor that reads every other line in its own way, or has a colour filter, has a pattern of 2 px of its own.
-SHORTEST_PX = 2.1
+# The shortest period [steps]: a sensor that reads every other line in its own way, or has a colour filter, has a
+# pattern of 2 px of its own.
+SHORTEST = 2.1
 # The rings of frequency about a peak, in parts of its own, of whose median power chance is a part; and how many steps
 # of the grid the peak itself is wide.
 RING, WIDE = 1.3, 4
@@ -41,12 +42,13 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     """
     shape = np.max([own.pull.shape for own in sites], axis=0)
     padded = [fft.next_fast_len(int(n), real=True) for n in shape]
-    ky, kx = fft.fftfreq(padded[0])[:, None], fft.rfftfreq(padded[1])[None, :]
+    step = sites[0].step
+    ky, kx = fft.fftfreq(padded[0], step)[:, None], fft.rfftfreq(padded[1], step)[None, :]
     power = np.zeros((padded[0], padded[1] // 2 + 1))
     for own in sites:
         power += np.abs(fft.rfft2(own.pull, s=padded)) ** 2 * 2 / max(float(own.weight.sum()), 1e-300)
     radius = np.hypot(ky, kx)
-    sought = (radius > 1 / (criteria.LONGEST.value * sigma_px)) & (radius < 1 / SHORTEST_PX)
+    sought = (radius > 1 / (criteria.LONGEST.value * sigma_px)) & (radius < 1 / (SHORTEST * step))
     if not sought.any():
         return None
     power[~sought] = 0
@@ -55,11 +57,11 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
 
     def minus(k: np.ndarray) -> float:
         # A step of the grid holds a peak; what lies beyond is another's flank.
-        if np.any(np.abs(k - start) * padded[::-1] > 1):
+        if np.any(np.abs(k - start) * step * padded[::-1] > 1):
             return 0.0
         return -float(sum(abs(a) ** 2 * w / 2 for a, w in (_amplitude(own, k) for own in sites)))
 
-    simplex = start + 0.5 / np.array(padded[::-1]) * np.array([[0, 0], [1, 0], [0, 1]])
+    simplex = start + 0.5 / (step * np.array(padded[::-1])) * np.array([[0, 0], [1, 0], [0, 1]])
     best = minimize(
         minus, start, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-7, "fatol": 1e-3}
     )
@@ -69,8 +71,9 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
     places = np.log(np.count_nonzero(sought))
     chance = 2 * len(sites) + 2 * places + 2 * np.sqrt(2 * len(sites) * places)
     # Grains and rows have power of their own all about.
-    steps = np.hypot((ky - ky[j, 0]) * padded[0], (kx - kx[0, i]) * padded[1])
-    mirrored = np.hypot((ky + ky[j, 0]) * padded[0], (kx + kx[0, i]) * padded[1])
+    far, wide = step * padded[0], step * padded[1]
+    steps = np.hypot((ky - ky[j, 0]) * far, (kx - kx[0, i]) * wide)
+    mirrored = np.hypot((ky + ky[j, 0]) * far, (kx + kx[0, i]) * wide)
     others = power[sought & (np.minimum(steps, mirrored) > APART)]
     lonely = not others.size or power[j, i] > criteria.STANDS_OUT.value * others.max()
     about = sought & (radius < RING * radius[j, i]) & (radius > radius[j, i] / RING) & (steps > WIDE)
@@ -83,8 +86,8 @@ def stripes_of(sites: Sequence[Site], sigma_px: float) -> Stripes | None:
 def _amplitude(own: Site, k: np.ndarray) -> tuple[complex, float]:
     """Complex amplitude a of the field Re(a e^(2πi k·r)) of a site, and Σ of its weights."""
     rows, columns = own.pull.shape
-    along = np.exp(-2j * np.pi * k[0] * (own.corner[1] + np.arange(columns)))
-    across = np.exp(-2j * np.pi * k[1] * (own.corner[0] + np.arange(rows)))
+    along = np.exp(-2j * np.pi * k[0] * own.step * (own.corner[1] + np.arange(columns)))
+    across = np.exp(-2j * np.pi * k[1] * own.step * (own.corner[0] + np.arange(rows)))
     total = max(float(own.weight.sum()), 1e-300)
     return 2 * complex(across @ (own.pull @ along)) / total, total
 

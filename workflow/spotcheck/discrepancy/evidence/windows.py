@@ -13,8 +13,8 @@ from spotcheck.discrepancy.evidence.pixels import CELLS, cells_of
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Expected, Frame, Told
 
-# Distances (rows, columns) [px] at which products of pixels are summed: close by, where grains are fine, and further
-# off.
+# Distances (rows, columns) in steps at which products of pixels are summed: close by, where grains are fine, and
+# further off.
 LAGS = ((0, 0), (0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (0, 3), (3, 0), (0, 4), (4, 0), (0, 6), (6, 0),
         (0, 9), (9, 0), (0, 14), (14, 0))  # fmt: skip
 # In products pixels count alike from this n on, or the brightest alone would tell: where a field of contrast 0.05
@@ -23,12 +23,14 @@ BRIGHT = 400.0
 
 
 class Site(NamedTuple):
-    """Of one site: the corner of its window (row, column) [px], and of its pixels [row, column] S, Σ s², N, Σ n² over
+    """Of one site: how far apart the pixels are that are looked at [px], the corner of its window (row, column) in such
+    steps, and of its pixels [row, column] S, Σ s², N, Σ n² over
     its frames, and the cell; `single` where it has one frame; products of pixels of different frames at each of the
     distances, and what they would be for a field of variance 1 that is alike everywhere [lag]; and the part of a
     field's variance that shape and numbers leave [cell], of fields of each site and of the sensor, and the grain of the
     first [px]."""
 
+    step: int
     corner: tuple[int, int]
     pull: np.ndarray
     square: np.ndarray
@@ -56,6 +58,7 @@ class Window:
         corners = np.array([corner_of(own) for own in frames])
         low = corners.min(axis=0)
         rows, columns = (corners + [own.pixels.shape for own in frames]).max(axis=0) - low
+        self.step = frames[0].step
         self.corner, self.shape, self.single = (int(low[0]), int(low[1])), (int(rows), int(columns)), len(frames) < 2
         self.sums: list[np.ndarray] = []
         self.cell, self.by_lag = np.zeros((0, 0), np.int32), np.zeros((2, len(LAGS)))
@@ -85,7 +88,7 @@ class Window:
         """The sums of all frames."""
         pull, square, weight, heavy, *flat = self.sums
         by_lag = self.by_lag + [products(part) for part in flat]
-        return Site(self.corner, pull, square, weight, heavy, self.cell, self.single, by_lag[0], by_lag[1])
+        return Site(self.step, self.corner, pull, square, weight, heavy, self.cell, self.single, by_lag[0], by_lag[1])
 
 
 def evened(n: np.ndarray) -> np.ndarray:
@@ -106,8 +109,8 @@ def products(image: np.ndarray) -> np.ndarray:
 
 
 def corner_of(frame: Frame) -> tuple[int, int]:
-    """The sensor's row and column of a frame's first pixel."""
-    return int(np.rint(frame.view.y.min())), int(np.rint(frame.view.x.min()))
+    """The sensor's row and column of a frame's first pixel, in steps of the frame."""
+    return int(np.rint(frame.view.y.min() / frame.step)), int(np.rint(frame.view.x.min() / frame.step))
 
 
 def windows_of(frames: Sequence[Frame], design: Design) -> Iterator[tuple[Window, list[int]]]:
@@ -129,7 +132,9 @@ def whole_of(sites: Sequence[Site]) -> Site | None:
     none = np.zeros(len(LAGS))
     corner = int(low[0]), int(low[1])
     kept = sites[0].kept_by_sensor
-    whole = Site(corner, pull, square, weight, heavy, np.zeros(high - low, np.int32), False, none, none, kept)
+    whole = Site(
+        sites[0].step, corner, pull, square, weight, heavy, np.zeros(high - low, np.int32), False, none, none, kept
+    )
     for own in sites:
         at = placed(own.corner, own.pull.shape, corner)
         members = (own.pull, own.pull**2, own.weight, own.weight**2)

@@ -15,6 +15,9 @@ from spotcheck.model.light_shape import splines_along, splines_at
 
 # Part of its own information that every number gets on top where a system is solved.
 DAMPING = 1e-9
+# Part of the best told coefficient's information that all of them get on top: of those that lie where no frame has
+# pixels the penalty alone tells, which is next to nothing beside it.
+SHALLOW = 1e-12
 # From so many columns on a banded system is solved by blocks.
 MANY = 16
 
@@ -262,7 +265,10 @@ def _damped(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def schur(band: np.ndarray, joined: np.ndarray, dense: np.ndarray, lights: int = 1) -> Schur:
     """Factor G and reduce D. Of several lights, one behind the other, each meets few of the numbers."""
-    factor = linalg.cholesky_banded(band, lower=True, check_finite=False) if band.size else band
+    factor = band
+    if band.size:
+        factor = np.vstack([band[:1] + SHALLOW * band[0].max(), band[1:]])
+        factor = linalg.cholesky_banded(factor, overwrite_ab=True, lower=True, check_finite=False)
     absorbed = np.zeros_like(joined)
     for rows in np.array_split(np.arange(len(joined)), lights):
         met = joined[rows].any(axis=0)

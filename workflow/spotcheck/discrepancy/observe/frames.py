@@ -21,6 +21,9 @@ CLIPPED = 0.01
 TOP = 0.97
 # The brightest readings, beyond which some odd pixel may lie.
 ODD = 20
+# Of frames with more pixels than this together [px] every second, third, … row and column is looked at, as long as the
+# narrowest spot keeps so many of them [1/σ].
+MOST_PIXELS, SAMPLES = 5e5, 16
 
 
 class Setting(NamedTuple):
@@ -68,7 +71,26 @@ def observed(shots: Sequence[Shot], setting: Setting) -> Observed | str:
     numbers = first_numbers(frames, design, setting)
     if isinstance(numbers, str):
         return numbers
-    return Observed(frames, design, numbers, context_of(frames, design, numbers, setting))
+    context, step = context_of(frames, design, numbers, setting), step_of(frames, numbers)
+    return Observed([thinned(own, step) for own in frames], design, numbers, context)
+
+
+def step_of(frames: Sequence[Frame], numbers: Numbers) -> int:
+    """Of how many rows and columns of the sensor one is enough: a light that is so wide is alike in neighbours.
+
+    # ASSUME: nothing that repeats within two such steps is in the frames; a finer stripe would pass for a coarser.
+    """
+    wanted = np.ceil(np.sqrt(sum(own.pixels.size for own in frames) / MOST_PIXELS))
+    return int(max(min(wanted, np.exp(numbers.log_width.min()) // SAMPLES), 1))
+
+
+def thinned(frame: Frame, step: int) -> Frame:
+    """A frame with one of so many rows and columns, those whose number on the sensor they divide."""
+    if step == 1:
+        return frame
+    rows, columns = (slice(-int(axis.min()) % step, None, step) for axis in (frame.view.y, frame.view.x))
+    view = frame.view._replace(x=frame.view.x[..., columns], y=frame.view.y[:, rows], rows_each=float(step))
+    return frame._replace(pixels=np.ascontiguousarray(frame.pixels[rows, columns]), view=view)
 
 
 def around(shot: Shot) -> Around | None:

@@ -40,6 +40,11 @@ class Frame(NamedTuple):
     view: View
     around: Around | None = None
 
+    @property
+    def step(self) -> int:
+        """Every so many rows and columns of the sensor the frame has one [px]."""
+        return int(self.view.rows_each)
+
 
 class Numbers(NamedTuple):
     """Of every frame [frame]: log of the peak [DN], log of σ_g [px], centre [px of the sensor]."""

@@ -63,10 +63,12 @@ def groups_of(design: Design) -> np.ndarray:
     return design.exposure_s if design.exposures.size > 1 else design.pose
 
 
-def fields_of(model: Model) -> list[Field]:
-    """Fields of a model of which neighbours share grains."""
+def fields_of(model: Model, step: int) -> list[Field]:
+    """Fields of a model of which neighbours, so many pixels apart, share grains."""
     grains = [own for own in model.present if scatters(own.effect, "field") and own.effect.component == "grain"]
-    return [Field(own.values[0], neighbours(2**0.5 * own.values[1]), neighbours(own.values[1])) for own in grains]
+    return [
+        Field(own.values[0], *(neighbours(root * own.values[1] / step) for root in (2**0.5, 1.0))) for own in grains
+    ]
 
 
 def holding_of(frames: Sequence[Frame], design: Design, fitted: Fitted, effect: int) -> Holding:
@@ -80,7 +82,7 @@ def holding_of(frames: Sequence[Frame], design: Design, fitted: Fitted, effect: 
         beside = _without(fitted, fitted.free.index(strength))
         moved, step = nudged(fitted.model, strength)
     (own,) = screen(frames, beside, [moved])
-    score, information, alone, together = by_cell(frames, beside, moved, own, fields_of(fitted.model))
+    score, information, alone, together = by_cell(frames, beside, moved, own, fields_of(fitted.model, frames[0].step))
     parts, group = np.unique(groups_of(design), return_inverse=True)
     u, i, v = (np.zeros((len(parts), score.shape[1])) for _ in range(3))
     for to, of in ((u, score), (i, information), (v, alone + together)):

@@ -95,13 +95,14 @@ def detection_block(judgement: Judgement, alpha: float) -> dict[str, Any]:
         own = found.worst
         worst = {"part": own.name, "where": own.where, "statistic": number(own.statistic),
                  "p_value": _probability(own.p_value)}  # fmt: skip
+    step = judgement.fits.frames[0].step if judgement.fits is not None else 1
     return {
         "p_value": _probability_of(found),
         "alpha": alpha,
         "parts": len(found.parts) if found is not None else 0,
         "worst": worst,
         "rms_residual_percent_of_peak": number(None if judgement.off is None else 100 * judgement.off),
-    }
+    } | ({"every_px": step} if step > 1 else {})
 
 
 def effects_of(judgement: Judgement) -> list[dict[str, Any]]:

@@ -60,9 +60,10 @@ def pictures_of(judgement: Judgement, verdict: dict[str, Any], dataset: Dataset)
     if verdict["effects"]:
         stages[AFTER] = summed(fits.frames, fits.after, side)
     _add_spots(out, canvas, fits)
-    _add_maps(out, canvas, fits, stages, side)
+    wide = side * fits.frames[0].step
+    _add_maps(out, canvas, fits, stages, wide)
     _add_gap(out, canvas, fits, stages)
-    _add_rings(out, canvas, fits, stages[BEFORE], side)
+    _add_rings(out, canvas, fits, stages[BEFORE], wide)
     if judgement.detection is not None:
         _add_parts(out, judgement.detection)
     return out
