@@ -10,7 +10,7 @@ BENCH  := .venv-bench
 CHECK  := results/check
 WHEEL  := build/wheel
 
-.PHONY: all quick test wheel load load-kills load-hostile load-scale test-slurm newest licences lint check-numbers bench \
+.PHONY: all quick test wheel load load-kills load-hostile load-scale load-rules test-slurm newest licences lint check-numbers bench \
     validate validate-times validate-second validate-light validate-real snakemake-report lock lock-bench clean
 
 all: $(READY)
@@ -40,7 +40,7 @@ wheel: $(READY)
 	cd $(WHEEL) && venv/bin/python -I ../../tests/check_wheel.py
 
 # How the workflow bears what happens to it, each programme with rows of workflow/docs/load.md; some three hours in all.
-load: load-kills load-hostile load-scale test-slurm
+load: load-kills load-hostile load-scale load-rules test-slurm
 	$(BIN)/python -m tests.load.table
 
 load-kills: $(READY)
@@ -51,6 +51,9 @@ load-hostile: $(READY)
 
 load-scale: $(READY)
 	$(BIN)/python -m tests.load.scale
+
+load-rules: $(READY)
+	$(BIN)/python -m tests.load.rules
 
 # The workflow on a real Slurm of two nodes, which Debian's packages bring; as root, in a mount namespace of its own.
 test-slurm: $(READY)

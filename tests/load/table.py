@@ -10,6 +10,7 @@ PROGRAMMES = {
     "kills": ("Kills", "make load-kills"),
     "hostile": ("Hostile input", "make load-hostile"),
     "scale": ("Many frames, many datasets", "make load-scale"),
+    "rules": ("What each rule needs", "make load-rules"),
     "slurm": ("A cluster", "make test-slurm"),
 }
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.advise import advise
@@ -31,6 +32,8 @@ from spotcheck.model.chain import Law, spot_state
 from spotcheck.model.effect import NEEDS, Context, Effect, Place
 
 
+# Frames are shared out among threads already: with threads of its own beneath them linear algebra is slower many times.
+@threadpool_limits.wrap(limits=1)
 def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) -> Judgement:
     """Everything that is concluded of some frames; those that are kept unseen are opened last."""
     if not shots:
