@@ -214,3 +214,13 @@ def test_copies_of_flats_and_darks_give_no_noise(tmp_path):
     found = characterise_dataset(folder(tmp_path, rows, "sensor: {bit_depth: 12}"))
     assert "frames/flat200_1.tif holds the same pixels as frames/flat200_0.tif" in str(found)
     assert "1 flat level has a single frame" in str(found)
+
+
+def test_a_reader_that_has_seen_enough(tmp_path):
+    """`spotcheck check … | head -0` ends as other programs do, without a word."""
+    image(tmp_path)
+    folder(tmp_path, [GOOD], "crop_px: 8")
+    words = [sys.executable, "-c", "from spotcheck.cli import main; main()", "check", str(tmp_path)]
+    run = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    run.stdout.close()
+    assert (run.stderr.read(), run.wait()) == (b"", 141)

@@ -7,6 +7,7 @@ that is asked for is imported, because imports are most of a short job's time.
 import argparse
 import importlib
 import io
+import os
 import signal
 import sys
 import threading
@@ -53,6 +54,11 @@ def main(argv: list[str] | None = None) -> None:
         signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         run(sys.argv[1:] if argv is None else argv)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Who reads has seen enough (`| head`), and what is left to print has nowhere to go.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
     except InputError as error:
         sys.exit(_say(str(error)))
     except KeyboardInterrupt:
