@@ -119,13 +119,12 @@ def frames_of(found):
 @cache
 def content_of(name):
     """Digest of all that a dataset holds but frames that the rig makes; a run remembers what it looked at."""
-    found, memory = DATASETS[name], seen.memory_of(Path(OUT.format(dataset=name)))
+    found, noted = DATASETS[name], seen.memory_of(Path(OUT.format(dataset=name)))
     wildcards = SimpleNamespace(dataset=name)
     given = [manifest(wildcards), *instrument(wildcards), *([] if has_rig(found) else frames_of(found))]
-    looks = seen.looks(given, seen.recall(memory))
+    looks = seen.looks(given, seen.recall(noted))
     if not PLANS:
-        memory.parent.mkdir(parents=True, exist_ok=True)
-        seen.remember(looks, memory)
+        seen.remember(looks, noted)
     told = [(os.path.relpath(path, found.folder), own.sha256) for path, own in looks.items()]
     return sha256(json.dumps(told).encode()).hexdigest()[:12]
 
@@ -183,6 +182,21 @@ def paper_tables(wildcards):
     """The paper's numbers, which are compared on the dataset that was made for it."""
     is_paper = DATASETS[wildcards.dataset].folder == SHELF / "virtual-rig"
     return [f"{results_folder(wildcards)}/paper_numbers.{kind}" for kind in ("csv", "html")] if is_paper else []
+
+
+def memory(megabytes):
+    """What a job may take [MB], some twice of what `make load-rules` measures; one that is run again may take more."""
+    return lambda wildcards, attempt: attempt * megabytes
+
+
+def minutes(few):
+    """How long it may take [min]: so many, and a second for each frame, which is five times the slowest stage's."""
+
+    def of(wildcards, attempt):
+        found = DATASETS.get(getattr(wildcards, "dataset", ""))
+        return attempt * (few + len(found.frames) // 60 if found else few)
+
+    return of
 
 
 def code(*commands):

@@ -12,8 +12,8 @@ rule crop:
         f"{OUT}/benchmarks/crop.tsv"
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=10,
+        mem_mb=memory(500),
+        runtime=minutes(10),
     params:
         folder=dataset_folder,
         code=code("crop"),

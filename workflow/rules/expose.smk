@@ -17,8 +17,8 @@ for name, planned in {name: found for name, found in DATASETS.items() if has_rig
             f"{config['results']}/{name}/benchmarks/expose.tsv"
         threads: 2
         resources:
-            mem_mb=900,
-            runtime=10,
+            mem_mb=memory(900),
+            runtime=minutes(10),
         params:
             folder=lambda wildcards, input: str(Path(input.manifest).parent),
             content=[file_digest(planned.folder / own)[:12] for own in ("manifest.csv", "rig.yaml")],

@@ -18,8 +18,8 @@ rule simulate_extended:
         dataset=one_of(SPOTS),
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=30,
+        mem_mb=memory(500),
+        runtime=minutes(30),
     params:
         folder=dataset_folder,
         extended=lambda wildcards: f"{results_folder(wildcards)}/extended",

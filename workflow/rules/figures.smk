@@ -18,8 +18,8 @@ rule figures:
         f"{OUT}/benchmarks/figures.tsv"
     threads: 1
     resources:
-        mem_mb=800,
-        runtime=10,
+        mem_mb=memory(800),
+        runtime=minutes(10),
     params:
         folder=dataset_folder,
         results=results_folder,
@@ -46,8 +46,8 @@ rule chain:
         f"{OUT}/benchmarks/chain.tsv"
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=10,
+        mem_mb=memory(500),
+        runtime=minutes(10),
     params:
         dataset=dataset_folder,
         results=lambda wildcards: config["results"],

@@ -18,8 +18,8 @@ rule notebook:
     retries: 1
     threads: 1
     resources:
-        mem_mb=800,
-        runtime=10,
+        mem_mb=memory(800),
+        runtime=minutes(10),
     params:
         folder=dataset_folder,
         results=lambda wildcards: str(Path(results_folder(wildcards)).resolve()),

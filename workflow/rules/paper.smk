@@ -19,8 +19,8 @@ rule paper:
         f"{OUT}/benchmarks/paper.tsv"
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=10,
+        mem_mb=memory(500),
+        runtime=minutes(10),
     params:
         folder=dataset_folder,
         results=results_folder,

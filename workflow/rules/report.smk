@@ -22,8 +22,8 @@ rule tables:
         f"{OUT}/benchmarks/tables.tsv"
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=10,
+        mem_mb=memory(500),
+        runtime=minutes(10),
     params:
         folder=lambda wildcards, output: str(Path(output.equations).parent),
         code=code(*COMMANDS),
@@ -50,8 +50,8 @@ rule report:
         f"{OUT}/benchmarks/report.tsv"
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=10,
+        mem_mb=memory(500),
+        runtime=minutes(10),
     params:
         folder=dataset_folder,
         results=results_folder,

@@ -15,8 +15,8 @@ rule simulate:
         f"{OUT}/benchmarks/simulate.tsv"
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=10,
+        mem_mb=memory(500),
+        runtime=minutes(10),
     params:
         folder=dataset_folder,
         simulated=simulated_folder,

@@ -11,8 +11,8 @@ rule transfer:
         f"{OUT}/benchmarks/transfer.tsv"
     threads: 1
     resources:
-        mem_mb=1000,
-        runtime=30,
+        mem_mb=memory(1000),
+        runtime=minutes(30),
     params:
         folder=dataset_folder,
         code=code("transfer"),

@@ -17,8 +17,8 @@ rule judge:
         dataset=one_of(SPOTS),
     threads: 2
     resources:
-        mem_mb=2000,
-        runtime=60,
+        mem_mb=memory(2000),
+        runtime=minutes(60),
     params:
         folder=dataset_folder,
         tolerance=json.dumps(config["tolerance"]),
@@ -50,8 +50,8 @@ rule judge_flats:
         dataset=one_of(NO_SPOTS),
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=30,
+        mem_mb=memory(500),
+        runtime=minutes(30),
     params:
         folder=dataset_folder,
         tolerance=json.dumps(config["tolerance"]),
