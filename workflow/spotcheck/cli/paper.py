@@ -15,8 +15,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("numbers", type=Path, help="paper_numbers.yaml")
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
-    parser.add_argument("--table", required=True, help="CSV to write")
-    parser.add_argument("--page", required=True, type=Path, help="HTML page to write")
+    parser.add_argument("--table", required=True, help="paper_numbers.csv to write")
+    parser.add_argument("--page", required=True, type=Path, help="paper_numbers.html to write")
     parser.add_argument("--summary", required=True, help="Markdown to write: how many hold, and which do not")
     parser.add_argument("--strict", action="store_true", help="fail when a number that held no longer does")
 

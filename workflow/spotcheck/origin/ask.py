@@ -1,0 +1,227 @@
+"""Questions for a number by its name, long or short, and answers."""
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from spotcheck import store
+from spotcheck.dataset import load
+from spotcheck.errors import InputError
+from spotcheck.origin import documents
+from spotcheck.origin import tables as netcdf
+from spotcheck.origin.number import Entry, Number, Source
+from spotcheck.origin.rules import source_of
+
+# A name, and labels of its dimensions: "fits.sigma_mean[angle=90, exposure=0.0009, repeat=3]".
+QUESTION = re.compile(r"\s*([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?\s*")
+# Names that a refusal lists.
+MOST_NAMED = 6
+# How alike a name must be to one that was not found to be offered [1, as difflib counts].
+LIKE = 0.6
+TEXTS = {"verdict.json": documents.of_verdict, "paper_numbers.csv": documents.of_paper}
+
+
+class Shelf(NamedTuple):
+    """All that a results folder can be asked for: entries by key, files as they were opened, and how they came
+    about."""
+
+    entries: dict[str, Entry]
+    names: dict[str, list[Entry]]
+    opened: dict[str, xr.Dataset]
+    told: dict[str, netcdf.Cell]
+    sources: dict[str, Source]
+
+
+def of(results: str | Path, key: str) -> Number:
+    """The number that a key stands for, and where it comes from.
+
+    `key` is a name of `keys`, or its end: `p1`, `gap.closed`, `fits.sigma_mean[frame=a000_r0_t100us]`. Raises
+    `InputError` where nothing, or more than one thing, has this name.
+    """
+    results = Path(results)
+    shelf = shelf_of(results)
+    name, asked = question(key)
+    entry = found(shelf, name, asked)
+    file = entry.path[0]
+    if entry.key in shelf.told:
+        own = shelf.told[entry.key]
+    else:
+        if "frame" in asked and "frame" not in entry.dims:
+            asked |= {dim: k for dim, k in cell_of(results, file, asked).items() if dim in entry.dims}
+        if missing := [dim for dim in entry.free if dim not in asked]:
+            example = {dim: netcdf.label(shelf.opened[file], dim, 0) for dim in missing}
+            known = {dim: text for dim, text in asked.items() if dim in entry.dims}
+            raise InputError(
+                f"{key}: is one number for each {' and '.join(missing)}; write e.g."
+                f" {with_labels(entry.key, entry, known | example)}"
+            )
+        own = netcdf.cell(shelf.opened[file], entry, asked)
+    source = shelf.sources[file]
+    short = with_labels(short_name(shelf, entry), entry, own.chosen)
+    return Number(
+        with_labels(entry.key, entry, own.chosen), _known(own.value), _known(own.stderr), own.unit, own.words,
+        source.file, own.variable, source.rule, source.inputs, source, short, own.method,
+    )  # fmt: skip
+
+
+def keys(results: str | Path) -> list[str]:
+    """Names of all numbers of a results folder that need no more to be told."""
+    return [key for key, own in shelf_of(Path(results)).entries.items() if not own.free]
+
+
+def tables(results: str | Path) -> list[str]:
+    """Names of all that is one number for each frame, exposure, … with the dimensions that a question must name."""
+    return [f"{key}[{', '.join(own.free)}]" for key, own in shelf_of(Path(results)).entries.items() if own.free]
+
+
+def hover(number: Number) -> str:
+    """Where a number comes from, in one line."""
+    made = ", ".join(dict.fromkeys(own.name for own in number.inputs))
+    return (
+        f"{number.file}: {shown(number.variable)}, by rule {number.rule}{f' from {made}' if made else ''};"
+        f" explain: spotcheck explain {number.short}"
+    )
+
+
+def shown(variable: str) -> str:
+    """A variable and what is selected of it, apart."""
+    return variable.replace("[", " [", 1)
+
+
+def related(results: Path, asked: str, number: Number) -> list[Number]:
+    """Other numbers of which the name that was asked for is part: after `p1` those that the verdict says of p1."""
+    shelf, (name, labels) = shelf_of(results), question(asked)
+    if labels or "." in name:
+        return []
+    others = [
+        own for own in shelf.entries.values() if not own.free and name in own.path[1:-1] and own.key != number.key
+    ]
+    return [of(results, own.key) for own in others]
+
+
+def short_name(shelf: Shelf, entry: Entry) -> str:
+    """The first of an entry's names that means nothing else."""
+    return next(name for name in (*entry.names(), entry.key) if _means(shelf, name, entry))
+
+
+def _means(shelf: Shelf, name: str, entry: Entry) -> bool:
+    try:
+        return found(shelf, name, {}) is entry
+    except InputError:
+        return False
+
+
+def question(text: str) -> tuple[str, dict[str, str | int]]:
+    """Name and labels in a question. Raises `InputError`."""
+    match = QUESTION.fullmatch(text)
+    pairs = [own.split("=", 1) for own in re.split(r",", match[2] or "") if own.strip()] if match else []
+    if match is None or any(len(pair) != 2 for pair in pairs):
+        raise InputError(f"{text}: is no name of a number; write e.g. p1 or fits.sigma_mean[angle=0, repeat=1]")
+    return match[1], {dim.strip(): label.strip() for dim, label in pairs}
+
+
+def found(shelf: Shelf, name: str, asked: dict[str, str | int]) -> Entry:
+    """The entry that a name means. Raises `InputError`."""
+    if name in shelf.entries:
+        return shelf.entries[name]
+    able = shelf.names.get(name, [])
+    able = [own for own in able if not own.behind] or able
+    labels = set(asked) - {"frame", "page"}
+    fitting = [own for own in able if labels <= set(own.dims) and ("frame" in asked or set(own.free) <= labels)]
+    fitting = fitting or [own for own in able if labels <= set(own.dims)]
+    if able and not fitting:
+        raise InputError(f"{name}: has no {' and '.join(sorted(labels))}; {_dims_in_words(able[0])}")
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        raise InputError(
+            f"{name}: is the name of several numbers; write one of {_listed([own.key for own in fitting])}"
+        )
+    near = difflib.get_close_matches(name, shelf.names, MOST_NAMED, LIKE)
+    hint = f"; nearest are {_listed(near)}" if near else ""
+    raise InputError(f"{name}: no number of these results has this name{hint}; `spotcheck explain` lists all")
+
+
+def _dims_in_words(entry: Entry) -> str:
+    return f"its dimensions are {', '.join(entry.dims)}" if entry.dims else "it is one number"
+
+
+def _listed(names: list[str]) -> str:
+    rest = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def with_labels(name: str, entry: Entry, labels: Mapping[str, object]) -> str:
+    """A name of an entry with labels of its dimensions."""
+    inside = ",".join(f"{dim}={labels[dim]}" for dim in entry.dims if dim in labels)
+    return f"{name}[{inside}]" if inside else name
+
+
+def _known(value: float | None) -> float | None:
+    return None if value is None or np.isnan(value) else value
+
+
+def shelf_of(results: Path) -> Shelf:
+    """What a results folder can be asked for; read anew when one of its files has changed. Raises `InputError`."""
+    if not results.is_dir():
+        raise InputError(f"{results}: no such folder; name the results of a dataset, such as results/virtual-rig")
+    files = [*sorted(results.glob("*.nc")), *sorted(results.glob("*/*.nc")), *(results / name for name in TEXTS)]
+    state = tuple((str(path), path.stat().st_mtime_ns) for path in files if path.is_file())
+    return _shelf(results, state)
+
+
+@lru_cache(maxsize=4)
+def _shelf(results: Path, state: tuple[tuple[str, int], ...]) -> Shelf:
+    shelf = Shelf({}, {}, {}, {}, {})
+    for path in (Path(name) for name, _ in state):
+        file = path.relative_to(results).as_posix()
+        source = source_of(results, file)
+        if source is None:
+            continue
+        name = file.removesuffix(path.suffix)
+        shelf.sources[name] = source
+        for entry, own in _content(path, name, shelf.opened):
+            shelf.entries[entry.key] = entry
+            for own_name in entry.names():
+                shelf.names.setdefault(own_name, []).append(entry)
+            if own is not None:
+                shelf.told[entry.key] = own
+    if not shelf.entries:
+        raise InputError(f"{results}: holds no results; name the results of a dataset, such as results/virtual-rig")
+    return shelf
+
+
+def _content(path: Path, name: str, opened: dict[str, xr.Dataset]) -> Iterator[tuple[Entry, netcdf.Cell | None]]:
+    if path.name in TEXTS:
+        yield from TEXTS[path.name](path)
+        return
+    opened[name] = store.read(path)
+    if "skipped" not in opened[name].attrs:
+        yield from ((entry, None) for entry in netcdf.entries(name, opened[name]))
+
+
+def cell_of(results: Path, file: str, asked: dict[str, str | int]) -> dict[str, int]:
+    """Index on the grid of the frame that a question names by its file, or by the end of its path. Raises
+    `InputError`."""
+    folder, name = results / Path(file).parent, str(asked["frame"])
+    if not (folder / "manifest.csv").is_file():
+        folder = Path((results / ".dataset").read_text(encoding="utf-8").strip())
+    given = load(folder)
+    page = str(asked.get("page", "0"))
+    near = [
+        (index, frame)
+        for index, frame in given.cells()
+        if name in (frame.file, Path(frame.file).name, Path(frame.file).stem) and str(frame.page or 0) == page
+    ]
+    if len(near) != 1:
+        labels = [frame.label for frame in given.spots]
+        nearest = difflib.get_close_matches(name, labels, 3, 0.3)
+        what = "several frames have" if near else "no frame of a spot has"
+        raise InputError(f"frame={name}: {what} this name; write e.g. {_listed(nearest or labels[:3])}")
+    return dict(zip((axis.name for axis in given.axes), near[0][0], strict=True))

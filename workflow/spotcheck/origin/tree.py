@@ -1,0 +1,82 @@
+"""The files that a result was made from, down to the frames."""
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from spotcheck import provenance, store
+from spotcheck.origin.number import Input, Source
+from spotcheck.origin.rules import source_of
+
+
+class Node(NamedTuple):
+    """A file by name, path and digest (SHA-256, first 16 hex digits), the rule that made it ("": given), a remark, and
+    what it was made from."""
+
+    name: str
+    path: str
+    digest: str
+    rule: str
+    remark: str
+    inputs: tuple["Node", ...] = ()
+
+
+def grown(results: Path, source: Source) -> list[Node]:
+    """Inputs of a file of results, and theirs, down to what the dataset gave. A file that stands above is not grown
+    again."""
+    seen: set[str] = set()
+    return [_node(results, own, seen) for own in source.inputs] + _frames(results, source)
+
+
+def _node(results: Path, own: Input, seen: set[str]) -> Node:
+    path, remark = found(results, own)
+    if path is None:
+        return Node(own.name, "", own.digest, "", remark)
+    file = path.relative_to(results).as_posix() if path.is_relative_to(results) else ""
+    source = _maker(results, file) if file else None
+    name = file or own.name
+    if source is None:
+        return Node(name, str(path), own.digest, "", remark)
+    if file in seen:
+        return Node(name, str(path), own.digest, source.rule, remark or ("as above" if source.inputs else ""))
+    seen.add(file)
+    inputs = [_node(results, below, seen) for below in source.inputs] + _frames(results, source)
+    return Node(name, str(path), own.digest, source.rule, remark, tuple(inputs))
+
+
+def _maker(results: Path, file: str) -> Source | None:
+    """How a file of results came about; manifest and data sheet of simulated frames are written with their images."""
+    images = f"{Path(file).parent.name}.nc"
+    return source_of(results, file) or (source_of(results, images) if (results / images).is_file() else None)
+
+
+def found(results: Path, own: Input) -> tuple[Path | None, str]:
+    """The file that an input was, by its name and digest, and a remark where it has changed since or is gone."""
+    places = [results, *sorted(path for path in results.iterdir() if path.is_dir()), dataset_of(results)]
+    there = [place / own.name for place in places if place is not None and (place / own.name).is_file()]
+    for path in there:
+        if _digest(path, path.stat().st_mtime_ns).startswith(own.digest):
+            return path, ""
+    return (there[0], "has changed since") if there else (None, "is gone")
+
+
+@cache
+def _digest(path: Path, time_ns: int) -> str:
+    return provenance.file_digest(path)
+
+
+def dataset_of(results: Path) -> Path | None:
+    """The dataset's folder, by the note that a results folder carries."""
+    note = results / ".dataset"
+    return Path(note.read_text(encoding="utf-8").strip()) if note.is_file() else None
+
+
+def _frames(results: Path, source: Source) -> list[Node]:
+    """The frames that a frames.nc records."""
+    path = results / source.file
+    if path.name != "frames.nc":
+        return []
+    with store.read(path) as table:
+        count = table.sizes["frame"]
+    frames = f"{count} frames" if count > 1 else "1 frame"
+    return [Node(frames, "", "", "", f"SHA-256 of each file in {source.file}")]
