@@ -159,7 +159,7 @@ def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str |
     """Write a result with its provenance. `code` is a digest (see `provenance`), `inputs` the files it was made
     from."""
     path = Path(path)
-    ds = with_remarks(ds, [*remarks_of(ds), *_exact(ds)]).assign_attrs(_provenance_attributes(code, inputs))
+    ds = with_remarks(ds, [*remarks_of(ds), *_exact(ds)]).assign_attrs(provenance.attributes(code, inputs))
     check(ds, path.name)
     encoding: dict[str, dict] = {}
     for name, variable in ds.variables.items():
@@ -187,7 +187,7 @@ def frame_writer(
     """
     path = Path(path)
     template = xr.merge([grid(dataset), extra], combine_attrs="drop_conflicts")
-    template = check(template.assign_attrs(_provenance_attributes(code, inputs)), path.name)
+    template = check(template.assign_attrs(provenance.attributes(code, inputs)), path.name)
     with appearing_whole(path) as scratch, netCDF4.Dataset(scratch, "w") as nc:
         template.dump_to_store(NetCDF4DataStore(nc))
         for axis in dataset.axes:
@@ -230,8 +230,9 @@ def read(path: str | Path) -> xr.Dataset:
 
 
 @contextmanager
-def appearing_whole(path: Path) -> Iterator[Path]:
-    """A scratch name in the same folder that takes the final name only when all was written.
+def appearing_whole(path: Path, noted: Mapping[str, str] | None = None) -> Iterator[Path]:
+    """A scratch name in the same folder that takes the final name only when all was written; `noted` is said of it in
+    its note.
 
     Raises `InputError` where the disk is full or the folder cannot be written; an earlier file stays as it was then.
     """
@@ -240,7 +241,7 @@ def appearing_whole(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield scratch
         scratch.replace(path)
-        provenance.write_sidecar(path)
+        provenance.write_sidecar(path, noted or {})
     except (OSError, RuntimeError) as error:
         if cause := _cause(error, scratch):
             raise InputError(f"{path}: cannot be written ({os.strerror(cause)}); {CAUSES[cause]}") from None
@@ -267,9 +268,9 @@ def _cause(error: OSError | RuntimeError, scratch: Path) -> int | None:
     return None
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    with appearing_whole(Path(path)) as scratch:
+def write_text(path: str | Path, text: str, *, code: str = "", inputs: Sequence[str | Path] = ()) -> None:
+    """Write a text file whole or not at all; of a result its note holds what `write` puts into the attributes."""
+    with appearing_whole(Path(path), provenance.attributes(code, inputs) if code else None) as scratch:
         scratch.write_text(text, encoding="utf-8")
 
 
@@ -296,8 +297,3 @@ def claim(results: Path, folder: Path) -> None:
     """Note in a results folder whose results it holds. Raises `InputError` as `check_claim` does."""
     check_claim(results, folder)
     write_text(results / ".dataset", f"{folder}\n")
-
-
-def _provenance_attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:
-    digests = [f"{Path(p).name} {provenance.file_digest(p)[:16]}" for p in inputs if Path(p).is_file()]
-    return {"code_version": code, "inputs": "; ".join(digests)}

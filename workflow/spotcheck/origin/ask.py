@@ -53,7 +53,7 @@ def of(results: str | Path, key: str) -> Number:
         own = shelf.told[entry.key]
     else:
         if "frame" in asked and "frame" not in entry.dims:
-            asked |= {dim: k for dim, k in cell_of(results, file, asked).items() if dim in entry.dims}
+            asked.update((dim, k) for dim, k in cell_of(results, file, asked).items() if dim in entry.dims)
         if missing := [dim for dim in entry.free if dim not in asked]:
             example = {dim: netcdf.label(shelf.opened[file], dim, 0) for dim in missing}
             known = {dim: text for dim, text in asked.items() if dim in entry.dims}
@@ -100,7 +100,9 @@ def related(results: Path, asked: str, number: Number) -> list[Number]:
     if labels or "." in name:
         return []
     others = [
-        own for own in shelf.entries.values() if not own.free and name in own.path[1:-1] and own.key != number.key
+        own
+        for own in shelf.entries.values()
+        if not own.free and own.key != number.key and (name in own.path[1:-1] or name in own.names())
     ]
     return [of(results, own.key) for own in others]
 

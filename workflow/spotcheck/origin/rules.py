@@ -6,7 +6,7 @@ import re
 from functools import cache
 from pathlib import Path
 
-import xarray as xr
+import netCDF4
 
 from spotcheck.origin.number import Input, Source
 from spotcheck.provenance import PACKAGE
@@ -52,34 +52,27 @@ def source_of(results: Path, file: str) -> Source | None:
     command = max(able)[1]
     names = next(own for own in written_by()[command] if path.name in own)
     variants = [Path(file).parent.name, "" if path.name == names[0] else path.stem]
-    attributes = carried(path, command)
+    told = carried(path)
     return Source(
         file,
         "_".join([command, *filter(None, variants)]),
         command,
-        inputs_in(str(attributes.get("inputs", ""))),
-        str(attributes.get("code_version", "")),
-        _written(path),
+        inputs_in(told.get("inputs", "")),
+        told.get("code_version", ""),
+        told.get("written", ""),
     )
 
 
-def carried(path: Path, command: str) -> dict[str, object]:
-    """The attributes of a netCDF file. A text file has none: those of a netCDF file that the same call wrote stand for
-    it."""
-    together = [path, *(path.with_name(name) for names in written_by()[command] for name in names)]
-    file = next((own for own in together if own.suffix == ".nc" and own.exists()), None)
-    if file is None:
-        return {}
-    with xr.open_dataset(file, engine="netcdf4", decode_timedelta=False) as ds:
-        return dict(ds.attrs)
+def carried(path: Path) -> dict[str, str]:
+    """What a file says of its making: its note, and the attributes of a netCDF file."""
+    note = path.parent / ".runs" / f"{path.name}.json"
+    told = json.loads(note.read_text(encoding="utf-8")) if note.is_file() else {}
+    if path.suffix == ".nc":
+        with netCDF4.Dataset(path) as nc:
+            told |= {name: nc.getncattr(name) for name in nc.ncattrs()}
+    return told
 
 
 def inputs_in(text: str) -> tuple[Input, ...]:
     """The inputs in an attribute `inputs`, as `store.write` writes it: "crops.nc 10c624ef4d826b7e; …"."""
     return tuple(Input(*own.rsplit(" ", 1)) for own in text.split("; ") if own)
-
-
-def _written(path: Path) -> str:
-    """When a file was written, by its note."""
-    note = path.parent / ".runs" / f"{path.name}.json"
-    return str(json.loads(note.read_text(encoding="utf-8"))["written"]) if note.is_file() else ""
