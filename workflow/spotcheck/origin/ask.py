@@ -2,6 +2,7 @@
 
 import difflib
 import re
+import shlex
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -24,6 +25,9 @@ QUESTION = re.compile(r"\s*([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?\s*")
 MOST_NAMED = 6
 # How alike a name must be to one that was not found to be offered [1, as difflib counts].
 LIKE = 0.6
+# Variables of at most this size are read at once, so that each number of a page takes no access to the disk [byte]:
+# numbers of 1,000 frames do, their images do not.
+WHOLE_BYTES = 2**20
 TEXTS = {"verdict.json": documents.of_verdict, "paper_numbers.csv": documents.of_paper}
 
 
@@ -55,7 +59,7 @@ def of(results: str | Path, key: str) -> Number:
         if "frame" in asked and "frame" not in entry.dims:
             asked.update((dim, k) for dim, k in cell_of(results, file, asked).items() if dim in entry.dims)
         if missing := [dim for dim in entry.free if dim not in asked]:
-            example = {dim: netcdf.label(shelf.opened[file], dim, 0) for dim in missing}
+            example = {dim: netcdf.labels_of(shelf.opened[file], dim)[0] for dim in missing}
             known = {dim: text for dim, text in asked.items() if dim in entry.dims}
             raise InputError(
                 f"{key}: is one number for each {' and '.join(missing)}; write e.g."
@@ -85,7 +89,7 @@ def hover(number: Number) -> str:
     made = ", ".join(dict.fromkeys(own.name for own in number.inputs))
     return (
         f"{number.file}: {shown(number.variable)}, by rule {number.rule}{f' from {made}' if made else ''};"
-        f" explain: spotcheck explain {number.short}"
+        f" explain: spotcheck explain {shlex.quote(number.short)}"
     )
 
 
@@ -203,9 +207,12 @@ def _content(path: Path, name: str, opened: dict[str, xr.Dataset]) -> Iterator[t
     if path.name in TEXTS:
         yield from TEXTS[path.name](path)
         return
-    opened[name] = store.read(path)
-    if "skipped" not in opened[name].attrs:
-        yield from ((entry, None) for entry in netcdf.entries(name, opened[name]))
+    opened[name] = ds = store.read(path)
+    for variable in ds.variables.values():
+        if variable.nbytes <= WHOLE_BYTES:
+            variable.load()
+    if "skipped" not in ds.attrs:
+        yield from ((entry, None) for entry in netcdf.entries(name, ds))
 
 
 def cell_of(results: Path, file: str, asked: dict[str, str | int]) -> dict[str, int]:

@@ -5,6 +5,7 @@ import json
 import re
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import netCDF4
 
@@ -35,32 +36,47 @@ def written_by() -> dict[str, tuple[tuple[str, ...], ...]]:
     return found
 
 
-def source_of(results: Path, file: str) -> Source | None:
-    """How a file of a results folder came about; None where no rule writes a file of this name.
+class Maker(NamedTuple):
+    """The rule that writes a file, and the subcommand that it calls."""
 
-    Where several rules may have written it, the files that each writes beside it tell.
+    rule: str
+    command: str
+
+
+def maker_of(results: Path, file: str) -> Maker | None:
+    """What writes a file of a results folder; None where nothing writes a file of this name.
+
+    Where several subcommands write one of this name, it is that whose other files lie beside it.
     """
     path = results / file
     able = [
-        (len(options), command)
+        (_beside(path, options), command)
         for command, options in written_by().items()
         if any(path.name in names for names in options)
-        and all(any(path.with_name(name).exists() for name in names) for names in options)
     ]
     if not able:
         return None
     command = max(able)[1]
-    names = next(own for own in written_by()[command] if path.name in own)
-    variants = [Path(file).parent.name, "" if path.name == names[0] else path.stem]
-    told = carried(path)
-    return Source(
-        file,
-        "_".join([command, *filter(None, variants)]),
-        command,
-        inputs_in(told.get("inputs", "")),
-        told.get("code_version", ""),
-        told.get("written", ""),
-    )
+    first, *_ = next(names for names in written_by()[command] if path.name in names)
+    # Frames of a simulation, and a simulation of another model, go through variants of a rule.
+    variants = [Path(file).parent.name, "" if path.name == first else path.stem]
+    return Maker("_".join([command, *filter(None, variants)]), command)
+
+
+def _beside(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[float, int]:
+    """Which part of the files that a subcommand writes lies in a file's folder, and how many they are."""
+    there = [any(path.with_name(name).exists() for name in names) for names in options]
+    return sum(there) / len(there), len(there)
+
+
+def source_of(results: Path, file: str) -> Source | None:
+    """How a file of a results folder came about; None where nothing writes a file of this name."""
+    maker = maker_of(results, file)
+    if maker is None:
+        return None
+    told = carried(results / file)
+    inputs, code, written = (told.get(name, "") for name in ("inputs", "code_version", "written"))
+    return Source(file, maker.rule, maker.command, inputs_in(inputs), code, written)
 
 
 def carried(path: Path) -> dict[str, str]:

@@ -41,9 +41,9 @@ def entries(name: str, ds: xr.Dataset) -> Iterator[Entry]:
         dims = tuple(str(dim) for dim in own.dims)
         free = tuple(dim for dim in dims if dim not in used and own.sizes[dim] > 1)
         if long_form(ds, variable):
-            yield from (Entry((name, str(label)), short_of(str(label), str(unit))) for label, unit in rows(ds))
+            yield from (Entry((name, str(own)), short_of(ds, str(own), str(unit))) for own, unit in rows(ds))
         else:
-            short = short_of(variable, str(own.attrs.get("units", "")))
+            short = short_of(ds, variable, str(own.attrs["units"]))
             yield Entry((name, variable), short, dims=dims, free=free, behind=behind)
 
 
@@ -58,10 +58,11 @@ def is_error(variable: str) -> bool:
     return variable.endswith(("_error", "_stderr")) or "_stderr_" in variable or variable == "stderr"
 
 
-def short_of(name: str, unit: str) -> frozenset[str]:
+def short_of(ds: xr.Dataset, name: str, unit: str) -> frozenset[str]:
     """What a person calls a variable: without the unit at its end, and a mean by the name of what it is the mean of."""
     suffix = "_" + unit.lower().replace("/", "_per_").replace("-", "")
-    return frozenset({name.removesuffix(suffix), name.removesuffix("_mean")} - {name})
+    averaged = name.removesuffix("_mean")
+    return frozenset({name.removesuffix(suffix), averaged if averaged in ds else name} - {name})
 
 
 def long_form(ds: xr.Dataset, variable: str) -> bool:
@@ -82,20 +83,19 @@ def cell(ds: xr.Dataset, entry: Entry, asked: Mapping[str, str | int]) -> Cell:
     if entry.path[-1] not in ds:
         return _of_quantity(ds, entry.path[-1])
     variable, used = entry.path[-1], settled(ds)
-    own = ds[variable]
+    own = ds.variables[variable]
     at: dict[str, int] = {}
     for dim in map(str, own.dims):
         told = asked.get(dim, used.get(dim, 0))
         at[dim] = told if isinstance(told, int) else place(ds, dim, told, f"{entry.key}[{dim}={told}]")
-    labels = {dim: label(ds, dim, k) for dim, k in at.items()}
+    labels = {dim: labels_of(ds, dim)[k] for dim, k in at.items()}
     error = error_of(ds, variable)
-    stderr = None if error is None else float(ds[error].isel({d: k for d, k in at.items() if d in ds[error].dims}))
     how = [str(own.attrs["source"])] if "source" in own.attrs else []
     how += [str(ds.attrs[f"{dim}_{text}"]) for dim, text in labels.items() if f"{dim}_{text}" in ds.attrs]
     inside = ", ".join(f"{dim}={text}" for dim, text in labels.items() if ds.sizes[dim] > 1)
     return Cell(
-        float(own.isel(at)),
-        stderr,
+        float(own[tuple(at.values())]),
+        None if error is None else float(ds.variables[error][tuple(at.values())]),
         str(own.attrs["units"]),
         str(own.attrs["long_name"]),
         f"{variable}[{inside}]" if inside else variable,
@@ -121,17 +121,16 @@ def error_of(ds: xr.Dataset, variable: str) -> str | None:
     return None
 
 
-def label(ds: xr.Dataset, dim: str, index: int) -> str:
-    """What a place on a dimension is called."""
+def labels_of(ds: xr.Dataset, dim: str) -> list[str]:
+    """What the places on a dimension are called: by their coordinate, else by number."""
     if dim not in ds.coords:
-        return str(index)
-    value = ds[dim].values[index]
-    return f"{value:g}" if isinstance(value, np.floating) else str(value)
+        return [str(k) for k in range(ds.sizes[dim])]
+    return [f"{own:g}" if isinstance(own, float) else str(own) for own in ds.variables[dim].values.tolist()]
 
 
 def place(ds: xr.Dataset, dim: str, told: str, question: str) -> int:
     """Index of a label on a dimension. Raises `InputError`."""
-    labels = [label(ds, dim, k) for k in range(ds.sizes[dim])]
+    labels = labels_of(ds, dim)
     if told in labels:
         return labels.index(told)
     try:
