@@ -5,13 +5,14 @@ import json
 from pathlib import Path
 
 from spotcheck import origin
+from spotcheck.cli import COMMANDS
 from spotcheck.errors import InputError
 from spotcheck.origin import words
 
 EXAMPLES = """examples:
   spotcheck explain p1 --results results/virtual-rig
   spotcheck explain gap.closed
-  spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=3]" --json
+  spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json
   spotcheck explain                      lists all that can be asked for
 """
 
@@ -32,8 +33,10 @@ def run(args: argparse.Namespace) -> None:
         print(json.dumps(listed, indent=1) if args.json else words.listed(**listed))
         return
     number = origin.of(results, args.number)
-    print(json.dumps(words.plain(number, results), indent=1, ensure_ascii=False) if args.json else
-          words.explained(number, results, args.number))  # fmt: skip
+    if args.json:
+        print(json.dumps(words.plain(number, results), indent=1, ensure_ascii=False))
+    else:
+        print(words.explained(number, results, args.number, COMMANDS[number.source.command]))
 
 
 def only_one(base: Path) -> Path:

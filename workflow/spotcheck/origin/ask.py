@@ -3,7 +3,7 @@
 import difflib
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -21,23 +21,24 @@ from spotcheck.origin.rules import source_of
 
 # A name, and labels of its dimensions: "fits.sigma_mean[angle=90, exposure=0.0009, repeat=3]".
 QUESTION = re.compile(r"\s*([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?\s*")
+# Between two labels; a frame of a stack has a comma in its own: "frames/stack.tif, page 2".
+LABELS = re.compile(r",(?=[^,=]+=)")
 # Names that a refusal lists.
 MOST_NAMED = 6
 # How alike a name must be to one that was not found to be offered [1, as difflib counts].
 LIKE = 0.6
-# Variables of at most this size are read at once, so that each number of a page takes no access to the disk [byte]:
-# numbers of 1,000 frames do, their images do not.
-WHOLE_BYTES = 2**20
+# Variables above this size are images, not numbers [byte]: those of 10,000 frames are smaller, one image is not.
+LARGEST = 2**20
 TEXTS = {"verdict.json": documents.of_verdict, "paper_numbers.csv": documents.of_paper}
 
 
 class Shelf(NamedTuple):
-    """All that a results folder can be asked for: entries by key, files as they were opened, and how they came
-    about."""
+    """All that a results folder can be asked for: entries by key and by every name; netCDF files by name; numbers of
+    text files by key; and how the files came about, by their names."""
 
     entries: dict[str, Entry]
     names: dict[str, list[Entry]]
-    opened: dict[str, xr.Dataset]
+    files: dict[str, xr.Dataset]
     told: dict[str, netcdf.Cell]
     sources: dict[str, Source]
 
@@ -59,13 +60,13 @@ def of(results: str | Path, key: str) -> Number:
         if "frame" in asked and "frame" not in entry.dims:
             asked.update((dim, k) for dim, k in cell_of(results, file, asked).items() if dim in entry.dims)
         if missing := [dim for dim in entry.free if dim not in asked]:
-            example = {dim: netcdf.labels_of(shelf.opened[file], dim)[0] for dim in missing}
+            example = {dim: netcdf.labels_of(shelf.files[file], dim)[0] for dim in missing}
             known = {dim: text for dim, text in asked.items() if dim in entry.dims}
             raise InputError(
                 f"{key}: is one number for each {' and '.join(missing)}; write e.g."
                 f" {with_labels(entry.key, entry, known | example)}"
             )
-        own = netcdf.cell(shelf.opened[file], entry, asked)
+        own = netcdf.cell(shelf.files[file], entry, asked)
     source = shelf.sources[file]
     short = with_labels(short_name(shelf, entry), entry, own.chosen)
     return Number(
@@ -126,7 +127,7 @@ def _means(shelf: Shelf, name: str, entry: Entry) -> bool:
 def question(text: str) -> tuple[str, dict[str, str | int]]:
     """Name and labels in a question. Raises `InputError`."""
     match = QUESTION.fullmatch(text)
-    pairs = [own.split("=", 1) for own in re.split(r",", match[2] or "") if own.strip()] if match else []
+    pairs = [own.split("=", 1) for own in LABELS.split(match[2] or "") if own.strip()] if match else []
     if match is None or any(len(pair) != 2 for pair in pairs):
         raise InputError(f"{text}: is no name of a number; write e.g. p1 or fits.sigma_mean[angle=0, repeat=1]")
     return match[1], {dim.strip(): label.strip() for dim, label in pairs}
@@ -138,7 +139,7 @@ def found(shelf: Shelf, name: str, asked: dict[str, str | int]) -> Entry:
         return shelf.entries[name]
     able = shelf.names.get(name, [])
     able = [own for own in able if not own.behind] or able
-    labels = set(asked) - {"frame", "page"}
+    labels = set(asked) - {"frame"}
     fitting = [own for own in able if labels <= set(own.dims) and ("frame" in asked or set(own.free) <= labels)]
     fitting = fitting or [own for own in able if labels <= set(own.dims)]
     if able and not fitting:
@@ -187,50 +188,53 @@ def _shelf(results: Path, state: tuple[tuple[str, int], ...]) -> Shelf:
     shelf = Shelf({}, {}, {}, {}, {})
     for path in (Path(name) for name, _ in state):
         file = path.relative_to(results).as_posix()
-        source = source_of(results, file)
-        if source is None:
-            continue
         name = file.removesuffix(path.suffix)
-        shelf.sources[name] = source
-        for entry, own in _content(path, name, shelf.opened):
-            shelf.entries[entry.key] = entry
-            for own_name in entry.names():
-                shelf.names.setdefault(own_name, []).append(entry)
-            if own is not None:
-                shelf.told[entry.key] = own
+        if path.suffix == ".nc":
+            with store.read(path) as ds:
+                small = [own for own, variable in ds.variables.items() if variable.nbytes <= LARGEST]
+                shelf.files[name] = ds[small].load()
+        attributes = shelf.files[name].attrs if name in shelf.files else {}
+        # A file that nothing writes was left behind by another version.
+        if source := source_of(results, file, attributes):
+            shelf.sources[name] = source
+            _put(shelf, path, name)
     if not shelf.entries:
         raise InputError(f"{results}: holds no results; name the results of a dataset, such as results/virtual-rig")
     return shelf
 
 
-def _content(path: Path, name: str, opened: dict[str, xr.Dataset]) -> Iterator[tuple[Entry, netcdf.Cell | None]]:
+def _put(shelf: Shelf, path: Path, name: str) -> None:
+    """Add the numbers of a file."""
     if path.name in TEXTS:
-        yield from TEXTS[path.name](path)
-        return
-    opened[name] = ds = store.read(path)
-    for variable in ds.variables.values():
-        if variable.nbytes <= WHOLE_BYTES:
-            variable.load()
-    if "skipped" not in ds.attrs:
-        yield from ((entry, None) for entry in netcdf.entries(name, ds))
+        for entry, own in TEXTS[path.name](path):
+            shelf.told[entry.key] = own
+            _name(shelf, entry)
+    elif "skipped" not in shelf.files[name].attrs:
+        for entry in netcdf.entries(name, shelf.files[name]):
+            _name(shelf, entry)
+
+
+def _name(shelf: Shelf, entry: Entry) -> None:
+    shelf.entries[entry.key] = entry
+    for name in entry.names():
+        shelf.names.setdefault(name, []).append(entry)
 
 
 def cell_of(results: Path, file: str, asked: dict[str, str | int]) -> dict[str, int]:
-    """Index on the grid of the frame that a question names by its file, or by the end of its path. Raises
+    """Index on the grid of the frame that a question names as messages do, or by the name of its file. Raises
     `InputError`."""
     folder, name = results / Path(file).parent, str(asked["frame"])
     if not (folder / "manifest.csv").is_file():
         folder = Path((results / ".dataset").read_text(encoding="utf-8").strip())
     given = load(folder)
-    page = str(asked.get("page", "0"))
     near = [
         (index, frame)
         for index, frame in given.cells()
-        if name in (frame.file, Path(frame.file).name, Path(frame.file).stem) and str(frame.page or 0) == page
+        if name in (frame.label, Path(frame.file).name, Path(frame.file).stem)
     ]
     if len(near) != 1:
         labels = [frame.label for frame in given.spots]
-        nearest = difflib.get_close_matches(name, labels, 3, 0.3)
+        nearest = difflib.get_close_matches(name, labels, 3, 0.3) or labels[:3]
         what = "several frames have" if near else "no frame of a spot has"
-        raise InputError(f"frame={name}: {what} this name; write e.g. {_listed(nearest or labels[:3])}")
+        raise InputError(f"frame={name}: {what} this name; write e.g. {' or '.join(f'frame={own}' for own in nearest)}")
     return dict(zip((axis.name for axis in given.axes), near[0][0], strict=True))

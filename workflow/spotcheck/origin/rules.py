@@ -3,11 +3,10 @@
 import ast
 import json
 import re
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
-
-import netCDF4
+from typing import Any, NamedTuple
 
 from spotcheck.origin.number import Input, Source
 from spotcheck.provenance import PACKAGE
@@ -69,24 +68,16 @@ def _beside(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[float, in
     return sum(there) / len(there), len(there)
 
 
-def source_of(results: Path, file: str) -> Source | None:
-    """How a file of a results folder came about; None where nothing writes a file of this name."""
+def source_of(results: Path, file: str, attributes: Mapping[str, Any]) -> Source | None:
+    """How a file of a results folder came about, by its note and, of a netCDF file, its attributes; None where nothing
+    writes a file of this name."""
     maker = maker_of(results, file)
     if maker is None:
         return None
-    told = carried(results / file)
-    inputs, code, written = (told.get(name, "") for name in ("inputs", "code_version", "written"))
+    note = (results / file).parent / ".runs" / f"{Path(file).name}.json"
+    told = (json.loads(note.read_text(encoding="utf-8")) if note.is_file() else {}) | dict(attributes)
+    inputs, code, written = (str(told.get(name, "")) for name in ("inputs", "code_version", "written"))
     return Source(file, maker.rule, maker.command, inputs_in(inputs), code, written)
-
-
-def carried(path: Path) -> dict[str, str]:
-    """What a file says of its making: its note, and the attributes of a netCDF file."""
-    note = path.parent / ".runs" / f"{path.name}.json"
-    told = json.loads(note.read_text(encoding="utf-8")) if note.is_file() else {}
-    if path.suffix == ".nc":
-        with netCDF4.Dataset(path) as nc:
-            told |= {name: nc.getncattr(name) for name in nc.ncattrs()}
-    return told
 
 
 def inputs_in(text: str) -> tuple[Input, ...]:

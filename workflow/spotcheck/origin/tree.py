@@ -4,7 +4,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from spotcheck import provenance, store
+from spotcheck import provenance
+from spotcheck.origin.ask import shelf_of
 from spotcheck.origin.number import Input, Source
 from spotcheck.origin.rules import source_of
 
@@ -33,7 +34,7 @@ def _node(results: Path, own: Input, seen: set[str]) -> Node:
     if path is None:
         return Node(own.name, "", own.digest, "", remark)
     file = path.relative_to(results).as_posix() if path.is_relative_to(results) else ""
-    source = _maker(results, file) if file else None
+    source = _source(results, file) if file else None
     name = file or own.name
     if source is None:
         return Node(name, str(path), own.digest, "", remark)
@@ -44,10 +45,11 @@ def _node(results: Path, own: Input, seen: set[str]) -> Node:
     return Node(name, str(path), own.digest, source.rule, remark, tuple(inputs))
 
 
-def _maker(results: Path, file: str) -> Source | None:
+def _source(results: Path, file: str) -> Source | None:
     """How a file of results came about; manifest and data sheet of simulated frames are written with their images."""
-    images = f"{Path(file).parent.name}.nc"
-    return source_of(results, file) or (source_of(results, images) if (results / images).is_file() else None)
+    known = shelf_of(results).sources
+    name, images = file.removesuffix(Path(file).suffix), Path(file).parent.name
+    return known.get(name) or source_of(results, file, {}) or known.get(images)
 
 
 def found(results: Path, own: Input) -> tuple[Path | None, str]:
@@ -73,10 +75,9 @@ def dataset_of(results: Path) -> Path | None:
 
 def _frames(results: Path, source: Source) -> list[Node]:
     """The frames that a frames.nc records."""
-    path = results / source.file
-    if path.name != "frames.nc":
+    table = shelf_of(results).files[source.file.removesuffix(".nc")] if source.file.endswith("frames.nc") else None
+    if table is None:
         return []
-    with store.read(path) as table:
-        count = table.sizes["frame"]
+    count = table.sizes["frame"]
     frames = f"{count} frames" if count > 1 else "1 frame"
     return [Node(frames, "", "", "", f"SHA-256 of each file in {source.file}")]

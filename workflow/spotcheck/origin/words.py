@@ -15,22 +15,22 @@ DIGITS = 8
 UNITS = {"pixel": "px", "pixel2": "px²", "DN2": "DN²"}
 
 
-def explained(number: Number, results: Path, asked: str) -> str:
-    """Value, meaning, place, rule and inputs of a number as lines of text."""
+def explained(number: Number, results: Path, asked: str, task: str) -> str:
+    """Value, meaning, place, rule and inputs of a number as lines of text; `task` is what its subcommand is for."""
     source = number.source
-    rows = [
-        ("how", number.method),
-        ("key", number.key),
-        ("in", f"{results / number.file}: {shown(number.variable)}"),
-        ("by", f"rule {source.rule}, which calls `spotcheck {source.command}`"),
-        ("made", made(source)),
-        ("from", ""),
-    ]
+    rows = {
+        "how": number.method,
+        "key": number.key,
+        "in": f"{results / number.file}: {shown(number.variable)}",
+        "by": f"rule {source.rule} (spotcheck {source.command}: {task})",
+        "made": made(source),
+    }
     lines = [f"{asked} = {measured(number)}", f"  {number.words}", ""]
-    lines += [f"  {name:<6}{text}" for name, text in rows if text or name == "from"]
-    lines += [f"    {line}" for node in grown(results, source) for line in drawn(node)]
+    lines += [f"  {name:<6}{text}" for name, text in rows.items() if text]
+    below = [f"    {line}" for node in grown(results, source) for line in drawn(node)]
+    lines += ["  from", *below] if below else []
     others = [f"    {own.key} = {measured(own)}" for own in related(results, asked, number)]
-    return "\n".join([*lines, *(["  see also", *others] if others else [])])
+    return "\n".join(lines + (["  see also", *others] if others else []))
 
 
 def measured(number: Number) -> str:
