@@ -18,6 +18,7 @@ ROOMS = {
     "discrepancy": "what the model is missing: the verdict",
     "pages": "report and tables as HTML, page of effects",
     "paper": "the paper's numbers beside ours",
+    "origin": "where a number comes from",
     "estimate": "fits, p1 and p2, bounds, sensor, caustic",
     "metrics": "metrics of one crop, PSNR",
     "comparison": "measured beside simulated",

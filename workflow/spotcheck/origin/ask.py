@@ -60,12 +60,9 @@ def of(results: str | Path, key: str) -> Number:
         if "frame" in asked and "frame" not in entry.dims:
             asked.update((dim, k) for dim, k in cell_of(results, file, asked).items() if dim in entry.dims)
         if missing := [dim for dim in entry.free if dim not in asked]:
-            example = {dim: netcdf.labels_of(shelf.files[file], dim)[0] for dim in missing}
-            known = {dim: text for dim, text in asked.items() if dim in entry.dims}
-            raise InputError(
-                f"{key}: is one number for each {' and '.join(missing)}; write e.g."
-                f" {with_labels(entry.key, entry, known | example)}"
-            )
+            labels = {dim: netcdf.labels_of(shelf.files[file], dim)[0] for dim in missing}
+            example = with_labels(entry.key, entry, labels | {dim: str(told) for dim, told in asked.items()})
+            raise InputError(f"{key}: is one number for each {' and '.join(missing)}; write e.g. {example}")
         own = netcdf.cell(shelf.files[file], entry, asked)
     source = shelf.sources[file]
     short = with_labels(short_name(shelf, entry), entry, own.chosen)
