@@ -14,10 +14,11 @@ from spotcheck.cli import explain
 from spotcheck.design import simulate_dataset
 from spotcheck.discrepancy.verdict.words import value_text
 from spotcheck.errors import InputError
+from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.origin.documents import of_verdict
 from spotcheck.provenance import file_digest
 from tests.library.conftest import ROOT
-from tests.library.shelf import LAW, design
+from tests.library.shelf import LAW, design, flats
 
 DEFAULT = ROOT / "results" / "virtual-rig"
 VERDICT = {
@@ -106,7 +107,7 @@ def test_p1_is_that_of_the_estimator_in_use(results):
         ("p1.before", "verdict.baseline_shift.p1.before", 1.6, None, "px"),
         ("light.power", "verdict.light.power", 0.06, 0.01, "1"),
         ("light.lowest", "verdict.light.lowest", -0.02, None, "1"),
-        ("orders.1", "verdict.light.orders.1", 0.75, None, "1"),
+        ("light.orders.1", "verdict.light.orders.1", 0.75, None, "1"),
         ("gain_dn_per_e.stated", "verdict.sheet.gain_dn_per_e.stated", 0.11, 0.001, "DN/e-"),
         ("gain_dn_per_e.found", "verdict.sheet.gain_dn_per_e.found", 0.12, 0.002, "DN/e-"),
         ("gain_dn_per_e.z", "verdict.sheet.gain_dn_per_e.z", 4.0, None, "1"),
@@ -221,6 +222,27 @@ def test_explained_to_a_program(results, capsys):
     assert [own["name"] for own in told["inputs"][0]["inputs"]] == ["frames.nc"]
 
 
+def test_a_sensor_by_flats(tmp_path):
+    """Each quantity of the standard in its own unit, as transfer.nc holds it; and the verdict by the rule for flats."""
+    out = tmp_path / "results"
+    folder = flats(tmp_path / "flats")
+    cli.run(["ingest", str(folder), "--output", str(out / "frames.nc")])
+    cli.run(["transfer", str(folder), "--frames", str(out / "frames.nc"), "--output", str(out / "transfer.nc")])
+    levels = {"number": 40, "gain_dn_per_e": {"value": 0.3, "stderr": 0.01}, "light_scatter": 0.001}
+    store.write_text(out / "verdict.json", json.dumps({"levels": levels}), code="1", inputs=[out / "frames.nc"])
+    with store.read(out / "transfer.nc") as ds:
+        quantities = quantities_of(ds)
+    for name, own in quantities.items():
+        number = origin.of(out, f"transfer.{name}")
+        assert number.unit == own.unit and number.rule == "transfer"
+        assert number.value == (own.value if np.isfinite(own.value) else None)
+    gain = origin.of(out, "gain")
+    assert gain.stderr == quantities["gain"].stderr and gain.variable == "value[quantity=gain]"
+    level = origin.of(out, "levels.gain_dn_per_e")
+    assert (level.rule, level.unit, [own.name for own in level.inputs]) == ("flats", "DN/e-", ["frames.nc"])
+    assert (level.value, level.stderr) == (0.3, 0.01)
+
+
 def test_an_input_that_has_changed_is_told(results, tmp_path, capsys):
     """The digest is of the file that was read, not of the one that lies there."""
     own = shutil.copytree(results, tmp_path / "own")
@@ -277,4 +299,4 @@ def test_the_default_dataset():
     for key in keys:
         number = origin.of(DEFAULT, key)
         assert number.rule and number.words, key
-        assert number.value is None or np.isfinite(number.value) or key == "sensor.full_well_e"
+        assert number.value is None or np.isfinite(number.value), key

@@ -168,7 +168,7 @@ def with_labels(name: str, entry: Entry, labels: Mapping[str, object]) -> str:
 
 
 def _known(value: float | None) -> float | None:
-    return None if value is None or np.isnan(value) else value
+    return None if value is None or not np.isfinite(value) else value
 
 
 def shelf_of(results: Path) -> Shelf:

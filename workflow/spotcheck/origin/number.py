@@ -72,4 +72,7 @@ class Entry(NamedTuple):
         """All names by which it may be called, short ones first: ends of the path."""
         for count in range(self.least, len(self.path) + 1):
             *before, last = self.path[-count:]
+            # A number in a list is no name.
+            if before and before[0].isdigit():
+                continue
             yield from (".".join([*before, word]) for word in sorted({last, *self.short}, key=lambda w: (len(w), w)))

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.errors import InputError
+from spotcheck.estimate.photon_transfer import QUANTITIES
 from spotcheck.origin.number import Entry
 
 # Attributes that say which label of a dimension the chain itself uses.
@@ -90,11 +91,13 @@ def cell(ds: xr.Dataset, entry: Entry, asked: Mapping[str, str | int]) -> Cell:
         at[dim] = told if isinstance(told, int) else place(ds, dim, told, f"{entry.key}[{dim}={told}]")
     labels = {dim: labels_of(ds, dim)[k] for dim, k in at.items()}
     error = error_of(ds, variable)
+    value = float(own[tuple(at.values())])
     how = [str(own.attrs["source"])] if "source" in own.attrs else []
+    how += [f"infinite: {own.attrs['infinite']}"] if np.isinf(value) and "infinite" in own.attrs else []
     how += [str(ds.attrs[f"{dim}_{text}"]) for dim, text in labels.items() if f"{dim}_{text}" in ds.attrs]
     inside = ", ".join(f"{dim}={text}" for dim, text in labels.items() if ds.sizes[dim] > 1)
     return Cell(
-        float(own[tuple(at.values())]),
+        value,
         None if error is None else float(ds.variables[error][tuple(at.values())]),
         str(own.attrs["units"]),
         str(own.attrs["long_name"]),
@@ -107,7 +110,7 @@ def cell(ds: xr.Dataset, entry: Entry, asked: Mapping[str, str | int]) -> Cell:
 def _of_quantity(ds: xr.Dataset, name: str) -> Cell:
     own = ds.isel(quantity=[str(text) for text in ds["quantity"].values].index(name))
     value, stderr, unit, symbol, why = (own[key].item() for key in ("value", "stderr", "unit", "symbol", "why"))
-    words = f"{name.replace('_', ' ')}, {symbol} of EMVA 1288"
+    words = f"{QUANTITIES[name][2]} ({symbol} of EMVA 1288)"
     return Cell(float(value), float(stderr), str(unit), words, f"value[quantity={name}]", str(why), {})
 
 

@@ -26,11 +26,16 @@ def grown(results: Path, source: Source) -> list[Node]:
     """Inputs of a file of results, and theirs, down to what the dataset gave. A file that stands above is not grown
     again."""
     seen: set[str] = set()
-    return [_node(results, own, seen) for own in source.inputs] + _frames(results, source)
+    return _below(results, source, seen)
 
 
-def _node(results: Path, own: Input, seen: set[str]) -> Node:
-    path, remark = found(results, own)
+def _below(results: Path, source: Source, seen: set[str]) -> list[Node]:
+    folder = (results / source.file).parent
+    return [_node(results, folder, own, seen) for own in source.inputs] + _frames(results, source)
+
+
+def _node(results: Path, folder: Path, own: Input, seen: set[str]) -> Node:
+    path, remark = found(results, folder, own)
     if path is None:
         return Node(own.name, "", own.digest, "", remark)
     file = path.relative_to(results).as_posix() if path.is_relative_to(results) else ""
@@ -41,8 +46,7 @@ def _node(results: Path, own: Input, seen: set[str]) -> Node:
     if file in seen:
         return Node(name, str(path), own.digest, source.rule, remark or ("as above" if source.inputs else ""))
     seen.add(file)
-    inputs = [_node(results, below, seen) for below in source.inputs] + _frames(results, source)
-    return Node(name, str(path), own.digest, source.rule, remark, tuple(inputs))
+    return Node(name, str(path), own.digest, source.rule, remark, tuple(_below(results, source, seen)))
 
 
 def _source(results: Path, file: str) -> Source | None:
@@ -52,14 +56,17 @@ def _source(results: Path, file: str) -> Source | None:
     return known.get(name) or source_of(results, file, {}) or known.get(images)
 
 
-def found(results: Path, own: Input) -> tuple[Path | None, str]:
-    """The file that an input was, by its name and digest, and a remark where it has changed since or is gone."""
-    places = [results, *sorted(path for path in results.iterdir() if path.is_dir()), dataset_of(results)]
-    there = [place / own.name for place in places if place is not None and (place / own.name).is_file()]
-    for path in there:
-        if _digest(path, path.stat().st_mtime_ns).startswith(own.digest):
+def found(results: Path, folder: Path, own: Input) -> tuple[Path | None, str]:
+    """The file that an input of a file in `folder` was, by its name and digest, and a remark where it has changed since
+    or is gone."""
+    near = [place / own.name for place in (folder, results, dataset_of(results)) if place is not None]
+    # Stages that compare take files of one name from the simulation, too.
+    far = sorted(results.glob(f"*/{own.name}"))
+    for path in (*near, *far):
+        if path.is_file() and _digest(path, path.stat().st_mtime_ns).startswith(own.digest):
             return path, ""
-    return (there[0], "has changed since") if there else (None, "is gone")
+    changed = next((path for path in near if path.is_file()), None)
+    return changed, "has changed since" if changed else "is gone"
 
 
 @cache
