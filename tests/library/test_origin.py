@@ -16,6 +16,7 @@ from spotcheck.discrepancy.verdict.words import value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.origin.documents import of_verdict
+from spotcheck.origin.words import measured
 from spotcheck.provenance import file_digest
 from tests.library.conftest import ROOT
 from tests.library.shelf import LAW, design, flats
@@ -210,6 +211,24 @@ def test_explained_to_a_person(results, capsys):
     assert "        18 frames  SHA-256 of each file in frames.nc" in lines
     assert "    verdict.baseline_shift.p1.after = 0.002 ± 0.007 px" in lines
     assert "    paper_numbers.p1 = 1.9 px" in lines
+
+
+def test_a_number_of_a_frame_names_it(results, capsys):
+    """With the digest that frames.nc has of its file; a number of many frames names none."""
+    cli.run(["explain", "fits.sigma_mean[angle=90, exposure=3e-4, repeat=1]", "--results", str(results)])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  frame")]
+    given = dataset.load(results.parents[1] / "drawn")
+    frame = next(f for f in given.spots if (f.angle_deg, f.exposure_s, f.repeat) == (90, 3e-4, 1))
+    assert line == f"  frame  {frame.label}  {file_digest(given.folder / frame.file)[:8]}"
+    cli.run(["explain", "calibration.p1_by_angle[angle=90]", "--results", str(results)])
+    assert not [line for line in capsys.readouterr().out.splitlines() if line.startswith("  frame")]
+
+
+def test_a_part_that_is_nearly_all(results):
+    """0.99997 of a gap is not said to be all of it."""
+    number = origin.of(results, "gap.closed")
+    assert measured(number._replace(value=0.99997)) == "0.99997"
+    assert measured(number._replace(value=1.0)) == "1"
 
 
 def test_explained_to_a_program(results, capsys):

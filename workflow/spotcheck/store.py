@@ -274,14 +274,19 @@ def write_text(path: str | Path, text: str, *, code: str = "", inputs: Sequence[
         scratch.write_text(text, encoding="utf-8")
 
 
+def owner_of(results: Path) -> str:
+    """Folder of the dataset whose results a folder holds, by its note; "" where it has none. Raises `InputError`."""
+    note = results / ".dataset"
+    try:
+        return note.read_text(encoding="utf-8").strip() if note.exists() else ""
+    except OSError as error:
+        raise InputError(f"{results}: cannot be read ({error.strerror}); name another folder in `results`") from None
+
+
 def check_claim(results: Path, folder: Path) -> None:
     """Raise `InputError` where a results folder holds those of another dataset, or where nothing can be written there.
     Writes nothing."""
-    note = results / ".dataset"
-    try:
-        owner = note.read_text(encoding="utf-8").strip() if note.exists() else ""
-    except OSError as error:
-        raise InputError(f"{results}: cannot be read ({error.strerror}); name another folder in `results`") from None
+    owner = owner_of(results)
     # Where the owner is gone, the dataset was moved, and its results with it.
     if owner and owner != str(folder) and Path(owner).exists():
         raise InputError(

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import store
-from spotcheck.dataset import load
+from spotcheck.dataset import Dataset, load
 from spotcheck.errors import InputError
 from spotcheck.origin import documents
 from spotcheck.origin import tables as netcdf
@@ -217,13 +217,43 @@ def _name(shelf: Shelf, entry: Entry) -> None:
         shelf.names.setdefault(name, []).append(entry)
 
 
+def frame_of(results: str | Path, number: Number) -> tuple[str, str] | None:
+    """Name and SHA-256 of the frame that a number is of, by its dataset; None where it is of more, or the dataset is
+    gone."""
+    shelf, (_, asked), folder = shelf_of(Path(results)), question(number.key), Path(number.file).parent.as_posix()
+    table, ds = (shelf.files.get(own) for own in (f"{folder}/frames".removeprefix("./"), number.file[:-3]))
+    if table is None or ds is None or not asked:
+        return None
+    at = {dim: netcdf.place(ds, dim, str(label), number.key) for dim, label in asked.items() if dim in ds.dims}
+    try:
+        given = dataset_of(Path(results), number.file)
+    except InputError:
+        return None
+    names = [axis.name for axis in given.axes]
+    if any(axis.size > 1 and axis.name not in at for axis in given.axes):
+        return None
+    index = tuple(at.get(name, 0) for name in names)
+    frame = next((own for cell, own in given.cells() if cell == index), None)
+    digests = dict(zip(table["file"].values.tolist(), table["sha256"].values.tolist(), strict=True))
+    return (frame.label, digests[frame.file]) if frame is not None and frame.file in digests else None
+
+
+def dataset_of(results: Path, file: str) -> Dataset:
+    """The dataset whose frames a file of results is of: the simulated one in its folder, else the measured one. Raises
+    `InputError`."""
+    folder = results / Path(file).parent
+    if not (folder / "manifest.csv").is_file():
+        noted = store.owner_of(results)
+        if not noted:
+            raise InputError(f"{results}: does not say of which dataset it is; name the frame by its conditions")
+        folder = Path(noted)
+    return load(folder)
+
+
 def cell_of(results: Path, file: str, asked: dict[str, str | int]) -> dict[str, int]:
     """Index on the grid of the frame that a question names as messages do, or by the name of its file. Raises
     `InputError`."""
-    folder, name = results / Path(file).parent, str(asked["frame"])
-    if not (folder / "manifest.csv").is_file():
-        folder = Path((results / ".dataset").read_text(encoding="utf-8").strip())
-    given = load(folder)
+    name, given = str(asked["frame"]), dataset_of(results, file)
     near = [
         (index, frame)
         for index, frame in given.cells()

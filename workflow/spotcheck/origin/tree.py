@@ -4,7 +4,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from spotcheck import provenance
+from spotcheck import provenance, store
 from spotcheck.origin.ask import shelf_of
 from spotcheck.origin.number import Input, Source
 from spotcheck.origin.rules import source_of
@@ -59,7 +59,8 @@ def _source(results: Path, file: str) -> Source | None:
 def found(results: Path, folder: Path, own: Input) -> tuple[Path | None, str]:
     """The file that an input of a file in `folder` was, by its name and digest, and a remark where it has changed since
     or is gone."""
-    near = [place / own.name for place in (folder, results, dataset_of(results)) if place is not None]
+    noted = store.owner_of(results)
+    near = [place / own.name for place in (folder, results, *([Path(noted)] if noted else []))]
     # Stages that compare take files of one name from the simulation, too.
     far = sorted(results.glob(f"*/{own.name}"))
     for path in (*near, *far):
@@ -72,12 +73,6 @@ def found(results: Path, folder: Path, own: Input) -> tuple[Path | None, str]:
 @cache
 def _digest(path: Path, time_ns: int) -> str:
     return provenance.file_digest(path)
-
-
-def dataset_of(results: Path) -> Path | None:
-    """The dataset's folder, by the note that a results folder carries."""
-    note = results / ".dataset"
-    return Path(note.read_text(encoding="utf-8").strip()) if note.is_file() else None
 
 
 def _frames(results: Path, source: Source) -> list[Node]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from spotcheck.discrepancy.verdict.words import value_text
-from spotcheck.origin.ask import related, shown
+from spotcheck.origin.ask import frame_of, related, shown
 from spotcheck.origin.number import Number, Source
 from spotcheck.origin.tree import Node, grown
 
@@ -22,20 +22,28 @@ def explained(number: Number, results: Path, asked: str, task: str) -> str:
         "how": number.method,
         "key": number.key,
         "in": f"{results / number.file}: {shown(number.variable)}",
+        "frame": frame_said(results, number),
         "by": f"rule {source.rule} (spotcheck {source.command}: {task})",
         "made": made(source),
     }
     lines = [f"{asked} = {measured(number)}", f"  {number.words}", ""]
-    lines += [f"  {name:<6}{text}" for name, text in rows.items() if text]
+    lines += [f"  {name:<7}{text}" for name, text in rows.items() if text]
     below = [f"    {line}" for node in grown(results, source) for line in drawn(node)]
     lines += ["  from", *below] if below else []
     others = [f"    {own.key} = {measured(own)}" for own in related(results, asked, number)]
     return "\n".join(lines + (["  see also", *others] if others else []))
 
 
+def frame_said(results: Path, number: Number) -> str:
+    """Of a number of one frame its file, with the digest that frames.nc holds of it."""
+    frame = frame_of(results, number)
+    return f"{frame[0]}  {frame[1][:DIGITS]}" if frame else ""
+
+
 def measured(number: Number) -> str:
-    """Value ± error with its unit."""
-    return value_text(number.value, number.stderr, UNITS.get(number.unit, number.unit))
+    """Value ± error with its unit. A part that is nearly all is not said to be all."""
+    value, text = number.value, value_text(number.value, number.stderr, UNITS.get(number.unit, number.unit))
+    return f"{value:.9g}" if text == "1" and value != 1 else text
 
 
 def made(source: Source) -> str:
