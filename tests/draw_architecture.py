@@ -18,6 +18,7 @@ ROOMS = {
     "discrepancy": "what the model is missing: the verdict",
     "pages": "report and tables as HTML, page of effects",
     "paper": "the paper's numbers beside ours",
+    "origin": "where a number comes from",
     "estimate": "fits, p1 and p2, bounds, sensor, caustic",
     "metrics": "metrics of one crop, PSNR",
     "comparison": "measured beside simulated",
@@ -82,7 +83,7 @@ STAGES = (
 # What a box is called where its rule has another name.
 TITLES = {"fit_simulated": "ingest · crop · fit", "simulate_extended": "extended"}
 # Rules that the picture leaves out, or shows as part of a stage.
-NOT_SHOWN = ("ingest_simulated", "crop_simulated", "judge_flats", "chain", "tables")
+NOT_SHOWN = ("ingest_simulated", "crop_simulated", "flats", "chain", "tables")
 
 INK, FAINT, FILL, LINE = "#1a1a1a", "#555555", "#eef3f8", "#5b7a99"
 SANS = "font-family='DejaVu Sans, Verdana, Helvetica, sans-serif'"

@@ -40,7 +40,7 @@ def test_each_dataset_gets_the_stages_that_it_can_have(flats, tmp_path):
         ("ingest", "report", "figures", "chain"), 3
     )
     assert (jobs["fit"], jobs["caustic"], jobs["judge"]) == (2, 2, 2)
-    assert (jobs["transfer"], jobs["judge_flats"]) == (1, 1)
+    assert (jobs["transfer"], jobs["flats"]) == (1, 1)
     assert "expose" not in jobs and "paper" not in jobs
 
 

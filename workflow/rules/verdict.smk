@@ -35,7 +35,7 @@ rule judge:
 
 
 # Without a spot flats and darks speak for themselves.
-rule judge_flats:
+rule flats:
     input:
         manifest,
         instrument,
@@ -43,9 +43,9 @@ rule judge_flats:
     output:
         verdict=f"{OUT}/verdict.json",
     log:
-        f"{OUT}/logs/judge_flats.log",
+        f"{OUT}/logs/flats.log",
     benchmark:
-        f"{OUT}/benchmarks/judge_flats.tsv"
+        f"{OUT}/benchmarks/flats.tsv"
     wildcard_constraints:
         dataset=one_of(NO_SPOTS),
     threads: 1

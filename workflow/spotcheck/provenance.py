@@ -10,7 +10,7 @@ import importlib.metadata
 import json
 import platform
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -106,8 +106,17 @@ def file_digest(path: str | Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def write_sidecar(path: Path) -> None:
-    """Beside `path`: when, where and with which versions it was made; kept out of the file so that it stays equal."""
+def attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:
+    """What a result says of its making: the digest of the code, and names and digests of the files it was made from."""
+    digests = [f"{Path(p).name} {file_digest(p)[:16]}" for p in inputs if Path(p).is_file()]
+    return {"code_version": code, "inputs": "; ".join(digests)}
+
+
+def write_sidecar(path: Path, more: Mapping[str, str]) -> None:
+    """Beside `path`: when, where and with which versions it was made; kept out of the file so that it stays equal.
+
+    `more` is what the file itself has no place for.
+    """
     packages = ("numpy", "scipy", "xarray", "netCDF4", "scikit-image", "matplotlib")
     record = {
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -115,5 +124,6 @@ def write_sidecar(path: Path) -> None:
         "command": sys.argv,
         "python": platform.python_version(),
         "packages": {name: importlib.metadata.version(name) for name in packages},
+        **more,
     }
     writing.text(path.parent / ".runs" / f"{path.name}.json", json.dumps(record, indent=1) + "\n")

@@ -143,7 +143,7 @@ def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str |
     """Write a result with its provenance. `code` is a digest (see `provenance`), `inputs` the files it was made
     from."""
     path = Path(path)
-    ds = with_remarks(ds, [*remarks_of(ds), *_exact(ds)]).assign_attrs(_provenance_attributes(code, inputs))
+    ds = with_remarks(ds, [*remarks_of(ds), *_exact(ds)]).assign_attrs(provenance.attributes(code, inputs))
     check(ds, path.name)
     encoding: dict[str, dict] = {}
     for name, variable in ds.variables.items():
@@ -171,7 +171,7 @@ def frame_writer(
     """
     path = Path(path)
     template = xr.merge([grid(dataset), extra], combine_attrs="drop_conflicts")
-    template = check(template.assign_attrs(_provenance_attributes(code, inputs)), path.name)
+    template = check(template.assign_attrs(provenance.attributes(code, inputs)), path.name)
     with appearing_whole(path) as scratch, netCDF4.Dataset(scratch, "w") as nc:
         template.dump_to_store(NetCDF4DataStore(nc))
         for axis in dataset.axes:
@@ -214,27 +214,32 @@ def read(path: str | Path) -> xr.Dataset:
 
 
 @contextmanager
-def appearing_whole(path: Path) -> Iterator[Path]:
-    """A result that takes its name only when all was written (`writing.whole`), with its sidecar."""
+def appearing_whole(path: Path, noted: Mapping[str, str] | None = None) -> Iterator[Path]:
+    """A result that takes its name only when all was written (`writing.whole`); `noted` is said of it in its note."""
     with writing.whole(path) as scratch:
         yield scratch
-    provenance.write_sidecar(path)
+    provenance.write_sidecar(path, noted or {})
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    with appearing_whole(Path(path)) as scratch:
+def write_text(path: str | Path, text: str, *, code: str = "", inputs: Sequence[str | Path] = ()) -> None:
+    """Write a text file whole or not at all; of a result its note holds what `write` puts into the attributes."""
+    with appearing_whole(Path(path), provenance.attributes(code, inputs) if code else None) as scratch:
         scratch.write_text(text, encoding="utf-8")
+
+
+def owner_of(results: Path) -> str:
+    """Folder of the dataset whose results a folder holds, by its note; "" where it has none. Raises `InputError`."""
+    note = results / ".dataset"
+    try:
+        return note.read_text(encoding="utf-8").strip() if note.exists() else ""
+    except OSError as error:
+        raise InputError(f"{results}: cannot be read ({error.strerror}); name another folder in `results`") from None
 
 
 def check_claim(results: Path, folder: Path) -> None:
     """Raise `InputError` where a results folder holds those of another dataset, or where nothing can be written there.
     Writes nothing."""
-    note = results / ".dataset"
-    try:
-        owner = note.read_text(encoding="utf-8").strip() if note.exists() else ""
-    except OSError as error:
-        raise InputError(f"{results}: cannot be read ({error.strerror}); name another folder in `results`") from None
+    owner = owner_of(results)
     # Where the owner is gone, the dataset was moved, and its results with it.
     if owner and owner != str(folder) and Path(owner).exists():
         raise InputError(
@@ -250,8 +255,3 @@ def claim(results: Path, folder: Path) -> None:
     """Note in a results folder whose results it holds. Raises `InputError` as `check_claim` does."""
     check_claim(results, folder)
     write_text(results / ".dataset", f"{folder}\n")
-
-
-def _provenance_attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:
-    digests = [f"{Path(p).name} {provenance.file_digest(p)[:16]}" for p in inputs if Path(p).is_file()]
-    return {"code_version": code, "inputs": "; ".join(digests)}

@@ -37,6 +37,7 @@ COMMANDS = {
     "effects": "the page of effects, from the effects' own files",
     "report": "one self-contained page of figures, tables and what was skipped",
     "new-dataset": "write a commented manifest and instrument file to fill in",
+    "explain": "say where a number of the results comes from: file, variable, rule and inputs",
     "where": "say where the results of a dataset lie",
 }
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import dataset, seen, store
+from spotcheck import dataset, provenance, seen, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import tolerance_of
 from spotcheck.crops import without_copies
@@ -35,5 +35,6 @@ def run(args: argparse.Namespace) -> None:
     verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak)
     verdict |= vocabulary.described()
     verdict["sentence"] = sentence(verdict)
-    write_verdict(verdict, args.output)
+    code, inputs = provenance.code_digest(__name__), [args.frames, *args.effects]
+    write_verdict(verdict, args.output, code=code, inputs=inputs)
     print(verdict["sentence"])

@@ -51,11 +51,11 @@ def run(args: argparse.Namespace) -> None:
     code, inputs = provenance.code_digest(__name__), [args.crops, args.sensor, *args.effects]
     store.write(pictures_of(judgement, verdict, found), args.pictures, code=code, inputs=inputs)
     if isinstance(ready, str) or judgement.fits is None:
-        store.write_text(args.model, no_model(found.name, judgement.why_not))
+        store.write_text(args.model, no_model(found.name, judgement.why_not), code=code, inputs=inputs)
         extended = None
     else:
         extended = extended_of(judgement, ready.setting, found.instrument, known)
-        store.write_text(args.model, text_of(extended, found.name, verdict["status"]))
+        store.write_text(args.model, text_of(extended, found.name, verdict["status"]), code=code, inputs=inputs)
     axes = [axis for axis in found.axes if axis.name not in ("exposure", "repeat")]
     seen = [] if judgement.fits is None else judgement.fits.poses()
     poses = {axis.name: (axis.units, [own[k] for own in seen]) for k, axis in enumerate(axes)} if seen else {}
@@ -65,5 +65,5 @@ def run(args: argparse.Namespace) -> None:
                       attributes=attributes_of(light))  # fmt: skip
     else:
         no_light(args.light, "the declared shape of the light stands", **told, inputs=inputs)
-    write_verdict(verdict, args.output)
+    write_verdict(verdict, args.output, code=code, inputs=inputs)
     print(verdict["sentence"])

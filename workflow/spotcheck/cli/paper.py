@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from spotcheck import dataset, store
+from spotcheck import dataset, provenance, store
 from spotcheck.pages import numbers
 from spotcheck.paper import verdicts
 from spotcheck.paper.results import Results
@@ -15,16 +15,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("numbers", type=Path, help="paper_numbers.yaml")
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
-    parser.add_argument("--table", required=True, help="CSV to write")
-    parser.add_argument("--page", required=True, type=Path, help="HTML page to write")
+    parser.add_argument("--table", required=True, help="paper_numbers.csv to write")
+    parser.add_argument("--page", required=True, type=Path, help="paper_numbers.html to write")
     parser.add_argument("--summary", required=True, help="Markdown to write: how many hold, and which do not")
     parser.add_argument("--strict", action="store_true", help="fail when a number that held no longer does")
 
 
 def run(args: argparse.Namespace) -> None:
     """Judge every number; with --strict, end with status 1 when one left its tolerance."""
-    found = verdicts.judge(verdicts.read_numbers(args.numbers), Results(dataset.load(args.dataset), args.results))
-    store.write_text(args.table, verdicts.table(found))
+    results = Results(dataset.load(args.dataset), args.results)
+    found = verdicts.judge(verdicts.read_numbers(args.numbers), results)
+    inputs = [args.numbers, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
+    store.write_text(args.table, verdicts.table(found), code=provenance.code_digest(__name__), inputs=inputs)
     numbers.write(args.page, found)
     store.write_text(args.summary, verdicts.summary(found))
     for kind, (held, counted) in verdicts.shares(found).items():

@@ -15,8 +15,8 @@ from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.sensor import SensorModel
 
 ESTIMATORS = {
-    "regression": "straight line of the fitted width less the laser's own width",
-    "regression_of_width": "straight line of the fitted width, nothing subtracted",
+    "regression": "straight line over ln t of the fitted width less the laser's own (Eqs. 7 and 8)",
+    "regression_of_width": "straight line over ln t of the fitted width, nothing subtracted (Eq. 8)",
     "likelihood": "maximum likelihood of the baseline model on all frames",
 }
 # What the simulation runs on: the paper's own estimator.

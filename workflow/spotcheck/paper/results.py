@@ -22,15 +22,18 @@ def known(value: float | None) -> float:
 
 
 class Results:
-    """The results folder of a dataset, opened as it is asked for."""
+    """The results folder of a dataset, opened as it is asked for; `opened` are the files that were."""
 
     def __init__(self, dataset: Dataset, folder: Path):
         self.dataset = dataset
         self.folder = folder
+        self.opened: set[Path] = set()
 
     def file(self, name: str) -> xr.Dataset:
         """A result by its name without suffix."""
-        return store.read(self.folder / f"{name}.nc")
+        path = self.folder / f"{name}.nc"
+        self.opened.add(path)
+        return store.read(path)
 
     @cached_property
     def metrics(self) -> xr.Dataset:

@@ -1,6 +1,7 @@
 """verdict.json as it is written: checked against its schema and against itself, whole or not at all."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,16 @@ DIGITS = 9
 WEIGHT_ERROR = 1e-6
 
 
-def write_verdict(verdict: dict[str, Any], path: str | Path) -> None:
-    """Write verdict.json. Raises `ContractError` where it breaks the contract: a defect of the program, not of the
-    data."""
+def write_verdict(
+    verdict: dict[str, Any], path: str | Path, *, code: str = "", inputs: Sequence[str | Path] = ()
+) -> None:
+    """Write verdict.json, with `code` and `inputs` as `store.write_text` takes them. Raises `ContractError` where it
+    breaks the contract: a defect of the program, not of the data."""
     plain = rounded(verdict)
     if breach := breach_of_verdict(plain):
         raise store.ContractError(f"verdict.json: {breach}")
-    store.write_text(path, json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    text = json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    store.write_text(path, text, code=code, inputs=inputs)
 
 
 def rounded(value: Any) -> Any:

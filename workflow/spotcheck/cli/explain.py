@@ -1,0 +1,49 @@
+"""`spotcheck explain`: where a number of the results comes from."""
+
+import argparse
+import json
+from pathlib import Path
+
+from spotcheck import origin
+from spotcheck.cli import COMMANDS
+from spotcheck.errors import InputError
+from spotcheck.origin import words
+
+EXAMPLES = """examples:
+  spotcheck explain p1 --results results/virtual-rig
+  spotcheck explain gap.closed
+  spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json
+  spotcheck explain                      lists all that can be asked for
+"""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EXAMPLES
+    parser.add_argument("number", nargs="?", help="name of the number, long or short; none: list all")
+    parser.add_argument("--results", type=Path, help="results folder of a dataset (default: the only one in results/)")
+    parser.add_argument("--json", action="store_true", help="write JSON, for programs")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Explain a number, or list what can be explained."""
+    results = args.results or only_one(Path("results"))
+    if args.number is None:
+        listed = {"numbers": origin.keys(results), "tables": origin.tables(results)}
+        print(json.dumps(listed, indent=1) if args.json else words.listed(**listed))
+        return
+    number = origin.of(results, args.number)
+    if args.json:
+        print(json.dumps(words.plain(number, results), indent=1, ensure_ascii=False))
+    else:
+        print(words.explained(number, results, args.number, COMMANDS[number.source.command]))
+
+
+def only_one(base: Path) -> Path:
+    """The folder of results where there is one dataset. Raises `InputError`."""
+    there = sorted(note.parent for note in base.glob("*/.dataset"))
+    if len(there) == 1:
+        return there[0]
+    if not there:
+        raise InputError(f"{base}: no results here; name those of a dataset with --results")
+    raise InputError(f"{base}: holds {', '.join(own.name for own in there)}; choose one, as in --results {there[0]}")

@@ -1,0 +1,122 @@
+"""Numbers of text results: verdict.json and paper_numbers.csv."""
+
+import ast
+import csv
+import json
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from spotcheck.model.effects import built_in
+from spotcheck.origin.number import Entry
+from spotcheck.origin.tables import Cell
+from spotcheck.provenance import PACKAGE
+from spotcheck.schema import read_schema
+
+# Keys by which the entries of a list are told apart.
+NAMES = ("name", "effect")
+# A word of a path that says nothing to a person.
+SILENT = ("parameters",)
+# Keys whose numbers are the errors of others.
+ERRORS = ("stderr", "error", "stated_stderr")
+
+Words = tuple[str, ...]
+Schema = dict[str, Any]
+
+
+def of_verdict(path: Path) -> Iterator[tuple[Entry, Cell]]:
+    """All numbers of a verdict, with what its schema says of them."""
+    verdict = json.loads(path.read_text(encoding="utf-8"))
+    for place, said, cell in _numbers(verdict, _resolved(schema()), (), ()):
+        # A word of a verdict alone does not say whose it is.
+        yield Entry((path.stem, *(word for word in place if word not in SILENT)), least=2), _in_words(cell, said)
+
+
+def _numbers(value: Any, told: Schema, place: Words, said: Words) -> Iterator[tuple[Words, Words, Cell]]:
+    """Path, words of it that a person needs, and number, for all below an object or list of the verdict; `told` is its
+    schema."""
+    for key, own, names in _inside(value):
+        below = _child(told, key, isinstance(value, list))
+        here = (*place, *names)
+        spoken = (*(said[:-1] if isinstance(value, list) and names[0] != str(key) else said), *names)
+        if isinstance(own, dict | list):
+            yield from _numbers(own, below, here, spoken)
+        elif isinstance(own, int | float) and not isinstance(own, bool) and "const" not in below:
+            if key not in ERRORS:
+                yield here, spoken, _cell(value, key, told, below, ".".join((*place, *names)))
+
+
+def _inside(value: Any) -> Iterator[tuple[Any, Any, Words]]:
+    """Key, value and the words that it adds to a path, of the items of an object or list."""
+    if isinstance(value, list):
+        for k, own in enumerate(value):
+            known = [str(own[name]) for name in NAMES if isinstance(own, dict) and name in own]
+            yield (
+                k,
+                own,
+                tuple(known[:1] or [str(k)])
+                + tuple([str(own["parameter"])] if isinstance(own, dict) and "parameter" in own else []),
+            )
+    else:
+        for key, own in value.items():
+            yield key, own, () if key == "value" else (str(key),)
+
+
+def _cell(around: Any, key: Any, outer: Schema, own: Schema, variable: str) -> Cell:
+    """A number of the verdict; its unit and error stand in its schema or beside it."""
+    beside = around if isinstance(around, dict) else {}
+    # Of an object {value, stderr} the schema speaks as a whole.
+    told = outer | own if key == "value" else own
+    error = told.get("error", "stderr" if key == "value" else "")
+    unit = told.get("unit") or (beside.get("unit") if error or key == "value" else None)
+    return Cell(around[key], beside.get(error), str(unit or "1"), str(told.get("description", "")), variable, "", {})
+
+
+def _in_words(cell: Cell, said: Words) -> Cell:
+    known = built_in()
+    sentence = next((known[word].sentence for word in said if word in known), "")
+    name = " ".join(word.replace("_", " ") for word in said if word not in SILENT)
+    return cell._replace(words=": ".join(filter(None, (name, cell.words or sentence))))
+
+
+def _child(told: Schema, key: Any, is_list: bool) -> Schema:
+    """Schema of an item."""
+    if is_list:
+        return _resolved(told.get("items", {}))
+    more = told.get("additionalProperties")
+    return _resolved(told.get("properties", {}).get(key) or (more if isinstance(more, dict) else {}))
+
+
+def _resolved(told: Schema) -> Schema:
+    """A schema with what it refers to."""
+    name = str(told.get("$ref", "")).removeprefix("#/$defs/")
+    return schema()["$defs"][name] | told if name else told
+
+
+def of_paper(path: Path) -> Iterator[tuple[Entry, Cell]]:
+    """Ours of all numbers of the paper."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            words = f"{row['id'].replace('_', ' ')}; the paper prints {row['printed']} (section {row['section']})"
+            how = docstrings().get(row["id"], "")
+            own = Cell(float(row["ours"]), None, row["unit"], words, f"ours[id={row['id']}]", how, {})
+            # A short name is ours before it is the paper's.
+            yield Entry((path.stem, row["id"]), behind=True), own
+
+
+@cache
+def docstrings() -> dict[str, str]:
+    """First sentences of the functions that compute the paper's numbers, by name."""
+    found = {}
+    for path in (PACKAGE / "paper").glob("*.py"):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and (text := ast.get_docstring(node)):
+                found[node.name] = " ".join(text.split("\n\n")[0].split())
+    return found
+
+
+@cache
+def schema() -> Schema:
+    """The contract of verdict.json, which says what each number is."""
+    return read_schema("verdict")
