@@ -118,6 +118,29 @@ def small_run(shared) -> Path:
 
 
 @pytest.fixture(scope="session")
+def sample_run(shared) -> Path:
+    """Results folder of the sample of a scan along z, which has no exposures, after one complete run."""
+
+    def run(base: Path) -> None:
+        done = snakemake(config={"dataset": ROOT / "data" / "zscan-sample", "results": base})
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    return made_once(shared / "sample", run) / "zscan-sample"
+
+
+@pytest.fixture(scope="session")
+def flats_run(shared) -> Path:
+    """Results folder of flats and darks of a drawn sensor without faults, after one complete run."""
+    from tests.library.shelf import flats
+
+    def run(base: Path) -> None:
+        done = snakemake(config={"dataset": flats(base / "set"), "results": base / "results"})
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    return made_once(shared / "flats", run) / "results" / "set"
+
+
+@pytest.fixture(scope="session")
 def small_frames(shared) -> Path:
     """The small dataset as a user's own folder: frames, manifest, instrument, and no rig."""
 

@@ -107,7 +107,7 @@ def test_every_frame_is_recorded(opened, rows):
 
 def test_no_condition_can_bear_the_name_of_a_variable(opened):
     """Names in the files that have the grid's dimensions are refused as conditions, by the instrument file's reader or,
-    of metrics, by `compare`; derived names follow from these."""
+    of metrics, by `metrics`; derived names follow from these."""
     derived = ("_stderr", "_mean", "_sd", "_by_angle", "_sd_all", "_sd_angles", "_sd_repeats", "_miss")
     taken = RESERVED | {metric.name for metric in PER_IMAGE}
     for name in ("crops", "fits", "calibration", "simulated", "metrics"):

@@ -1,12 +1,12 @@
 """discrepancy.nc holds what was measured, its pictures cope with every outcome and design, the report shows them."""
 
 import json
+import re
 import shutil
 import warnings
 from types import SimpleNamespace
 from typing import NamedTuple
 
-import jinja2
 import numpy as np
 import pytest
 import xarray as xr
@@ -33,7 +33,9 @@ from spotcheck.figures.results import Results, Unavailable
 from spotcheck.figures.write import write_all
 from spotcheck.model import light_shape
 from spotcheck.model.light_file import no_light, written_light
-from spotcheck.pages import TEMPLATES, report
+from spotcheck.pages import TEMPLATES
+from spotcheck.pages.cited import Cited
+from spotcheck.pages.report.tables import missing_of
 from tests.library import small_set as small
 from tests.library.conftest import folder
 from tests.library.judgements import GHOST, JUDGEMENTS, closed, detected, found, judged, learned, left, off
@@ -348,19 +350,11 @@ def test_tables_of_conditions():
     np.testing.assert_array_equal(chosen(2, 4), [0, 1])
 
 
-def page(path) -> str:
-    """The report's template with the verdict's part filled and all else left out."""
-    own = report._missing(path)
-    pictures = [{"name": "missing-gap", "title": "The gap", "image": "data:,", "caption": "A caption."}]
-
-    class Lenient(jinja2.ChainableUndefined):
-        """What another part of the page would need."""
-
-        def __format__(self, spec: str) -> str:
-            return ""
-
-    overlay = TEMPLATES.overlay(undefined=Lenient)
-    return overlay.get_template("report.html").render(missing=own, missing_figures=pictures)
+def page(folder) -> str:
+    """The report's part on a verdict, as a reader sees it."""
+    verdict = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
+    own = missing_of(verdict, Cited(folder))
+    return re.sub("</?span[^>]*>", "", TEMPLATES.get_template("report/missing.html").render(missing=own))
 
 
 def test_the_report_shows_the_verdict(tmp_path):
@@ -368,10 +362,8 @@ def test_the_report_shows_the_verdict(tmp_path):
     verdict = document(tied, "small")
     verdict["sentence"] = sentence(verdict)
     write_verdict(verdict, tmp_path / "verdict.json")
-    text = page(tmp_path / "verdict.json")
+    text = page(tmp_path)
     parts = (
-        'id="missing"',
-        "Verdict: ambiguous.",
         verdict["sentence"][:40],
         "<code>ghost_reflection</code>",
         "fraction = 0.0239 ± 0.0004",
@@ -379,7 +371,6 @@ def test_the_report_shows_the_verdict(tmp_path):
         "98 %",
         "unseen repeats",
         "p1 [px]",
-        "The gap",
         "12 frames at an exposure of 1.8 ms",
         "<code>angle_reflectance</code>: fewer than three",
         "Where, strongest",
@@ -395,19 +386,13 @@ def test_the_report_tells_limits(tmp_path):
     verdict = document(judged(unexplained=left(0.0), detection=detected(0.32)), "small")
     verdict["sentence"] = sentence(verdict)
     write_verdict(verdict, tmp_path / "verdict.json")
-    assert "<td><code>smear</code></td><td>fraction below 0.0004</td>" in page(tmp_path / "verdict.json")
-
-
-def test_the_report_without_a_verdict_says_nothing_of_it(tmp_path):
-    assert report._missing(tmp_path / "verdict.json") is None
-    text = page(tmp_path / "verdict.json")
-    assert "simulation is missing" not in text and 'href="#missing"' not in text
+    assert "<td><code>smear</code></td><td>fraction below 0.0004</td>" in page(tmp_path)
 
 
 def test_the_report_of_what_was_not_assessed(tmp_path):
     verdict = document(untested(NO_SPOT), "small")
     verdict["sentence"] = sentence(verdict)
     write_verdict(verdict, tmp_path / "verdict.json")
-    text = page(tmp_path / "verdict.json")
-    assert "Verdict: not assessed." in text and "no spot could be fitted" in text
+    text = page(tmp_path)
+    assert "no spot could be fitted" in text
     assert "p1 [px]" not in text and "Where, strongest" not in text

@@ -76,7 +76,7 @@ def tiny(tmp_path_factory) -> tuple[Path, Path]:
         ["ingest", simulated, "--output", again["frames"]],
         ["crop", simulated, "--frames", again["frames"], "--output", again["crops"]],
         ["fit", data, "--crops", again["crops"], *sensor, "--output", again["fits"]],
-        ["compare", *pairs, *sensor, "--output", out / "metrics.nc"],
+        ["metrics", *pairs, *sensor, "--output", out / "metrics.nc"],
         ["bounds", data, "--calibration", of["calibration"], *sensor, "--output", out / "bounds.nc"],
         [
             *("precision", data, "--fits", of["fits"], again["fits"], "--calibration", of["calibration"]),
@@ -293,7 +293,7 @@ digraph snakemake_dag {
     1[label = "report", color = "0.1 0.6 0.85"];
     2[label = "fit", color = "0.1 0.6 0.85"];
     3[label = "crop", color = "0.1 0.6 0.85"];
-    4[label = "compare", color = "0.1 0.6 0.85"];
+    4[label = "metrics", color = "0.1 0.6 0.85"];
     3 -> 2
     2 -> 4
     3 -> 4
@@ -306,13 +306,13 @@ digraph snakemake_dag {
 
 def test_layers_of_the_chain_respect_its_edges():
     graph = chain.parse(DOT)
-    assert graph.labels == {"0": "all", "1": "report", "2": "fit", "3": "crop", "4": "compare"}
+    assert graph.labels == {"0": "all", "1": "report", "2": "fit", "3": "crop", "4": "metrics"}
     depth = chain.depths(graph)
     assert all(depth[a] < depth[b] for a, b in graph.edges)
     assert [graph.labels[n] for n in sorted(depth, key=depth.__getitem__)] == [
         "crop",
         "fit",
-        "compare",
+        "metrics",
         "report",
         "all",
     ]

@@ -8,8 +8,8 @@ import xarray as xr
 from skimage.metrics import peak_signal_noise_ratio
 
 from spotcheck import metrics
-from spotcheck.comparison import compare
 from spotcheck.errors import InputError
+from spotcheck.pairs import metrics_of_both
 from tests.library.conftest import gaussian
 
 
@@ -129,4 +129,4 @@ def test_a_condition_does_not_take_the_place_of_a_metric():
     """Both would be one variable of the file."""
     crops = xr.Dataset({"status": (("angle", "peak_ratio", "centring"), np.zeros((1, 2, 2), int))})
     with pytest.raises(InputError, match=r"instrument\.yaml: key conditions names peak_ratio, .*; rename it"):
-        compare({"measured": crops, "simulated": crops}, {}, 1023.0)
+        metrics_of_both({"measured": crops, "simulated": crops}, {}, 1023.0)

@@ -2,7 +2,6 @@
 
 import argparse
 import hashlib
-import json
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -20,8 +19,10 @@ from spotcheck.model import effects
 from spotcheck.model.effect import Place
 from spotcheck.model.effect_file import read_effect
 from spotcheck.model.effects import Choice, built_in, vocabulary
-from spotcheck.pages import TEMPLATES, report
+from spotcheck.pages import TEMPLATES
 from spotcheck.pages import effects as page
+from spotcheck.pages.cited import Cited
+from spotcheck.pages.report.tables import missing_of
 from spotcheck.schema import breach_of, read_keys
 from tests.library.conftest import ROOT, folder
 from tests.library.effect_cases import knowing, written
@@ -226,11 +227,8 @@ def test_the_report_says_which_vocabulary_it_had(tmp_path):
     """In a paragraph beside the verdict; none where it was the library's."""
 
     def text(own: dict) -> str:
-        path = tmp_path / "verdict.json"
-        path.write_text(json.dumps(own), encoding="utf-8")
-        missing = report._missing(path)
-        blank = {"title": "small", "frames": {}, "parameters": [], "skipped": [], "chain": "", "sources": []}
-        return TEMPLATES.get_template("report.html").render(missing=missing, **blank)
+        missing = missing_of(own, Cited(tmp_path))
+        return TEMPLATES.get_template("report/missing.html").render(missing=missing)
 
     assert "The vocabulary of this run" not in text(whole("stranger"))
     with knowing(written(tmp_path, "lens", SOUND), without=["smear", "row_noise"]):

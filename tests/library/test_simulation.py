@@ -1,10 +1,10 @@
-"""The simulated folder, the comparison of both sources, and the template of a new dataset."""
+"""The simulated folder, the metrics of both sources, and the template of a new dataset."""
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import comparison, crops, dataset, frames, metrics, simulation, store, template
+from spotcheck import crops, dataset, frames, metrics, pairs, simulation, store, template
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import FITS, fit_crops
 from spotcheck.instrument import Instrument
@@ -119,18 +119,18 @@ def cropped(base, images):
     return own, fit_crops(own, SENSOR)
 
 
-def test_comparison_by_hand(tmp_path):
+def test_metrics_by_hand(tmp_path):
     """Metrics of each crop, PSNR of the crops at the maximum, means and standard deviations (n − 1) over repeats."""
     both = {}
-    for k, source in enumerate(comparison.SOURCES):
+    for k, source in enumerate(pairs.SOURCES):
         images = [noisy(gaussian(100, 500.0 + 30 * k, 50 + 0.3 * r, 48, 6.0), 10 * k + r) for r in range(3)]
         images[2] = np.full((100, 100), 40, np.uint16) if k == 0 else images[2]
         both[source] = cropped(tmp_path / source, images)
     own, fits = ({s: both[s][k] for s in both} for k in range(2))
-    out = comparison.compare(own, fits, 1023.0)
+    out = pairs.metrics_of_both(own, fits, 1023.0)
     store.check(out, "metrics")
     at = {"angle": 0, "exposure": 0}
-    for source in comparison.SOURCES:
+    for source in pairs.SOURCES:
         image = own[source]["image"].isel(repeat=0, **at).sel(centring="light").values.astype(float)
         got = out.sel(source=source, centring="light").isel(repeat=0, **at)
         assert float(got["sum"]) == pytest.approx(image.sum(), rel=1e-12)
@@ -159,9 +159,9 @@ def test_registration_brings_both_centres_together(tmp_path):
     """Two noise-free spots 0.4 px apart: registered they differ by rounding alone, at the maximum they do not."""
     images = [np.rint(40 + gaussian(100, 800.0, 50 + d, 48 - d, 6.0)).astype(np.uint16) for d in (0.0, 0.4)]
     own, fits = {}, {}
-    for source, image in zip(comparison.SOURCES, images, strict=True):
+    for source, image in zip(pairs.SOURCES, images, strict=True):
         own[source], fits[source] = cropped(tmp_path / source, [image])
-    got = comparison.compare(own, fits, 1023.0)["psnr"].sel(data_range="sensor").values.ravel()
+    got = pairs.metrics_of_both(own, fits, 1023.0)["psnr"].sel(data_range="sensor").values.ravel()
     # Rounding of both images leaves √(2/12) DN at the least, splines and centres as much again: 0.8 DN is 62 dB.
     assert got[1] > 20 * np.log10(1023 / 0.8) > got[0] + 10
     assert metrics.CONTAINER_RANGE == 65535

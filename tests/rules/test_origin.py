@@ -30,7 +30,7 @@ def test_rules_are_those_of_the_snakefile(flats, tmp_path):
             told[path] = maker.rule
     assert told == {path: own[path] for path in told}
     # Each rule whose numbers can be asked for was among them.
-    rules = {"ingest", "crop", "transfer", "sensor", "fit", "calibrate", "simulate", "compare", "bounds", "caustic"}
+    rules = {"ingest", "crop", "transfer", "sensor", "fit", "calibrate", "simulate", "metrics", "bounds", "caustic"}
     rules |= {"precision", "judge", "flats", "paper", "ingest_simulated", "fit_simulated", "simulate_extended"}
     assert rules <= set(told.values())
     assert {path.name for path in own if path.suffix == ".nc"} <= {

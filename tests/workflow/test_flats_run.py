@@ -45,20 +45,11 @@ def written(base: Path, flats=2, darks=2, rate=1.5e6, exposures=EXPOSURES, photo
     return base / "set"
 
 
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory):
-    """Results of the whole workflow on a drawn sensor without faults."""
-    root = tmp_path_factory.mktemp("flats")
-    run = snakemake(config={"dataset": written(root), "results": root / "results"})
-    assert run.returncode == 0, run.stdout + run.stderr
-    return root / "results" / "set"
-
-
 @pytest.mark.slow
 @pytest.mark.xdist_group("flats")
-def test_a_sensor_comes_back(drawn):
+def test_a_sensor_comes_back(flats_run):
     """Each within 3 standard errors of what was drawn (false alarm of the four together 1 %)."""
-    with xr.open_dataset(drawn / "transfer.nc") as ds:
+    with xr.open_dataset(flats_run / "transfer.nc") as ds:
         found = quantities_of(ds)
     # The standard's point of saturation is the last level before the noise is cut: up to one of 20 below the end.
     well = (TOP - BLACK) / GAIN
@@ -69,13 +60,13 @@ def test_a_sensor_comes_back(drawn):
 
 @pytest.mark.slow
 @pytest.mark.xdist_group("flats")
-def test_the_report_shows_it(drawn):
+def test_the_report_shows_it(flats_run):
     """Figures, the table, and a verdict that finds nothing wrong."""
-    page = (drawn / "report.html").read_text(encoding="utf-8")
+    page = (flats_run / "report.html").read_text(encoding="utf-8")
     for name in FIGURES:
-        assert (drawn / "figures" / f"{name}.svg").exists()
+        assert (flats_run / "figures" / f"{name}.svg").exists()
     assert "absolute sensitivity threshold" in page
-    assert json.loads((drawn / "verdict.json").read_text(encoding="utf-8"))["status"] == "consistent"
+    assert json.loads((flats_run / "verdict.json").read_text(encoding="utf-8"))["status"] == "consistent"
 
 
 # What is wrong, a sentence that must be said, and a quantity that is computed nevertheless.

@@ -22,10 +22,10 @@ def judged(folder: Path, root: Path, *targets: str) -> tuple[Path, Path]:
     return folder, root / folder.name
 
 
-@pytest.fixture(scope="module")
-def sample(tmp_path_factory):
+@pytest.fixture
+def sample(sample_run):
     """All that is made of the sample."""
-    return judged(ROOT / "data" / "zscan-sample", tmp_path_factory.mktemp("sample"))
+    return ROOT / "data" / "zscan-sample", sample_run
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def hene(tmp_path_factory):
     folder = SHARED / "data" / "hene-zscan"
     if not folder.exists():
         pytest.skip(f"{folder.name}: the real frames are not on this machine")
-    return judged(folder, tmp_path_factory.mktemp("hene"), "--until", "compare", "caustic")
+    return judged(folder, tmp_path_factory.mktemp("hene"), "--until", "metrics", "caustic")
 
 
 @pytest.fixture(params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in ("sample", "hene")])

@@ -167,6 +167,27 @@ def results(wildcards):
     return [f"{results_folder(wildcards)}/{name}" for name in names]
 
 
+def compared():
+    """Names of the datasets to compare. Ends the run where there is one alone."""
+    if len(DATASETS) < 2:
+        sys.exit(
+            f"spotcheck: config: {next(iter(DATASETS))} is one dataset alone; name two or more to compare,"
+            ' as in --config "datasets=[before, after]"'
+        )
+    return list(DATASETS)
+
+
+def compared_files(name):
+    """What the comparison takes of a dataset: its results, its verdict, and the report that it links to."""
+    wildcards, folder = SimpleNamespace(dataset=name), OUT.format(dataset=name)
+    return sorted({*results(wildcards), f"{folder}/verdict.json", f"{folder}/report.html"})
+
+
+def views(wildcards):
+    """What the report shows of each frame, where there are spots."""
+    return f"{results_folder(wildcards)}/views.nc" if DATASETS[wildcards.dataset].spots else []
+
+
 def simulated_folder(wildcards):
     """Folder of the simulated dataset."""
     return f"{results_folder(wildcards)}/simulated"

@@ -1,22 +1,21 @@
 rule compare:
     input:
-        crops=[rules.crop.output, rules.crop_simulated.output],
-        fits=[rules.fit.output, rules.fit_simulated.output],
-        sensor=rules.sensor.output,
+        lambda wildcards: [file for name in compared() for file in compared_files(name)],
     output:
-        f"{OUT}/metrics.nc",
+        page=f"{config['results']}/comparison.html",
+        table=f"{config['results']}/comparison.nc",
     log:
-        f"{OUT}/logs/compare.log",
+        f"{config['results']}/logs/compare.log",
     benchmark:
-        f"{OUT}/benchmarks/compare.tsv"
+        f"{config['results']}/benchmarks/compare.tsv"
     threads: 1
     resources:
         mem_mb=memory(500),
         runtime=minutes(10),
     params:
+        folders=[OUT.format(dataset=name) for name in DATASETS],
         code=code("compare"),
     message:
-        "Comparing measured and simulated frames of {wildcards.dataset}"
+        "Comparing {params.folders}"
     shell:
-        "spotcheck compare --crops {input.crops:q} --fits {input.fits:q} --sensor {input.sensor:q} --output {output:q}"
-        " 2>&1 | tee {log:q}"
+        "spotcheck compare {params.folders:q} --page {output.page:q} --output {output.table:q} 2>&1 | tee {log:q}"

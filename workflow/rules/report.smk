@@ -40,10 +40,16 @@ rule report:
         results,
         rules.tables.output,
         paper_tables,
+        views,
         figures=rules.figures.output,
         chain=rules.chain.output,
     output:
-        f"{OUT}/report.html",
+        report(
+            f"{OUT}/report.html",
+            caption="../report/report.rst",
+            category="Report",
+            labels={"dataset": "{dataset}", "page": "all of it"},
+        ),
     log:
         f"{OUT}/logs/report.log",
     benchmark:

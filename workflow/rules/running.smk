@@ -23,9 +23,11 @@ def hold(name):
 
 
 def is_of(path, names):
-    """Whether a file is a result of one of these datasets, or a frame that the rig makes for it."""
+    """Whether a file is a result of one of these datasets, their comparison, or a frame that the rig makes for it."""
     folders = [RESULTS[name] for name in names] + [DATASETS[name].folder for name in names if has_rig(DATASETS[name])]
-    return any(Path(path).absolute().is_relative_to(folder) for folder in folders)
+    file = Path(path).absolute()
+    compared = file.with_suffix("") == Path(config["results"], "comparison").absolute()
+    return compared or any(file.is_relative_to(folder) for folder in folders)
 
 
 def locks_on(names):

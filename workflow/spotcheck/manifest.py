@@ -17,6 +17,8 @@ KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
 # The column that gives the light of a flat.
 PHOTONS = "photons_per_px"
+# The column that says when a frame was taken (ISO 8601); only the comparison of datasets asks for it.
+DATE = "date"
 ALIKE_TWICE = (
     f"every frame must be named once, with a repeat of its own (exposures within {100 * EXPOSURE_PART:g} % are one)"
 )
@@ -85,7 +87,7 @@ def _rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list[tupl
         for number, line in enumerate(re.split(r"\r\n|\r|\n", read_text(path)), start=1)
         if line.strip(" ,") and not (_is_comment(line, path.parent) or (number == 1 and SEPARATOR.fullmatch(line)))
     ]
-    known = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, *conditions)}
+    known = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, *conditions)}
     try:
         reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
         columns = [known.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]

@@ -164,7 +164,7 @@ def simulate_extended(
         # As in the verdict: without exposures nobody knows what a dark current per second brings.
         sensor = sensor._replace(dark_current_e_per_s=0.0)
     side = dataset.instrument.crop_px
-    _check_model(dataset, model, baseline, sensor, name)
+    check_model(dataset, model, baseline, sensor, name)
     centres = _centres(dataset, model)
     # Positions stay the sensor's own: pedestals, fringes and smear refer to its whole frame.
     left, right = _window(centres[:, 0], side, model.columns)
@@ -180,7 +180,8 @@ def simulate_extended(
     write_contract(dataset, folder, _simulated_instrument(dataset, sensor))
 
 
-def _check_model(dataset: Dataset, model: Extended, baseline: Baseline, sensor: SensorModel, name: str) -> None:
+def check_model(dataset: Dataset, model: Extended, baseline: Baseline, sensor: SensorModel, name: str) -> None:
+    """Raise `InputError` for a model, of a file of that name, that does not fit the instrument or the design."""
     budget, crop = baseline.photon_budget, dataset.instrument.crop_px
     if not dataset.spots:
         raise InputError("manifest.csv: has no frame of kind spot; there is nothing to simulate")

@@ -45,12 +45,14 @@ class ContractError(ValueError):
 
 
 class Variable(NamedTuple):
-    """A variable to be filled frame by frame: dimensions beyond the grid, type, unit, meaning."""
+    """A variable to be filled frame by frame: dimensions beyond the grid, type, unit, meaning; the step of a float that
+    is kept as an unsigned integer (None: kept as it is), whose largest number stands for NaN."""
 
     dims: tuple[str, ...]
     dtype: str
     units: str
     long_name: str
+    step: float | None = None
 
 
 def status_attributes() -> dict[str, Any]:
@@ -192,11 +194,13 @@ class FrameWriter:
             shape = tuple(nc.dimensions[d].size for d in dims)
             chunks = (1,) * len(grid_dims) + shape[len(grid_dims) :]
             # Integers get no fill value: xarray would turn them into floats on reading.
-            fill = np.nan if spec.dtype.startswith("f") else None
+            fill = np.nan if spec.dtype.startswith("f") else None if spec.step is None else np.iinfo(spec.dtype).max
             variable = nc.createVariable(
                 name, spec.dtype, dims, zlib=True, complevel=1, chunksizes=chunks, fill_value=fill
             )
             variable.setncatts({"units": spec.units, "long_name": spec.long_name})
+            if spec.step is not None:
+                variable.scale_factor = spec.step
             if name == "status":
                 variable.setncatts(status_attributes())
             if fill is None:
@@ -205,7 +209,8 @@ class FrameWriter:
     def put(self, index: tuple[int, ...], values: Mapping[str, Any]) -> None:
         """Write the values of one frame at `index` on the grid."""
         for name, value in values.items():
-            self._nc.variables[name][index] = value
+            variable = self._nc.variables[name]
+            variable[index] = np.ma.masked_invalid(value) if "scale_factor" in variable.ncattrs() else value
 
 
 def read(path: str | Path) -> xr.Dataset:

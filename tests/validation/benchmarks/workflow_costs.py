@@ -17,7 +17,7 @@ from tests.validation.benchmarks.table import Figure, Limit, Part, Table
 
 ROOT = Path(__file__).parents[3]
 BIN = Path(sys.executable).parent
-STAGES = ("ingest", "crop", "sensor", "fit", "calibrate", "simulate", "compare", "precision")
+STAGES = ("ingest", "crop", "sensor", "fit", "calibrate", "simulate", "metrics", "precision")
 
 
 def run_default(cores: int, results: Path) -> float:
@@ -59,8 +59,8 @@ def command_of(stage: str, data: Path, out: Path) -> list[str]:
             *("simulate", str(data), "--calibration", given["calibration"], *fits, *sensor, "--seed", "1"),
             *("--folder", str(out / "simulated"), "--output", given["simulated"]),
         ],
-        "compare": [
-            *("compare", *crops, given["crops"], *fits, given["fits"], *sensor),
+        "metrics": [
+            *("metrics", *crops, given["crops"], *fits, given["fits"], *sensor),
             *("--output", str(out / "metrics.nc")),
         ],
         "precision": [

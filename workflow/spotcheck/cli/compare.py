@@ -1,30 +1,29 @@
-"""`spotcheck compare`: metrics.nc."""
+"""`spotcheck compare`: comparison.html and comparison.nc."""
 
 import argparse
+from pathlib import Path
 
 from spotcheck import provenance, store
-from spotcheck.comparison import compare
+from spotcheck.comparison.sets import sources_of
+from spotcheck.comparison.table import compare
+from spotcheck.comparison.written import dataset_of
+from spotcheck.pages import compared
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
-    parser.add_argument("--crops", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="crops.nc of both")
-    parser.add_argument("--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both")
-    parser.add_argument("--sensor", required=True, help="sensor.nc")
-    parser.add_argument("--output", required=True, help="metrics.nc to write")
+    parser.add_argument(
+        "results", nargs="+", type=Path, help="results folders of two datasets or more, the first is the reference"
+    )
+    parser.add_argument("--page", required=True, type=Path, help="page to write")
+    parser.add_argument("--output", required=True, type=Path, help="comparison.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Evaluate measured and simulated frames by the same functions."""
-    names = ("measured", "simulated")
-    crops = {name: store.read(path) for name, path in zip(names, args.crops, strict=True)}
-    fits = {name: store.read(path) for name, path in zip(names, args.fits, strict=True)}
-    with store.read(args.sensor) as sensor:
-        found = compare(crops, fits, float(sensor["full_scale_dn"]))
-    store.write(
-        found,
-        args.output,
-        code=provenance.code_digest(__name__),
-        inputs=[*args.crops, *args.fits, args.sensor],
-    )
-    print(f"{int(found['psnr'].notnull().sum() / 4)} pairs of frames compared")
+    """Set the datasets side by side, and write the page and the numbers."""
+    found = compare(args.results)
+    code = provenance.code_digest(__name__)
+    store.write(dataset_of(found), args.output, code=code, inputs=sources_of(args.results))
+    compared.write(found, args.page, code)
+    changed = sum(any(row.changed) for row in found.rows)
+    print(f"{args.page}: {changed} of {len(found.rows)} quantities changed beyond their errors")

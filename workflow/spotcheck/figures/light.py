@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
+from spotcheck.dataset import Dataset
 from spotcheck.figures import style
 from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results
@@ -16,9 +17,9 @@ SHOWN = 4.0
 LEAST = 1e-4
 
 
-def declared(results: Results, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def declared_shape(dataset: Dataset, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """The declared shape at places in σ_g [row, column], its peak 1."""
-    baseline = of_instrument(results.instrument, results.dataset.exposures)
+    baseline = of_instrument(dataset.instrument, dataset.exposures)
     one = np.ones((1, 1, 1))
     view = chain.View(u[None, None, :], v[None, :, None], 0 * one, 0 * one, one, 0 * one, 0 * one, 0 * one, 0 * one,
                       1.0, 1.0, 0.0, 0.0, 1.0, 1.0)  # fmt: skip
@@ -33,7 +34,7 @@ def draw(results: Results) -> style.Drawing:
     # Of several lights that which is least as declared is drawn.
     every = ds["s"].values[:, inside][:, :, inside]
     s = every[int(np.argmax(np.abs(every).sum(axis=(1, 2))))]
-    before = declared(results, u, u)
+    before = declared_shape(results.dataset, u, u)
     after, end = before + s, 100 * float(np.abs(s).max())
     figure = style.new(4.6, 1.05 * style.WIDTH)
     upper, lower = (own[0] for own in figure.subfigures(2, 1, squeeze=False, height_ratios=(1.25, 1.0)))

@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from spotcheck import store
-from spotcheck.comparison import FROM_FIT
 from spotcheck.figures import series, style
 from spotcheck.figures.entry import METRICS, Category, Entry
 from spotcheck.figures.frames_of import UNTRUSTED
 from spotcheck.figures.results import Results
 from spotcheck.metrics import CONTAINER_RANGE, PER_IMAGE, Metric
+from spotcheck.pairs import FROM_FIT
 
 CENTRED_LIGHT = "crops centred on the light"
 

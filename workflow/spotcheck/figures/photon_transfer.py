@@ -1,5 +1,7 @@
 """The sensor by its flats and darks: photon transfer, response, signal-to-noise ratio, and what darks read."""
 
+from typing import NamedTuple
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -30,6 +32,27 @@ def _light(ds: xr.Dataset) -> tuple[np.ndarray, str]:
         return photons, "photons per pixel $\\mu_p$"
     factor, unit = style.scale(ds["flat_exposure"].values, "s")
     return ds["flat_exposure"].values * factor, style.label("exposure time $t$", unit)
+
+
+class Response(NamedTuple):
+    """Light of every flat, which levels the straight line of the response is fitted to, its slope and offset [DN]."""
+
+    light: np.ndarray
+    used: np.ndarray
+    slope: float
+    offset: float
+
+    def of(self, light: np.ndarray) -> np.ndarray:
+        """Signal [DN] of the straight line."""
+        return self.slope * light + self.offset
+
+
+def response_line(ds: xr.Dataset) -> Response:
+    """The line of least relative squares through the levels that EMVA 1288 takes for linearity."""
+    light, signal, top = _light(ds)[0], ds["signal"].values, int(ds["saturation"])
+    end = signal[top] if top >= 0 else signal.max()
+    use = (signal >= LINEAR[0] * end) & (signal <= LINEAR[1] * end)
+    return Response(light, use, *map(float, np.polyfit(light[use], signal[use], 1, w=1 / signal[use])))
 
 
 def transfer(results: Results) -> style.Drawing:
@@ -74,23 +97,19 @@ def transfer(results: Results) -> style.Drawing:
 def response(results: Results) -> style.Drawing:
     """Signal against light, and its deviation from the line of the linearity error."""
     ds, found = _open(results, "linearity_error")
-    light, name = _light(ds)
-    signal, error = ds["signal"].values, ds["flat_mean_stderr"].values
-    top = int(ds["saturation"])
-    end = signal[top] if top >= 0 else signal.max()
-    use = (signal >= LINEAR[0] * end) & (signal <= LINEAR[1] * end)
-    slope, offset = np.polyfit(light[use], signal[use], 1, w=1 / signal[use])
+    name, line = _light(ds)[1], response_line(ds)
+    signal, error, light, use = ds["signal"].values, ds["flat_mean_stderr"].values, line.light, line.used
     figure = style.new(3.0)
     left, right = figure.subplots(1, 2)
     for ax, values, bars in (
         (left, signal, error),
-        (right, 100 * (signal / (slope * light + offset) - 1), 100 * error / np.abs(signal)),
+        (right, 100 * (signal / line.of(light) - 1), 100 * error / np.abs(signal)),
     ):
         ax.errorbar(light[~use], values[~use], bars[~use], fmt="o", color="0.6", markersize=3, capsize=0)
         ax.errorbar(light[use], values[use], bars[use], fmt="o", color=style.MEASURED, markersize=3, capsize=0)
         ax.set_xlabel(name)
     reach = np.array([0.0, light[use].max()])
-    left.plot(reach, slope * reach + offset, color=style.SIMULATED)
+    left.plot(reach, line.of(reach), color=style.SIMULATED)
     right.axhline(0, color=style.SIMULATED)
     most = 1.6 * max(abs(found["linearity_lowest"].value), abs(found["linearity_highest"].value))
     right.set_ylim(-most, most)

@@ -168,6 +168,11 @@ def _quoted(text: str) -> str:
 # Reading.
 
 
+def why_none(path: Path) -> str:
+    """Why a file holds no model; empty where it holds one."""
+    return str(read_keys(path).get("why_not", ""))
+
+
 def read_model(path: Path) -> Extended:
     """The model of a file. Raises `InputError` for whatever is wrong with it but bounds (`check_bounds`)."""
     content = read_keys(path)

@@ -1,4 +1,8 @@
-"""Pages written by rules: tables of equations and symbols, the paper's numbers, the report."""
+"""Pages written by rules: tables of equations and symbols, the paper's numbers, the report.
+
+All share one shell, page.html with the style of page.css; one with plots takes plots.js and Plotly besides (`plots`). A
+page is one file that fetches nothing.
+"""
 
 from pathlib import Path
 from typing import Any

@@ -13,7 +13,7 @@ from spotcheck.cli import main as command
 from spotcheck.estimate.photon_transfer import QUANTITIES
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.pages.report import ranges
+from spotcheck.pages.report.tables import ranges
 from tests.validation.benchmarks import gain
 from tests.validation.generators.real import levels
 from tests.validation.generators.real.emva import reference

@@ -121,26 +121,27 @@ def _effects(document: dict[str, Any]) -> str:
     tied = [own for own in document["effects"] if len(own["candidates"]) > 1]
     told = []
     if alone:
-        told.append("; besides, ".join(_effect(own, document) for own in alone[:IN_FULL]))
+        told.append("; besides, ".join(effect_text(own, document) for own in alone[:IN_FULL]))
     if alone[IN_FULL:]:
         told.append(f"also found: {list_text([_short(own) for own in alone[IN_FULL:]])}")
-    told += [_either(own, document) for own in tied]
+    told += [either_text(own, document) for own in tied]
     return " ".join(f"{text[0].upper()}{text[1:]}." for text in told)
 
 
-def _effect(own: dict[str, Any], document: dict[str, Any]) -> str:
+def effect_text(own: dict[str, Any], document: dict[str, Any]) -> str:
     """What an effect does, with its name and values."""
     light = document["light"] if own["name"] == LIGHT else None
     return _light(light) if light else f"{_does(own['name'])} ({_with_values(own)})"
 
 
-def _either(own: dict[str, Any], document: dict[str, Any]) -> str:
+def either_text(own: dict[str, Any], document: dict[str, Any]) -> str:
     """An effect and those that may stand in its place."""
     others = [f"{_does(name)} ({name})" for name in own["candidates"][1:]]
     times = own["evidence"]["weight"] / max(rival["weight"] for rival in own["evidence"]["rivals"])
     shown = f"{times:.2g}" if times < 99.5 else f"{times:.0f}"
     likelier = f"; the first is {shown} times as likely" if times >= LIKELIER else ""
-    return f"either {_effect(own, document)}, or {list_text(others, ', or ')}: these frames cannot tell which{likelier}"
+    either = f"either {effect_text(own, document)}, or {list_text(others, ', or ')}"
+    return f"{either}: these frames cannot tell which{likelier}"
 
 
 def _light(light: dict[str, Any]) -> str:

@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
-UNITS = {"1": "", "deg": "°", "degree": "°"}
+UNITS = {"1": "", "deg": "°", "degree": "°", "pixel": "px"}
+# Units that are told with a prefix, as exposures and beams span powers of ten.
+WITH_PREFIX = ("s", "m", "rad")
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: ""}
 # An error that begins with less than this has two digits.
 TWO_DIGITS = 3.55
@@ -21,10 +23,10 @@ def value_text(value: float | None, stderr: float | None, unit: str) -> str:
     if value is None or not np.isfinite(value):
         return "no value"
     unit = UNITS.get(unit, unit)
-    if unit == "s" and value:
+    if unit in WITH_PREFIX and value:
         power = int(np.clip(3 * np.floor(np.log10(abs(value)) / 3), -9, 0))
         value, stderr = value / 10.0**power, None if stderr is None else stderr / 10.0**power
-        unit = PREFIXES[power] + "s"
+        unit = PREFIXES[power] + unit
     tail = unit if unit in ("", "°") else f" {unit}"
     if stderr is None or not np.isfinite(stderr) or stderr <= 0:
         text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"

@@ -1,17 +1,15 @@
-"""The report: one self-contained page of a dataset's figures, tables, what was skipped, and why."""
+"""Tables of the report as rows of text: the verdict, sensor, p1 and p2, fits, precision, the paper's numbers."""
 
-import base64
 import csv
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from spotcheck import optics, store
+from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.verdict.words import condition_text, percent_text, value_text
+from spotcheck.discrepancy.verdict.words import condition_text, digits_of, percent_text, value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import beam_rows
 from spotcheck.estimate.fits import preferred
@@ -19,84 +17,19 @@ from spotcheck.estimate.fitted import PARAMETERS
 from spotcheck.estimate.photon_transfer import QUANTITIES as MEASURED
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.precision import sentence
-from spotcheck.estimate.sensor import QUANTITIES, SOURCES
+from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.figures.entry import Category
 from spotcheck.model.effects import built_in, vocabulary
-from spotcheck.model.spot import TOP_HAT_RADIUS
-from spotcheck.pages import write_page
-from spotcheck.pages.table3 import parameters
+from spotcheck.pages.cited import Cited
+from spotcheck.pages.report.spoken import numbers_in
 from spotcheck.paper.level import readings
 
-# Vector pictures above this size are shown as PNG: a page must open at once.
-LARGEST_SVG = 400_000
 # Rows of the table of fits; all of them are in fits.nc.
 MOST_FITS = 200
-# Rows of the table of places; all of them are in verdict.json.
 
 
-def write(dataset: Dataset, results: Path, path: Path) -> None:
-    """Write report.html from what lies in a results folder."""
-    index = json.loads((results / "figures" / "index.json").read_text(encoding="utf-8"))
-    files = {f.stem: store.read(f).load() for f in sorted(results.glob("*.nc")) if f.stem not in ("crops", "simulated")}
-    stages = [(name, ds.attrs["skipped"]) for name, ds in files.items() if "skipped" in ds.attrs]
-    if not dataset.spots:
-        why = "the manifest names no frame of kind spot: crops, fits and all else that follows from them"
-        stages.append(("spots", why))
-    figures = [f | {"image": _image(results / "figures", f["name"])} for f in index["figures"]]
-    content: dict[str, Any] = {
-        "title": dataset.title,
-        "dataset": dataset,
-        "frames": _frames(files["frames"]),
-        "not_recorded": [axis.name for axis in dataset.axes if axis.values is None] if dataset.spots else [],
-        "skipped": stages,
-        "skipped_figures": _by_reason(index["skipped"]),
-        "figures": [f for f in figures if f["category"] != Category.MISSING.value],
-        "missing": _missing(results / "verdict.json"),
-        "missing_figures": [f for f in figures if f["category"] == Category.MISSING.value],
-        "chain": _image(results / "chain", "fig06"),
-        "sensor": _sensor(files.get("sensor")),
-        "sources_of_sensor": SOURCES,
-        "transfer": _transfer(files.get("transfer")),
-        "calibration": _calibration(files.get("calibration")),
-        "caustic": _caustic(files.get("caustic")),
-        "precision": _precision(files.get("precision")),
-        "remarks": [(name, text) for name, ds in files.items() for text in store.remarks_of(ds)],
-        "flagged": _flagged(dataset, files.get("fits")),
-        "parameters": parameters(dataset, files, TOP_HAT_RADIUS),
-        "fits": _fits(dataset, files.get("fits")),
-        "fit_text": _fit_text(files.get("fits")),
-        "levels": _levels(dataset, files),
-        "numbers": _numbers(results / "paper_numbers.csv"),
-        "sources": [(name, ds.attrs.get("code_version", "")) for name, ds in files.items()],
-        "magnification": _magnification(dataset),
-    }
-    write_page(path, "report.html", **content)
-
-
-def _by_reason(skipped: list[dict[str, str]]) -> list[tuple[str, list[str]]]:
-    """Titles of the figures that were skipped, by the reason."""
-    out: dict[str, list[str]] = {}
-    for own in skipped:
-        out.setdefault(own["why"], []).append(own["title"])
-    return list(out.items())
-
-
-def _image(folder: Path, name: str) -> str:
-    """A picture as a data address: vector where it is small."""
-    vector = folder / f"{name}.svg"
-    chosen, kind = (vector, "svg+xml") if vector.stat().st_size < LARGEST_SVG else (folder / f"{name}.png", "png")
-    return f"data:image/{kind};base64,{base64.b64encode(chosen.read_bytes()).decode()}"
-
-
-def _magnification(dataset: Dataset) -> float | None:
-    lens = dataset.instrument.optics
-    if lens.focal_length_m is None or lens.working_distance_m is None:
-        return None
-    return optics.magnification(lens.focal_length_m, lens.working_distance_m)
-
-
-def _frames(table: xr.Dataset) -> dict[str, Any]:
+def facts_of(table: xr.Dataset) -> dict[str, Any]:
+    """What frames.nc says of all frames together."""
     kinds, counts = np.unique(table["kind"].values.astype(str), return_counts=True)
     return {
         "kinds": ", ".join(f"{n} {kind}" for kind, n in zip(kinds, counts, strict=True)),
@@ -108,7 +41,8 @@ def _frames(table: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def _sensor(ds: xr.Dataset | None) -> list[dict[str, Any]]:
+def sensor_of(ds: xr.Dataset | None, cite: Cited) -> list[dict[str, Any]]:
+    """The sensor's numbers: that which the chain runs on, and what each source says."""
     if ds is None:
         return []
     rows = []
@@ -117,7 +51,9 @@ def _sensor(ds: xr.Dataset | None) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": long_name,
-                "value": "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}",
+                "value": cite(
+                    "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}", f"sensor.{name}"
+                ),
                 "error": "" if np.isnan(error) else f"± {error:.2g}",
                 "units": units,
                 "source": ds[name].attrs["source"],
@@ -130,7 +66,7 @@ def _sensor(ds: xr.Dataset | None) -> list[dict[str, Any]]:
     return rows
 
 
-def _transfer(ds: xr.Dataset | None) -> dict[str, Any] | None:
+def transfer_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
     """Quantities of EMVA 1288, and remarks on flats and darks."""
     if ds is None:
         return None
@@ -141,7 +77,7 @@ def _transfer(ds: xr.Dataset | None) -> dict[str, Any] | None:
             {
                 "name": MEASURED[own.name][2],
                 "symbol": own.symbol,
-                "value": plus_minus(own.value, own.stderr) if known else "unknown",
+                "value": cite(plus_minus(own.value, own.stderr), f"transfer.{own.name}") if known else "unknown",
                 "unit": "" if own.unit == "1" else own.unit,
                 "why": own.why,
             }
@@ -162,7 +98,8 @@ def ranges(ds: xr.Dataset) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:
+def calibration_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
+    """p1 and p2 by each estimator."""
     if ds is None or "skipped" in ds.attrs:
         return None
     rows = []
@@ -170,15 +107,18 @@ def _calibration(ds: xr.Dataset | None) -> dict[str, Any] | None:
         own = ds.sel({"estimator": name})
         row: dict[str, Any] = {"text": ds.attrs[f"estimator_{name}"], "used": name == ds.attrs["used"]}
         for p in ("p1", "p2"):
-            row[p] = {key: _number(own[f"{p}_{key}"]) for key in ("mean", "sd_all", "sd_angles", "miss")}
+            row[p] = {
+                key: cite(_number(own[f"{p}_{key}"]), f"calibration.{p}_{key}[estimator={name}]")
+                for key in ("mean", "sd_all", "sd_angles", "miss")
+            }
             row[p]["stderr"] = _number(own[f"{p}_stderr"], ".2g")
             row[p]["sd_repeats"] = _number(own[f"{p}_sd_repeats"].mean())
-        row["peak"] = _number(own["peak"], ".4g")
+        row["peak"] = cite(_number(own["peak"], ".4g"), f"calibration.peak[estimator={name}]")
         rows.append(row)
     return {"rows": rows, "laser_width": float(ds["laser_width"]), "converged": bool(ds["likelihood_converged"])}
 
 
-def _fits(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, list[str]]]:
+def fits_of(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, list[str]]]:
     """Frame, and its fitted values with standard errors, for the first frames of a dataset."""
     if fits is None:
         return []
@@ -197,11 +137,12 @@ def _fits(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, list[str
     return rows
 
 
-def _fit_text(fits: xr.Dataset | None) -> str:
+def fit_text(fits: xr.Dataset | None) -> str:
+    """How the spots of the table were fitted."""
     return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['preferred']}"])
 
 
-def _levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
+def levels_of(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
     """Readings of the paper's absolute level beside the calibrated one; None where the data sheet has not all of
     Table 3."""
     calibration, sensor = files.get("calibration"), files.get("sensor")
@@ -222,7 +163,7 @@ def _number(value: xr.DataArray, form: str = ".3f") -> str:
     return format(float(value), form) if np.isfinite(float(value)) else "–"
 
 
-def _caustic(ds: xr.Dataset | None) -> str | None:
+def caustic_of(ds: xr.Dataset | None) -> str | None:
     """Waist, divergence and M² in a sentence for the mean of both axes of a round beam, or for each of them."""
     if ds is None or "skipped" in ds.attrs:
         return None
@@ -242,7 +183,7 @@ def _caustic(ds: xr.Dataset | None) -> str | None:
     )
 
 
-def _precision(ds: xr.Dataset | None) -> dict[str, Any] | None:
+def precision_of(ds: xr.Dataset | None) -> dict[str, Any] | None:
     """The sentence, and scatter over bound of every condition."""
     if ds is None or "skipped" in ds.attrs:
         return None
@@ -268,11 +209,26 @@ def _unit(coordinate: xr.DataArray) -> str:
     return {"degree": "°", "1": ""}.get(units, units)
 
 
-def _missing(path: Path) -> dict[str, Any] | None:
-    """The verdict in rows of text."""
-    if not path.exists():
+def sheet_of(verdict: dict[str, Any] | None, cite: Cited) -> dict[str, Any] | None:
+    """What the data sheet states beside what the frames say."""
+    if not verdict or not verdict["sheet"]:
         return None
-    verdict = json.loads(path.read_text(encoding="utf-8"))
+    rows = [
+        {
+            "name": own["name"].replace("_", " "),
+            "stated": value_text(own["stated"], own["stated_stderr"], own["unit"]),
+            "found": cite(value_text(own["found"], own["stderr"], own["unit"]), f"verdict.sheet.{own['name']}.found"),
+            "moved": f"{own['stated_errors']:.2g}".replace("-", "−"),
+            "contradicts": own["contradicts"],
+        }
+        for own in verdict["sheet"]
+    ]
+    against = sum(row["contradicts"] for row in rows)
+    return {"rows": rows, "hint": f"{against} of {len(rows)} contradicted" if against else "they agree"}
+
+
+def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
+    """The verdict in rows of text."""
     # A run may leave the learned shape out of its vocabulary, but not out of its verdict.
     known = {**built_in(), **vocabulary()}
     effects = [
@@ -280,41 +236,64 @@ def _missing(path: Path) -> dict[str, Any] | None:
             "name": own["name"],
             "text": known[own["name"]].sentence,
             "values": [
-                f"{key} = {value_text(p['value'], p['stderr'], p['unit'])}" for key, p in own["parameters"].items()
+                (key, cite(value_text(p["value"], p["stderr"], p["unit"]), f"verdict.effects.{own['name']}.{key}"))
+                for key, p in own["parameters"].items()
             ],
+            "gain": cite(_plain(own["evidence"]["gain"], ".3g"), f"verdict.effects.{own['name']}.evidence.gain"),
+            "z": cite(_plain(own["evidence"]["z"], ".3g"), f"verdict.effects.{own['name']}.evidence.z"),
+            "cells": own["evidence"]["consistency"]["cells"],
             "rivals": [name for name in own["candidates"] if name != own["name"]],
-            "closed": percent_of(_at_most_all(own["gap_closed"])),
+            "closed": cite(percent_of(_at_most_all(own["gap_closed"])), f"verdict.effects.{own['name']}.gap_closed"),
         }
         for own in verdict["effects"]
     ]
     gap = verdict["gap"]
     shifts = [
-        (name, _plain(own["before"], ".4f"), value_text(own["after"], own["stderr"], own["unit"]))
+        (
+            name,
+            cite(_before(own), f"verdict.baseline_shift.{name}.before"),
+            cite(value_text(own["after"], own["stderr"], own["unit"]), f"verdict.baseline_shift.{name}.after"),
+        )
         for name, own in verdict["baseline_shift"].items()
         if own["before"] is not None and effects
     ]
     limits = [
         (
             own["effect"],
-            "–" if own["value"] is None else f"{own['parameter']} below {value_text(own['value'], None, own['unit'])}",
+            "" if own["value"] is None else own["parameter"],
+            "–"
+            if own["value"] is None
+            else cite(
+                value_text(own["value"], None, own["unit"]), f"verdict.limits.{own['effect']}.{own['parameter']}"
+            ),
             own["why"],
         )
         for own in verdict["limits"]
     ]
     return {
         "status": verdict["status"].replace("_", " "),
-        "sentence": verdict["sentence"].splitlines(),
+        "sentence": [cite.within(line, numbers_in(verdict)) for line in verdict["sentence"].splitlines()],
         "effects": effects,
-        "gap": [(key, _plain(gap[key])) for key in ("before", "after", "noise_floor")] if gap["on"] else [],
+        "gap": [cite(_plain(gap[key]), f"verdict.gap.{key}") for key in ("before", "after", "noise_floor")]
+        if gap["on"]
+        else [],
         "gap_on": gap["on"],
         "closed": percent_of(_at_most_all(gap["closed"])),
         "shifts": shifts,
-        "places": [(own["words"], f"{own['z']:.3g}".replace("-", "−")) for own in verdict["where"]],
+        "places": [
+            (own["words"], cite(_plain(own["z"]), f"verdict.where.{k}.z")) for k, own in enumerate(verdict["where"])
+        ],
         "limits": limits,
         "advice": [(own["frames"], condition_text(own["condition"]), own["separates"]) for own in verdict["advice"]],
         "not_assessed": [(own["effect"], own["why"]) for own in verdict["not_assessed"]],
         "vocabulary": verdict.get("vocabulary"),
     }
+
+
+def _before(own: dict[str, Any]) -> str:
+    """p1 or p2 before, to the digits of the error that it has after."""
+    error = own["stderr"]
+    return _plain(own["before"], ".4g" if not error else f".{max(digits_of(error), 0)}f")
 
 
 def _plain(value: float | None, form: str = ".3g") -> str:
@@ -331,7 +310,7 @@ def percent_of(part: float | None) -> str:
     return "–" if part is None else percent_text(part)
 
 
-def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
+def flagged_of(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
     """Frames, or pixels of them, that something kept from use, with the flags' meanings."""
     if fits is None:
         return []
@@ -349,7 +328,7 @@ def _flagged(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]
     return out
 
 
-def _numbers(path: Path) -> dict[str, Any] | None:
+def numbers_of(path: Path) -> dict[str, Any] | None:
     """Rows of paper_numbers.csv as text, and the shares that hold."""
     if not path.exists():
         return None

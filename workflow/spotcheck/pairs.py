@@ -15,7 +15,7 @@ REGISTRATIONS = ("maximum", "fitted")
 RANGES = ("container", "sensor")
 
 
-def compare(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scale: float) -> xr.Dataset:
+def metrics_of_both(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scale: float) -> xr.Dataset:
     """Metrics of both sources on the grid, PSNR between them, and means and standard deviations (n − 1) over
     repeats. Raises `InputError` where a declared condition bears the name of a metric."""
     measured = crops["measured"]

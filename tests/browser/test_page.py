@@ -1,0 +1,87 @@
+"""What every page must be, whatever its dataset has: whole without a network, readable at any width, by any reader."""
+
+import pytest
+
+from tests.browser.opening import WINDOW, alone, look
+
+# Widths [px] of a telephone, a notebook and a large screen.
+WIDTHS = (380, 1280, 2560)
+SCHEMES = ("light", "dark")
+# Contrast of text against what is behind it, WCAG 2.2, success criterion 1.4.3 (level AA), text of any size.
+LEAST_CONTRAST = 4.5
+# Size [bytes] of a page that opens at once, for 96 frames.
+LARGEST_PAGE = 15_000_000
+
+
+@pytest.fixture(scope="module")
+def opened(chromium, results):
+    """The page from disk, without a network."""
+    with alone(chromium) as own:
+        own.page.goto((results / "report.html").as_uri())
+        yield own
+
+
+@pytest.fixture
+def page(opened):
+    """The same, as a reader finds it: light, folded, at the top."""
+    opened.page.set_viewport_size({"width": WINDOW[0], "height": WINDOW[1]})
+    opened.page.emulate_media(media="screen", color_scheme="light")
+    opened.page.evaluate("looks.unfold(false); scrollTo(0, 0)")
+    return opened.page
+
+
+def test_opens_from_disk_without_a_network(opened):
+    """It asks for nothing elsewhere, and neither its scripts nor the browser complain."""
+    opened.page.evaluate("looks.unfold(true)")
+    assert opened.page.title()
+    assert opened.outside == []
+    assert opened.errors == []
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_overflows_sideways(page, width):
+    """Folded and unfolded, light and dark; what is wider than the window scrolls in a box of its own."""
+    page.set_viewport_size({"width": width, "height": WINDOW[1]})
+    for scheme in SCHEMES:
+        page.emulate_media(color_scheme=scheme)
+        for unfolded in (False, True):
+            page.evaluate("looks.unfold", unfolded)
+            assert look(page, "overflow") == "", f"{scheme}, {'unfolded' if unfolded else 'folded'}"
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_graphs_show_all_their_words(page, width):
+    """No title, note or number of a graph is cut off by its edge."""
+    page.set_viewport_size({"width": width, "height": WINDOW[1]})
+    page.evaluate("looks.unfold(true)")
+    page.evaluate("looks.visit()")
+    assert look(page, "beyond") == ""
+
+
+def test_every_picture_has_an_alternative_text(page):
+    """Images, drawings and graphs say what they show."""
+    assert look(page, "unnamed") == ""
+
+
+def test_headings_are_in_order(page):
+    """One title, and no level left out."""
+    assert look(page, "headings") == ""
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_text_stands_out(page, scheme):
+    """Every text against its background, unfolded."""
+    page.emulate_media(color_scheme=scheme)
+    page.evaluate("looks.unfold(true)")
+    assert look(page, "faint", LEAST_CONTRAST) == ""
+
+
+def test_no_number_is_left_out_by_accident(page):
+    """No text shows what a program writes where it has nothing."""
+    page.evaluate("looks.unfold(true)")
+    assert look(page, "leftovers") == ""
+
+
+def test_size(results):
+    """It opens at once."""
+    assert (results / "report.html").stat().st_size < LARGEST_PAGE

@@ -1,0 +1,161 @@
+"""Parts of the report: sentences of every state, packing of frames, reasons in the table, colours of the style."""
+
+import base64
+import re
+import zlib
+
+import numpy as np
+import pytest
+
+from spotcheck.discrepancy.verdict.document import document
+from spotcheck.figures import style
+from spotcheck.model.sensor import SensorModel
+from spotcheck.pages.cited import Cited
+from spotcheck.pages.report import packed, ranking
+from spotcheck.pages.report.gap import gap_of
+from spotcheck.pages.report.ranking import Deviation
+from spotcheck.pages.report.spoken import spoken
+from spotcheck.views import noise_line, rms_left
+from tests.library.conftest import ROOT
+from tests.library.judgements import JUDGEMENTS, WORDS
+
+# What the first sentence of each state must say, and what is said of the next measurement.
+SAID = {
+    "agreed": ("is what the model says", "Nothing more is needed"),
+    "one": (
+        "the signal stops at a level, below the converter's full scale (saturation, level 521 ± 5 DN)",
+        "No further",
+    ),
+    "four": ("and 3 more effects are at work", "0.6 % of the peak stays unexplained"),
+    "light": ("the light is not a Gaussian: 6 % of its power lies elsewhere", "No further"),
+    "tied": ("either ", "Measure next: 12 frames at an exposure of 1.8 ms and 22.5°"),
+    "tied, three": ("these frames cannot tell which", "No next measurement was found"),
+    "stranger": ("no known effect explains why", "it shows most in row 96"),
+    "untested": ("Nothing could be tested: there is no usable spot frame", "Mend that first"),
+}
+
+
+def verdict_of(name: str) -> dict:
+    """The verdict of a judgement that was put together by hand."""
+    return document(JUDGEMENTS[name][1], "small", light_words=WORDS)
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_every_state_is_said_aloud(name):
+    """The verdict, and what to measure next."""
+    own, (verdict, following) = spoken(verdict_of(name)), SAID[name]
+    assert verdict in own.verdict and following in own.next
+
+
+@pytest.mark.parametrize("name", JUDGEMENTS)
+def test_three_sentences_at_most(name):
+    """Each of them one sentence, with nothing left of what is not known."""
+    for text in spoken(verdict_of(name)):
+        assert text == "" or text.endswith(".")
+        assert not re.search(r"\. [A-Z]|None|nan|\.\.", text), text
+
+
+def test_how_sure_has_its_number():
+    assert "less than once in ten thousand times (p < 0.0001)" in spoken(verdict_of("one")).sure
+    assert "in 32 % of such measurements (p = 0.32)" in spoken(verdict_of("agreed")).sure
+
+
+def test_the_gap_is_shown_where_there_is_one():
+    found = gap_of(verdict_of("one"))
+    assert found is not None
+    assert [(name, text) for name, _, text, _ in found.numbers] == [
+        ("before", "9"), ("after", "1.01"), ("noise alone", "1")
+    ]  # fmt: skip
+    assert gap_of(verdict_of("one, no frames apart")) is None
+
+
+def unpacked(text: str, layers: dict[str, packed.Layer]) -> dict[str, np.ndarray]:
+    """Integers of each layer by the steps that frames.js takes."""
+    whole = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8)
+    size, out = whole.size // len(layers), {}
+    for k, (name, own) in enumerate(layers.items()):
+        low, high = whole[k * size : (k + 1) * size].reshape(2, -1).astype(np.uint16)
+        values = (low | (high << 8)).reshape(own.readings.shape)
+        for _ in range(2 * own.smooth):
+            values = np.cumsum(values, axis=1, dtype=np.uint16)
+        out[name] = values + out[own.beside] if own.beside else values
+    return out
+
+
+@pytest.mark.parametrize("full_scale", (255, 1023, 65535))
+def test_frames_come_back(full_scale):
+    """Measured readings exactly, gaps as such, means to half a step."""
+    rng = np.random.default_rng(5)
+    measured = rng.integers(0, full_scale + 1, (40, 40)).astype(float)
+    smooth = full_scale * np.exp(-((np.arange(40) - 20.0) ** 2) / 50) * np.ones((40, 1))
+    step = packed.step_of(full_scale)
+    layers = {
+        "measured": packed.Layer(measured, 1.0, False),
+        "extended": packed.Layer(smooth, step, True),
+        "without x": packed.Layer(0.7 * smooth, step, True, "extended"),
+    }
+    found = unpacked(packed.packed(layers), layers)
+    np.testing.assert_array_equal(found["measured"], measured)
+    for name in ("extended", "without x"):
+        np.testing.assert_allclose(found[name] * step, layers[name].readings, atol=step / 2)
+    measured[3, 4] = np.nan
+    gaps = {"measured": packed.Layer(measured, 1.0, False)}
+    found = unpacked(packed.packed(gaps), gaps)["measured"]
+    assert found[3, 4] == packed.MISSING and np.sum(found == packed.MISSING) == 1
+
+
+def test_blocks_are_means():
+    """Of whole blocks alone, NaN where one of their pixels is."""
+    image = np.arange(35.0).reshape(5, 7)
+    image[0, 0] = np.nan
+    found = packed.thinned(image, 2)
+    assert found.shape == (2, 3) and np.isnan(found[0, 0])
+    assert found[1, 2] == image[2:4, 4:6].mean()
+
+
+def test_reasons_in_words():
+    own = {"brighter": Deviation(0.2, 0.01), "wider": Deviation(-0.05, 0.001), "right": Deviation(3.0, 0.1),
+           "down": Deviation(-4.0, 0.1)}  # fmt: skip
+    assert ranking.deviations_text(own) == [
+        "20 % brighter than the law says", "5 % narrower than the law says", "5 px off its site's centre"
+    ]  # fmt: skip
+    assert ranking.deviations_text({"brighter": Deviation(0.2, 0.1), "wider": Deviation(0.001, 1e-6)}) == []
+    assert ranking.flags_text(16, "", 1) == ["1 pixel at full scale"]
+    assert ranking.flags_text(256, "", 0) == ["the pixels are those of another frame"]
+
+
+def test_the_place_where_most_is_left():
+    """Four pixels of 50 DN in a noise of 1 DN, seen from the centre; noise alone is not worth a word (of 576 blocks one
+    passes 6 standard deviations once in a million frames)."""
+    noise = np.random.default_rng(2).standard_normal((48, 48))
+    variance = np.ones((48, 48))
+    assert ranking.place_text(noise, variance, (23.5, 23.5)) == ""
+    noise[10:12, 40:42] = 50.0
+    said = ranking.place_text(noise, variance, (23.5, 23.5))
+    assert said == "most is left 17 px to the right and 13 px above the centre: +50 DN"
+
+
+def test_what_is_left_is_in_units_of_the_noise():
+    """Shot, read and rounding noise by their formula (EMVA 1288): K (µ − black) + (K σ)² + 1/12."""
+    sensor = SensorModel(0.11, 13.0, 0.0, np.inf, 12.0, 1023.0)
+    line, mean = noise_line(sensor), np.full((200, 200), 400.0)
+    variance = 0.11 * (400 - 12) + (0.11 * 13) ** 2 + 1 / 12
+    np.testing.assert_allclose(line.variance(mean)[0, 0], variance, rtol=1e-6)
+    measured = mean + np.sqrt(variance) * np.random.default_rng(1).standard_normal(mean.shape)
+    rms, over = rms_left(measured, mean, line)
+    # Of 40,000 pixels: 0.35 % is one standard deviation.
+    assert rms == pytest.approx(np.sqrt(variance), rel=0.02) and over == pytest.approx(1, rel=0.02)
+
+
+def test_a_number_without_a_result_is_plain(tmp_path):
+    """Marked where a result holds it, and escaped in any case."""
+    cite = Cited(tmp_path)
+    assert cite("p < 0.1", "verdict.detection.p_value") == "p &lt; 0.1"
+    assert cite.within("a < b and 3 px", {"3 px": "fits.nothing"}) == "a &lt; b and 3 px"
+
+
+def test_colours_are_those_of_the_figures():
+    """page.css repeats them for a light ground."""
+    text = (ROOT / "workflow/spotcheck/pages/page.css").read_text(encoding="utf-8").upper()
+    for name, own in (("MEASURED", style.MEASURED), ("SIMULATED", style.SIMULATED), ("ACCENT", style.ACCENT)):
+        assert f"--{name}: {own.upper()}" in text

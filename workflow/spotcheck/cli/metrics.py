@@ -1,0 +1,30 @@
+"""`spotcheck metrics`: metrics.nc."""
+
+import argparse
+
+from spotcheck import provenance, store
+from spotcheck.pairs import metrics_of_both
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("--crops", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="crops.nc of both")
+    parser.add_argument("--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both")
+    parser.add_argument("--sensor", required=True, help="sensor.nc")
+    parser.add_argument("--output", required=True, help="metrics.nc to write")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Evaluate measured and simulated frames by the same functions."""
+    names = ("measured", "simulated")
+    crops = {name: store.read(path) for name, path in zip(names, args.crops, strict=True)}
+    fits = {name: store.read(path) for name, path in zip(names, args.fits, strict=True)}
+    with store.read(args.sensor) as sensor:
+        found = metrics_of_both(crops, fits, float(sensor["full_scale_dn"]))
+    store.write(
+        found,
+        args.output,
+        code=provenance.code_digest(__name__),
+        inputs=[*args.crops, *args.fits, args.sensor],
+    )
+    print(f"{int(found['psnr'].notnull().sum() / 4)} pairs of frames evaluated")

@@ -1,0 +1,1 @@
+"""Several datasets side by side: their numbers with errors, what changed beyond them, and trends."""

@@ -1,0 +1,37 @@
+"""Numbers on a page say where they come from: on hover the file, the variable, the rule and its inputs."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from markupsafe import Markup, escape
+
+from spotcheck import origin
+from spotcheck.errors import InputError
+
+
+class Cited:
+    """Text of numbers of one folder of results, marked with where they come from."""
+
+    def __init__(self, results: Path):
+        self.results = results
+
+    def __call__(self, text: str, key: str) -> Markup:
+        """The text of a number with its key, as `spotcheck explain` knows it."""
+        title = self._hover(key)
+        if not title:
+            return escape(text)
+        return Markup('<span class="from" data-key="{}" title="{}">{}</span>').format(key, title, text)
+
+    def within(self, sentence: str, keys: Mapping[str, str]) -> Markup:
+        """A sentence in which the texts of numbers are marked, each where it stands first; `keys` are theirs."""
+        out = escape(sentence)
+        for text, key in keys.items():
+            out = Markup(str(out).replace(str(escape(text)), str(self(text, key)), 1)) if text else out
+        return out
+
+    def _hover(self, key: str) -> str:
+        """Where a number comes from, in a line; "" for what no result holds."""
+        try:
+            return origin.hover(origin.of(self.results, key))
+        except InputError:
+            return ""
