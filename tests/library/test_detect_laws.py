@@ -152,7 +152,7 @@ def test_chance_of_a_peak(count):
     p = []
     for _ in range(400):
         own = [fields.Field(a * rng.standard_normal(a.shape), a**2, np.zeros((2, 3))) for _ in range(count)]
-        p.append(fields.peak_part("", own).p_value)
+        p.append(fields.peak_part("", own, 1).p_value)
     for level in (0.05, 0.2, 0.5):
         assert stats.binomtest(int((np.array(p) < level).sum()), 400, level).pvalue > 1e-3
 

@@ -92,10 +92,12 @@ def test_drawn_fields_correlate_as_they_should(size):
     assert grain.neighbours(size) == pytest.approx(max(np.pi * size**2, 1.0), rel=0.03 if size != 0.8 else 0.1)
 
 
-def test_correlation_from_its_own_law():
-    square = np.array([down**2 + right**2 for down, right in LAGS])
-    for size in (0.5, 1.5, 6.0):
-        own = grain.correlation_of(0.01 * 300 * np.exp(-square / (2 * size**2)), np.full(len(LAGS), 300.0))
+@pytest.mark.parametrize("step", [1, 3])
+def test_correlation_from_its_own_law(step):
+    """The grain is one in pixels, however many lie from one that is looked at to the next."""
+    square = step**2 * np.array([down**2 + right**2 for down, right in LAGS])
+    for size in (0.5 * step, 1.5 * step, 6.0 * step):
+        own = grain.correlation_of(0.01 * 300 * np.exp(-square / (2 * size**2)), np.full(len(LAGS), 300.0), step)
         assert own.variance == pytest.approx(0.01, rel=1e-3) and own.grain == pytest.approx(size, rel=1e-3)
 
 

@@ -52,7 +52,10 @@ def response_line(ds: xr.Dataset) -> Response:
     light, signal, top = _light(ds)[0], ds["signal"].values, int(ds["saturation"])
     end = signal[top] if top >= 0 else signal.max()
     use = (signal >= LINEAR[0] * end) & (signal <= LINEAR[1] * end)
-    return Response(light, use, *map(float, np.polyfit(light[use], signal[use], 1, w=1 / signal[use])))
+    # Two levels lie on any straight line.
+    known = use.sum() > 2
+    slope, intercept = np.polyfit(light[use], signal[use], 1, w=1 / signal[use]) if known else (np.nan, np.nan)
+    return Response(light, use, float(slope), float(intercept))
 
 
 def transfer(results: Results) -> style.Drawing:

@@ -99,9 +99,11 @@ function addImage(data, layout, panel, id, first, last, look) {
     hovertemplate: `row %{y:.0f}, column %{x:.0f}<br>${panel.title}: %{${log ? "customdata" : "z"}:.5~g} ${scale.unit}<extra></extra>`,
   });
   const linked = id && look.linked ? { matches: "x" } : {}, linkedY = id && look.linked ? { matches: "y" } : {};
-  Object.assign(layout[`xaxis${id}`], linked, { range: look.x, showgrid: false, zeroline: false, constrain: "domain",
+  // Of images that move together none may shrink alone.
+  const constrain = look.linked ? "range" : "domain";
+  Object.assign(layout[`xaxis${id}`], linked, { range: look.x, showgrid: false, zeroline: false, constrain,
     showticklabels: last, title: last ? { text: "column / px", standoff: 4 } : undefined, nticks: 4 });
-  Object.assign(layout[`yaxis${id}`], linkedY, { range: look.y, showgrid: false, zeroline: false, constrain: "domain",
+  Object.assign(layout[`yaxis${id}`], linkedY, { range: look.y, showgrid: false, zeroline: false, constrain,
     ...(id && look.linked ? {} : { scaleanchor: `x${id}` }), showticklabels: first, title: first ? { text: "row / px", standoff: 4 } : undefined, nticks: 4 });
   layout[scale.axis] = colourAxis(scale, look);
 }
@@ -194,7 +196,7 @@ function profilePanel(frame, all, names, along, log) {
     hovertemplate: `${INDEX.names[name]}: %{y:.5~g} DN<extra></extra>`,
   }));
   const title = along === "x" ? "column / px" : "row / px";
-  return { kind: "profile", title: along === "x" ? "along the row through the centre" : "along the column through the centre", traces,
+  return { kind: "profile", title: along === "x" ? "along the centre's row" : "along the centre's column", traces,
     xaxis: { title: { text: title, standoff: 4 }, nticks: 5 },
     yaxis: { title: { text: "reading / DN", standoff: 4 }, type: log ? "log" : "linear", rangemode: "tozero" } };
 }
@@ -207,7 +209,7 @@ async function drawViewer() {
   const reading = readingScale([all.measured, ...names.map((name) => all[name])], log), rest = residualScale(left, overNoise);
   const narrow = viewer.clientWidth < 700;
   const images = [imagePanel(frame, "measured", all.measured, reading), ...names.map((name) => imagePanel(frame, INDEX.names[name], all[name], reading))];
-  const rests = names.map((name, k) => imagePanel(frame, `measured − ${INDEX.names[name]}`, left[k], rest));
+  const rests = names.map((name, k) => imagePanel(frame, `${narrow ? "left by" : "measured −"} ${INDEX.names[name]}`, left[k], rest));
   const profile = (along) => profilePanel(frame, all, names, along, log);
   const panels = narrow ? [...images, ...rests, profile("x"), profile("y")] : [...images, [profile("x"), profile("y")], ...rests];
   const rowCount = Math.ceil(panels.length / (narrow ? 1 : 3)), side = narrow ? viewer.clientWidth - 140 : (viewer.clientWidth - 190) / 3;
