@@ -17,7 +17,7 @@ AT_HOME = ("file:", "data:", "blob:", "about:")
 # How long [ms] anything on a page may take: ten times what it takes on two cores that others use as well.
 PATIENCE = 60_000
 # How long [s] a page may look wrong after a change of the window: graphs are drawn anew behind it.
-REST = 3.0
+REST = 15.0
 
 
 class Opened(NamedTuple):
