@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import pytest
 from playwright.sync_api import Browser, Error
 
-from tests.browser.opening import executable, started
+from tests.browser.opening import executable, from_disk, started
 from tests.conftest import ROOT
 
 CODE_OF_PAGES = ROOT / "workflow" / "spotcheck" / "pages"
@@ -41,6 +41,13 @@ def default_run():
 def results(request):
     """A results folder with its page."""
     return request.getfixturevalue(request.param)
+
+
+@pytest.fixture(scope="module")
+def opened(chromium, results):
+    """The page from disk, without a network."""
+    with from_disk(chromium, results / "report.html") as own:
+        yield own
 
 
 @pytest.fixture(scope="package")

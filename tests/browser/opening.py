@@ -52,6 +52,14 @@ def alone(browser: Browser, window: tuple[int, int] = WINDOW, **options: Any) ->
     context.close()
 
 
+@contextmanager
+def from_disk(browser: Browser, path: Path, **options: Any) -> Iterator[Opened]:
+    """A page from disk, without a network."""
+    with alone(browser, **options) as own:
+        own.page.goto(path.resolve().as_uri())
+        yield own
+
+
 def watched(context: BrowserContext) -> Opened:
     """A new page that remembers what it asks for and what goes wrong in it."""
     page = context.new_page()

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from tests.browser.opening import WINDOW, alone, started
+from tests.browser.opening import WINDOW, from_disk, started
 
 # Name, window [px], colour scheme, whether folds are open, whether the whole page is shown.
 SHOTS = (
@@ -25,15 +25,13 @@ def taken(results: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     with started() as browser:
         for name, window, scheme, unfolded, whole in SHOTS:
-            with alone(browser, window, color_scheme=scheme) as opened:
+            with from_disk(browser, results / "report.html", window=window, color_scheme=scheme) as opened:
                 page = opened.page
-                page.goto((results / "report.html").resolve().as_uri())
                 page.evaluate("looks.unfold", unfolded)
                 page.evaluate("looks.visit()")
                 page.wait_for_timeout(PAUSE)
                 page.screenshot(path=out / f"{name}.png", full_page=whole)
-        with alone(browser) as opened:
-            opened.page.goto((results / "report.html").resolve().as_uri())
+        with from_disk(browser, results / "report.html") as opened:
             opened.page.pdf(path=out / "printed.pdf")
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from spotcheck.comparison.table import compare
 from spotcheck.pages import compared
-from tests.browser.opening import WINDOW, alone, look
+from tests.browser.opening import WINDOW, from_disk, look
 from tests.browser.test_page import LEAST_CONTRAST, SCHEMES, WIDTHS
 from tests.library.test_comparison import row, sets
 
@@ -22,8 +22,7 @@ def opened(chromium, found, tmp_path_factory):
     """Their page from disk, without a network."""
     path = tmp_path_factory.mktemp("page") / "comparison.html"
     compared.write(found, path, "c0de")
-    with alone(chromium) as own:
-        own.page.goto(path.as_uri())
+    with from_disk(chromium, path) as own:
         yield own
 
 

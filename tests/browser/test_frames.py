@@ -7,7 +7,7 @@ import pytest
 
 from spotcheck import store
 from tests.browser.conftest import RESULTS
-from tests.browser.opening import REST, WINDOW, alone
+from tests.browser.opening import REST, WINDOW
 
 # Half of the step [DN] in which the page keeps means of models, 0.25 DN, and the rounding of floats of 32 bits.
 STEP = 0.125 + 0.01
@@ -26,14 +26,6 @@ MODELS = {"declared": "declared model", "extended": "extended model", "simulated
 def results(request):
     """A results folder with spots."""
     return request.getfixturevalue(request.param)
-
-
-@pytest.fixture(scope="module")
-def opened(chromium, results):
-    """The page from disk, without a network."""
-    with alone(chromium) as own:
-        own.page.goto((results / "report.html").as_uri())
-        yield own
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.browser.opening import WINDOW, alone, look
+from tests.browser.opening import WINDOW, look
 
 # Widths [px] of a telephone, a notebook and a large screen.
 WIDTHS = (380, 1280, 2560)
@@ -11,14 +11,6 @@ SCHEMES = ("light", "dark")
 LEAST_CONTRAST = 4.5
 # Size [bytes] of a page that opens at once, for 96 frames.
 LARGEST_PAGE = 15_000_000
-
-
-@pytest.fixture(scope="module")
-def opened(chromium, results):
-    """The page from disk, without a network."""
-    with alone(chromium) as own:
-        own.page.goto((results / "report.html").as_uri())
-        yield own
 
 
 @pytest.fixture

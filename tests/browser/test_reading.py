@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.browser.opening import WINDOW, alone, look, tabbed
+from tests.browser.opening import WINDOW, from_disk, look, tabbed
 from tests.browser.test_page import LEAST_CONTRAST, SCHEMES
 
 # Width [px] of what a sheet of A4 shows between margins of 1 cm, at 96 px an inch.
@@ -16,8 +16,7 @@ PAPER = 718
 @pytest.fixture
 def page(chromium, results):
     """The page from disk, seen once from top to bottom."""
-    with alone(chromium) as own:
-        own.page.goto((results / "report.html").as_uri())
+    with from_disk(chromium, results / "report.html") as own:
         own.page.evaluate("looks.visit()")
         yield own.page
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from tests.browser.test_frames import held, opened, page, results  # noqa: F401
+from tests.browser.test_frames import held, page, results  # noqa: F401
 
 TABLE = "#table table"
 

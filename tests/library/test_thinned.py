@@ -9,7 +9,7 @@ from spotcheck.discrepancy.evidence.patterns import gathered, shared, variance_o
 from spotcheck.discrepancy.evidence.pixels import Ready
 from spotcheck.discrepancy.evidence.stripes import stripes_of
 from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.observe.frames import MOST_PIXELS, Setting, observed, thinned
+from spotcheck.discrepancy.observe.frames import MOST_PIXELS, Setting, observed, thinned, whole
 from spotcheck.discrepancy.observe.shots import Shot
 from spotcheck.discrepancy.verdict.document import document
 from spotcheck.model.baseline import Baseline
@@ -84,6 +84,8 @@ def test_a_wide_spot_on_many_pixels_is_judged_by_some_of_them():
     setting = Setting(Baseline(0.0, "linear", False, 1e-3), SENSOR, (0.0, 0.0, 0.0), 420, 420)
     # Of six repeats four are searched.
     assert 4 * side**2 > MOST_PIXELS and observed(shots, setting).frames[0].step == STEP
+    # What stands beside measured frames has all their pixels.
+    assert {own.pixels.shape for own in whole(shots, setting).frames} == {(side, side)}
     found = judge(shots, setting, list(vocabulary().values()))
     assert document(found, "wide")["detection"]["every_px"] == STEP
     own = {one.own.effect.name: one for one in found.found}

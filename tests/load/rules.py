@@ -7,14 +7,12 @@ asked for.
 import argparse
 import ast
 import csv
-import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.conftest import ROOT, environment, small_rig_dataset
+from tests.conftest import small_rig_dataset, snakemake
 from tests.load.rows import Row, write
 
 # Frames of one repeat of the small dataset.
@@ -43,11 +41,9 @@ def main() -> None:
 def jobs_of(folder: Path) -> dict[str, Job]:
     """The jobs of a whole run on a dataset, by rule. RuntimeError with its last lines where it fails."""
     results = folder.with_name("results")
-    command = [sys.executable, "-m", "snakemake", "--cores", "2", "--nolock", "--benchmark-extended"]
-    command += ["--config", f"dataset={folder}", f"results={results}"]
-    run = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, check=False)
+    run = snakemake("--benchmark-extended", config={"dataset": folder, "results": results})
     if run.returncode:
-        raise RuntimeError(f"the run on {folder.name} failed:\n" + "\n".join(run.stdout.splitlines()[-30:]))
+        raise RuntimeError(f"the run on {folder.name} failed:\n" + "\n".join(run.stderr.splitlines()[-30:]))
     return {path.stem: job_of(path) for path in sorted((results / folder.name / "benchmarks").glob("*.tsv"))}
 
 

@@ -214,8 +214,10 @@ def minutes(few):
     """How long it may take [min]: so many, and a second for each frame, which is five times the slowest stage's."""
 
     def of(wildcards, attempt):
+        # Rules of several datasets, and of the rig, have no such wildcard.
         found = DATASETS.get(getattr(wildcards, "dataset", ""))
-        return attempt * (few + len(found.frames) // 60 if found else few)
+        frames = len(found.frames) if found else 0
+        return attempt * (few + frames // 60)
 
     return of
 

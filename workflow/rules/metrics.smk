@@ -11,8 +11,8 @@ rule metrics:
         f"{OUT}/benchmarks/metrics.tsv"
     threads: 1
     resources:
-        mem_mb=500,
-        runtime=10,
+        mem_mb=memory(500),
+        runtime=minutes(10),
     params:
         code=code("metrics"),
     message:

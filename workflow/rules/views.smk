@@ -19,8 +19,8 @@ rule views:
         dataset=one_of(SPOTS),
     threads: 2
     resources:
-        mem_mb=2000,
-        runtime=30,
+        mem_mb=memory(2000),
+        runtime=minutes(30),
     params:
         folder=dataset_folder,
         vocabulary=VOCABULARY,

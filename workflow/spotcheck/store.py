@@ -219,17 +219,17 @@ def read(path: str | Path) -> xr.Dataset:
 
 
 @contextmanager
-def appearing_whole(path: Path, noted: Mapping[str, str] | None = None) -> Iterator[Path]:
-    """A result that takes its name only when all was written (`writing.whole`); `noted` is said of it in its note."""
+def appearing_whole(path: Path) -> Iterator[Path]:
+    """A result that takes its name only when all was written (`writing.whole`), and its note."""
     with writing.whole(path) as scratch:
         yield scratch
-    provenance.write_sidecar(path, noted or {})
+    provenance.write_sidecar(path, {})
 
 
 def write_text(path: str | Path, text: str, *, code: str = "", inputs: Sequence[str | Path] = ()) -> None:
     """Write a text file whole or not at all; of a result its note holds what `write` puts into the attributes."""
-    with appearing_whole(Path(path), provenance.attributes(code, inputs) if code else None) as scratch:
-        scratch.write_text(text, encoding="utf-8")
+    writing.text(Path(path), text)
+    provenance.write_sidecar(Path(path), provenance.attributes(code, inputs) if code else {})
 
 
 def owner_of(results: Path) -> str:

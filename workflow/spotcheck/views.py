@@ -15,9 +15,10 @@ import xarray as xr
 from spotcheck import simulation, store
 from spotcheck.dataset import Dataset
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
-from spotcheck.discrepancy.observe.frames import Setting, observed
+from spotcheck.discrepancy.observe.frames import Setting, whole
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Lights, Model, Numbers
 from spotcheck.discrepancy.observe.shots import Shot
+from spotcheck.discrepancy.verdict.extended import site_of_shot
 from spotcheck.estimate.fits import preferred
 from spotcheck.model import chain
 from spotcheck.model.baseline import Baseline, of_instrument
@@ -244,14 +245,14 @@ def _judged(
 ) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
     """The declared and the extended model on every frame that a verdict can use."""
     shots, setting = judged
-    ready = observed(shots, setting)
+    ready = whole(shots, setting)
     if isinstance(ready, str):
         return
     frames, declared = ready.frames, Model(setting.baseline, setting.sensor, (), ready.numbers)
     declared = fit_numbers(frames, declared).model
     models, own = {"declared": Expectation(frames, declared)}, None
     if extended is not None:
-        sites = [_site(shot, dataset, extended) for shot in shots]
+        sites = [site_of_shot(shot, dataset.instrument, extended.law is not None) for shot in shots]
         own = fitted(frames, declared, extended, sites)
         models["extended"] = Expectation(frames, own.model)
     others = [] if own is None else [Expectation(frames, other) for other in own.without]
@@ -265,8 +266,3 @@ def _judged(
         if others:
             values["extended_without"] = np.array([other.of(frame, k).mean for other in others])
         yield index, values
-
-
-def _site(shot: Shot, dataset: Dataset, model: Extended) -> Site:
-    conditions = tuple(sorted(zip(dataset.instrument.conditions, shot.conditions, strict=True)))
-    return Site(shot.angle_deg, shot.exposure_s if model.law is None else None, shot.repeat, conditions)

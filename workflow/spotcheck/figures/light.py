@@ -1,6 +1,7 @@
 """The light's shape: declared, learned, and what lies between them."""
 
 import numpy as np
+import xarray as xr
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
@@ -26,14 +27,18 @@ def declared_shape(dataset: Dataset, u: np.ndarray, v: np.ndarray) -> np.ndarray
     return chain.light(view, baseline, chain.Free(one, one), ())[0][0]
 
 
+def learned_shape(ds: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Places u = v [σ_g] of light.nc that are shown, and there what the learned shape has beside the declared one
+    [row, column]; of several lights that which is least as declared."""
+    inside = np.abs(ds["u"].values) <= SHOWN
+    every = ds["s"].values[:, inside][:, :, inside]
+    return ds["u"].values[inside], every[int(np.argmax(np.abs(every).sum(axis=(1, 2))))]
+
+
 def draw(results: Results) -> style.Drawing:
     """Both shapes, their difference, and the lines through the centre."""
     ds = results.get("light")
-    inside = np.abs(ds["u"].values) <= SHOWN
-    u = ds["u"].values[inside]
-    # Of several lights that which is least as declared is drawn.
-    every = ds["s"].values[:, inside][:, :, inside]
-    s = every[int(np.argmax(np.abs(every).sum(axis=(1, 2))))]
+    u, s = learned_shape(ds)
     before = declared_shape(results.dataset, u, u)
     after, end = before + s, 100 * float(np.abs(s).max())
     figure = style.new(4.6, 1.05 * style.WIDTH)

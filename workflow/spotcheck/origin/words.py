@@ -12,7 +12,8 @@ from spotcheck.origin.tree import Node, grown
 
 # Hex digits of a digest that a person compares by eye.
 DIGITS = 8
-UNITS = {"pixel": "px", "pixel2": "px²", "DN2": "DN²"}
+# Beside those that `value_text` knows.
+UNITS = {"pixel2": "px²", "DN2": "DN²"}
 
 
 def explained(number: Number, results: Path, asked: str, task: str) -> str:

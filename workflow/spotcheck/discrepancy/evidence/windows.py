@@ -24,11 +24,10 @@ BRIGHT = 400.0
 
 class Site(NamedTuple):
     """Of one site: how far apart the pixels are that are looked at [px], the corner of its window (row, column) in such
-    steps, and of its pixels [row, column] S, Σ s², N, Σ n² over
-    its frames, and the cell; `single` where it has one frame; products of pixels of different frames at each of the
-    distances, and what they would be for a field of variance 1 that is alike everywhere [lag]; and the part of a
-    field's variance that shape and numbers leave [cell], of fields of each site and of the sensor, and the grain of the
-    first [px]."""
+    steps, and of its pixels [row, column] S, Σ s², N, Σ n² over its frames, and the cell; `single` where it has one
+    frame; products of pixels of different frames at each of the distances, and what they would be for a field of
+    variance 1 that is alike everywhere [lag]; and the part of a field's variance that shape and numbers leave [cell],
+    of fields of each site and of the sensor, and the grain of the first [px]."""
 
     step: int
     corner: tuple[int, int]

@@ -49,7 +49,16 @@ class Observed(NamedTuple):
 
 
 def observed(shots: Sequence[Shot], setting: Setting) -> Observed | str:
-    """Frames ready to be fitted, or why there are none."""
+    """Frames ready to be searched, of many pixels some; or why there are none."""
+    every = whole(shots, setting)
+    if isinstance(every, str):
+        return every
+    step = step_of(every.frames, every.numbers)
+    return every._replace(frames=[thinned(own, step) for own in every.frames])
+
+
+def whole(shots: Sequence[Shot], setting: Setting) -> Observed | str:
+    """Frames with all their pixels, ready to be fitted, or why there are none."""
     design = design_of(shots)
     longest = float(design.exposures.max(initial=0.0)) or 1.0
     frames = []
@@ -71,8 +80,7 @@ def observed(shots: Sequence[Shot], setting: Setting) -> Observed | str:
     numbers = first_numbers(frames, design, setting)
     if isinstance(numbers, str):
         return numbers
-    context, step = context_of(frames, design, numbers, setting), step_of(frames, numbers)
-    return Observed([thinned(own, step) for own in frames], design, numbers, context)
+    return Observed(frames, design, numbers, context_of(frames, design, numbers, setting))
 
 
 def step_of(frames: Sequence[Frame], numbers: Numbers) -> int:

@@ -59,7 +59,7 @@ def _spots(fits: Fits, instrument: Instrument) -> dict[Site, Spot]:
         which = dict(zip(fits.design.pose.tolist(), lights.which.tolist(), strict=True))
     members: dict[Site, list[int]] = {}
     for k, shot in enumerate(fits.shots):
-        members.setdefault(_site(shot, instrument, lawful), []).append(k)
+        members.setdefault(site_of_shot(shot, instrument, lawful), []).append(k)
     out = {}
     for site, own in members.items():
         spot = Spot(float(np.mean(x[own])), float(np.mean(y[own])), light=which.get(repr(pose_of(fits.shots[own[0]]))))
@@ -70,6 +70,7 @@ def _spots(fits: Fits, instrument: Instrument) -> dict[Site, Spot]:
     return out
 
 
-def _site(shot: Shot, instrument: Instrument, lawful: bool) -> Site:
+def site_of_shot(shot: Shot, instrument: Instrument, lawful: bool) -> Site:
+    """What the spot of a frame is known by in a model; without a law each frame has a spot of its own."""
     conditions = tuple(sorted(zip(instrument.conditions, shot.conditions, strict=True)))
     return Site(shot.angle_deg, None if lawful else shot.exposure_s, shot.repeat, conditions)

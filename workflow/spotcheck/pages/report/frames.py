@@ -57,18 +57,19 @@ def frames_of(dataset: Dataset, files: Files) -> Frames:
     cells, dims = list(dataset.cells()), store.grid_dims(files.crops)
     full_scale = float(files.frames["full_scale"])
     chosen = np.unique(np.linspace(0, len(cells) - 1, SAMPLE).astype(int))
-    sample = [_layers(files, dict(zip(dims, cells[k][0], strict=True)), full_scale, 1) for k in chosen]
+    places = [dict(zip(dims, at, strict=True)) for at, _ in cells]
+    sample = [_layers(_images(files, places[k]), full_scale, 1) for k in chosen]
     expected = len(cells) * float(np.mean([len(packed(own)) for own in sample]))
     room = min(LEAST_ROOM + ROOM_EACH * max(len(cells) - FEWEST, 0), MOST_ROOM) - BESIDE
     block = max(int(np.ceil(np.sqrt(expected / room))), 1)
     texts, shown, rows = [], [], []
-    for k, (at, frame) in enumerate(cells):
-        place = dict(zip(dims, at, strict=True))
-        layers = _layers(files, place, full_scale, block)
+    for k, (place, (_, frame)) in enumerate(zip(places, cells, strict=True)):
+        images = _images(files, place)
+        layers = _layers(images, full_scale, block)
         texts.append(packed(layers))
         own = _shown(files, place, frame, layers)
         shown.append(own)
-        rows.append(_row(files, place, frame, k, own))
+        rows.append(_row(files, place, frame, k, own, images))
     names = list(dict.fromkeys(name for own in shown for name in own["layers"]))
     contents = {
         "block": block,
@@ -92,15 +93,20 @@ def _step(name: str, full_scale: float, block: int) -> float:
     return 1.0 if name == "measured" and block == 1 else step_of(full_scale)
 
 
-def _layers(files: Files, at: dict[str, int], full_scale: float, block: int) -> dict[str, Layer]:
-    """What there is of a frame: measured, models, and the extended model without each effect."""
+def _images(files: Files, at: dict[str, int]) -> dict[str, np.ndarray]:
+    """Readings [row, column] that there are of a frame: measured, models, and the extended model without each
+    effect."""
     views = files.views.isel(at)
     images = {"measured": files.crops["image"].sel(centring="light").isel(at).values.astype(float)}
     images |= {name: views[name].values for name in MODELS if name in views}
     if "extended_without" in views:
         names = [f"{WITHOUT}{own}" for own in views["without"].values]
         images |= dict(zip(names, views["extended_without"].values, strict=True))
-    known = {name: own for name, own in images.items() if np.isfinite(own).any()}
+    return {name: own for name, own in images.items() if np.isfinite(own).any()}
+
+
+def _layers(images: dict[str, np.ndarray], full_scale: float, block: int) -> dict[str, Layer]:
+    """The same as they are packed."""
     return {
         name: Layer(
             thinned(own, block),
@@ -108,7 +114,7 @@ def _layers(files: Files, at: dict[str, int], full_scale: float, block: int) -> 
             name != "measured",
             "extended" if name.startswith(WITHOUT) else "",
         )
-        for name, own in known.items()
+        for name, own in images.items()
     }
 
 
@@ -151,7 +157,14 @@ def _axes(crops: xr.Dataset, dims: tuple[str, ...]) -> list[dict[str, Any]]:
     ]
 
 
-def _row(files: Files, at: dict[str, int], frame: Frame, number: int, shown: dict[str, Any]) -> dict[str, Any]:
+def _row(
+    files: Files,
+    at: dict[str, int],
+    frame: Frame,
+    number: int,
+    shown: dict[str, Any],
+    images: dict[str, np.ndarray],
+) -> dict[str, Any]:
     """A row of the table of frames."""
     fit, views = preferred(files.fits).isel(at), files.views
     same = (files.frames["file"] == frame.file) & (files.frames["page"] == (frame.page or 0))
@@ -160,11 +173,10 @@ def _row(files: Files, at: dict[str, int], frame: Frame, number: int, shown: dic
     why = flags_text(int(fit["status"]), left_out, int(record["at_full_scale"]))
     why += deviations_text(deviations_of(views, at))
     known = [name for name in RANKED_BY if shown["left"].get(name) is not None]
-    model = next((name for name in RANKED_BY if name in shown["layers"]), None)
-    if model is not None and "measured" in shown["layers"]:
-        image = files.crops["image"].sel(centring="light").isel(at).values.astype(float)
-        mean, line = views[model].isel(at).values, Line(float(views["noise_at_zero"]), float(views["noise_slope"]))
-        text = place_text(image - mean, line.variance(mean), shown["spot"])
+    model = next((name for name in RANKED_BY if name in images), None)
+    if model is not None and "measured" in images:
+        mean, line = images[model], Line(float(views["noise_at_zero"]), float(views["noise_slope"]))
+        text = place_text(images["measured"] - mean, line.variance(mean), shown["spot"])
         why += [text] if text else []
     numbers = {
         "left": shown["left"][known[0]] if known else None,

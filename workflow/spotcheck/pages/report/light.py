@@ -7,7 +7,7 @@ import xarray as xr
 
 from spotcheck.dataset import Dataset
 from spotcheck.discrepancy.verdict.words import percent_text
-from spotcheck.figures.light import LEAST, SHOWN, declared_shape
+from spotcheck.figures.light import LEAST, declared_shape, learned_shape
 from spotcheck.pages.plots import colour_scales, figure
 
 
@@ -31,10 +31,7 @@ def shape_of(ds: xr.Dataset | None, verdict: dict[str, Any] | None, dataset: Dat
             "",
             "",
         )
-    inside = np.abs(ds["u"].values) <= SHOWN
-    u, every = ds["u"].values[inside], ds["s"].values[:, inside][:, :, inside]
-    # Of several lights that which is least as declared.
-    s = every[int(np.argmax(np.abs(every).sum(axis=(1, 2))))]
+    u, s = learned_shape(ds)
     before = declared_shape(dataset, u, u)
     lights = ds.sizes["light"]
     which = "" if lights == 1 else f" Of {lights} lights, one for each pose, that is shown which is least as declared."
