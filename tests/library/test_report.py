@@ -11,7 +11,7 @@ from spotcheck.discrepancy.verdict.document import document
 from spotcheck.figures import style
 from spotcheck.model.sensor import SensorModel
 from spotcheck.pages.cited import Cited
-from spotcheck.pages.report import packed, ranking
+from spotcheck.pages.report import packed, ranking, tables
 from spotcheck.pages.report.gap import gap_of
 from spotcheck.pages.report.ranking import Deviation
 from spotcheck.pages.report.spoken import spoken
@@ -159,3 +159,22 @@ def test_colours_are_those_of_the_figures():
     text = (ROOT / "workflow/spotcheck/pages/page.css").read_text(encoding="utf-8").upper()
     for name, own in (("MEASURED", style.MEASURED), ("SIMULATED", style.SIMULATED), ("ACCENT", style.ACCENT)):
         assert f"--{name}: {own.upper()}" in text
+
+
+@pytest.mark.parametrize("name", JUDGEMENTS)
+def test_every_verdict_has_its_tables(tmp_path, name):
+    """Whatever was found: a row for each effect, the learned shape too, which no cells tell."""
+    verdict, cite = verdict_of(name), Cited(tmp_path)
+    rows = tables.missing_of(verdict, cite)["effects"]
+    assert [row["name"] for row in rows] == [own["name"] for own in verdict["effects"]]
+    told = [own["evidence"]["consistency"] for own in verdict["effects"]]
+    assert [row["cells"] for row in rows] == ["–" if own is None else own["cells"] for own in told]
+    assert (tables.sheet_of(verdict, cite) is None) == (not verdict["sheet"])
+
+
+def test_a_number_is_marked_where_it_stands_alone(monkeypatch, tmp_path):
+    """Not within another, and once."""
+    cite = Cited(tmp_path)
+    monkeypatch.setattr(cite, "_hover", lambda key: "of " + key)
+    marked = cite.within("p < 0.0001 of 10 in order 0. At 0 DN.", {"0": "order"})
+    assert marked.startswith("p &lt; 0.0001 of 10 in order <span") and marked.endswith(">0</span>. At 0 DN.")

@@ -1,5 +1,6 @@
 """Numbers on a page say where they come from: on hover the file, the variable, the rule and its inputs."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -24,10 +25,13 @@ class Cited:
 
     def within(self, sentence: str, keys: Mapping[str, str]) -> Markup:
         """A sentence in which the texts of numbers are marked, each where it stands first; `keys` are theirs."""
-        out = escape(sentence)
+        out = str(escape(sentence))
         for text, key in keys.items():
-            out = Markup(str(out).replace(str(escape(text)), str(self(text, key)), 1)) if text else out
-        return out
+            # A number is no part of another: the 0 of "0.0001" is not meant by "0".
+            alone = rf"(?<![\d.]){re.escape(str(escape(text)))}(?!\d|\.\d)"
+            if text and (found := re.search(alone, out)):
+                out = out[: found.start()] + str(self(text, key)) + out[found.end() :]
+        return Markup(out)
 
     def _hover(self, key: str) -> str:
         """Where a number comes from, in a line; "" for what no result holds."""

@@ -241,7 +241,8 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
             ],
             "gain": cite(_plain(own["evidence"]["gain"], ".3g"), f"verdict.effects.{own['name']}.evidence.gain"),
             "z": cite(_plain(own["evidence"]["z"], ".3g"), f"verdict.effects.{own['name']}.evidence.z"),
-            "cells": own["evidence"]["consistency"]["cells"],
+            # A learned shape is told by all frames together, and by no cells.
+            "cells": "–" if own["evidence"]["consistency"] is None else own["evidence"]["consistency"]["cells"],
             "rivals": [name for name in own["candidates"] if name != own["name"]],
             "closed": cite(percent_of(_at_most_all(own["gap_closed"])), f"verdict.effects.{own['name']}.gap_closed"),
         }
