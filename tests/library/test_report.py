@@ -14,7 +14,7 @@ from spotcheck.pages.cited import Cited
 from spotcheck.pages.report import packed, ranking, tables
 from spotcheck.pages.report.gap import gap_of
 from spotcheck.pages.report.ranking import Deviation
-from spotcheck.pages.report.spoken import spoken
+from spotcheck.pages.report.spoken import numbers_in, spoken
 from spotcheck.views import noise_line, rms_left
 from tests.library.conftest import ROOT
 from tests.library.judgements import JUDGEMENTS, WORDS
@@ -178,3 +178,12 @@ def test_a_number_is_marked_where_it_stands_alone(monkeypatch, tmp_path):
     monkeypatch.setattr(cite, "_hover", lambda key: "of " + key)
     marked = cite.within("p < 0.0001 of 10 in order 0. At 0 DN.", {"0": "order"})
     assert marked.startswith("p &lt; 0.0001 of 10 in order <span") and marked.endswith(">0</span>. At 0 DN.")
+
+
+def test_counts_are_no_numbers_of_the_verdict():
+    """The order of a learned shape, a whole number, is not taken for how many effects more there are."""
+    verdict = verdict_of("light and one")
+    shape = next(own for own in verdict["effects"] if own["name"] == "beam_profile")
+    keys = numbers_in(verdict)
+    assert f"{shape['parameters']['order']['value']:.0f}" not in keys
+    assert "verdict.effects.beam_profile.power" in keys.values()

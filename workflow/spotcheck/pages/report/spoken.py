@@ -31,7 +31,10 @@ def numbers_in(verdict: dict[str, Any]) -> dict[str, str]:
     found = {}
     for own in verdict["effects"]:
         for name, p in own["parameters"].items():
-            found[value_text(p["value"], p["stderr"], p["unit"])] = f"verdict.effects.{own['name']}.{name}"
+            text = value_text(p["value"], p["stderr"], p["unit"])
+            # A whole number without a unit may be a count in the sentence, and is no value that it tells.
+            if not text.isdigit():
+                found[text] = f"verdict.effects.{own['name']}.{name}"
     if detection["p_value"] is not None:
         found[probability_text(detection["p_value"])] = "verdict.detection.p_value"
     if closed is not None:
