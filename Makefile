@@ -39,27 +39,31 @@ wheel: $(READY)
 	$(WHEEL)/venv/bin/pip install --quiet $(WHEEL)/dist/*.whl
 	cd $(WHEEL) && venv/bin/python -I ../../tests/check_wheel.py
 
-# How the workflow bears what happens to it, each programme with rows of workflow/docs/load.md; some three hours in all.
+# How the workflow bears what happens to it: each programme writes its rows of workflow/docs/load.md; some three hours in all.
+LOAD_PAGE := $(BIN)/python -m tests.load.table
 load: load-kills load-hostile load-scale load-rules test-slurm
-	$(BIN)/python -m tests.load.table
 
 load-kills: $(READY)
 	$(BIN)/python -m tests.load.kills
+	$(LOAD_PAGE)
 
 load-hostile: $(READY)
 	$(BIN)/python -m tests.load.hostile --inputs 20000
+	$(LOAD_PAGE)
 
 load-scale: $(READY)
 	$(BIN)/python -m tests.load.scale
+	$(LOAD_PAGE)
 
 load-rules: $(READY)
 	$(BIN)/python -m tests.load.rules
+	$(LOAD_PAGE)
 
 # The workflow on a real Slurm of two nodes, which Debian's packages bring; as root, in a mount namespace of its own.
 test-slurm: $(READY)
 	@if [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null; then echo "skipped: needs root and apt-get"; else \
 	    apt-get install --quiet --yes --no-install-recommends slurmctld slurmd slurm-client munge && \
-	    unshare --mount $(BIN)/python -m tests.load.slurm; fi
+	    unshare --mount $(BIN)/python -m tests.load.slurm && $(LOAD_PAGE); fi
 
 # The newest versions that pyproject.toml allows, in an environment of their own, and the tests that take little time.
 newest:

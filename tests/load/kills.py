@@ -2,7 +2,7 @@
 
 Each try starts the documented call on a small dataset, ends it by a signal, to Snakemake alone or to all its processes,
 makes the same call again and compares every value of every netCDF, JSON and YAML file with those of a run that nobody
-disturbed. It prints what happened how often, and writes it to results/load/kills.json.
+disturbed. It prints what happened how often, and writes it to tests/load/measured/kills.json.
 """
 
 import argparse

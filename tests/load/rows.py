@@ -1,4 +1,5 @@
-"""Rows of the table: what was tried, how many times, and what happened; one JSON file a programme."""
+"""Rows of the table: what was tried, how many times, and what happened; one JSON file a programme, kept beside this one
+with the page that quotes it."""
 
 import json
 from collections.abc import Sequence
@@ -6,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
-RESULTS = ROOT / "results" / "load"
+MEASURED = Path(__file__).parent / "measured"
 
 
 class Row(NamedTuple):
@@ -19,12 +20,12 @@ class Row(NamedTuple):
 
 def write(programme: str, rows: Sequence[Row]) -> None:
     """Keep the rows of a programme, in place of those of its last run."""
-    RESULTS.mkdir(parents=True, exist_ok=True)
+    MEASURED.mkdir(parents=True, exist_ok=True)
     text = json.dumps([row._asdict() for row in rows], indent=1, ensure_ascii=False)
-    (RESULTS / f"{programme}.json").write_text(text + "\n", encoding="utf-8")
+    (MEASURED / f"{programme}.json").write_text(text + "\n", encoding="utf-8")
 
 
 def read(programme: str) -> list[Row]:
     """The rows of a programme's last run; none where it did not run."""
-    path = RESULTS / f"{programme}.json"
+    path = MEASURED / f"{programme}.json"
     return [Row(**row) for row in json.loads(path.read_text(encoding="utf-8"))] if path.exists() else []
