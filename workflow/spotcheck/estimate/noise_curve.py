@@ -5,7 +5,7 @@ what varies along rows or columns alone drops out, and so does the mean of the n
 all pixels but four corners cancel. Over the grey level L above black the variance follows floor + K L + (c L)²: read
 noise and rounding, shot noise, and texture such as unlike pixels or speckle, whose contrast c is fitted where it is
 seen. A level is the four pixels' own mean: it shares nothing with d, and of Poisson electrons with one mean the
-variance given their sum is that of the sum.
+variance given their sum is that of the sum. Read noise tells no light: the darkest pixels are one bin.
 """
 
 from typing import NamedTuple
@@ -23,8 +23,9 @@ OUTLIER_SD, TRIMS = 6.0, 6
 # Within so many DN of the darkest level noise is left out where it is finer than this [DN]: rounding then adds more or
 # less than 1/12 DN².
 NEAR_DARK, FINE = 5.0, 0.6
-# The darkest level is that below which this part of the pixels lie.
-DARK_PART = 0.05
+# The darkest level is that below which this part of the pixels lie; the first bin reaches so many standard errors of a
+# level beyond it, so that it holds all pixels without light.
+DARK_PART, DARK_SD = 0.05, 5.0
 # Neighbouring differences overlap: 1 + 4/4 + 4/16 squared correlations, so that a variance of n of them is known to
 # √(2 · 2.25/n).
 OVERLAP = 2.25
@@ -103,11 +104,13 @@ def _bins(seen: Differences, full_scale: float) -> list[tuple[float, _Bin]]:
     ordered = np.sort(level[known])
     dark, low, top = np.quantile(ordered, DARK_PART), ordered[0], ordered[-FEWEST]
     near = known[level[known] < dark + NEAR_DARK]
-    if near.size < FEWEST or _trimmed(difference[near])[0] < FINE**2:
+    noise = float(np.sqrt(_trimmed(difference[near])[0])) if near.size else 0.0
+    if near.size < FEWEST or noise < FINE:
         low = dark + NEAR_DARK
-    if top <= low:
+    first = max(low, dark + DARK_SD * noise / 2)
+    if top <= first:
         return []
-    edges = low + (top - low) * np.linspace(0, 1, BINS + 1) ** 2
+    edges = np.concatenate([[low], first + (top - first) * np.linspace(0, 1, BINS) ** 2])
     known = known[(level[known] >= low) & (level[known] <= top)]
     place = np.minimum(np.searchsorted(edges, level[known], side="right") - 1, BINS - 1)
     out = []
