@@ -30,6 +30,7 @@ ROOMS = {
     "frames": "read and reduce",
     "spotfinding": "find the spot, cut it out",
     "formats": "image files",
+    "labels": "what files say of frames",
     "clip": "where readings stop",
     "crops": "stages ingest and crop",
     "optics": "geometry, diffraction",

@@ -75,6 +75,14 @@ def read(path: Path, page: int) -> np.ndarray:
 
 
 @contextmanager
+def directories(path: Path) -> Iterator[tuple[tifffile.TiffFile, Iterator[tifffile.TiffPage]]]:
+    """An open file and its directories one after another, for what they say beside the pixels. Raises `Refused`."""
+    starts, _ = _directories(path)
+    with _opened(path) as tiff:
+        yield tiff, (_directory(tiff, starts, page) for page in range(len(starts)))
+
+
+@contextmanager
 def _opened(path: Path) -> Iterator[tifffile.TiffFile]:
     """An open file, whose makers' own formats are not followed into other files or other rules for pages."""
     with tifffile.TiffFile(path, is_ome=False, is_lsm=False, is_ndpi=False, is_scanimage=False) as tiff:
