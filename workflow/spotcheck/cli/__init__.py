@@ -16,6 +16,8 @@ from collections.abc import Sequence
 import spotcheck
 
 COMMANDS = {
+    "look": "first look at images that nobody has described: widths with errors, shape, clip, gain, M²",
+    "open": "open the page of a dataset or of results in the browser",
     "check": "check a dataset folder against the contract, without decoding a pixel",
     "ingest": "record digest, shape and extremes of every frame",
     "crop": "crop every spot and reduce the frame around it",

@@ -1,0 +1,65 @@
+"""`spotcheck look`: widths, shape, clip and camera of images that nobody has described."""
+
+import argparse
+import json
+from pathlib import Path
+
+from spotcheck.errors import InputError
+from spotcheck.first_look.images import folders_of, images_of
+from spotcheck.first_look.looking import look
+
+EXAMPLES = """examples:
+  spotcheck look spot.tif
+  spotcheck look my-images                       all images of a folder
+  spotcheck look my-images --wavelength-nm 632.8 --pixel-um 3.75
+                                                 M², where the names say z, as z_176mm.tif does
+  spotcheck look a.tif b.tif c.tif d.tif --z 0.1,0.2,0.3,0.4 --wavelength-nm 632.8 --pixel-um 3.75
+  spotcheck look spot.tif --json                 one JSON document, for programs
+"""
+OUTPUT = "look"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EXAMPLES
+    parser.add_argument("images", nargs="+", metavar="IMAGE", help="image files, or a folder of them (TIFF, PNG, PGM)")
+    parser.add_argument("--z", type=positions, metavar="Z,Z,…", help="position of each image along the beam [m]")
+    parser.add_argument("--wavelength-nm", type=float, metavar="NM", help="wavelength [nm], for M²")
+    parser.add_argument("--pixel-um", type=float, metavar="UM", help="distance of two pixels [µm], for widths in µm")
+    parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help=f"folder for page and pictures (default: {OUTPUT})")
+
+
+def positions(text: str) -> list[float]:
+    """Numbers between commas."""
+    return [float(part) for part in text.split(",") if part.strip()]
+
+
+def run(args: argparse.Namespace) -> None:
+    """Look, print, and write the page."""
+    folder = args.output or (None if args.json else Path(OUTPUT))
+    if args.output is None and folder is not None and folder.resolve() in folders_of(images_of(args.images)):
+        raise InputError(f"{OUTPUT}: holds the images; name another folder for the page with --output")
+    found = look(
+        args.images,
+        z_m=args.z,
+        pixel_pitch_m=None if args.pixel_um is None else 1e-6 * args.pixel_um,
+        wavelength_m=None if args.wavelength_nm is None else 1e-9 * args.wavelength_nm,
+    )
+    page = None if folder is None else found.write(folder)
+    if args.json:
+        print(json.dumps(found.to_dict() | {"page": None if page is None else str(page)}, indent=1, ensure_ascii=False))
+        return
+    print(found)
+    if asked := _asked(found.wavelength_m, found.pixel_pitch_m, any(one.z_m is not None for one in found.images)):
+        print(asked)
+    print(f"\n{page}")
+
+
+def _asked(wavelength_m: float | None, pitch_m: float | None, scan: bool) -> str:
+    """Which options would tell more, in one sentence."""
+    options = (("--wavelength-nm 632.8", None if not scan else wavelength_m or 0), ("--pixel-um 3.75", pitch_m or 0))
+    missing = [option for option, value in options if value == 0]
+    if not missing:
+        return ""
+    return f"for {'M² and widths' if scan else 'widths'} in µm say {' and '.join(missing)}, with your numbers"
