@@ -78,7 +78,11 @@ def main(argv: list[str] | None = None) -> None:
 
 def run(words: Sequence[str]) -> None:
     """Run the subcommand that the words of a command line name. Raises `InputError` for what the user can mend."""
-    parser = argparse.ArgumentParser(prog="spotcheck", description="How a camera sees a laser spot on a composite.")
+    parser = argparse.ArgumentParser(
+        prog="spotcheck",
+        description="How a camera sees a laser spot on a composite.",
+        epilog="New here? `spotcheck look IMAGE…` needs nothing but images; `spotcheck COMMAND --help` explains a command.",
+    )
     parser.add_argument("--version", action="version", version=f"spotcheck {spotcheck.__version__}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     asked = next((word for word in words if word in COMMANDS), None)

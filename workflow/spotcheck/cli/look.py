@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EXAMPLES
     parser.add_argument("images", nargs="+", metavar="IMAGE", help="image files, or a folder of them (TIFF, PNG, PGM)")
-    parser.add_argument("--z", type=positions, metavar="Z,Z,…", help="position of each image along the beam [m]")
+    parser.add_argument("--z", type=positions, metavar="Z,Z,…", help="position of each image along the beam [m], in their order; --z=-0.1,0,0.1 where the first is below 0")
     parser.add_argument("--wavelength-nm", type=float, metavar="NM", help="wavelength [nm], for M²")
     parser.add_argument("--pixel-um", type=float, metavar="UM", help="distance of two pixels [µm], for widths in µm")
     parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
@@ -53,13 +53,13 @@ def run(args: argparse.Namespace) -> None:
     print(found)
     if asked := _asked(found.wavelength_m, found.pixel_pitch_m, any(one.z_m is not None for one in found.images)):
         print(asked)
-    print(f"\n{page}")
+    print(f"\npage: {page}    (spotcheck open {page})")
 
 
 def _asked(wavelength_m: float | None, pitch_m: float | None, scan: bool) -> str:
     """Which options would tell more, in one sentence."""
-    options = (("--wavelength-nm 632.8", None if not scan else wavelength_m or 0), ("--pixel-um 3.75", pitch_m or 0))
-    missing = [option for option, value in options if value == 0]
+    options = (("--wavelength-nm", not scan or wavelength_m), ("--pixel-um", pitch_m))
+    missing = [option for option, value in options if not value]
     if not missing:
         return ""
-    return f"for {'M² and widths' if scan else 'widths'} in µm say {' and '.join(missing)}, with your numbers"
+    return f"for {'M²' if scan else 'widths in µm'} add your {' and '.join(missing)}"

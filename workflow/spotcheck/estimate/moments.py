@@ -20,8 +20,9 @@ from spotcheck.spotfinding import light_centroid
 
 # Sides of the area of integration in widths (ISO 11146-1, clause 7).
 AREA = 3.0
-# The area stays when no width changes by more than this part of itself, after so many steps at most.
-SETTLED, STEPS = 1e-3, 40
+# The area stays when its width changes by no more than this part, after so many steps at most; from the later ones on
+# it goes but half of the way, since pixels that come and go at its edge may make it swing.
+SETTLED, STEPS, LATER = 5e-4, 20, 8
 # The background is that around the area, up to a rectangle of so many widths, in so many directions from the spot.
 RING, SECTORS = 4.5, 32
 # Where the frame holds less around the area than this part of it, corners of this part of the sides stand in for it.
@@ -30,10 +31,14 @@ ENOUGH, CORNER = 0.1, 0.05
 WITHIN_HALF = np.log(2) / 2
 # A width is measured where its error is below this part of it.
 KNOWN = 0.5
+# Part of the area of integration that a frame must hold for the width to be that of the standard.
+WHOLE = 0.95
+# How far [px] a pixel stands in for one that was not measured.
+NEAR = 2
 
 
 class Moments(NamedTuple):
-    """A spot by its moments; lengths in px, NaN where there is no light or no width.
+    """A spot by its moments; lengths in px, NaN where there is no light; a centre alone where there is no width.
 
     Attributes
     ----------
@@ -44,7 +49,7 @@ class Moments(NamedTuple):
     light : readings less background over the area [DN].
     background, background_stderr : what a pixel reads beside the spot [DN].
     inside : part of the area of integration that the frame holds.
-    settled : whether the area stayed.
+    settled : whether the area stayed, within the errors of the widths.
     """
 
     x: float
@@ -67,6 +72,11 @@ class Moments(NamedTuple):
     def measured(self) -> bool:
         """Whether both widths are known to better than half of themselves."""
         return bool(self.major_stderr < KNOWN * self.major and self.minor_stderr < KNOWN * self.minor)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the frame holds the area that the standard sums over."""
+        return self.inside >= WHOLE
 
 
 NONE = Moments(*(np.nan,) * 14, settled=False)
@@ -96,33 +106,35 @@ class _Area(NamedTuple):
 def second_moments(image: np.ndarray) -> Moments:
     """Second-moment widths of the spot on an image [rows, columns] in DN, with standard errors.
 
-    NaN pixels take part as what lies around them. The errors hold to first order in the noise: where one is large
+    NaN pixels take part as the nearest one, beyond `NEAR` px from it as background. The errors hold to first order in the noise: where one is large
     (`measured` is False) the width may be anything. Noise that pixels share, as in compressed images, is not seen.
     """
-    pixels = _filled(np.asarray(image, float))
+    pixels, gone = _filled(np.asarray(image, float))
     start = _start(pixels)
     if start is None:
         return NONE
-    ellipse, settled = start, False
-    for _ in range(STEPS):
+    ellipse, change = start, np.inf
+    for step in range(STEPS):
         area = _area(ellipse, pixels.shape)
         found = _moments(pixels, area, _background(pixels, ellipse, area)[0])
         if found is None:
-            return NONE
-        settled = bool(np.allclose(found.covariance, ellipse.covariance, rtol=0, atol=SETTLED * np.trace(ellipse.covariance)))
-        ellipse = found
-        if settled:
+            return NONE._replace(x=start.x, y=start.y)
+        part = 1.0 if step < LATER else 0.5
+        change = float(np.abs(found.covariance - ellipse.covariance).max() / np.trace(ellipse.covariance)) / 2
+        ellipse = _Ellipse(*(before + part * (now - before) for before, now in zip(ellipse, found, strict=True)))
+        if change < SETTLED:
             break
-    return _with_errors(pixels, ellipse, settled)
+    return _with_errors(pixels, gone, ellipse, change)
 
 
-def _filled(pixels: np.ndarray) -> np.ndarray:
-    """The image with the nearest pixel in the place of NaN."""
+def _filled(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The image with something in the place of NaN, and which pixels have nothing near that was measured."""
     gaps = np.isnan(pixels)
     if not gaps.any() or gaps.all():
-        return pixels
-    nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
-    return pixels[tuple(nearest)]
+        return np.where(gaps, 0.0, pixels), gaps
+    distance, nearest = ndimage.distance_transform_edt(gaps, return_indices=True)
+    gone = distance > NEAR
+    return np.where(gone, np.nanmedian(pixels), pixels[tuple(nearest)]), gone
 
 
 def _start(pixels: np.ndarray) -> _Ellipse | None:
@@ -212,8 +224,8 @@ def _moments(pixels: np.ndarray, area: _Area, background: float) -> _Ellipse | N
     return _Ellipse(x0, y0, covariance)
 
 
-def _with_errors(pixels: np.ndarray, ellipse: _Ellipse, settled: bool) -> Moments:
-    """The moments of the last area, each with its standard error."""
+def _with_errors(pixels: np.ndarray, gone: np.ndarray, ellipse: _Ellipse, change: float) -> Moments:
+    """The moments of the last area, each with its standard error; `change` is the last step's, in parts of a width."""
     area = _area(ellipse, pixels.shape)
     major, minor, angle = _axes(ellipse.covariance)
     background, background_stderr = _background(pixels, ellipse, area)
@@ -235,10 +247,11 @@ def _with_errors(pixels: np.ndarray, ellipse: _Ellipse, settled: bool) -> Moment
     differ = np.hypot(along * np.sqrt(major), across * np.sqrt(minor)) / 2
     azimuth_stderr = float(np.degrees(turn / apart)) if apart > 3 * differ else np.inf
     whole = np.prod(AREA * widths)
+    settled = change < max(SETTLED, float(min(along, across) / widths[0]))
     return Moments(
         ellipse.x, ellipse.y, stderr(x + 0 * y), stderr(y + 0 * x), float(widths[0]), float(widths[1]), float(along),
         float(across), float(np.degrees(angle)) % 180.0, azimuth_stderr, float(light), background, background_stderr,
-        min(1.0, float(np.count_nonzero(area.mask) / whole)), settled,
+        min(1.0, float(np.count_nonzero(area.mask & ~area.of(gone)) / whole)), bool(settled),
     )  # fmt: skip
 
 

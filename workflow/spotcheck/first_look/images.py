@@ -109,5 +109,7 @@ def _array(pixels: np.ndarray, number: int) -> Image:
             f"images: number {number} has the shape {array.shape} and the type {array.dtype}; each must be numbers"
             " [rows, columns]"
         )
+    if not np.isfinite(np.ma.filled(array.astype(float), np.nan)).any():
+        raise InputError(f"images: number {number} has no pixel that was measured; leave it out")
     bits = 8 * array.dtype.itemsize if array.dtype.kind == "u" else None
     return Image(f"image {number}", array, array.shape, 0, bits)

@@ -1,5 +1,6 @@
 """The first look in one call: images without a word about them, and what they show."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -94,7 +95,7 @@ def look(
     given = images_of(images)
     for name, value in (("pixel_pitch_m", pixel_pitch_m), ("wavelength_m", wavelength_m)):
         if value is not None and not 0 < value < 1:
-            raise InputError(f"{name}: is {value:g}; it must be a length above 0, in metres")
+            raise InputError(f"{name}: is {value:g}; it must be above 0 and below 1, in metres")
     remarks = []
     if pixel_pitch_m is None:
         pixel_pitch_m, source = common(given, PITCH)
@@ -102,7 +103,7 @@ def look(
     if wavelength_m is None:
         wavelength_m, source = common(given, WAVELENGTH)
         remarks += [f"wavelength {1e9 * wavelength_m:.5g} nm: {source}"] if wavelength_m else []
-    positions, said = _positions(given, z_m)
+    positions, said = _positions(given, None if z_m is None else list(z_m))
     remarks += said
     cameras, seen = _looked(given, positions)
     beams: list[Beam] = []
@@ -110,8 +111,8 @@ def look(
         if pixel_pitch_m and wavelength_m:
             beams = beams_of(seen, pixel_pitch_m, wavelength_m)
         else:
-            names = (("pixel pitch", pixel_pitch_m), ("wavelength", wavelength_m))
-            remarks.append(f"M² needs the {' and the '.join(name for name, value in names if not value)} as well")
+            names = (("wavelength", wavelength_m), ("pixel pitch", pixel_pitch_m))
+            remarks.append(f"M² needs the {' and the '.join(name for name, value in names if not value)}")
     return Look(tuple(seen), tuple(cameras), tuple(beams), pixel_pitch_m, wavelength_m, tuple(remarks))
 
 
@@ -119,7 +120,9 @@ def _positions(images: Sequence[Image], z_m: Sequence[float] | None) -> tuple[li
     """Position of each image [m], and where it is from where nobody gave it."""
     if z_m is not None:
         if len(z_m) != len(images):
-            raise InputError(f"z_m: has {len(z_m)} positions for {len(images)} images; give one for each")
+            raise InputError(f"z: {len(z_m)} positions for {len(images)} images; give one for each, in metres")
+        if not all(math.isfinite(z) for z in z_m):
+            raise InputError("z: every position must be a finite number, in metres")
         return [float(z) for z in z_m], []
     found = [image.says(Z) for image in images]
     if len({z for z in found if z is not None}) < 2:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
 from matplotlib.patches import Ellipse, Rectangle
 
 from spotcheck.estimate.moments import AREA, Moments
@@ -21,10 +22,12 @@ def spot(one: Seen) -> style.Drawing:
     """The spot with both ellipses, and its profiles along both axes of the fit."""
     assert one.picture is not None and one.fit is not None
     figure = style.new(2.55, 8.6)
-    image, *sides = figure.subplots(1, 3, width_ratios=(1, 1.15, 1.15))
+    image, *sides = figure.subplots(1, 3, width_ratios=(1.1, 1, 1))
     fit, own, picture = one.fit, one.moments, one.picture
     extent = picture.extent
-    image.imshow(picture.window, cmap=style.IMAGE_MAP, extent=extent, vmin=min(float(fit.offset), one.peak_dn - 1))
+    # The root shows faint light beside the spot as well.
+    norm = PowerNorm(0.5, vmin=min(float(fit.offset), one.peak_dn - 1), vmax=one.peak_dn, clip=True)
+    image.imshow(picture.window, cmap=style.IMAGE_MAP, extent=extent, norm=norm)
     image.grid(False)
     handles, labels = [], []
     centre, angle = (float(fit.x_centre), float(fit.y_centre)), float(fit.orientation)
@@ -39,11 +42,11 @@ def spot(one: Seen) -> style.Drawing:
     image.set(xlim=extent[:2], ylim=extent[2:], xlabel="column / px", ylabel="row / px")
     for ax, profile, words in zip(sides, picture.profiles, ("longer axis", "shorter axis"), strict=True):
         handles, labels = _profile(ax, profile, one)
-        ax.set_xlabel(f"from the centre along the {words} / px")
+        ax.set_xlabel(f"along the {words} / px")
     sides[0].set_ylabel("reading / DN")
     style.legend_above(figure, handles, labels, len(handles))
     caption = (
-        f"{one.name}. Left: contour at 1/e² of the fitted Gaussian (white, dashed)"
+        f"{one.name}. Left: root of the readings, contour at 1/e² of the fitted Gaussian (white, dashed)"
         + (", ellipse of D4σ (green) and the area that its moments are summed over (dotted)" if own.measured else "")
         + ". Right: readings through the fitted centre, and the fit."
     )

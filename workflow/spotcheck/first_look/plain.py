@@ -86,7 +86,7 @@ def _camera(own: Camera) -> dict[str, Any]:
 
 def _beam(own: Beam) -> dict[str, Any]:
     if own.why_not:
-        return {"why_not": own.why_not}
+        return {"why_not": own.why_not, "left_out": list(own.left_out)}
     axes = {}
     for words, found in own.caustics.items():
         numbers: dict[str, Any] = {"chi2_reduced": found.chi2_reduced, "scatter": found.scatter}
@@ -95,7 +95,7 @@ def _beam(own: Beam) -> dict[str, Any]:
             numbers[f"{name}_stderr{OF_BEAM[unit]}"] = getattr(found, f"{name}_stderr")
         numbers |= {"z_m": own.z.tolist(), "radius_m": own.radius[words].tolist()}
         axes[words] = numbers | {"radius_stderr_m": own.stderr[words].tolist()}
-    return {"axes": axes}
+    return {"axes": axes, "left_out": list(own.left_out)}
 
 
 def _known(content: Any) -> Any:

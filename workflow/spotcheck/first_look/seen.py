@@ -1,9 +1,11 @@
 """What one image shows: the spot by a Gaussian fit and by its second moments, its shape, and what is clipped."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
+from scipy.stats import chi2
 
 from spotcheck.estimate.fitted import SpotFits
 from spotcheck.estimate.moments import AREA, Moments, second_moments
@@ -12,13 +14,14 @@ from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.first_look.camera import Camera, stop_of
 from spotcheck.first_look.images import Image
 from spotcheck.model import spot
+from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
 # Half the side of the window that is fitted, in D4σ: the area of integration and a rim that tells the background.
 HALF = 0.6 * AREA
 # Side of the picture's window [px] at most, and points of a profile.
 PICTURE, POINTS = 240, 241
-# What is fitted without the noise of the camera: pixels that count alike.
-EQUAL = {"weighting": "equal"}
+# Light above and below these parts of the peak is compared where the camera's noise is unknown, and pixels that takes.
+BRIGHT, DARK, FEWEST = 0.3, 0.02, 30
 
 
 class Profile(NamedTuple):
@@ -86,27 +89,31 @@ class Seen(NamedTuple):
 def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
     """Look at one image of a camera."""
     pixels = image.read()
-    moments, sensor = second_moments(pixels), camera.sensor
+    moments = second_moments(pixels)
     left_out, fit, picture, misfit = "", None, None, np.nan
-    top, left, window = _window(pixels, moments)
     if np.isfinite(moments.x):
-        if sensor is not None and (odd := odd_pixels(window, sensor)).mask.any():
+        top, left, window = _window(pixels, moments)
+        noise = camera.sensor or _noise_by_residuals(np.where(window >= camera.stop_dn, np.nan, window))
+        if noise is not None and (odd := odd_pixels(window, noise)).mask.any():
             left_out = odd.sentence(left, top)
             window = np.where(odd.mask, np.nan, window)
             pixels = pixels.copy()
             pixels[top : top + window.shape[0], left : left + window.shape[1]] = window
             moments = second_moments(pixels)
-        good = window if sensor is not None else np.where(window >= camera.stop_dn, np.nan, window)
-        fit = _with_misfit(fit_spots(good, sensor, **({} if sensor is not None else EQUAL)))
+        if camera.sensor is not None:
+            fit = _with_misfit(fit_spots(window, camera.sensor))
+        else:
+            fit = fit_spots(np.where(window >= camera.stop_dn, np.nan, window), noise, weighting="equal")
+            fit = replace(_with_misfit(fit), chi2_reduced=np.float64(np.nan))
         if fit.status != "not_converged":
-            picture, misfit = _picture(window, fit, top, left), _misfit(good, fit)
+            picture, misfit = _picture(window, fit, top, left), _misfit(window, fit, camera.stop_dn)
             fit.value[1] += left
             fit.value[2] += top
     known = pixels[np.isfinite(pixels)]
     stop = camera.stop_dn if np.isfinite(camera.stop_dn) else stop_of(pixels, image.bits)
     return Seen(
         image.name, *pixels.shape, z_m, moments, fit, float(known.max()) if known.size else np.nan,
-        int(np.count_nonzero(known >= stop)), stop, misfit, sensor is not None, left_out, picture,
+        int(np.count_nonzero(known >= stop)), stop, misfit, camera.sensor is not None, left_out, picture,
     )  # fmt: skip
 
 
@@ -129,6 +136,26 @@ def _window(pixels: np.ndarray, moments: Moments) -> tuple[int, int, np.ndarray]
     return top, left, pixels[top : int(moments.y + half) + 2, left : int(moments.x + half) + 2]
 
 
+def _noise_by_residuals(window: np.ndarray) -> SensorModel | None:
+    """A law of noise that grows with light by the residuals of a fit, for its errors alone; None where it does not
+    grow. Medians pass over hot pixels."""
+    fit = fit_spots(window, weighting="equal")
+    if fit.status != "ok":
+        return None
+    y, x = np.ogrid[: window.shape[0], : window.shape[1]]
+    light = _model(fit, y, x) - fit.offset
+    squared = (window - light - fit.offset) ** 2 / chi2.median(1)
+    bright = (light > BRIGHT * fit.amplitude) & np.isfinite(window)
+    dark = (light < DARK * fit.amplitude) & np.isfinite(window)
+    if min(np.count_nonzero(bright), np.count_nonzero(dark)) < FEWEST:
+        return None
+    floor = float(np.median(squared[dark]))
+    gain = (float(np.median(squared[bright])) - floor) / float(np.mean(light[bright]))
+    if not gain > 0:
+        return None
+    return SensorModel(gain, float(np.sqrt(max(floor - ROUNDING_VARIANCE, 0.0))) / gain, black_level_dn=float(fit.offset))
+
+
 def _with_misfit(fit: SpotFits) -> SpotFits:
     """A fit whose errors hold what its residuals exceed the noise by."""
     more = np.sqrt(max(float(np.nan_to_num(fit.chi2_reduced, nan=1.0)), 1.0))
@@ -141,11 +168,11 @@ def _model(fit: SpotFits, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     return spot.elliptical_gaussian(x, y, amplitude, x0, y0, major, minor, np.radians(orientation)) + offset
 
 
-def _misfit(window: np.ndarray, fit: SpotFits) -> float:
-    """rms of the residuals within the 1/e² contour, in parts of the peak."""
+def _misfit(window: np.ndarray, fit: SpotFits, stop_dn: float) -> float:
+    """rms of the residuals of whole readings within the 1/e² contour, in parts of the peak."""
     y, x = np.ogrid[: window.shape[0], : window.shape[1]]
     model = _model(fit, y, x)
-    inside = (model - fit.offset > fit.amplitude * np.exp(-2)) & np.isfinite(window)
+    inside = (model - fit.offset > fit.amplitude * np.exp(-2)) & (window < stop_dn)
     if not inside.any():
         return np.nan
     return float(np.sqrt(np.mean((window - model)[inside] ** 2)) / fit.amplitude)

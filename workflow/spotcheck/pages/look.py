@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from spotcheck import store
+from spotcheck import writing
 from spotcheck.figures import style
 from spotcheck.first_look import pictures, words
 from spotcheck.first_look.seen import Seen
-from spotcheck.pages import write_page
+from spotcheck.pages import TEMPLATES
 
 if TYPE_CHECKING:
     from spotcheck.first_look.looking import Look
@@ -35,9 +35,7 @@ def write(look: "Look", folder: Path) -> Path:
     single = len(look.images) == 1
     head, body = words.table(look.images, look.pixel_pitch_m)
     beams = [] if not look.beams else [line for own in look.beams for line in words.beam_lines(own)]
-    write_page(
-        folder / NAME,
-        "look.html",
+    content = TEMPLATES.get_template("look.html").render(
         title=f"A first look at {look.images[0].name if single else f'{len(look.images)} images'}",
         single=single,
         head=head,
@@ -49,6 +47,7 @@ def write(look: "Look", folder: Path) -> Path:
         missing=len(look.images) - sum(bool(own.rows) for own in shown) if not single else 0,
         rows=words.rows(look.images[0], look.pixel_pitch_m) if single else [],
     )
+    writing.text(folder / NAME, content)
     return folder / NAME
 
 
@@ -69,7 +68,7 @@ def _drawn(name: str, draw, folder: Path, rows: Sequence[tuple[str, str]]) -> Sh
         drawing = draw()
         stream = io.BytesIO()
         drawing.figure.savefig(stream, format="png", metadata={"Software": None})
-    with store.appearing_whole(folder / f"{name}.png") as scratch:
+    with writing.whole(folder / f"{name}.png") as scratch:
         scratch.write_bytes(stream.getvalue())
     content = base64.b64encode(stream.getvalue()).decode("ascii")
     return Shown(name, f"data:image/png;base64,{content}", drawing.caption, list(rows))
