@@ -14,6 +14,7 @@ DOCS = Path(__file__).parents[1] / "workflow" / "docs"
 ROOMS = {
     "judging": "a verdict in one call: all stages one after another",
     "cli": "one subcommand for each stage: parse, call, write",
+    "first_look": "images that nobody described",
     "figures": "one module a family of figures",
     "discrepancy": "what the model is missing: the verdict",
     "views": "each model beside each frame",

@@ -81,7 +81,7 @@ def run(words: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(
         prog="spotcheck",
         description="How a camera sees a laser spot on a composite.",
-        epilog="New here? `spotcheck look IMAGE…` needs nothing but images; `spotcheck COMMAND --help` explains a command.",
+        epilog="New here? `spotcheck look IMAGE…` needs nothing but images. `spotcheck COMMAND --help` tells more.",
     )
     parser.add_argument("--version", action="version", version=f"spotcheck {spotcheck.__version__}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")

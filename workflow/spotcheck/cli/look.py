@@ -23,11 +23,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EXAMPLES
     parser.add_argument("images", nargs="+", metavar="IMAGE", help="image files, or a folder of them (TIFF, PNG, PGM)")
-    parser.add_argument("--z", type=positions, metavar="Z,Z,…", help="position of each image along the beam [m], in their order; --z=-0.1,0,0.1 where the first is below 0")
+    parser.add_argument(
+        "--z",
+        type=positions,
+        metavar="Z,Z,…",
+        help="position of each image along the beam [m], in their order; --z=-0.1,0,0.1 where the first is below 0",
+    )
     parser.add_argument("--wavelength-nm", type=float, metavar="NM", help="wavelength [nm], for M²")
     parser.add_argument("--pixel-um", type=float, metavar="UM", help="distance of two pixels [µm], for widths in µm")
     parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
-    parser.add_argument("--output", type=Path, metavar="FOLDER", help=f"folder for page and pictures (default: {OUTPUT})")
+    parser.add_argument(
+        "--output", type=Path, metavar="FOLDER", help=f"folder for page and pictures (default: {OUTPUT})"
+    )
 
 
 def positions(text: str) -> list[float]:

@@ -12,7 +12,9 @@ PAGES = ("report.html", "look.html", "comparison.html")
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = "examples:\n  spotcheck open my-frames\n  spotcheck open results/virtual-rig\n  spotcheck open look\n"
+    parser.epilog = (
+        "examples:\n  spotcheck open my-frames\n  spotcheck open results/virtual-rig\n  spotcheck open look\n"
+    )
     parser.add_argument("place", type=Path, help="dataset folder, a folder of results, or a page")
     parser.add_argument("--results", type=Path, default=Path("results"), help="where results lie (default: results)")
 
@@ -46,4 +48,6 @@ def page_of(place: Path, results: Path = Path("results")) -> Path:
             f"{results / name}: has no page yet; run `snakemake --cores 2 --config dataset={place}`, or name the folder"
             " of the results with --results"
         )
-    raise InputError(f"{place}: has no page and is no dataset; `spotcheck look {place}` makes one of a folder of images")
+    raise InputError(
+        f"{place}: has no page and is no dataset; `spotcheck look {place}` makes one of a folder of images"
+    )

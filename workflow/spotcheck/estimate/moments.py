@@ -1,12 +1,15 @@
 """Widths of a spot by second moments (ISO 11146-1:2021, ISO 11146-3:2004), with standard errors.
 
 Along a principal axis u the width is D4σ = 4 √⟨u²⟩. Light is summed over a rectangle along the principal axes, three
-widths long on each side and found again until it stays; the background, which pixels around it read, is taken off first. No shape is assumed, and the price is paid in noise: a background that is wrong by 0.1 % of a Gaussian's peak
+widths long on each side and found again until it stays; the background, which pixels around it read, is taken off
+first. No shape is assumed, and the price is paid in noise: a background that is wrong by 0.1 % of a Gaussian's peak
 changes its width by 13 %.
 
-A reading I of one pixel moves ⟨u²⟩ by (u² − ⟨u²⟩) dI / ΣI. The variance of a reading is what differences of neighbouring
-pixels show at its place, which is read, shot and rounding noise without a gain to be known; the background's is how
-much it differs between directions from the spot, which sees stray light as well as noise.
+A reading I of one pixel moves ⟨u²⟩ by (u² − ⟨u²⟩) dI / ΣI. Its variance is what differences of neighbouring pixels show
+at its place: read, shot and rounding noise, without a gain to be known. The background's is how much it differs between
+directions from the spot, which sees stray light as well as noise.
+
+# ASSUME: what lies around the area is what lies under the spot, and all light within the area is the spot's.
 """
 
 from typing import NamedTuple
@@ -32,7 +35,7 @@ WITHIN_HALF = np.log(2) / 2
 # A width is measured where its error is below this part of it.
 KNOWN = 0.5
 # Part of the area of integration that a frame must hold for the width to be that of the standard.
-WHOLE = 0.95
+WHOLE = 0.9
 # How far [px] a pixel stands in for one that was not measured.
 NEAR = 2
 
@@ -106,8 +109,9 @@ class _Area(NamedTuple):
 def second_moments(image: np.ndarray) -> Moments:
     """Second-moment widths of the spot on an image [rows, columns] in DN, with standard errors.
 
-    NaN pixels take part as the nearest one, beyond `NEAR` px from it as background. The errors hold to first order in the noise: where one is large
-    (`measured` is False) the width may be anything. Noise that pixels share, as in compressed images, is not seen.
+    NaN pixels take part as the nearest one, beyond `NEAR` px from it as background. The errors hold to first order in
+    the noise: where one is large (`measured` is False) the width may be anything. Noise that pixels share, as in
+    compressed images, is not seen.
     """
     pixels, gone = _filled(np.asarray(image, float))
     start = _start(pixels)

@@ -30,9 +30,7 @@ class Camera(NamedTuple):
         """The law of a reading; None where gain or noise is unknown."""
         if self.gain is None or self.noise is None:
             return None
-        return SensorModel(
-            self.gain.value, self.noise.value, black_level_dn=self.black_dn, full_scale_dn=self.stop_dn
-        )
+        return SensorModel(self.gain.value, self.noise.value, black_level_dn=self.black_dn, full_scale_dn=self.stop_dn)
 
     def lines(self) -> list[tuple[str, str]]:
         """Name and text of each number."""

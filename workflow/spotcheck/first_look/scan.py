@@ -45,9 +45,7 @@ def _of_fit(one: Seen) -> tuple[float, ...] | None:
     return tuple(float(getattr(one.fit, f"{name}{suffix}")) for suffix in ("", "_stderr") for name in of)
 
 
-WIDTHS: dict[str, Callable[[Seen], tuple[float, ...] | None]] = dict(
-    zip(METHODS, (_of_moments, _of_fit), strict=True)
-)
+WIDTHS: dict[str, Callable[[Seen], tuple[float, ...] | None]] = dict(zip(METHODS, (_of_moments, _of_fit), strict=True))
 
 
 def _beam(method: str, widths: Callable, images: Sequence[Seen], pitch_m: float, wavelength_m: float) -> Beam:

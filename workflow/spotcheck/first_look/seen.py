@@ -49,8 +49,8 @@ class Seen(NamedTuple):
     name, rows, columns : the image.
     z_m : where along the beam it was taken [m]; None where nobody says so.
     moments : the spot by second moments.
-    fit : the spot by its Gaussian fit; None where there is no spot. Errors hold the noise, times √χ² where the residuals
-        are larger than the noise.
+    fit : the spot by its Gaussian fit; None where there is no spot. Errors are times √χ² where the residuals
+        exceed the noise.
     peak_dn : highest reading.
     clipped_px, stop_dn : pixels at the reading at which the camera stops, and that reading (infinite: none does).
     misfit : rms of the residuals within the 1/e² contour, in parts of the fitted peak.
@@ -153,7 +153,9 @@ def _noise_by_residuals(window: np.ndarray) -> SensorModel | None:
     gain = (float(np.median(squared[bright])) - floor) / float(np.mean(light[bright]))
     if not gain > 0:
         return None
-    return SensorModel(gain, float(np.sqrt(max(floor - ROUNDING_VARIANCE, 0.0))) / gain, black_level_dn=float(fit.offset))
+    return SensorModel(
+        gain, float(np.sqrt(max(floor - ROUNDING_VARIANCE, 0.0))) / gain, black_level_dn=float(fit.offset)
+    )
 
 
 def _with_misfit(fit: SpotFits) -> SpotFits:

@@ -218,9 +218,7 @@ def _of_fit(one: Seen) -> list[str]:
 def aligned(head: list[str], body: list[list[str]]) -> list[str]:
     """A table as lines of text."""
     sizes = [max(len(row[k]) for row in (head, *body)) for k in range(len(head))]
-    return [
-        GAP.join([row[0].ljust(sizes[0]), *map(str.rjust, row[1:], sizes[1:])]).rstrip() for row in (head, *body)
-    ]
+    return [GAP.join([row[0].ljust(sizes[0]), *map(str.rjust, row[1:], sizes[1:])]).rstrip() for row in (head, *body)]
 
 
 def beam_lines(own: Beam) -> list[str]:

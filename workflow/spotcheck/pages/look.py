@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from spotcheck import writing
 from spotcheck.figures import style
 from spotcheck.first_look import pictures, words
-from spotcheck.first_look.seen import Seen
 from spotcheck.pages import TEMPLATES
 
 if TYPE_CHECKING:
