@@ -125,7 +125,11 @@ def second_moments(image: np.ndarray) -> Moments:
             return NONE._replace(x=start.x, y=start.y)
         part = 1.0 if step < LATER else 0.5
         change = float(np.abs(found.covariance - ellipse.covariance).max() / np.trace(ellipse.covariance)) / 2
-        ellipse = _Ellipse(*(before + part * (now - before) for before, now in zip(ellipse, found, strict=True)))
+        ellipse = _Ellipse(
+            ellipse.x + part * (found.x - ellipse.x),
+            ellipse.y + part * (found.y - ellipse.y),
+            ellipse.covariance + part * (found.covariance - ellipse.covariance),
+        )
         if change < SETTLED:
             break
     return _with_errors(pixels, gone, ellipse, change)

@@ -152,7 +152,8 @@ def _looked(images: Sequence[Image], positions: Sequence[float | None]) -> tuple
         own = images[number]
         return (own.shape, own.bits or 0)
 
-    cameras, seen = [], {}
+    cameras: list[Camera] = []
+    seen: dict[int, Seen] = {}
     for _, group in groupby(sorted(range(len(images)), key=camera), key=camera):
         own = list(group)
         cameras.append(camera_of([images[k] for k in own]))

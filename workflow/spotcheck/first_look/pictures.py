@@ -29,7 +29,8 @@ def spot(one: Seen) -> style.Drawing:
     norm = PowerNorm(0.5, vmin=min(float(fit.offset), one.peak_dn - 1), vmax=one.peak_dn, clip=True)
     image.imshow(picture.window, cmap=style.IMAGE_MAP, extent=extent, norm=norm)
     image.grid(False)
-    handles, labels = [], []
+    handles: list = []
+    labels: list[str] = []
     centre, angle = (float(fit.x_centre), float(fit.y_centre)), float(fit.orientation)
     size = 4 * float(fit.sigma_major), 4 * float(fit.sigma_minor)
     line = Ellipse(centre, *size, angle=angle, fill=False, edgecolor=ON_IMAGE["fit"], linestyle=(0, (4, 2)))

@@ -57,7 +57,7 @@ def _fit(one: Seen, pitch: float | None) -> dict[str, Any] | None:
     out: dict[str, Any] = {"status": str(one.fit.status), "chi2_reduced": float(one.fit.chi2_reduced)}
     for name in NAMES:
         unit = ENDINGS[PARAMETERS[name][0]]
-        value, stderr = float(getattr(one.fit, name)), float(getattr(one.fit, f"{name}_stderr"))
+        value, stderr = one.fitted_to(name)
         if name.startswith("sigma"):
             out |= _lengths({name: (value, stderr)}, pitch)
         else:
@@ -67,7 +67,7 @@ def _fit(one: Seen, pitch: float | None) -> dict[str, Any] | None:
 
 def _lengths(lengths: dict[str, tuple[float, float]], pitch: float | None) -> dict[str, float]:
     """Lengths with their errors in px, and in m where the pitch is known."""
-    out = {}
+    out: dict[str, float] = {}
     for unit, factor in (("px", 1.0), ("m", pitch)):
         for name, (value, stderr) in lengths.items():
             if factor is not None:

@@ -78,6 +78,12 @@ class Seen(NamedTuple):
         """Whether the fit can be trusted."""
         return self.fit is not None and self.fit.status == "ok"
 
+    def fitted_to(self, name: str) -> tuple[float, float]:
+        """A parameter of the fit and its standard error; NaN where there is no fit."""
+        if self.fit is None:
+            return np.nan, np.nan
+        return float(getattr(self.fit, name)), float(getattr(self.fit, f"{name}_stderr"))
+
     @property
     def widened(self) -> float:
         """Factor by which the clip widens D4σ of the fitted Gaussian; 1 without a clip."""
@@ -104,7 +110,7 @@ def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
             fit = _with_misfit(fit_spots(window, camera.sensor))
         else:
             fit = fit_spots(np.where(window >= camera.stop_dn, np.nan, window), noise, weighting="equal")
-            fit = replace(_with_misfit(fit), chi2_reduced=np.float64(np.nan))
+            fit = replace(_with_misfit(fit), chi2_reduced=np.asarray(np.nan))
         if fit.status != "not_converged":
             picture, misfit = _picture(window, fit, top, left), _misfit(window, fit, camera.stop_dn)
             fit.value[1] += left
@@ -112,7 +118,7 @@ def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
     known = pixels[np.isfinite(pixels)]
     stop = camera.stop_dn if np.isfinite(camera.stop_dn) else stop_of(pixels, image.bits)
     return Seen(
-        image.name, *pixels.shape, z_m, moments, fit, float(known.max()) if known.size else np.nan,
+        image.name, pixels.shape[0], pixels.shape[1], z_m, moments, fit, float(known.max()) if known.size else np.nan,
         int(np.count_nonzero(known >= stop)), stop, misfit, camera.sensor is not None, left_out, picture,
     )  # fmt: skip
 

@@ -68,27 +68,24 @@ def rows(one: Seen, pitch: float | None) -> list[tuple[str, str]]:
     if fit is None:
         none = [("spot", f"none: nothing stands out of the noise on {one.columns} × {one.rows} px")]
         return none + ([("clipped", f"{one.clipped_px} px at {one.stop_dn:.5g} DN")] if one.clipped_px else [])
-    x, y = plus_minus(fit.x_centre, fit.x_centre_stderr), plus_minus(fit.y_centre, fit.y_centre_stderr, "px")
-    peak = plus_minus(fit.amplitude, fit.amplitude_stderr, "DN")
-    offset = plus_minus(fit.offset, fit.offset_stderr, "DN")
+    x, y = plus_minus(*one.fitted_to("x_centre")), plus_minus(*one.fitted_to("y_centre"), "px")
+    peak, offset = (plus_minus(*one.fitted_to(name), "DN") for name in ("amplitude", "offset"))
     moments = f"D4σ {_pair(moment_widths(one), pitch)}{_direction(own.azimuth, own.azimuth_stderr)}"
     return [
         ("centre", f"x {x}, y {y}"),
-        ("Gaussian fit", f"4σ {_pair(fit_widths(one), pitch)}{_direction(fit.orientation, fit.orientation_stderr)}"),
+        ("Gaussian fit", f"4σ {_pair(fit_widths(one), pitch)}{_direction(*one.fitted_to('orientation'))}"),
         ("second moments", moments if own.measured else "no width: its error is as large as it is"),
         ("peak", f"{peak} over {offset}; highest reading {one.peak_dn:.5g} DN"),
         ("shape", "; ".join(shape(one))),
-        ("clipped", _said(clipped(one))),
+        ("clipped", f"{clip.value}; {clip.sentence}" if (clip := clipped(one)) else _unclipped(one)),
         *(("beware", _said(remark)) for remark in beware(one)),
     ]
 
 
 def fit_widths(one: Seen) -> Widths:
     """4σ of the fit along the longer and the shorter axis with errors [px]; NaN where there is none."""
-    if one.fit is None:
-        return [(math.nan, math.nan)] * 2
-    return [(4 * float(getattr(one.fit, name)), 4 * float(getattr(one.fit, f"{name}_stderr")))
-            for name in ("sigma_major", "sigma_minor")]  # fmt: skip
+    known = [one.fitted_to(name) for name in ("sigma_major", "sigma_minor")]
+    return [(4 * value, 4 * error) for value, error in known]
 
 
 def moment_widths(one: Seen) -> Widths:
@@ -104,8 +101,9 @@ def shape(one: Seen) -> list[str]:
     fit = one.fit
     if fit is None:
         return []
-    ratio = float(fit.sigma_minor / fit.sigma_major)
-    error = ratio * math.hypot(fit.sigma_minor_stderr / fit.sigma_minor, fit.sigma_major_stderr / fit.sigma_major)
+    (major, major_error), (minor, minor_error) = fit_widths(one)
+    ratio = minor / major
+    error = ratio * math.hypot(minor_error / minor, major_error / major)
     text = f"shorter over longer axis {plus_minus(ratio, error)}"
     if not math.isfinite(fit.orientation_stderr):
         out = [f"round within its noise ({text})"]
@@ -121,17 +119,17 @@ def shape(one: Seen) -> list[str]:
     return [*out, f"not quite a Gaussian: {left}, χ² {fit.chi2_reduced:.3g}"]
 
 
-def clipped(one: Seen) -> Remark:
-    """What is clipped, and what that does to the numbers."""
+def clipped(one: Seen) -> Remark | None:
+    """What is clipped, and what that does to the numbers; None where nothing is seen to be."""
     if not one.clipped_px:
-        return Remark("nothing seen: the highest reading is", f"{one.peak_dn:.5g} DN")
-    fit = "the fit allows for it" if one.noise_known else "the fit leaves the pixels out"
-    where = f"{one.clipped_px} px at {one.stop_dn:.5g} DN"
-    if one.widened < 1 + FELT:
-        return Remark(f"the light stops ({fit}, D4σ hardly feels it) in", where)
-    return Remark(
-        f"the light stops ({fit}, D4σ is too wide) in", f"{where}: D4σ by about {100 * (one.widened - 1):.2g} %"
-    )
+        return None
+    felt = f", D4σ is about {100 * (one.widened - 1):.2g} % too wide" if one.widened > 1 + FELT else ""
+    fit = "the fit allows for it" if one.noise_known else "the fit leaves these pixels out"
+    return Remark(fit, f"{one.clipped_px} px at {one.stop_dn:.5g} DN{felt}")
+
+
+def _unclipped(one: Seen) -> str:
+    return f"nothing seen: the highest reading is {one.peak_dn:.5g} DN"
 
 
 def beware(one: Seen) -> list[Remark]:
@@ -140,8 +138,8 @@ def beware(one: Seen) -> list[Remark]:
     if one.fit is not None and not one.fitted:
         out.append(Remark("the fit is not to be trusted, as the image does not tell a width", str(one.fit.status)))
     if own.measured and not own.whole:
-        part = f"{100 * own.inside:.0f} %"
-        out.append(Remark("D4σ hangs on what lies beyond the frame, which holds of its area of integration", part))
+        why = "D4σ is uncertain, as its area of integration reaches beyond the frame; part inside:"
+        out.append(Remark(why, f"{100 * own.inside:.0f} %"))
     if own.measured and not own.settled:
         out.append(Remark("D4σ does not settle: it goes on changing with its area of integration"))
     if (excess := _excess(one)) > 0:
@@ -184,8 +182,8 @@ def _remarks(one: Seen) -> Iterator[Remark]:
         yield Remark("nothing stands out of the noise")
         return
     yield from beware(one)
-    if one.clipped_px:
-        yield clipped(one)
+    if clip := clipped(one):
+        yield Remark(f"clipped; {clip.sentence}:", clip.value)
 
 
 def table(images: Sequence[Seen], pitch: float | None) -> tuple[list[str], list[list[str]]]:
@@ -208,11 +206,11 @@ def _of_fit(one: Seen) -> list[str]:
     """Direction, peak, χ² and clip as a table has them."""
     if one.fit is None:
         return ["", "", "", ""]
-    known = math.isfinite(one.fit.orientation_stderr)
-    angle = plus_minus(one.fit.orientation, one.fit.orientation_stderr) if known else "round"
+    angle, error = one.fitted_to("orientation")
+    direction = plus_minus(angle, error) if math.isfinite(error) else "round"
     chi2 = float(one.fit.chi2_reduced)
-    peak = plus_minus(one.fit.amplitude, one.fit.amplitude_stderr)
-    return [angle, peak, f"{chi2:.3g}" if math.isfinite(chi2) else "", str(one.clipped_px)]
+    peak = plus_minus(*one.fitted_to("amplitude"))
+    return [direction, peak, f"{chi2:.3g}" if math.isfinite(chi2) else "", str(one.clipped_px)]
 
 
 def aligned(head: list[str], body: list[list[str]]) -> list[str]:
