@@ -8,7 +8,7 @@ from spotcheck import crops, dataset, frames, metrics, pairs, simulation, store,
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import FITS, fit_crops
 from spotcheck.instrument import Instrument
-from tests.library.conftest import HEADER, SENSOR, folder, gaussian, loaded, noisy
+from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SKIPPED = xr.Dataset(attrs={"skipped": "why"})
 

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 from spotcheck.errors import InputError
 from spotcheck.formats import files
+from spotcheck.formats.colour import NONE, Colour
 from spotcheck.labels import beside, units
 from spotcheck.labels.files import labels_of
 from spotcheck.labels.label import Label, agree, shown
-from spotcheck.manifest import IMAGE_SUFFIXES
+from spotcheck.manifest import IMAGE_SUFFIXES, parted
 
 # Units of columns and keys, by the ends of their names.
 KIND_OF = {"_s": "s", "_m": "m", "_deg": "deg"}
@@ -34,8 +35,11 @@ class Scan(NamedTuple):
     broken: tuple[str, ...]
 
 
-def scan(folder: Path) -> Scan:
-    """Every image in frames/, else anywhere below a folder. Raises `InputError` for a name that no text can hold."""
+def scan(folder: Path, colour: Colour = NONE) -> Scan:
+    """Every image in frames/, else anywhere below a folder; of images with colours the plane of `colour`.
+
+    Raises `InputError` for a name that no text can hold.
+    """
     visible = [path for path in folder.rglob("*") if path.is_file() and not _hidden(path.relative_to(folder))]
     images = [path for path in visible if path.suffix.lower() in IMAGE_SUFFIXES]
     images = [path for path in images if (folder / "frames") in path.parents] or images
@@ -46,15 +50,16 @@ def scan(folder: Path) -> Scan:
         if not name.isprintable():
             raise InputError(f"{name!r}: its name holds what is no letter; rename it")
         try:
-            pages = files.pages(image, name)
+            stacks = [(stack, files.pages(folder / stack, stack, colour)) for stack in files.stacks(image, name)]
         except InputError as error:
             broken.append(str(error))
             continue
-        labels = labels_of(image, folder)
-        for number, page in enumerate(pages):
-            own = tuple(label for label in labels if label.page in (None, number))
-            if not page.preview:
-                shots.append(Shot(name, number, page.shape, page.bits, own))
+        for stack, pages in stacks:
+            labels = labels_of(image, folder, parted(stack)[1])
+            for number, page in enumerate(pages):
+                own = tuple(label for label in labels if label.page in (None, number))
+                if not page.preview:
+                    shots.append(Shot(stack, number, page.shape, page.bits, own))
         read |= {*beside.files_of(image), *(own for up in image.parents[:2] for own in beside.lists_in(up))}
     others = sorted(path.relative_to(folder).as_posix() for path in visible if path not in read)
     return Scan(tuple(shots), tuple(others), tuple(broken))
