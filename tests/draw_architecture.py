@@ -32,6 +32,7 @@ ROOMS = {
     "spotfinding": "find the spot, cut it out",
     "formats": "image files",
     "labels": "what files say of frames",
+    "survey": "a folder of images as it is",
     "clip": "where readings stop",
     "crops": "stages ingest and crop",
     "optics": "geometry, diffraction",

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath
 
-from spotcheck.formats import png, tiff
-from spotcheck.labels import beside, names, tags
+from spotcheck.formats import hdf5, png, tiff
+from spotcheck.labels import beside, names, tags, words
 from spotcheck.labels.label import Label
 
 READERS: tuple[tuple[tuple[bytes, ...], str, Callable[[Path], Iterator[Label]]], ...] = (
@@ -13,9 +13,9 @@ READERS: tuple[tuple[tuple[bytes, ...], str, Callable[[Path], Iterator[Label]]],
 )
 
 
-def labels_of(path: Path, root: Path | None = None) -> tuple[Label, ...]:
+def labels_of(path: Path, root: Path | None = None, inside: str = "") -> tuple[Label, ...]:
     """Labels of an image file, the most exact sources first: tags, side files, then its name and, below `root`, those
-    of its folders.
+    of its folders. Of an HDF5 file `inside` is the path of the frames in it.
 
     Nothing is raised for a file that is broken: a label without a column says what could not be read.
     """
@@ -25,9 +25,17 @@ def labels_of(path: Path, root: Path | None = None) -> tuple[Label, ...]:
     for signatures, what, reader in READERS:
         if start.startswith(signatures):
             found += _safely(reader, path, what)
+    if start.startswith(hdf5.SIGNATURE):
+        found += _safely(lambda own: _of_hdf5(own, inside), path, "HDF5")
     found += _safely(beside.labels_of, path, "side file")
     found += names.of_path(path.relative_to(root) if root else PurePath(path.name))
     return tuple(found)
+
+
+def _of_hdf5(path: Path, inside: str) -> Iterator[Label]:
+    """Labels of the attributes, numbers and texts around the frames in an HDF5 file."""
+    for key, value, page in hdf5.texts(path, inside):
+        yield from words.of_keys([(key, value)], "HDF5", page)
 
 
 def _safely(read: Callable[[Path], Iterator[Label]], path: Path, what: str) -> list[Label]:
