@@ -134,6 +134,15 @@ def test_stacks_arrays_and_what_is_none(tmp_path):
             spotcheck.look(given)
 
 
+def test_the_channel_of_a_colour_image_that_reads_most(tmp_path):
+    """Red of a red laser, and it is said."""
+    image = drawn(sensor=SENSOR._replace(full_scale_dn=255, gain_dn_per_e=0.02))
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([image, image // 9, image // 20], axis=-1).astype(np.uint8))
+    found = spotcheck.look(tmp_path / "a.tif")
+    assert off(found.images[0].fit.sigma_major, found.images[0].fit.sigma_major_stderr, 20) < 4
+    assert "the channel that reads most is taken, red" in repr(found)
+
+
 @pytest.mark.parametrize("image", [np.zeros((1, 1)), np.full((40, 50), 255, np.uint8), np.eye(30)])
 def test_an_image_without_a_spot_is_told(image, tmp_path):
     """In words, in JSON and on the page."""

@@ -17,7 +17,6 @@ import spotcheck
 
 COMMANDS = {
     "look": "first look at images that nobody has described: widths with errors, shape, clip, gain, M²",
-    "open": "open the page of a dataset or of results in the browser",
     "check": "check a dataset folder against the contract, without decoding a pixel",
     "ingest": "record digest, shape and extremes of every frame",
     "crop": "crop every spot and reduce the frame around it",
@@ -43,6 +42,7 @@ COMMANDS = {
     "new-dataset": "write a commented manifest and instrument file to fill in",
     "explain": "say where a number of the results comes from: file, variable, rule and inputs",
     "where": "say where the results of a dataset lie",
+    "open": "open the page of a dataset or of results in the browser",
 }
 
 

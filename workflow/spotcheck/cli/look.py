@@ -8,13 +8,11 @@ from spotcheck.errors import InputError
 from spotcheck.first_look.images import folders_of, images_of
 from spotcheck.first_look.looking import look
 
-EXAMPLES = """examples:
-  spotcheck look spot.tif
-  spotcheck look my-images                       all images of a folder
-  spotcheck look my-images --wavelength-nm 632.8 --pixel-um 3.75
-                                                 M², where the names say z, as z_176mm.tif does
-  spotcheck look a.tif b.tif c.tif d.tif --z 0.1,0.2,0.3,0.4 --wavelength-nm 632.8 --pixel-um 3.75
-  spotcheck look spot.tif --json                 one JSON document, for programs
+EXAMPLES = """Examples:
+  spotcheck look my-frames/frames                # all images of a folder
+  spotcheck look my-frames/frames --pixel-um 3.75 --json
+
+With --wavelength-nm as well, positions along the beam give M²: those that names say, as z_176mm.tif does, or --z.
 """
 OUTPUT = "look"
 
@@ -22,7 +20,9 @@ OUTPUT = "look"
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EXAMPLES
-    parser.add_argument("images", nargs="+", metavar="IMAGE", help="image files, or a folder of them (TIFF, PNG, PGM)")
+    parser.add_argument(
+        "images", nargs="+", metavar="IMAGE", help="image files, or a folder of them: TIFF, PNG, PGM, HDF5, .npy"
+    )
     parser.add_argument(
         "--z",
         type=positions,

@@ -6,15 +6,16 @@ from pathlib import Path
 
 from spotcheck.errors import InputError
 
+EXAMPLE = """Example:
+  spotcheck open out/my-frames
+"""
 PAGES = ("report.html", "look.html", "comparison.html")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = (
-        "examples:\n  spotcheck open my-frames\n  spotcheck open results/virtual-rig\n  spotcheck open look\n"
-    )
+    parser.epilog = EXAMPLE
     parser.add_argument("place", type=Path, help="dataset folder, a folder of results, or a page")
     parser.add_argument("--results", type=Path, default=Path("results"), help="where results lie (default: results)")
 

@@ -1,7 +1,7 @@
 """The images of a first look: arrays, files or a folder, and what their files say beside the pixels."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,9 +9,11 @@ import numpy as np
 
 from spotcheck.errors import InputError
 from spotcheck.formats import files
+from spotcheck.formats.colour import CHANNELS, NONE, Colour
+from spotcheck.formats.page import Page
 from spotcheck.labels.files import labels_of
 from spotcheck.labels.label import Label, settled, shown
-from spotcheck.manifest import IMAGE_SUFFIXES
+from spotcheck.manifest import IMAGE_SUFFIXES, parted
 
 # What of the labels a first look uses.
 Z, PITCH, WAVELENGTH = "z_m", "sensor.pixel_pitch_m", "laser.wavelength_m"
@@ -20,8 +22,8 @@ Given = str | Path | np.ndarray | Iterable[str | Path | np.ndarray]
 
 
 class Image(NamedTuple):
-    """One image: its name, an array or a page of a file, rows and columns, and the bits of a stored pixel (None: not
-    whole numbers)."""
+    """One image: its name, an array or a page of a file, rows and columns, the bits of a stored pixel (None: not whole
+    numbers), what the file says of it, and which channel is taken of one that has colours."""
 
     name: str
     source: np.ndarray | Path
@@ -29,11 +31,12 @@ class Image(NamedTuple):
     page: int = 0
     bits: int | None = None
     labels: dict[str, Label] | None = None
+    colour: Colour = NONE
 
     def read(self) -> np.ndarray:
         """Pixels [rows, columns] in DN, NaN where masked."""
         if isinstance(self.source, Path):
-            return files.pixels(self.source, self.page, self.name).astype(float)
+            return files.pixels(self.source, self.page, self.name, self.colour).astype(float)
         return np.ma.filled(np.ma.asanyarray(self.source).astype(float), np.nan)
 
     def says(self, what: str) -> float | None:
@@ -64,7 +67,8 @@ def images_of(given: Given) -> list[Image]:
 
 def folders_of(images: Sequence[Image]) -> set[Path]:
     """Folders that the images lie in."""
-    return {image.source.resolve().parent for image in images if isinstance(image.source, Path)}
+    sources = (image.source for image in images if isinstance(image.source, Path))
+    return {Path(parted(source.as_posix())[0]).resolve().parent for source in sources}
 
 
 def common(images: Sequence[Image], what: str) -> tuple[float | None, str]:
@@ -84,22 +88,37 @@ def _in_folder(folder: Path) -> list[Path]:
     found = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
     if not found:
         below = next((p for p in sorted(folder.iterdir()) if p.is_dir() and p.name == "frames"), None)
-        hint = f"; look at {below}" if below else "; name a folder with TIFF, PNG or PGM files"
+        hint = f"; look at {below}" if below else "; name a folder with TIFF, PNG, PGM, HDF5 or .npy files"
         raise InputError(f"{folder}: holds no image{hint}")
     return sorted(found, key=lambda path: counted(path.name))
 
 
-def _pages(path: Path) -> list[Image]:
-    """Every page of a file that is an image of its own."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file; name image files or a folder of them")
-    pages, labels = files.pages(path, path.name), labels_of(path)
-    own = [(number, page) for number, page in enumerate(pages) if not page.preview]
-    return [
-        Image(path.name if len(own) == 1 else f"{path.name} page {number}", path, page.shape, number, page.bits,
-              settled(labels, number)[0])
-        for number, page in own
-    ]  # fmt: skip
+def _pages(path: Path) -> Iterator[Image]:
+    """Every page of every stack of a file that is an image of its own."""
+    name, inside = parted(path.as_posix())
+    file = Path(name)
+    if not file.exists():
+        raise InputError(f"{file}: no such file; name image files or a folder of them")
+    for stack in [f"{file.name}#{inside}"] if inside else files.stacks(file, file.name):
+        source, labels = file.parent / stack, labels_of(file, inside=parted(stack)[1])
+        pages, colour = _coloured(source, stack)
+        own = [(number, page) for number, page in enumerate(pages) if not page.preview]
+        for number, page in own:
+            name = stack if len(own) == 1 else f"{stack} page {number}"
+            yield Image(name, source, page.shape, number, page.bits, settled(labels, number)[0], colour)
+
+
+def _coloured(path: Path, name: str) -> tuple[list[Page], Colour]:
+    """Pages of a stack, and of one with red, green and blue the channel that reads most: a laser lights one of them."""
+    try:
+        return files.pages(path, name), NONE
+    except InputError as refused:
+        try:
+            pages = files.pages(path, name, Colour(CHANNELS[0]))
+        except InputError:
+            raise refused from None
+    most = max(CHANNELS, key=lambda channel: int(files.pixels(path, 0, name, Colour(channel)).sum(dtype=np.uint64)))
+    return pages, Colour(most)
 
 
 def _array(pixels: np.ndarray, number: int) -> Image:

@@ -116,6 +116,9 @@ def look(
     if wavelength_m is None:
         wavelength_m, source = common(given, WAVELENGTH)
         remarks += [f"wavelength {1e9 * wavelength_m:.5g} nm: {source}"] if wavelength_m else []
+    if coloured := [image for image in given if image.colour.channel]:
+        taken = sorted({str(image.colour.channel) for image in coloured})
+        remarks.append(f"images with red, green and blue: the channel that reads most is taken, {' or '.join(taken)}")
     positions, said = _positions(given, None if z_m is None else list(z_m))
     remarks += said
     cameras, seen = _looked(given, positions)

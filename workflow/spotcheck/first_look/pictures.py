@@ -78,7 +78,7 @@ def caustic(beams: Sequence[Beam]) -> style.Drawing:
     """1/e² radii along z with their hyperbolas, a panel a method."""
     told = [own for own in beams if not own.why_not]
     figure = style.new(3.3, 8.6)
-    panels = figure.subplots(1, len(told), sharey=True, squeeze=False)[0]
+    panels = figure.subplots(1, len(told), sharey=True, sharex=True, squeeze=False)[0]
     for ax, own in zip(panels, told, strict=True):
         reach = np.linspace(own.z.min() - 0.06 * np.ptp(own.z), own.z.max() + 0.06 * np.ptp(own.z), 200)
         for (words, found), colour, (marker, dashes) in zip(
@@ -93,11 +93,12 @@ def caustic(beams: Sequence[Beam]) -> style.Drawing:
             radius, _ = found.radius(reach)
             ax.plot(1e3 * reach, 1e6 * radius, color=colour, linestyle=dashes, label=f"{words}: $M^2$ = {quality}")
         ax.set(xlabel="distance z / mm", title=f"by {own.method}")
-        ax.set_ylim(bottom=0)
         ax.legend(loc="lower center")
+    highest = max(float(radius.max()) for own in told for radius in own.radius.values())
+    panels[0].set_ylim(0, 1.15e6 * highest)
     panels[0].set_ylabel("1/e² radius, half of D4σ / µm")
     return style.Drawing(
         figure,
         "Radius along z with the hyperbola of ISO 11146-1. Error bars: standard error, and the scatter about the curve"
-        " where it is larger.",
+        " where it is larger. Images whose frame does not hold the area of integration have no part in second moments.",
     )

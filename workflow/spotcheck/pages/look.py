@@ -33,7 +33,6 @@ def write(look: "Look", folder: Path) -> Path:
     shown = list(_pictures(look, folder))
     single = len(look.images) == 1
     head, body = words.table(look.images, look.pixel_pitch_m)
-    beams = [] if not look.beams else [line for own in look.beams for line in words.beam_lines(own)]
     content = TEMPLATES.get_template("look.html").render(
         title=f"A first look at {look.images[0].name if single else f'{len(look.images)} images'}",
         single=single,
@@ -41,7 +40,7 @@ def write(look: "Look", folder: Path) -> Path:
         body=body,
         cameras=[own.lines() for own in look.cameras],
         remarks=[*look.remarks, *([] if single else words.remarks_of(look.images))],
-        beams=beams,
+        beams=words.beams(look),
         shown=shown,
         missing=len(look.images) - sum(bool(own.rows) for own in shown) if not single else 0,
         rows=words.rows(look.images[0], look.pixel_pitch_m) if single else [],
