@@ -2,6 +2,10 @@
 
 import argparse
 import json
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from spotcheck.errors import InputError
@@ -15,6 +19,8 @@ EXAMPLES = """Examples:
 With --wavelength-nm as well, positions along the beam give M²: those that names say, as z_176mm.tif does, or --z.
 """
 OUTPUT = "look"
+# What is said on standard error after so long [s].
+PATIENCE_S, COMPILED = 5.0, "still looking; on a new machine the spot fit is compiled first, which takes some 20 s"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixel-um", type=float, metavar="UM", help="distance of two pixels [µm], for widths in µm")
     parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
     parser.add_argument(
-        "--output", type=Path, metavar="FOLDER", help=f"folder for page and pictures (default: {OUTPUT})"
+        "--output", type=Path, metavar="FOLDER", help=f"folder for the page and its first picture (default: {OUTPUT})"
     )
 
 
@@ -47,12 +53,13 @@ def run(args: argparse.Namespace) -> None:
     folder = args.output or (None if args.json else Path(OUTPUT))
     if args.output is None and folder is not None and folder.resolve() in folders_of(images_of(args.images)):
         raise InputError(f"{OUTPUT}: holds the images; name another folder for the page with --output")
-    found = look(
-        args.images,
-        z_m=args.z,
-        pixel_pitch_m=None if args.pixel_um is None else 1e-6 * args.pixel_um,
-        wavelength_m=None if args.wavelength_nm is None else 1e-9 * args.wavelength_nm,
-    )
+    with _patience():
+        found = look(
+            args.images,
+            z_m=args.z,
+            pixel_pitch_m=None if args.pixel_um is None else 1e-6 * args.pixel_um,
+            wavelength_m=None if args.wavelength_nm is None else 1e-9 * args.wavelength_nm,
+        )
     page = None if folder is None else found.write(folder)
     if args.json:
         print(json.dumps(found.to_dict() | {"page": None if page is None else str(page)}, indent=1, ensure_ascii=False))
@@ -61,6 +68,18 @@ def run(args: argparse.Namespace) -> None:
     if asked := _asked(found.wavelength_m, found.pixel_pitch_m, any(one.z_m is not None for one in found.images)):
         print(asked)
     print(f"\npage: {page}    (spotcheck open {page})")
+
+
+@contextmanager
+def _patience() -> Iterator[None]:
+    """Say why nothing is to be seen for so long."""
+    timer = threading.Timer(PATIENCE_S, lambda: print(COMPILED, file=sys.stderr))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _asked(wavelength_m: float | None, pitch_m: float | None, scan: bool) -> str:

@@ -53,7 +53,7 @@ class Look:
         return plain.plain(self)
 
     def write(self, folder: str | Path) -> Path:
-        """Write the page `look.html` and its pictures into a folder; returns the page's path."""
+        """Write the page `look.html` and its first picture `look.png` into a folder; returns the page's path."""
         from spotcheck.pages import look as page
 
         return page.write(self, Path(folder))

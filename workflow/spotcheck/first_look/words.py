@@ -20,6 +20,8 @@ BEYOND, PART = 3.0, 0.02
 AS_NOISE = 1.1
 # The clip is told where it widens D4σ by more than this part.
 FELT = 1e-3
+# Images that a sentence names one by one.
+MOST_NAMES = 9
 # White space between columns, width of a sheet's names, and the longest name in a table.
 GAP, NAME, LONGEST = "  ", 15, 28
 
@@ -172,7 +174,7 @@ def remarks_of(images: Sequence[Seen]) -> list[str]:
             found.setdefault(remark.sentence, []).append((one.name, remark.value))
     out = []
     for sentence, whose in found.items():
-        names = ", ".join(f"{value} ({name})" if value else name for name, value in whose)
+        names = listed([f"{value} ({name})" if value else name for name, value in whose])
         out.append(f"{sentence} {names}" if whose[0][1] else f"{names}: {sentence}")
     return out
 
@@ -231,8 +233,7 @@ def beams(look: Look) -> list[str]:
 
 def beam_lines(own: Beam) -> list[str]:
     """M² and waist by one method, a line an axis, and which images had no part in it."""
-    count = len(own.left_out)
-    without = f"; {count} image{'s' if count > 1 else ''} left out: {', '.join(own.left_out)}" if count else ""
+    without = f"; left out: {listed(own.left_out)}" if own.left_out else ""
     if own.why_not:
         return [f"M² by {own.method}: {own.why_not}{without}"]
     out = []
@@ -247,6 +248,12 @@ def beam_lines(own: Beam) -> list[str]:
             f" {plus_minus(1e3 * found.divergence, 1e3 * found.divergence_stderr, 'mrad')}{without}"
         )
     return out
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names between commas, of many the first ones and how many more there are."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names) if more <= 1 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
 
 
 def _said(remark: Remark) -> str:
