@@ -10,7 +10,7 @@ import yaml
 from spotcheck import dataset
 from spotcheck.cli import main
 from spotcheck.errors import InputError
-from spotcheck.frames import probe_all
+from spotcheck.frames import probe_all, read
 
 SIDE = 40
 
@@ -53,6 +53,16 @@ def test_a_scan_by_its_names(tmp_path, capsys):
     assert (found.instrument.crop_px, found.instrument.model.photon_budget) == (SIDE, "free")
     assert "file name (z_20mm, …)" in said and "Not found: exposure_s, sensor.pixel_pitch_m" in said
     assert not (tmp_path / "frames").exists()
+
+
+def test_hyphens_are_signs_where_there_are_both(tmp_path, capsys):
+    """Else they part a word from its number."""
+    found, _ = new(saved(tmp_path, "z-5mm.tif", "z0mm.tif", "z+5mm.tif"), capsys=capsys)
+    assert {frame.file: frame.extra["z_m"] for frame in found.frames} == {
+        "z-5mm.tif": "-0.005",
+        "z0mm.tif": "0.0",
+        "z+5mm.tif": "0.005",
+    }
 
 
 def test_folders_and_numbers(tmp_path, capsys):
@@ -184,6 +194,33 @@ def test_answers_to_no_question(tmp_path, word, capsys):
         main(["new-dataset", str(saved(tmp_path, "a.tif")), "--set", word])
     assert capsys.readouterr().err.startswith(f"spotcheck: --set {word}: must be KEY=VALUE")
     assert not (tmp_path / "manifest.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("word", "right"),
+    [
+        ("exposure_s=abc", "must be a time such as 2ms, or which source is right: file name"),
+        ("sensor.pixel_pitch_m=3kg", "must be a length such as 3.45um"),
+        ("sensor.channel=pink", "must be one of red, green, blue, green_r, green_b"),
+        ("kind=spt", "must be spot, dark or flat"),
+    ],
+)
+def test_answers_that_are_none(tmp_path, word, right, capsys):
+    """They are not left out without a word."""
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(saved(tmp_path, "2ms.tif")), "--set", word])
+    assert capsys.readouterr().err == f"spotcheck: --set {word}: {right}\n"
+    assert not (tmp_path / "manifest.csv").exists()
+
+
+def test_colours(tmp_path, capsys):
+    """A channel is asked for, and taken."""
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([spot(0), spot(1), spot(2)], -1), photometric="rgb")
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(tmp_path)])
+    assert "must say which one to take, such as by --set sensor.channel=red" in capsys.readouterr().err
+    found, _ = new(tmp_path, "--set", "sensor.channel=green", capsys=capsys)
+    np.testing.assert_array_equal(read(found, found.frames[0]), spot(1))
 
 
 def test_an_empty_folder_gets_a_template(tmp_path, capsys):
