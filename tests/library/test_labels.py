@@ -182,6 +182,17 @@ def test_folders_count_below_the_root(tmp_path):
     assert said(labels_of(path)) == {"number": 1}
 
 
+@pytest.mark.parametrize("pages", [(0,), (0, 2)])
+def test_what_the_first_page_says_alone_is_of_all(tmp_path, pages):
+    """Else each page speaks for itself."""
+    with tifffile.TiffWriter(tmp_path / "a.tif") as out:
+        for k, pixels in enumerate(STACK):
+            text = f"exposure = {k + 1} ms" if k in pages else None
+            out.write(pixels, photometric="minisblack", metadata=None, description=text)
+    found = [said(settled(labels_of(tmp_path / "a.tif"), k)[0].values()) for k in range(3)]
+    assert found == ([{"exposure_s": 1e-3}] * 3 if pages == (0,) else [{"exposure_s": 1e-3}, {}, {"exposure_s": 3e-3}])
+
+
 HOSTILE = {
     "a.txt": "a=" + "x " * 400_000 + "y\n" + "Exposure=" + " " * 100_000 + "1\n",
     "a.json": "[" * 100_000,

@@ -11,6 +11,7 @@ from spotcheck import dataset
 from spotcheck.cli import main
 from spotcheck.errors import InputError
 from spotcheck.frames import probe_all, read
+from spotcheck.instrument import Sensor
 
 SIDE = 40
 
@@ -135,6 +136,23 @@ def test_keys_and_what_else_is_said(tmp_path, capsys):
     assert set(yaml.safe_load(text)) == {"crop_px", "sensor", "laser", "model"}
 
 
+@pytest.mark.parametrize("text", ["bit depth = 99", "bit depth = 12", "pixel size = 3 m", "exposure = 0 ms"])
+def test_values_that_cannot_be_are_left_out(tmp_path, text, capsys):
+    """A depth of more bits than are stored, a pitch of metres, a spot without exposure: `check` passes without them."""
+    tifffile.imwrite(tmp_path / "a.tif", (spot() // 16).astype(np.uint8), photometric="minisblack", description=text)
+    found, _ = new(tmp_path, capsys=capsys)
+    assert found.instrument.sensor == Sensor() and found.frames[0].exposure_s is None
+
+
+def test_links_out_of_the_folder_are_not_followed(tmp_path, capsys):
+    """A manifest names nothing there."""
+    saved(tmp_path / "out", "b.tif")
+    saved(tmp_path / "in", "a.tif")
+    (tmp_path / "in" / "c.tif").symlink_to(tmp_path / "out" / "b.tif")
+    found, said = new(tmp_path / "in", capsys=capsys)
+    assert [frame.file for frame in found.frames] == ["a.tif"] and "Not read: c.tif" in said
+
+
 def test_a_terminal_is_asked(tmp_path, monkeypatch, capsys):
     """Only for what is missing; Enter leaves it out."""
     saved(tmp_path, "2ms.tif")
@@ -202,6 +220,7 @@ def test_answers_to_no_question(tmp_path, word, capsys):
         ("exposure_s=abc", "must be a time such as 2ms, or which source is right: file name"),
         ("sensor.pixel_pitch_m=3kg", "must be a length such as 3.45um"),
         ("sensor.channel=pink", "must be one of red, green, blue, green_r, green_b"),
+        ("sensor.bit_depth=99", "key sensor.bit_depth is 99; it must be at most 16"),
         ("kind=spt", "must be spot, dark or flat"),
     ],
 )

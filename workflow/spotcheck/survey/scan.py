@@ -13,6 +13,7 @@ from spotcheck.labels.files import labels_of
 from spotcheck.labels.label import Label, agree, shown
 from spotcheck.labels.names import FILE, FOLDER
 from spotcheck.manifest import IMAGE_SUFFIXES, KINDS, parted
+from spotcheck.schema import breach_of
 
 # Keys by which frames with colours are read, and columns and keys that hold words.
 COLOUR = ("sensor.channel", "sensor.bayer")
@@ -44,8 +45,11 @@ def scan(folder: Path, colour: Colour = NONE) -> Scan:
 
     Raises `InputError` for a name that no text can hold.
     """
+    home = folder.resolve()
     visible = [path for path in folder.rglob("*") if path.is_file() and not _hidden(path.relative_to(folder))]
     images = [path for path in visible if path.suffix.lower() in IMAGE_SUFFIXES]
+    # A manifest names nothing outside its folder.
+    images = [path for path in images if path.resolve().is_relative_to(home)]
     images = [path for path in images if (folder / "frames") in path.parents] or images
     images.sort(key=lambda path: natural(path.relative_to(folder).as_posix()))
     shots, broken, read = list[Shot](), list[str](), set(images)
@@ -144,6 +148,14 @@ def check(scan: Scan, given: Mapping[str, str]) -> None:
                 "deg": "an angle such as 45deg",
             }
             raise InputError(f"--set {column}={answer}: must be {right.get(kind or column, 'a number')}{also}")
+        if breach := breach_of_key(column, answered(column, answer)):
+            raise InputError(f"--set {column}={answer}: {breach}")
+
+
+def breach_of_key(column: str, value: float | int | str | None) -> str | None:
+    """What is wrong with the value of a key of instrument.yaml, in a sentence; None for a good one, and for columns."""
+    section, dot, key = column.partition(".")
+    return breach_of({section: {key: value}}, "instrument") if dot and value is not None else None
 
 
 def source(label: Label) -> str:
