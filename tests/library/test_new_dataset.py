@@ -154,13 +154,14 @@ def test_links_out_of_the_folder_are_not_followed(tmp_path, capsys):
 
 
 def test_a_terminal_is_asked(tmp_path, monkeypatch, capsys):
-    """Only for what is missing; Enter leaves it out."""
+    """Only for what is missing, again where the answer is none (metres, seconds); Enter leaves it out."""
     saved(tmp_path, "2ms.tif")
-    answers, asked = iter(["3.45 um", ""]), []
+    answers, asked = iter(["3.45", "3.45 s", "3.45 um", ""]), []
     monkeypatch.setattr("sys.stdin", type("Terminal", (io.StringIO,), {"isatty": lambda self: True})())
     monkeypatch.setattr("builtins.input", lambda question: (asked.append(question.partition(":")[0]), next(answers))[1])
-    found, _ = new(tmp_path, capsys=capsys)
-    assert asked == ["sensor.pixel_pitch_m", "laser.wavelength_m"]
+    found, said = new(tmp_path, capsys=capsys)
+    assert "sensor.pixel_pitch_m=3.45 s: must be a length such as 3.45um" in said
+    assert asked == ["sensor.pixel_pitch_m"] * 3 + ["laser.wavelength_m"]
     assert (found.instrument.sensor.pixel_pitch_m, found.instrument.laser.wavelength_m) == (3.45e-6, None)
 
 

@@ -77,14 +77,23 @@ def _completed(found: Scan, rows: Rows, given: dict[str, str]) -> Rows:
     if not missing:
         return rows
     if sys.stdin.isatty():
-        answers = {key: input(f"{key}: {QUESTIONS[key]} (Enter where it is not known): ").strip() for key in missing}
-        given = given | dict(_pair(f"{key}={own}") for key, own in answers.items() if own)
-        check(found, given)
-        return rows_of(found, given)
+        return rows_of(found, given | dict(own for key in missing if (own := _asked(found, key))))
     print(f"Not found: {', '.join(missing)}.")
     print(f"What is known can be given, such as --set {_example(missing[0])}, or written into manifest.csv and")
     print("instrument.yaml; without it the frames are evaluated as far as that goes.")
     return rows
+
+
+def _asked(found: Scan, key: str) -> tuple[str, str] | None:
+    """A key and what a person answers, asked anew where nothing can be made of it; None where it is not known."""
+    while answer := input(f"{key}: {QUESTIONS[key]} (Enter where it is not known): ").strip():
+        try:
+            pair = _pair(f"{key}={answer}")
+            check(found, dict([pair]))
+            return pair
+        except InputError as error:
+            print(str(error).removeprefix("--set "))
+    return None
 
 
 def _missing(rows: Rows) -> Iterator[str]:

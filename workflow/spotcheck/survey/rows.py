@@ -159,14 +159,13 @@ def _origin(found: Sequence[Mapping[str, Label]], repeats_from: str | None) -> d
 
 def _keys(shots: Sequence[Shot], found: Sequence[Mapping[str, Label]]) -> dict[str, Label]:
     """Keys of instrument.yaml that every frame which speaks of them gives the same value, one that can be."""
-    held = {shot.bits for shot in shots}
+    held = min(shot.bits for shot in shots)
     out: dict[str, Label] = {}
     for column in sorted({column for own in found for column in own if "." in column}):
         own = [labels[column] for labels in found if column in labels]
-        deep = column == "sensor.bit_depth" and any(
-            isinstance(own[0].value, int) and own[0].value > bits for bits in held
-        )
-        if len({label.value for label in own}) == 1 and not deep and not breach_of_key(column, own[0].value):
+        value = own[0].value
+        deep = column == "sensor.bit_depth" and isinstance(value, int) and value > held
+        if len({label.value for label in own}) == 1 and not deep and not breach_of_key(column, value):
             out[column] = own[0]
     return out
 
