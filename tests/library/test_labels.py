@@ -25,6 +25,9 @@ NAMES = {
     "t-168mm": {"z_m": 0.168},
     "z-0.5m": {"z_m": 0.5},
     "z=-0.5m": {"z_m": -0.5},
+    "beam_-5mm": {"z_m": -0.005},
+    "2ms_-5mm": {"exposure_s": 2e-3, "z_m": -0.005},
+    "45deg-5mm": {"angle_deg": 45.0, "z_m": 0.005},
     "a090_r3_t900us": {"exposure_s": 9e-4, "repeat": 3},
     "dark_100ms_07": {"kind": "dark", "exposure_s": 0.1, "number": 7},
     "flat (12)": {"kind": "flat", "number": 12},
@@ -177,6 +180,17 @@ def test_folders_count_below_the_root(tmp_path):
     path.write_bytes(b"P5 1 1 255\n0")
     assert said(labels_of(path, tmp_path)) == {"angle_deg": 45.0, "exposure_s": 1e-4, "number": 1}
     assert said(labels_of(path)) == {"number": 1}
+
+
+@pytest.mark.parametrize("pages", [(0,), (0, 2)])
+def test_what_the_first_page_says_alone_is_of_all(tmp_path, pages):
+    """Else each page speaks for itself."""
+    with tifffile.TiffWriter(tmp_path / "a.tif") as out:
+        for k, pixels in enumerate(STACK):
+            text = f"exposure = {k + 1} ms" if k in pages else None
+            out.write(pixels, photometric="minisblack", metadata=None, description=text)
+    found = [said(settled(labels_of(tmp_path / "a.tif"), k)[0].values()) for k in range(3)]
+    assert found == ([{"exposure_s": 1e-3}] * 3 if pages == (0,) else [{"exposure_s": 1e-3}, {}, {"exposure_s": 3e-3}])
 
 
 HOSTILE = {

@@ -10,7 +10,8 @@ import yaml
 from spotcheck import dataset
 from spotcheck.cli import main
 from spotcheck.errors import InputError
-from spotcheck.frames import probe_all
+from spotcheck.frames import probe_all, read
+from spotcheck.instrument import Sensor
 
 SIDE = 40
 
@@ -53,6 +54,16 @@ def test_a_scan_by_its_names(tmp_path, capsys):
     assert (found.instrument.crop_px, found.instrument.model.photon_budget) == (SIDE, "free")
     assert "file name (z_20mm, …)" in said and "Not found: exposure_s, sensor.pixel_pitch_m" in said
     assert not (tmp_path / "frames").exists()
+
+
+def test_hyphens_are_signs_where_there_are_both(tmp_path, capsys):
+    """Else they part a word from its number."""
+    found, _ = new(saved(tmp_path, "z-5mm.tif", "z0mm.tif", "z+5mm.tif"), capsys=capsys)
+    assert {frame.file: frame.extra["z_m"] for frame in found.frames} == {
+        "z-5mm.tif": "-0.005",
+        "z0mm.tif": "0.0",
+        "z+5mm.tif": "0.005",
+    }
 
 
 def test_folders_and_numbers(tmp_path, capsys):
@@ -125,14 +136,32 @@ def test_keys_and_what_else_is_said(tmp_path, capsys):
     assert set(yaml.safe_load(text)) == {"crop_px", "sensor", "laser", "model"}
 
 
+@pytest.mark.parametrize("text", ["bit depth = 99", "bit depth = 12", "pixel size = 3 m", "exposure = 0 ms"])
+def test_values_that_cannot_be_are_left_out(tmp_path, text, capsys):
+    """A depth of more bits than are stored, a pitch of metres, a spot without exposure: `check` passes without them."""
+    tifffile.imwrite(tmp_path / "a.tif", (spot() // 16).astype(np.uint8), photometric="minisblack", description=text)
+    found, _ = new(tmp_path, capsys=capsys)
+    assert found.instrument.sensor == Sensor() and found.frames[0].exposure_s is None
+
+
+def test_links_out_of_the_folder_are_not_followed(tmp_path, capsys):
+    """A manifest names nothing there."""
+    saved(tmp_path / "out", "b.tif")
+    saved(tmp_path / "in", "a.tif")
+    (tmp_path / "in" / "c.tif").symlink_to(tmp_path / "out" / "b.tif")
+    found, said = new(tmp_path / "in", capsys=capsys)
+    assert [frame.file for frame in found.frames] == ["a.tif"] and "Not read: c.tif" in said
+
+
 def test_a_terminal_is_asked(tmp_path, monkeypatch, capsys):
-    """Only for what is missing; Enter leaves it out."""
+    """Only for what is missing, again where the answer is none (metres, seconds); Enter leaves it out."""
     saved(tmp_path, "2ms.tif")
-    answers, asked = iter(["3.45 um", ""]), []
+    answers, asked = iter(["3.45", "3.45 s", "3.45 um", ""]), []
     monkeypatch.setattr("sys.stdin", type("Terminal", (io.StringIO,), {"isatty": lambda self: True})())
     monkeypatch.setattr("builtins.input", lambda question: (asked.append(question.partition(":")[0]), next(answers))[1])
-    found, _ = new(tmp_path, capsys=capsys)
-    assert asked == ["sensor.pixel_pitch_m", "laser.wavelength_m"]
+    found, said = new(tmp_path, capsys=capsys)
+    assert "sensor.pixel_pitch_m=3.45 s: must be a length such as 3.45um" in said
+    assert asked == ["sensor.pixel_pitch_m"] * 3 + ["laser.wavelength_m"]
     assert (found.instrument.sensor.pixel_pitch_m, found.instrument.laser.wavelength_m) == (3.45e-6, None)
 
 
@@ -184,6 +213,34 @@ def test_answers_to_no_question(tmp_path, word, capsys):
         main(["new-dataset", str(saved(tmp_path, "a.tif")), "--set", word])
     assert capsys.readouterr().err.startswith(f"spotcheck: --set {word}: must be KEY=VALUE")
     assert not (tmp_path / "manifest.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("word", "right"),
+    [
+        ("exposure_s=abc", "must be a time such as 2ms, or which source is right: file name"),
+        ("sensor.pixel_pitch_m=3kg", "must be a length such as 3.45um"),
+        ("sensor.channel=pink", "must be one of red, green, blue, green_r, green_b"),
+        ("sensor.bit_depth=99", "key sensor.bit_depth is 99; it must be at most 16"),
+        ("kind=spt", "must be spot, dark or flat"),
+    ],
+)
+def test_answers_that_are_none(tmp_path, word, right, capsys):
+    """They are not left out without a word."""
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(saved(tmp_path, "2ms.tif")), "--set", word])
+    assert capsys.readouterr().err == f"spotcheck: --set {word}: {right}\n"
+    assert not (tmp_path / "manifest.csv").exists()
+
+
+def test_colours(tmp_path, capsys):
+    """A channel is asked for, and taken."""
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([spot(0), spot(1), spot(2)], -1), photometric="rgb")
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(tmp_path)])
+    assert "must say which one to take, such as by --set sensor.channel=red" in capsys.readouterr().err
+    found, _ = new(tmp_path, "--set", "sensor.channel=green", capsys=capsys)
+    np.testing.assert_array_equal(read(found, found.frames[0]), spot(1))
 
 
 def test_an_empty_folder_gets_a_template(tmp_path, capsys):

@@ -31,6 +31,7 @@ from PIL import Image, PngImagePlugin
 
 from spotcheck import crops, dataset
 from spotcheck.errors import InputError
+from spotcheck.labels.files import labels_of
 from tests.load.rows import Row, write
 
 # A reader that computes longer than this on some kilobytes hangs [s]; a busy machine does not count.
@@ -157,12 +158,13 @@ def good_files() -> dict[str, list[bytes]]:
         b"P5 30 24 255\n" + small.tobytes(),
         b"P2\n30 24\n4095\n" + b" ".join(b"%d" % v for v in RAMP.ravel()),
     ]
-    npys = [npy(), npy(small), npy(stack), npy(np.asfortranarray(stack)), npy(RAMP.astype(">u2"))]
+    single = RAMP[np.newaxis]
+    npys = [npy(), npy(small), npy(stack), npy(np.asfortranarray(RAMP)), npy(RAMP.astype(">u2")), npy(single)]
     gzip: dict[str, Any] = {"compression": "gzip", "shuffle": True}
     hdf5s = [
-        *(hdf5(stack), hdf5(stack, libver="latest"), hdf5(stack, chunks=(1, 24, 30), **gzip)),
-        hdf5(stack, chunks=(1, 8, 16), fletcher32=True, libver="latest", **gzip),
-        hdf5(stack, chunks=(1, 24, 30), compression="lzf"),
+        *(hdf5(stack), hdf5(RAMP), hdf5(single, libver="latest"), hdf5(single, chunks=(1, 24, 30), **gzip)),
+        hdf5(single, chunks=(1, 8, 16), fletcher32=True, libver="latest", **gzip),
+        hdf5(single, chunks=(1, 24, 30), compression="lzf"),
     ]
     return {"TIFF": tiffs, "PNG": pngs, "PGM": pgms, "NumPy": npys, "HDF5": hdf5s}
 
@@ -322,6 +324,7 @@ def tallies(folder: Path, count: int, seed: int = 1) -> Iterator[tuple[str, Tall
         return one
 
     def ingest() -> None:
+        labels_of(frame, folder)
         crops.ingest(dataset.load(folder))
 
     def load() -> None:

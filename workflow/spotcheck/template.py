@@ -83,12 +83,11 @@ def instrument(rows: Rows | None = None, crop_px: int | None = None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def keys() -> list[str]:
-    """Every key of instrument.yaml that holds a number, with its section."""
-    sections = {
-        name: own["properties"] for name, own in read_schema("instrument")["properties"].items() if "properties" in own
-    }
-    return [f"{name}.{key}" for name, own in sections.items() for key, kind in own.items() if kind["type"] in NUMBERS]
+def keys() -> dict[str, dict]:
+    """Every key of instrument.yaml that holds a number or one of some words, with what the schema says of it."""
+    sections = read_schema("instrument")["properties"]
+    own = {f"{name}.{key}": kind for name, held in sections.items() for key, kind in held.get("properties", {}).items()}
+    return {key: kind for key, kind in own.items() if kind["type"] in NUMBERS or "enum" in kind}
 
 
 def _known(rows: Rows | None, crop_px: int | None) -> dict[str, tuple[object, str]]:

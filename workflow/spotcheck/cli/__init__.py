@@ -39,7 +39,7 @@ COMMANDS = {
     "effects": "the page of effects, from the effects' own files",
     "report": "one self-contained page of figures, tables and what was skipped",
     "compare": "one page of several datasets: what changed beyond its errors, and trends",
-    "new-dataset": "write a commented manifest and instrument file to fill in",
+    "new-dataset": "make a dataset of a folder of images: read what they say, ask for the rest",
     "explain": "say where a number of the results comes from: file, variable, rule and inputs",
     "where": "say where the results of a dataset lie",
     "open": "open the page of a dataset or of results in the browser",

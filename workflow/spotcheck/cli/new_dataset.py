@@ -7,9 +7,10 @@ from pathlib import Path
 
 from spotcheck import configuration, template
 from spotcheck.errors import InputError
+from spotcheck.formats.colour import Colour
 from spotcheck.survey import crop
 from spotcheck.survey.rows import LABELLED, POSITION, Rows, rows_of
-from spotcheck.survey.scan import Scan, scan
+from spotcheck.survey.scan import COLOUR, Scan, check, scan
 from spotcheck.survey.told import told
 
 # What a person is asked for where no file says it: column or key, and the question.
@@ -42,18 +43,22 @@ def run(args: argparse.Namespace) -> None:
     """Say what the files tell, ask for what is missing, write both files; nothing that is there is overwritten."""
     folder, given = args.folder, dict(_pair(word) for word in args.given)
     template.check_free(folder)
-    found = scan(folder) if folder.is_dir() else Scan((), (), ())
+    colour = Colour(*(given.get(key) for key in COLOUR))
+    found = scan(folder, colour) if folder.is_dir() else Scan((), (), ())
+    if found.broken and not found.shots:
+        more = f"; of {len(found.broken)} images none is read" if len(found.broken) > 1 else ""
+        keys = ", such as by --set sensor.channel=red" if COLOUR[0] in found.broken[0] else ""
+        raise InputError(f"{found.broken[0]}{keys}{more}")
+    check(found, given)
     rows = rows_of(found, given) if found.shots else None
     if rows is None:
-        for sentence in found.broken:
-            print(sentence)
         if found.others:
             print(f"{folder}: holds no image that is read, but {', '.join(found.others[:MOST_OTHERS])}")
         template.write(folder)
     else:
         print(*told(str(folder), found, rows), sep="\n")
         rows = _completed(found, rows, given)
-        side, seen = crop.look(folder, rows)
+        side, seen = crop.look(folder, rows, colour)
         if not seen:
             print(
                 "No spot stands out in these frames. Darks and flats are told by those words in the names of files or"
@@ -72,13 +77,23 @@ def _completed(found: Scan, rows: Rows, given: dict[str, str]) -> Rows:
     if not missing:
         return rows
     if sys.stdin.isatty():
-        answers = {key: input(f"{key}: {QUESTIONS[key]} (Enter where it is not known): ").strip() for key in missing}
-        return rows_of(found, given | dict(_pair(f"{key}={own}") for key, own in answers.items() if own))
-    print(
-        f"Not found: {', '.join(missing)}. What is known can be given, such as --set {_example(missing[0])}, or written"
-    )
-    print("into manifest.csv and instrument.yaml; without it the frames are evaluated as far as that goes.")
+        return rows_of(found, given | dict(own for key in missing if (own := _asked(found, key))))
+    print(f"Not found: {', '.join(missing)}.")
+    print(f"What is known can be given, such as --set {_example(missing[0])}, or written into manifest.csv and")
+    print("instrument.yaml; without it the frames are evaluated as far as that goes.")
     return rows
+
+
+def _asked(found: Scan, key: str) -> tuple[str, str] | None:
+    """A key and what a person answers, asked anew where nothing can be made of it; None where it is not known."""
+    while answer := input(f"{key}: {QUESTIONS[key]} (Enter where it is not known): ").strip():
+        try:
+            pair = _pair(f"{key}={answer}")
+            check(found, dict([pair]))
+            return pair
+        except InputError as error:
+            print(str(error).removeprefix("--set "))
+    return None
 
 
 def _missing(rows: Rows) -> Iterator[str]:
@@ -100,7 +115,10 @@ def _example(key: str) -> str:
 def _pair(word: str) -> tuple[str, str]:
     """Key and value of an answer. Raises `InputError`."""
     key, equals, value = (part.strip() for part in word.partition("="))
-    keys = [*LABELLED, *template.keys()]
-    if not equals or key not in keys or not value:
+    keys = template.keys()
+    if not equals or key not in (*LABELLED, *keys) or not value:
         raise InputError(f"--set {word}: must be KEY=VALUE, with a KEY of {', '.join(LABELLED)} or of instrument.yaml")
+    choices = keys.get(key, {}).get("enum", [value])
+    if value not in choices:
+        raise InputError(f"--set {word}: must be one of {', '.join(choices)}")
     return key, value

@@ -4,7 +4,6 @@ import struct
 from pathlib import Path
 from typing import NamedTuple
 
-import imagecodecs
 import numpy as np
 from PIL import Image
 
@@ -86,6 +85,8 @@ def read(path: Path, page: int) -> np.ndarray:
         with Image.open(path, formats=("PNG",)) as image:
             pixels = np.asarray(image)
     else:
+        import imagecodecs
+
         # Pillow makes eight bits of sixteen where there are colours.
         pixels = imagecodecs.png_decode(path.read_bytes())
     return _significant(pixels, found.bits, found.significant_bits)

@@ -25,7 +25,13 @@ def files_of(path: Path) -> list[Path]:
 
 def lists_in(folder: Path) -> list[Path]:
     """Lists of an EMVA 1288 measurement in a folder."""
-    return sorted(own for own in folder.glob("*.txt") if own.is_file() and _listed(own, *_stamps(own)))
+    return list(_lists_in(folder, folder.stat().st_mtime_ns))
+
+
+@lru_cache(maxsize=64)
+def _lists_in(folder: Path, _changed_ns: int) -> tuple[Path, ...]:
+    """Looked up once for all images of a folder."""
+    return tuple(sorted(own for own in folder.glob("*.txt") if own.is_file() and _listed(own, *_stamps(own))))
 
 
 def labels_of(path: Path) -> Iterator[Label]:

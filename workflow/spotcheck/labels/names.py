@@ -9,8 +9,7 @@ from spotcheck.labels.label import Label
 from spotcheck.labels.words import KEYS, KINDS, date_in
 
 FILE, FOLDER = "file name", "folder name"
-# A number with its unit, and the word before it. A hyphen behind a word parts it from the number: a minus needs = or
-# nothing before it. 1p5 is how names write 1.5.
+# A number with its unit, and the word before it. 1p5 is how names write 1.5.
 _QUANTITY = re.compile(
     rf"(?<![A-Za-z0-9.])(?:(?P<key>[^\W\d_]+)(?P<gap>\s*=\s*|[\s_-]*))?(?P<sign>[-+]?)(?P<number>\d+(?:[.,p]\d+)?)"
     rf"[\s_]?(?P<unit>(?i:{units.ANY}))(?![^\W_])"
@@ -99,8 +98,10 @@ def _quantity(found: re.Match, where: str) -> Label | None:
     kind = units.kind_of(unit)
     if kind is None:
         return None
-    hyphen = found["gap"] is not None and found["gap"].strip(" _") == "-"
-    sign = "-" if found["sign"] == "-" and not hyphen and (found["gap"] is None or "=" in found["gap"]) else ""
+    # A hyphen alone between a word and a number parts them; behind another sign, or behind none, it is a minus.
+    gap = found["gap"]
+    minus = found["sign"] == "-" or (gap is not None and len(gap) > 1 and gap.endswith("-"))
+    sign = "-" if minus else ""
     number = units.scaled(sign + found["number"].replace("p", "."), unit, kind)
     if number is None:
         return None

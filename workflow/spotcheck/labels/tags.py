@@ -28,24 +28,27 @@ PITCH_M = (0.5e-6, 100e-6)
 
 def of_tiff(path: Path) -> Iterator[Label]:
     """Labels of every page of a TIFF file. Raises what tifffile raises for a broken file."""
+    found = list[Label]()
     with tiff.directories(path) as (file, directories):
         described = ""
         for number, page in enumerate(directories):
-            single = None if number == 0 and page.is_final and len(file.pages) == 1 else number
+            found += _of_tags(page, number)
             text = page.tags.valueof(270, "")
-            yield from _of_tags(page, single)
             if not isinstance(text, str) or not text or text == described:
                 continue
             described = text
             if text.lstrip().startswith("<") and "<OME" in text[:2000]:
-                yield from ome.labels_in(text[: words.LONGEST_TEXT])
+                found += ome.labels_in(text[: words.LONGEST_TEXT])
             elif number == 0 and text.startswith("ImageJ="):
-                yield from _of_imagej(file, text)
+                found += _of_imagej(file, text)
             else:
-                yield from words.labels_in(text, "TIFF tag 270 ImageDescription", single)
+                found += words.labels_in(text, "TIFF tag 270 ImageDescription", number)
+    # What stands on the first page alone is said of the whole stack.
+    later = {label.where for label in found if label.page}
+    yield from (label if label.where in later else label._replace(page=label.page or None) for label in found)
 
 
-def _of_tags(page: tifffile.TiffPage, number: int | None) -> Iterator[Label]:
+def _of_tags(page: tifffile.TiffPage, number: int) -> Iterator[Label]:
     exif = page.tags.valueof(EXIF, {})
     exif = exif if isinstance(exif, dict) else {}
     for code, name, column, kind in TAGS:
@@ -82,7 +85,7 @@ def _ratio(value: Any) -> float | None:
         return None
 
 
-def _of_resolution(page: tifffile.TiffPage, number: int | None) -> Iterator[Label]:
+def _of_resolution(page: tifffile.TiffPage, number: int) -> Iterator[Label]:
     """The pitch that a resolution stands for, where a sensor may have it: most programs write that of a printer."""
     ratio, unit = _ratio(page.tags.valueof(282)), page.tags.valueof(296, 2)
     if (

@@ -122,7 +122,8 @@ def valued(value: str, unit: str, kind: str) -> float | int | str | None:
         whole = number.isdecimal() and len(number) < 10 and not own
         return int(number) if whole else None
     # ASSUME: an angle without a unit is in degrees, as no instrument shows radians.
-    return units.scaled(number, own or unit or ("deg" if kind == "deg" else ""), kind)
+    scaled = units.scaled(number, own or unit or ("deg" if kind == "deg" else ""), kind)
+    return None if kind == "s" and scaled is not None and scaled < 0 else scaled
 
 
 def date_in(text: str) -> str | None:

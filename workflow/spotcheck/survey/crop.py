@@ -7,6 +7,7 @@ import numpy as np
 
 from spotcheck.errors import InputError
 from spotcheck.formats import files
+from spotcheck.formats.colour import NONE, Colour
 from spotcheck.frames import block_mean
 from spotcheck.instrument import Instrument
 from spotcheck.spotfinding import light_centroid
@@ -31,7 +32,7 @@ class Look(NamedTuple):
     seen: bool
 
 
-def look(folder: Path, rows: Rows) -> Look:
+def look(folder: Path, rows: Rows, colour: Colour = NONE) -> Look:
     """Look at some spots of a folder for the size of their crop."""
     spots = [shot for shot, cell in zip(rows.shots, rows.cells, strict=True) if cell["kind"] == "spot"]
     if not spots:
@@ -39,7 +40,7 @@ def look(folder: Path, rows: Rows) -> Look:
     room, widest, seen = min(min(shot.shape) for shot in spots), 0.0, False
     for shot in spots[:: -(-len(spots) // MOST_FRAMES)]:
         try:
-            pixels = files.pixels(folder / shot.file, shot.page, shot.file)
+            pixels = files.pixels(folder / shot.file, shot.page, shot.file, colour)
         except InputError:
             continue
         if light_centroid(pixels, Instrument.crop_px).found:

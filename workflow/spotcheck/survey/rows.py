@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from spotcheck.labels.label import Label
 from spotcheck.manifest import DATE, PHOTONS, REQUIRED_COLUMNS
-from spotcheck.survey.scan import Scan, Settled, Shot, contradiction, settle, source
+from spotcheck.survey.scan import Scan, Settled, Shot, breach_of_key, contradiction, settle, source
 
 # Columns that a label may fill, in the order of the manifest.
 LABELLED = ("kind", "angle_deg", "exposure_s", "repeat", "z_m", PHOTONS, DATE)
@@ -61,6 +61,8 @@ def rows_of(scan: Scan, given: Mapping[str, str]) -> Rows:
     for kind, own in zip(kinds, found, strict=True):
         if kind != "spot":
             own.pop("angle_deg", None)
+        elif "exposure_s" in own and not own["exposure_s"].value:
+            del own["exposure_s"]
     cells = [
         {name: _written(own.get(name)) for name in LABELLED} | {"kind": kind, "file": shot.file, "page": str(shot.page)}
         for shot, own, kind in zip(shots, found, kinds, strict=True)
@@ -79,7 +81,7 @@ def rows_of(scan: Scan, given: Mapping[str, str]) -> Rows:
         columns=(*REQUIRED_COLUMNS, *(["page"] if any(shot.page for shot in shots) else []), *extra),
         cells=tuple(cells),
         origin=_origin(found, repeats_from),
-        keys=_keys(found),
+        keys=_keys(shots, found),
         conditions=(POSITION,) if len(positions) > 1 and not missing[POSITION] else (),
         order_known=known,
         contradictions=_contradictions(settled),
@@ -155,12 +157,15 @@ def _origin(found: Sequence[Mapping[str, Label]], repeats_from: str | None) -> d
     return out
 
 
-def _keys(found: Sequence[Mapping[str, Label]]) -> dict[str, Label]:
-    """Keys of instrument.yaml that every frame which speaks of them gives the same value."""
+def _keys(shots: Sequence[Shot], found: Sequence[Mapping[str, Label]]) -> dict[str, Label]:
+    """Keys of instrument.yaml that every frame which speaks of them gives the same value, one that can be."""
+    held = min(shot.bits for shot in shots)
     out: dict[str, Label] = {}
     for column in sorted({column for own in found for column in own if "." in column}):
         own = [labels[column] for labels in found if column in labels]
-        if len({label.value for label in own}) == 1:
+        value = own[0].value
+        deep = column == "sensor.bit_depth" and isinstance(value, int) and value > held
+        if len({label.value for label in own}) == 1 and not deep and not breach_of_key(column, value):
             out[column] = own[0]
     return out
 

@@ -11,8 +11,13 @@ from spotcheck.formats.colour import NONE, Colour
 from spotcheck.labels import beside, units
 from spotcheck.labels.files import labels_of
 from spotcheck.labels.label import Label, agree, shown
-from spotcheck.manifest import IMAGE_SUFFIXES, parted
+from spotcheck.labels.names import FILE, FOLDER
+from spotcheck.manifest import IMAGE_SUFFIXES, KINDS, parted
+from spotcheck.schema import breach_of
 
+# Keys by which frames with colours are read, and columns and keys that hold words.
+COLOUR = ("sensor.channel", "sensor.bayer")
+WORDS = ("kind", "date", *COLOUR)
 # Units of columns and keys, by the ends of their names.
 KIND_OF = {"_s": "s", "_m": "m", "_deg": "deg"}
 
@@ -40,8 +45,11 @@ def scan(folder: Path, colour: Colour = NONE) -> Scan:
 
     Raises `InputError` for a name that no text can hold.
     """
+    home = folder.resolve()
     visible = [path for path in folder.rglob("*") if path.is_file() and not _hidden(path.relative_to(folder))]
     images = [path for path in visible if path.suffix.lower() in IMAGE_SUFFIXES]
+    # A manifest names nothing outside its folder.
+    images = [path for path in images if path.resolve().is_relative_to(home)]
     images = [path for path in images if (folder / "frames") in path.parents] or images
     images.sort(key=lambda path: natural(path.relative_to(folder).as_posix()))
     shots, broken, read = list[Shot](), list[str](), set(images)
@@ -62,7 +70,20 @@ def scan(folder: Path, colour: Colour = NONE) -> Scan:
                     shots.append(Shot(stack, number, page.shape, page.bits, own))
         read |= {*beside.files_of(image), *(own for up in image.parents[:2] for own in beside.lists_in(up))}
     others = sorted(path.relative_to(folder).as_posix() for path in visible if path not in read)
-    return Scan(tuple(shots), tuple(others), tuple(broken))
+    return Scan(_signed(shots), tuple(others), tuple(broken))
+
+
+def _signed(shots: list[Shot]) -> tuple[Shot, ...]:
+    """The shots with a minus where hyphens in their names are one: `z-5mm` beside `z+5mm` or `z0mm`."""
+    texts = {label.text for shot in shots for label in shot.labels if label.where in (FILE, FOLDER)}
+    both = {word[1] for text in texts if (word := re.match(r"([^\W\d_]+)\+?\d", text))}
+
+    def signed(label: Label) -> Label:
+        word = re.match(r"([^\W\d_]+)-\d", label.text) if label.where in (FILE, FOLDER) else None
+        minus = word is not None and word[1] in both
+        return label._replace(value=-label.value) if minus and isinstance(label.value, float) else label
+
+    return tuple(shot._replace(labels=tuple(map(signed, shot.labels))) for shot in shots)
 
 
 def _hidden(path: Path) -> bool:
@@ -95,7 +116,7 @@ def settle(shot: Shot, given: Mapping[str, str]) -> Settled:
     for column, own in by_column.items():
         answer = given.get(column, "")
         known = [label for label in own if label.value is not None] or _in_unit(own, answer)
-        known = [label for label in known if source(label) == answer or label.where == answer] or known
+        known = [label for label in known if source(label) == answer] or known
         if not known:
             continue
         other = next((label for label in known if not agree(known[0], label)), None)
@@ -111,6 +132,32 @@ def settle(shot: Shot, given: Mapping[str, str]) -> Settled:
     return Settled(labels, against)
 
 
+def check(scan: Scan, given: Mapping[str, str]) -> None:
+    """Raise `InputError` for an answer that nothing can be made of."""
+    for column, answer in given.items():
+        sources = {
+            word for shot in scan.shots for own in shot.labels if own.column == column for word in (source(own),)
+        }
+        kind = kind_of(column)
+        if answered(column, answer) is None and answer not in sources and not (kind and units.kind_of(answer) == kind):
+            also = f", or which source is right: {', '.join(sorted(sources))}" if sources else ""
+            right = {
+                "kind": "spot, dark or flat",
+                "s": "a time such as 2ms",
+                "m": "a length such as 3.45um",
+                "deg": "an angle such as 45deg",
+            }
+            raise InputError(f"--set {column}={answer}: must be {right.get(kind or column, 'a number')}{also}")
+        if breach := breach_of_key(column, answered(column, answer)):
+            raise InputError(f"--set {column}={answer}: {breach}")
+
+
+def breach_of_key(column: str, value: float | int | str | None) -> str | None:
+    """What is wrong with the value of a key of instrument.yaml, in a sentence; None for a good one, and for columns."""
+    section, dot, key = column.partition(".")
+    return breach_of({section: {key: value}}, "instrument") if dot and value is not None else None
+
+
 def source(label: Label) -> str:
     """Where a label comes from, the same for all files: of a file beside an image only its ending."""
     return re.sub(r"^side file .*(\.\w+)$", r"side file *\1", label.where)
@@ -118,8 +165,8 @@ def source(label: Label) -> str:
 
 def answered(column: str, answer: str) -> float | int | str | None:
     """The value that an answer gives for a column; None where it is a unit or the name of a source."""
-    if column in ("kind", "date"):
-        return answer if column == "date" or answer in ("spot", "dark", "flat") else None
+    if column in WORDS:
+        return answer if column in ("date", *COLOUR) or answer in KINDS else None
     parted = units.parted(answer)
     if parted is None:
         return None
