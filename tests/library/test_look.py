@@ -108,7 +108,7 @@ def test_positions_that_are_given_go_before_those_of_names(scan):
     found = spotcheck.look(files, z_m=[2 * z for z in POSITIONS])
     assert [one.z_m for one in found.images] == pytest.approx([2 * z for z in POSITIONS])
     assert found.beams == () and "M² needs the wavelength and the pixel pitch" in found.remarks
-    with pytest.raises(spotcheck.InputError, match="2 positions for 7 images; give one for each"):
+    with pytest.raises(spotcheck.InputError, match="2 positions, but the number of images is 7; give one for each"):
         spotcheck.look(files, z_m=[0.1, 0.2])
 
 

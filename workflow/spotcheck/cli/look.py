@@ -45,7 +45,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def positions(text: str) -> list[float]:
     """Numbers between commas."""
-    return [float(part) for part in text.split(",") if part.strip()]
+    try:
+        return [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"is {text!r}; it must be numbers between commas, in metres") from None
 
 
 def run(args: argparse.Namespace) -> None:

@@ -136,7 +136,9 @@ def _positions(images: Sequence[Image], z_m: Sequence[float] | None) -> tuple[li
     """Position of each image [m], and where it is from where nobody gave it."""
     if z_m is not None:
         if len(z_m) != len(images):
-            raise InputError(f"z: {len(z_m)} positions for {len(images)} images; give one for each, in metres")
+            raise InputError(
+                f"z: {len(z_m)} positions, but the number of images is {len(images)}; give one for each, in metres"
+            )
         if not all(math.isfinite(z) for z in z_m):
             raise InputError("z: every position must be a finite number, in metres")
         return [float(z) for z in z_m], []
