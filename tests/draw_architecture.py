@@ -14,6 +14,7 @@ DOCS = Path(__file__).parents[1] / "workflow" / "docs"
 ROOMS = {
     "judging": "a verdict in one call: all stages one after another",
     "cli": "one subcommand for each stage: parse, call, write",
+    "first_look": "images that nobody described",
     "figures": "one module a family of figures",
     "discrepancy": "what the model is missing: the verdict",
     "views": "each model beside each frame",
@@ -30,6 +31,8 @@ ROOMS = {
     "frames": "read and reduce",
     "spotfinding": "find the spot, cut it out",
     "formats": "image files",
+    "labels": "what files say of frames",
+    "survey": "a folder of images as it is",
     "clip": "where readings stop",
     "crops": "stages ingest and crop",
     "optics": "geometry, diffraction",

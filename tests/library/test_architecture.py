@@ -17,10 +17,10 @@ FLOORS = {
         *("errors", "text", "writing", "schema", "conditions", "plausible", "manifest", "instrument", "dataset"),
         *("store", "provenance", "configuration", "running", "seen"),
     ),
-    1: ("frames", "formats", "spotfinding", "clip", "crops", "optics", "template"),
+    1: ("frames", "formats", "labels", "survey", "spotfinding", "clip", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "pairs", "simulation", "design"),
-    4: ("figures", "discrepancy", "comparison", "views", "pages", "paper", "origin"),
+    4: ("first_look", "figures", "discrepancy", "comparison", "views", "pages", "paper", "origin"),
     5: ("cli",),
     # Runs the subcommands one after another, as the workflow does.
     6: ("judging",),

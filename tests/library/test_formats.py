@@ -65,7 +65,7 @@ def test_min_is_white_is_turned_round(tmp_path, bits, dtype):
     pixels = (RAMP.astype(int) % 2**bits).astype(dtype)
     options = {} if bits == 8 * pixels.itemsize else {"bitspersample": bits}
     path = tiff(tmp_path, (2**bits - 1 - pixels.astype(int)).astype(dtype), photometric="miniswhite", **options)
-    assert files.pages(path, "a") == [((20, 32), bits, False)]
+    assert files.pages(path, "a") == [((20, 32), bits, False, "")]
     np.testing.assert_array_equal(read(path), pixels)
 
 
@@ -77,7 +77,7 @@ def test_packed_bits(tmp_path, bits):
     packed = b"".join(int(row.ljust(-(-len(row) // 8) * 8, "0"), 2).to_bytes(-(-len(row) // 8)) for row in rows)
     path = tiff(tmp_path, pixels.astype(np.uint16), bitspersample=bits)
     assert packed in path.read_bytes()
-    assert files.pages(path, "a") == [((20, 31), bits, False)]
+    assert files.pages(path, "a") == [((20, 31), bits, False, "")]
     np.testing.assert_array_equal(read(path), pixels)
 
 
@@ -90,14 +90,14 @@ def test_mirrored_rows_are_turned_back(tmp_path, turn, stored):
 
 TAGS = {
     "palette": (lambda f: tiff(f, SMALL, photometric="palette", colormap=np.zeros((3, 256), np.uint16)), "PALETTE"),
-    "colour filters": (lambda f: with_tag(tiff(f), 262, 32803), "PhotometricInterpretation is CFA"),
+    "colour filters": (lambda f: with_tag(tiff(f), 262, 32803), "raw frame behind colour filters"),
     "rows as columns": (lambda f: tiff(f, extratags=[(274, 3, 1, 6, True)]), "Orientation is 6"),
     "lowest bit first": (lambda f: renamed(tiff(f, extratags=[(65000, 3, 1, 2, True)]), 65000, 266), "FillOrder is 2"),
     "a curve": (lambda f: tiff(f, extratags=[(291, 3, 4, (0, 9, 99, 999), True)]), "GrayResponseCurve"),
     "a channel of alpha": (lambda f: tiff(f, np.stack([RAMP] * 2, -1), extrasamples=["unassalpha"]), "2 channels"),
     "planes of colour": (
         lambda f: tiff(f, np.stack([RAMP] * 3), photometric="rgb", planarconfig="separate"),
-        r"3 channels \(SamplesPerPixel\)",
+        "has red, green and blue; sensor.channel in instrument.yaml must say which",
     ),
     "signed": (lambda f: tiff(f, RAMP.astype(np.int16)), "int16 pixels .SampleFormat"),
     "float": (lambda f: tiff(f, RAMP.astype(np.float16)), "float16 pixels .SampleFormat"),
@@ -148,7 +148,7 @@ def test_stacks_of_one_directory(tmp_path, kind, byteorder):
         path = tiff(tmp_path, stack, truncate=True, byteorder=byteorder)
     with tifffile.TiffFile(path) as own:
         assert len(own.pages) == 1 and own.series[0].shape == stack.shape
-    assert files.pages(path, "a") == [((20, 32), 16, False)] * 5
+    assert files.pages(path, "a") == [((20, 32), 16, False, "")] * 5
     for page in range(5):
         np.testing.assert_array_equal(read(path, page), stack[page])
 
@@ -164,7 +164,7 @@ def test_a_stack_of_one_directory_that_is_cut_short(tmp_path, kept, word):
             files.pages(path, "a")
         assert word in str(caught.value)
     else:
-        assert files.pages(path, "a") == [((20, 32), 16, False)]
+        assert files.pages(path, "a") == [((20, 32), 16, False, "")]
         np.testing.assert_array_equal(read(path), RAMP)
 
 
@@ -275,7 +275,7 @@ def test_significant_bits_of_a_png(tmp_path, scale):
     extra = PngImagePlugin.PngInfo()
     extra.add(b"sBIT", b"\x0c")
     Image.fromarray(scale(RAMP).astype(np.uint16)).save(tmp_path / "a.png", pnginfo=extra)
-    assert files.pages(tmp_path / "a.png", "a") == [((20, 32), 12, False)]
+    assert files.pages(tmp_path / "a.png", "a") == [((20, 32), 12, False, "")]
     np.testing.assert_array_equal(read(tmp_path / "a.png"), RAMP)
     Image.fromarray(RAMP).save(tmp_path / "a.png", pnginfo=extra)
     with pytest.raises(InputError, match="sBIT says that 12 of 16 bits hold readings, but the low ones do as well"):

@@ -129,7 +129,6 @@ def test_value_above_the_bit_depth(tmp_path):
 
 
 REFUSED = {
-    "RGB": (np.stack([RAMP] * 3, -1), "3 channels"),
     "float": (RAMP.astype(np.float32), "float32"),
     "signed": (RAMP.astype(np.int16), "int16"),
     "32 bit": (RAMP.astype(np.uint32), "uint32"),
@@ -145,7 +144,6 @@ def test_other_pixels_are_refused(tmp_path, pixels, word):
 
 
 COLOURS = {
-    "RGB": r"has RGB colour \(PNG colour type 2\)",
     "RGBA": r"has RGB colour and transparency \(PNG colour type 6\)",
     "LA": r"has a channel of transparency \(PNG colour type 4\)",
     "P": r"has a palette of colours \(PNG colour type 3\)",

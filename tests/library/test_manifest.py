@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck import crops, dataset, frames, store, template
+from spotcheck import crops, dataset, frames, store
 from spotcheck.cli import main
 from spotcheck.errors import InputError
 from spotcheck.estimate.characterise import characterise_dataset
@@ -151,7 +151,7 @@ def test_a_new_manifest_has_a_row_a_page(tmp_path, beside, capsys):
 def test_a_manifest_without_stacks_has_no_column_for_pages(tmp_path):
     """The five that every dataset needs."""
     image(tmp_path)
-    template.write(tmp_path)
+    main(["new-dataset", str(tmp_path)])
     assert HEADER in (tmp_path / "manifest.csv").read_text().splitlines()
 
 

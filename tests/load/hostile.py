@@ -21,6 +21,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 import tifffile
 import yaml
@@ -30,6 +31,7 @@ from PIL import Image, PngImagePlugin
 
 from spotcheck import crops, dataset
 from spotcheck.errors import InputError
+from spotcheck.labels.files import labels_of
 from tests.load.rows import Row, write
 
 # A reader that computes longer than this on some kilobytes hangs [s]; a busy machine does not count.
@@ -116,6 +118,22 @@ def png(pixels: np.ndarray = RAMP, chunk: tuple[bytes, bytes] | None = None) -> 
     return out.getvalue()
 
 
+def npy(pixels: np.ndarray = RAMP) -> bytes:
+    """A .npy file."""
+    out = io.BytesIO()
+    np.save(out, pixels)
+    return out.getvalue()
+
+
+def hdf5(pixels: np.ndarray, libver: str | None = None, **options: Any) -> bytes:
+    """An HDF5 file."""
+    out = io.BytesIO()
+    with h5py.File(out, "w", libver=libver) as file:
+        file.create_dataset("entry/data", data=pixels, **options)
+        file["entry/data"].attrs["units"] = "DN"
+    return out.getvalue()
+
+
 @cache
 def good_files() -> dict[str, list[bytes]]:
     """Files that are read, by format."""
@@ -140,7 +158,15 @@ def good_files() -> dict[str, list[bytes]]:
         b"P5 30 24 255\n" + small.tobytes(),
         b"P2\n30 24\n4095\n" + b" ".join(b"%d" % v for v in RAMP.ravel()),
     ]
-    return {"TIFF": tiffs, "PNG": pngs, "PGM": pgms}
+    single = RAMP[np.newaxis]
+    npys = [npy(), npy(small), npy(stack), npy(np.asfortranarray(RAMP)), npy(RAMP.astype(">u2")), npy(single)]
+    gzip: dict[str, Any] = {"compression": "gzip", "shuffle": True}
+    hdf5s = [
+        *(hdf5(stack), hdf5(RAMP), hdf5(single, libver="latest"), hdf5(single, chunks=(1, 24, 30), **gzip)),
+        hdf5(single, chunks=(1, 8, 16), fletcher32=True, libver="latest", **gzip),
+        hdf5(single, chunks=(1, 24, 30), compression="lzf"),
+    ]
+    return {"TIFF": tiffs, "PNG": pngs, "PGM": pgms, "NumPy": npys, "HDF5": hdf5s}
 
 
 def changed(rng: np.random.Generator, good: list[bytes]) -> bytes:
@@ -298,6 +324,7 @@ def tallies(folder: Path, count: int, seed: int = 1) -> Iterator[tuple[str, Tall
         return one
 
     def ingest() -> None:
+        labels_of(frame, folder)
         crops.ingest(dataset.load(folder))
 
     def load() -> None:

@@ -113,7 +113,7 @@ def frames(wildcards):
 
 def frames_of(found):
     """Files of the raw frames of a dataset."""
-    return sorted({str(found.folder / frame.file) for frame in found.frames})
+    return sorted({str(found.folder / frame.path) for frame in found.frames})
 
 
 @cache

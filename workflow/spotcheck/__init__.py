@@ -13,6 +13,7 @@ __all__ = [
     "Characterisation",
     "Dataset",
     "InputError",
+    "Look",
     "SensorModel",
     "SpotBounds",
     "SpotFits",
@@ -22,6 +23,7 @@ __all__ = [
     "fit_caustic",
     "fit_spots",
     "judge_dataset",
+    "look",
     "read_dataset",
     "read_image",
     "simulate_dataset",
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from spotcheck.estimate.fitted import SpotFits
     from spotcheck.estimate.spot_bounds import SpotBounds, spot_bounds
     from spotcheck.estimate.spotfit import fit_spots
+    from spotcheck.first_look.looking import Look, look
     from spotcheck.frames import read as read_image
     from spotcheck.judging import judge_dataset
     from spotcheck.model.sensor import SensorModel
@@ -50,6 +53,7 @@ else:
         "Characterisation": "estimate.characterise.Characterisation",
         "Dataset": "dataset.Dataset",
         "InputError": "errors.InputError",
+        "Look": "first_look.looking.Look",
         "SensorModel": "model.sensor.SensorModel",
         "SpotBounds": "estimate.spot_bounds.SpotBounds",
         "SpotFits": "estimate.fitted.SpotFits",
@@ -58,6 +62,7 @@ else:
         "fit_caustic": "estimate.caustic.fit_caustic",
         "fit_spots": "estimate.spotfit.fit_spots",
         "judge_dataset": "judging.judge_dataset",
+        "look": "first_look.looking.look",
         "read_dataset": "dataset.load",
         "read_image": "frames.read",
         "simulate_dataset": "design.simulate_dataset",

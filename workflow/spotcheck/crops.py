@@ -48,9 +48,9 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
     looks, first, tops = dict[str, seen.Look](), dict[bytes, int](), []
     for k, frame in enumerate(dataset.frames):
-        if frame.file not in looks:
-            path = dataset.folder / frame.file
-            looks[frame.file] = seen.look(path, before.get(str(path)))
+        if frame.path not in looks:
+            path = dataset.folder / frame.path
+            looks[frame.path] = seen.look(path, before.get(str(path)))
         pixels = frames.readings(frames.read_good(dataset, frame))
         top = top_of(pixels)
         tops.append(top)
@@ -75,7 +75,7 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
     for name, values, long_name in (
         ("file", [f.file for f in dataset.frames], "path in the dataset folder"),
         ("kind", [f.kind for f in dataset.frames], "spot, dark or flat"),
-        ("sha256", [looks[f.file].sha256 for f in dataset.frames], "SHA-256 of the file"),
+        ("sha256", [looks[f.path].sha256 for f in dataset.frames], "SHA-256 of the file"),
     ):
         ds[name] = ("frame", np.array(values, dtype=object), {"units": "1", "long_name": long_name})
     for name, numbers, units, long_name in (

@@ -149,11 +149,11 @@ def load(folder: str | Path) -> Dataset:
 def check_files(dataset: Dataset) -> None:
     """Every named frame is there, and every image in frames/ is named. Raises `InputError`."""
     for frame in dataset.frames:
-        if not (dataset.folder / frame.file).is_file():
-            near = _near(dataset.folder, frame.file)
+        if not (dataset.folder / frame.path).is_file():
+            near = _near(dataset.folder, frame.path)
             said = f", but {near} is; correct the row" if near else "; add the file or drop the row"
-            raise InputError(f"manifest.csv line {frame.line}: {frame.file} is not there{said}")
-    named = {(dataset.folder / frame.file).resolve() for frame in dataset.frames}
+            raise InputError(f"manifest.csv line {frame.line}: {frame.path} is not there{said}")
+    named = {(dataset.folder / frame.path).resolve() for frame in dataset.frames}
     for image in sorted((dataset.folder / "frames").rglob("*")):
         # Names that start with a dot are the system's, such as the ._a.tif of macOS.
         hidden = any(part.startswith(".") for part in image.relative_to(dataset.folder).parts)

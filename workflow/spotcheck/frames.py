@@ -11,6 +11,7 @@ import numpy as np
 from spotcheck.dataset import Dataset, in_frames
 from spotcheck.errors import InputError
 from spotcheck.formats import files
+from spotcheck.formats.colour import NONE, Colour, plane
 from spotcheck.formats.page import PREVIEW, Page
 from spotcheck.instrument import BadPixels, Instrument
 from spotcheck.manifest import Frame
@@ -30,12 +31,17 @@ class Probe(NamedTuple):
     remarks: tuple[str, ...] = ()
 
 
+def colour_of(instrument: Instrument) -> Colour:
+    """Which plane of its frames a dataset takes."""
+    return Colour(instrument.sensor.channel, instrument.sensor.bayer)
+
+
 def pages_of(dataset: Dataset) -> dict[str, list[Page]]:
     """Pages of every file that the manifest names; each row's is among them. Raises `InputError`."""
     found: dict[str, list[Page]] = {}
     for frame in dataset.frames:
         if frame.file not in found:
-            found[frame.file] = files.pages(dataset.folder / frame.file, frame.file)
+            found[frame.file] = files.pages(dataset.folder / frame.file, frame.file, colour_of(dataset.instrument))
         count = len(found[frame.file])
         if frame.page >= count:
             raise InputError(f"{frame.label}: page is {frame.page}, but the file has {count}; pages count from 0")
@@ -102,16 +108,18 @@ def probe_all(dataset: Dataset) -> Probe:
             f"instrument.yaml: crop_px is {crop}, but the frames have {first.shape[1]} × {first.shape[0]} px;"
             f" it must be at most {min(first.shape)}"
         )
-    bad_pixels(dataset.instrument.bad_pixels, first.shape)
+    bad_pixels(dataset.instrument.bad_pixels, first.shape, colour_of(dataset.instrument))
     return first
 
 
 @lru_cache(maxsize=4)
-def bad_pixels(named: BadPixels, shape: tuple[int, int]) -> np.ndarray | None:
-    """Which pixels [rows, columns] of a sensor instrument.yaml names as bad; None where it names none.
+def bad_pixels(named: BadPixels, shape: tuple[int, int], taken: Colour = NONE) -> np.ndarray | None:
+    """Which pixels [rows, columns] of frames that are read with `shape` instrument.yaml names as bad; None where it
+    names none. It names places on the sensor, of which Bayer frames are read a plane.
 
     Raises `InputError` for a mask of another size, or for a place beyond the frame.
     """
+    shape = shape[0] * taken.step, shape[1] * taken.step
     out = np.zeros(shape, bool)
     if named.mask is not None:
         name = Path(named.mask).name
@@ -136,6 +144,7 @@ def bad_pixels(named: BadPixels, shape: tuple[int, int]) -> np.ndarray | None:
     out[:, list(named.columns)] = True
     out[list(named.rows)] = True
     out[[y for _, y in named.pixels], [x for x, _ in named.pixels]] = True
+    out = plane(out, taken)
     if out.all():
         raise InputError("instrument.yaml: key bad_pixels names every pixel of the frames; some must be left")
     return out if out.any() else None
@@ -154,7 +163,7 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     >>> image.shape, image.dtype, int(image.max())
     ((96, 96), dtype('uint16'), 624)
     """
-    pixels = files.pixels(dataset.folder / frame.file, frame.page, frame.label)
+    pixels = files.pixels(dataset.folder / frame.file, frame.page, frame.label, colour_of(dataset.instrument))
     sensor = dataset.instrument.sensor
     if sensor.value_shift_bits:
         if (pixels & (2**sensor.value_shift_bits - 1)).any():
@@ -175,7 +184,8 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
 def read_good(dataset: Dataset, frame: Frame) -> np.ndarray:
     """As `read`, where instrument.yaml names bad pixels as float32 with NaN in their place: not measured."""
     pixels = read(dataset, frame)
-    bad = bad_pixels(dataset.instrument.bad_pixels, (pixels.shape[0], pixels.shape[1]))
+    own = dataset.instrument
+    bad = bad_pixels(own.bad_pixels, (pixels.shape[0], pixels.shape[1]), colour_of(own))
     return pixels if bad is None else np.where(bad, np.float32(np.nan), pixels.astype(np.float32))
 
 

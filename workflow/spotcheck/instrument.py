@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,8 @@ RESERVED = {
 
 @dataclass(frozen=True)
 class Sensor:
-    """Section `sensor`; None marks a key without a default that was not given."""
+    """Section `sensor`; None marks a key without a default that was not given. Once read, `pixel_pitch_m` is that of
+    the plane of a colour: twice the sensor's where `bayer` is given."""
 
     pixel_pitch_m: float | None = None
     bit_depth: int | None = None
@@ -52,6 +53,8 @@ class Sensor:
     gain_dn_per_e_stderr: float = 0.0
     read_noise_e_stderr: float = 0.0
     black_level_dn_stderr: float = 0.0
+    channel: str | None = None
+    bayer: str | None = None
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,7 @@ def read_instrument(path: Path) -> Instrument:
         raise InputError(
             f"{path.name}: keys optics.pixel_integration and model.top_hat are both true; one of them must be false"
         )
+    sections["sensor"] = _of_colour(path, sections["sensor"], sections["optics"])
     content = _whole(content)
     content["conditions"] = tuple(content.get("conditions", ()))
     for condition in content["conditions"]:
@@ -179,6 +183,28 @@ def read_instrument(path: Path) -> Instrument:
                 f"{path.name}: key conditions names {condition!r}; it must be a word of letters, digits and underscores"
             )
     return Instrument(**content, **sections, given=frozenset(given))
+
+
+def _of_colour(path: Path, sensor: Sensor, optics: Optics) -> Sensor:
+    """The sensor as a plane of one colour has it. Raises `InputError` for keys that do not go together."""
+    greens = sensor.channel in ("green_r", "green_b")
+    if sensor.bayer is None:
+        if greens:
+            raise InputError(
+                f"{path.name}: key sensor.channel is {sensor.channel}; it must be green without sensor.bayer"
+            )
+        return sensor
+    if sensor.channel in (None, "green"):
+        raise InputError(
+            f"{path.name}: key sensor.bayer is {sensor.bayer}, but sensor.channel is {sensor.channel or 'missing'};"
+            " it must be red, green_r (in rows with red), green_b (in rows with blue) or blue"
+        )
+    if optics.pixel_integration:
+        raise InputError(
+            f"{path.name}: key optics.pixel_integration is true, but the pixels of one colour (sensor.bayer) cover a"
+            " quarter of the frame; it must be false"
+        )
+    return replace(sensor, pixel_pitch_m=None if sensor.pixel_pitch_m is None else 2 * sensor.pixel_pitch_m)
 
 
 def _in_another_unit(content: dict[str, Any], breach: str) -> str:

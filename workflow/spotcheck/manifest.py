@@ -22,7 +22,9 @@ DATE = "date"
 ALIKE_TWICE = (
     f"every frame must be named once, with a repeat of its own (exposures within {100 * EXPOSURE_PART:g} % are one)"
 )
-IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm")
+# Files with paths inside, which follow behind #.
+HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".nxs", ".nc")
+IMAGE_SUFFIXES = (".tif", ".tiff", ".png", ".pgm", ".npy", *HDF5_SUFFIXES)
 # Longest path of a file [characters]; what is longer is no name, and systems refuse to look for it.
 LONGEST_NAME = 250
 # Characters of a wrong cell that a message shows.
@@ -33,7 +35,8 @@ SEPARATOR = re.compile('"?sep=,"?,*')
 
 @dataclass(frozen=True)
 class Frame:
-    """One row of the manifest. `line` counts lines of the file from 1, the header being line 1."""
+    """One row of the manifest. `line` counts lines of the file from 1, the header being line 1. Behind the path of an
+    HDF5 file, `file` may name what is inside it: `scan.h5#/entry/data`."""
 
     line: int
     file: str
@@ -45,9 +48,20 @@ class Frame:
     extra: dict[str, str]
 
     @property
+    def path(self) -> str:
+        """The file alone, without what is named inside it."""
+        return parted(self.file)[0]
+
+    @property
     def label(self) -> str:
         """How messages name the frame."""
         return f"{self.file}, page {self.page}" if self.page else self.file
+
+
+def parted(file: str) -> tuple[str, str]:
+    """The path of a file and, of HDF5, the path inside it that follows behind #; "" where none does."""
+    found = re.fullmatch(rf"(.+?(?:{'|'.join(map(re.escape, HDF5_SUFFIXES))}))#/*(.*)", file, re.IGNORECASE | re.DOTALL)
+    return (found[1], f"/{found[2]}" if found[2] else "") if found else (file, "")
 
 
 def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, ...]:
@@ -109,14 +123,16 @@ def _is_comment(line: str, folder: Path) -> bool:
 def _as_on_disk(folder: Path, frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
     """The frames with their files named as the disk does: ä is one letter to some systems and two to others (Unicode's
     normal forms C and D)."""
-    if all(frame.file.isascii() or (folder / frame.file).exists() for frame in frames):
+    if all(frame.path.isascii() or (folder / frame.path).exists() for frame in frames):
         return frames
     there = [own.relative_to(folder).as_posix() for own in folder.rglob("*")]
     spelt = {normalize("NFC", own): own for own in there}
     return tuple(
         frame
-        if (folder / frame.file).exists()
-        else replace(frame, file=spelt.get(normalize("NFC", frame.file), frame.file))
+        if (folder / frame.path).exists()
+        else replace(
+            frame, file=spelt.get(normalize("NFC", frame.path), frame.path) + frame.file.removeprefix(frame.path)
+        )
         for frame in frames
     )
 
@@ -156,21 +172,22 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
     file = cell["file"].replace("\\", "/")
     if len(file) > LONGEST_NAME:
         raise InputError(f"{where}: file has {len(file)} characters; it must be a path of at most {LONGEST_NAME}")
+    path_alone, inside = parted(file)
     absolute = Path(file).is_absolute() or PureWindowsPath(file).is_absolute()
-    if not file or "\0" in file or absolute or not _inside(path.parent, file):
+    if not file or "\0" in file or absolute or not _inside(path.parent, path_alone):
         raise InputError(
             f"{where}: file is {file!r}; it must be a path inside the dataset folder, not a link out of it"
         )
     if re.search("[{}]", file):
         raise InputError(f"{where}: file is {file!r}; it must be a name without braces")
-    if Path(file).suffix.lower() not in IMAGE_SUFFIXES:
+    if Path(path_alone).suffix.lower() not in IMAGE_SUFFIXES:
         raise InputError(
             f"{where}: {file} is in no format that is read; save it as TIFF, PNG or PGM ({', '.join(IMAGE_SUFFIXES)})"
         )
     extra = {name: value for name, value in cell.items() if name not in (*REQUIRED_COLUMNS, "page")}
     return Frame(
         line=line,
-        file=Path(os.path.normpath(file)).as_posix(),
+        file=Path(os.path.normpath(path_alone)).as_posix() + (f"#{inside}" if inside else ""),
         page=count("page") or 0,
         kind=cell["kind"],
         angle_deg=number("angle_deg"),

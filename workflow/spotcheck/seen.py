@@ -76,7 +76,7 @@ def as_ingested(dataset: Dataset, table: xr.Dataset) -> Iterator[None]:
     ingested = dict(zip(map(str, table["file"].values), map(str, table["sha256"].values), strict=True))
     # A table that was never written has no place to remember anything in.
     found = recall(memory_of(Path(table.encoding.get("source", "nowhere")).parent))
-    files = {str(dataset.folder / frame.file): frame.file for frame in dataset.frames}
+    files = {str(dataset.folder / frame.path): frame.file for frame in dataset.frames}
 
     def check(before: Mapping[str, Look]) -> dict[str, Look]:
         found = looks(files, before)

@@ -1,97 +1,115 @@
-"""A new dataset folder: manifest.csv with a row for every image that is there, and an instrument.yaml of comments."""
+"""A new dataset folder: manifest.csv with a row for every frame that was found, and a commented instrument.yaml."""
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from spotcheck import store
 from spotcheck.errors import InputError
-from spotcheck.formats import files
-from spotcheck.manifest import IMAGE_SUFFIXES, REQUIRED_COLUMNS
+from spotcheck.manifest import REQUIRED_COLUMNS
 from spotcheck.schema import read_schema
+from spotcheck.survey.rows import Rows
+
+NUMBERS = ("number", "integer")
+# Lines on what the files say beside what is used.
+MOST_SAID = 30
 
 
-def write(folder: Path) -> list[str]:
-    """Write manifest.csv and instrument.yaml; raises `InputError` when one of them is already there."""
+EXAMPLE = {"file": "frames/first.tif", "kind": "spot", "angle_deg": "0", "exposure_s": "0.0001", "repeat": "0"}
+
+
+def check_free(folder: Path) -> None:
+    """Raise `InputError` where a folder holds a manifest or a data sheet: neither is ever overwritten."""
     for name in ("manifest.csv", "instrument.yaml"):
         if (folder / name).exists():
             raise InputError(f"{folder / name}: is already there; choose another folder or move it away")
-    frames = folder / "frames"
-    frames.mkdir(parents=True, exist_ok=True)
-    images = _images(frames.rglob("*")) or _images(folder.glob("*"))
-    pages = [(image.relative_to(folder).as_posix(), page) for image in images for page in _pages(image)]
-    store.write_text(folder / "manifest.csv", manifest(pages))
-    store.write_text(folder / "instrument.yaml", instrument())
-    return ["manifest.csv", "instrument.yaml"]
 
 
-def _images(paths: Iterable[Path]) -> list[Path]:
-    """Those that are images by their endings, sorted. Raises `InputError` for a name that no text file can hold."""
-    found = sorted(
-        p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()
-    )
-    for image in found:
-        if not image.name.isprintable():
-            raise InputError(f"{str(image)!r}: its name holds what is no letter; rename it")
-    return found
+def write(folder: Path, rows: Rows | None = None, crop_px: int | None = None) -> None:
+    """Write manifest.csv and instrument.yaml: of the frames that were found, else empty ones to fill in.
 
-
-def others(folder: Path) -> list[str]:
-    """Endings of the files in frames/ and beside it that are not read, hidden and dataset's own files apart."""
-    found = {p.suffix for p in (*folder.glob("*"), *folder.glob("frames/**/*")) if p.is_file() and p.name[0] != "."}
-    return sorted(found - {".csv", ".yaml", ""} - {own for own in found if own.lower() in IMAGE_SUFFIXES})
-
-
-def _pages(image: Path) -> list[int]:
-    """Numbers of the pages of a file; of one that cannot be read the first, and `spotcheck check` will say why."""
-    try:
-        return [number for number, page in enumerate(files.pages(image, image.name)) if not page.preview]
-    except InputError:
-        return [0]
-
-
-def manifest(pages: Sequence[tuple[str, int]]) -> str:
-    """Header, and a row a page of a file: kind spot, repeat counting up, angle and exposure blank to be filled in.
-
-    Without files, one example row that `spotcheck check` will ask to replace.
+    Raises `InputError` when one of them is already there.
     """
+    check_free(folder)
+    if rows is None:
+        (folder / "frames").mkdir(parents=True, exist_ok=True)
+    store.write_text(folder / "manifest.csv", manifest(rows))
+    store.write_text(folder / "instrument.yaml", instrument(rows, crop_px))
+
+
+def manifest(rows: Rows | None) -> str:
+    """Header and a row a frame; without frames one example row that `spotcheck check` will ask to replace."""
     comments = [
         "# One row a frame, in the order of acquisition. Lines that start with # are comments.",
         "# file: relative to this folder. kind: spot, dark (no light) or flat (homogeneous light).",
         "# angle_deg: orientation of the sample; exposure_s: in seconds. Leave either blank in every row where it was",
         "# not recorded, and in rows of dark and flat frames where it has no meaning.",
-        "# repeat: 0, 1, 2 ... within a condition; frames of one angle and repeat look at the same site.",
+        "# repeat: 0, 1, 2 ... within a condition; frames of one angle and repeat look at the same site. Number on",
+        "# through all exposures where the sample moved between them.",
         "# page: of a stack, counted from 0; other files need no such column. Other columns are carried along; name",
         "# those that are axes of the experiment under `conditions` in instrument.yaml.",
     ]
-    stacks = any(page for _, page in pages)
     text = io.StringIO("\n".join(comments) + "\n")
     text.seek(0, io.SEEK_END)
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*REQUIRED_COLUMNS, *(["page"] if stacks else [])])
-    for repeat, (file, page) in enumerate(pages):
-        writer.writerow([file, "spot", "", "", repeat, *([page] if stacks else [])])
-    if not pages:
-        writer.writerow(["frames/first.tif", "spot", 0, 0.0001, 0])
+    columns = rows.columns if rows else REQUIRED_COLUMNS
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows.cells if rows else [EXAMPLE])
     return text.getvalue()
 
 
-def instrument() -> str:
-    """Every key of the schema as a comment with its meaning and default."""
+def instrument(rows: Rows | None = None, crop_px: int | None = None) -> str:
+    """Every key of the schema: those that were found with their value and its origin, the others as comments with their
+    meaning and default."""
     schema = read_schema("instrument")
+    known = _known(rows, crop_px)
     lines = [
         "# Take the # off the keys that you know. A missing key is never an error: it is taken from the frames",
         "# where they allow it, else the report says what could not be computed for want of it.",
         "",
     ]
     for name, key in schema["properties"].items():
-        if key["type"] == "object":
-            lines.append(f"\n# {name}:")
-            lines += [f"#   {_line(own, content)}" for own, content in key["properties"].items()]
-        else:
-            lines.append(f"# {_line(name, key)}")
+        if key["type"] != "object":
+            lines.append(_given(name, *known[name]) if name in known else f"# {_line(name, key)}")
+            continue
+        own = {inner: known.get(f"{name}.{inner}") for inner in key["properties"]}
+        lines.append(f"\n{name}:" if any(own.values()) else f"\n# {name}:")
+        for inner, content in key["properties"].items():
+            found = own[inner]
+            lines.append(f"  {_given(inner, *found)}" if found else f"#   {_line(inner, content)}")
+    if rows and rows.also:
+        lines += ["", "# Said by the files as well, and not used:"]
+        lines += [f"#   {own.text} ({own.where})" for own in rows.also[:MOST_SAID]]
     return "\n".join(lines) + "\n"
+
+
+def keys() -> dict[str, dict]:
+    """Every key of instrument.yaml that holds a number or one of some words, with what the schema says of it."""
+    sections = read_schema("instrument")["properties"]
+    own = {f"{name}.{key}": kind for name, held in sections.items() for key, kind in held.get("properties", {}).items()}
+    return {key: kind for key, kind in own.items() if kind["type"] in NUMBERS or "enum" in kind}
+
+
+def _known(rows: Rows | None, crop_px: int | None) -> dict[str, tuple[object, str]]:
+    """Value and origin of every key that the frames tell."""
+    known: dict[str, tuple[object, str]] = {}
+    if rows is None:
+        return known
+    if not rows.order_known:
+        known["order_known"] = "false", "neither times nor one running number tell the order"
+    if rows.conditions:
+        known["conditions"] = f"[{', '.join(rows.conditions)}]", "takes more than one value"
+    if crop_px:
+        known["crop_px"] = crop_px, "ten times the widest spot's standard deviation, as far as the frames reach"
+    if rows.spots and all(cell["exposure_s"] == "" for cell in rows.cells if cell["kind"] == "spot"):
+        known["model.photon_budget"] = "free", "without exposures no law links the peaks of the frames"
+    for key, label in rows.keys.items():
+        known[key] = label.value, f"{label.where}: {label.text}"
+    return known
+
+
+def _given(name: str, value: object, origin: str) -> str:
+    return f"{name}: {value}".ljust(34) + f"# {origin}"
 
 
 def _line(name: str, key: dict) -> str:

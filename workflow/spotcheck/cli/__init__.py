@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import spotcheck
 
 COMMANDS = {
+    "look": "first look at images that nobody has described: widths with errors, shape, clip, gain, M²",
     "check": "check a dataset folder against the contract, without decoding a pixel",
     "ingest": "record digest, shape and extremes of every frame",
     "crop": "crop every spot and reduce the frame around it",
@@ -38,9 +39,10 @@ COMMANDS = {
     "effects": "the page of effects, from the effects' own files",
     "report": "one self-contained page of figures, tables and what was skipped",
     "compare": "one page of several datasets: what changed beyond its errors, and trends",
-    "new-dataset": "write a commented manifest and instrument file to fill in",
+    "new-dataset": "make a dataset of a folder of images: read what they say, ask for the rest",
     "explain": "say where a number of the results comes from: file, variable, rule and inputs",
     "where": "say where the results of a dataset lie",
+    "open": "open the page of a dataset or of results in the browser",
 }
 
 
@@ -76,7 +78,11 @@ def main(argv: list[str] | None = None) -> None:
 
 def run(words: Sequence[str]) -> None:
     """Run the subcommand that the words of a command line name. Raises `InputError` for what the user can mend."""
-    parser = argparse.ArgumentParser(prog="spotcheck", description="How a camera sees a laser spot on a composite.")
+    parser = argparse.ArgumentParser(
+        prog="spotcheck",
+        description="How a camera sees a laser spot on a composite.",
+        epilog="New here? `spotcheck look IMAGE…` needs nothing but images. `spotcheck COMMAND --help` tells more.",
+    )
     parser.add_argument("--version", action="version", version=f"spotcheck {spotcheck.__version__}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     asked = next((word for word in words if word in COMMANDS), None)

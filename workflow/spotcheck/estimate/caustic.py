@@ -282,7 +282,7 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
         )
     axes = axes_of(Widths(*(value[usable] for value in spots)))
     if axes.turned is not None:
-        return ds.assign_attrs(skipped=_turns(axes, z[usable]))
+        return ds.assign_attrs(skipped=turned_text(axes, z[usable]))
     projected = (along(spots, axes.azimuth), along(spots, axes.azimuth + 90), (mean, mean_stderr))
     radius, stderr = (np.where(usable, [own[k] for own in projected], np.nan) * 2 * pitch for k in (0, 1))
     found = [fit_hyperbola(z[usable], r[usable], s[usable]) for r, s in zip(radius, stderr, strict=True)]
@@ -314,7 +314,7 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
     )
 
 
-def _turns(axes: Axes, z: np.ndarray) -> str:
+def turned_text(axes: Axes, z: np.ndarray) -> str:
     """Why a beam whose axes turn has no M²."""
     assert axes.turned is not None
     spot, angle = axes.turned

@@ -278,6 +278,13 @@ def _add_spots(found: dict[str, dict[str, Found]], seen: BySpots, no_black: bool
         found["read_noise_e"][SPOTS] = Found(noise, float(np.hypot(error, noise * relative)), seen.how)
 
 
+def spots_in_electrons(seen: BySpots) -> dict[str, Found]:
+    """What spots alone show of the sensor, where no black level is known: nothing where they show no gain."""
+    found: dict[str, dict[str, Found]] = {name: {} for name in QUANTITIES}
+    _add_spots(found, seen, True, False)
+    return {name: own[SPOTS] for name, own in found.items() if SPOTS in own}
+
+
 def stderr_of(ds: xr.Dataset) -> tuple[float, float, float]:
     """Standard errors of gain, read noise and black level of a sensor file; 0 where none is known."""
     gain, noise, black = (float(np.nan_to_num(ds[f"{name}_stderr"])) for name in

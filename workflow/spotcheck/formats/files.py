@@ -6,18 +6,20 @@ from typing import Protocol
 import numpy as np
 
 from spotcheck.errors import InputError
-from spotcheck.formats import pgm, png, tiff
+from spotcheck.formats import colour, hdf5, npy, pgm, png, tiff
+from spotcheck.formats.colour import Colour
 from spotcheck.formats.page import Page, Refused
+from spotcheck.manifest import parted
 
 
 class Format(Protocol):
-    """What the module of a format offers."""
+    """What the module of a format offers. Both functions raise `Refused`, or anything else for a broken file."""
 
     def pages(self, path: Path) -> list[Page]:
-        """Every page of a file. Raises `Refused`, or anything else for a broken file."""
+        """Every page of a file."""
 
     def read(self, path: Path, page: int) -> np.ndarray:
-        """Pixels [rows, columns] of a page, uint8 or uint16, in the machine's byte order."""
+        """Pixels of a page, [rows, columns] or [rows, columns, colours], uint8 or uint16 in native byte order."""
 
 
 # First bytes, the format's name, and what reads it.
@@ -25,6 +27,7 @@ READERS: tuple[tuple[tuple[bytes, ...], str, Format], ...] = (
     (tiff.SIGNATURES, "TIFF", tiff),
     ((png.SIGNATURE,), "PNG", png),
     ((b"P2", b"P5", *pgm.COLOUR), "PGM", pgm),
+    ((npy.SIGNATURE,), "NumPy", npy),
 )
 # Formats that a frame may turn out to be in, and that are not read.
 OTHERS = (
@@ -34,39 +37,56 @@ OTHERS = (
     (b"\0\0\0\x0cjP  ", "JPEG 2000"),
     (b"\xff\x4f\xff\x51", "JPEG 2000"),
     (b"SIMPLE  =", "FITS"),
-    (b"\x89HDF", "HDF5"),
+    (b"CDF", "netCDF of the classic model (nccopy -k netCDF-4 makes netCDF-4 of it)"),
     (b"RIFF", "WebP or AVI"),
     (b"8BPS", "Photoshop"),
-    (b"\x93NUMPY", "NumPy"),
     (b"PK\3\4", "a ZIP archive"),
 )
 
 
-def pages(path: Path, name: str) -> list[Page]:
-    """What the headers of a file say of every page. Raises `InputError`, which calls the file by `name`."""
-    kind, reader = _reader(path, name)
+def pages(path: Path, name: str, taken: Colour = colour.NONE) -> list[Page]:
+    """What the headers of a file say of the plane of a colour that is taken of every page. A path into an HDF5 file
+    follows its name behind #. Raises `InputError`, which calls the file by `name`."""
+    file, inside = parted(path.as_posix())
+    kind, reader = _reader(Path(file), name)
     try:
-        return reader.pages(path)
+        found = hdf5.pages(Path(file), inside) if reader is None else reader.pages(Path(file))
+        return [colour.plane_of(page, taken) for page in found]
     except Exception as error:
         raise _said(error, name, kind) from None
 
 
-def pixels(path: Path, page: int, name: str) -> np.ndarray:
-    """Pixels [rows, columns] of a page, uint8 or uint16, as they are stored. Raises `InputError`."""
-    kind, reader = _reader(path, name)
+def pixels(path: Path, page: int, name: str, taken: Colour = colour.NONE) -> np.ndarray:
+    """Pixels [rows, columns] of a page, uint8 or uint16, as they are stored, of the plane of a colour that is taken.
+    Raises `InputError`."""
+    file, inside = parted(path.as_posix())
+    kind, reader = _reader(Path(file), name)
     try:
-        return reader.read(path, page)
+        found = hdf5.read(Path(file), page, inside) if reader is None else reader.read(Path(file), page)
+        return colour.plane(found, taken)
     except Exception as error:
         raise _said(error, name, kind) from None
 
 
-def _reader(path: Path, name: str) -> tuple[str, Format]:
-    """Name of the format that the first bytes tell, and what reads it. Raises `InputError`."""
+def stacks(path: Path, name: str) -> list[str]:
+    """Names of a file's stacks: of HDF5 one for each dataset that holds frames, with its path behind #. Raises
+    `InputError`."""
+    kind, reader = _reader(path, name)
+    try:
+        return [name] if reader is not None else [f"{name}#{inside}" for inside in hdf5.stacks(path)]
+    except Exception as error:
+        raise _said(error, name, kind) from None
+
+
+def _reader(path: Path, name: str) -> tuple[str, Format | None]:
+    """Name of the format that the first bytes tell, and what reads it, None for HDF5. Raises `InputError`."""
     with path.open("rb") as stream:
         start = stream.read(16)
     for signatures, kind, reader in READERS:
         if start.startswith(signatures):
             return kind, reader
+    if start.startswith(hdf5.SIGNATURE):
+        return "HDF5", None
     for signature, kind in OTHERS:
         if start.startswith(signature):
             raise InputError(f"{name}: is {kind} by its first bytes, which is not read; save it as TIFF, PNG or PGM")

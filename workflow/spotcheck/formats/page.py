@@ -11,12 +11,18 @@ PREVIEW = "is but a preview or mask of another image (NewSubfileType); name the 
 ONE_CHANNEL = "it must be one channel of 8 to 16 bit unsigned integers"
 
 
+# Colours of a page: one channel, three, or a raw frame behind filters, whose letters a file may name instead.
+GREY, RGB, CFA = "", "RGB", "CFA"
+
+
 class Page(NamedTuple):
-    """One page: rows and columns [px], bits of a stored pixel, and whether it is but a preview of another."""
+    """One page: rows and columns [px], bits of a stored pixel, whether it is but a preview of another, and its colours:
+    none, `RGB`, `CFA` or the letters of its filters such as `RGGB`."""
 
     shape: tuple[int, int]
     bits: int
     preview: bool = False
+    colours: str = GREY
 
 
 class Refused(ValueError):

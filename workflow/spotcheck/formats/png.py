@@ -7,24 +7,26 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from spotcheck.formats.page import DEFLATE_RATIO, ONE_CHANNEL, Page, Refused, check_length, check_size
+from spotcheck.formats.page import DEFLATE_RATIO, GREY, ONE_CHANNEL, RGB, Page, Refused, check_length, check_size
 
 # Frames are the user's own: `check_size` says which are too large, in our own words.
 Image.MAX_IMAGE_PIXELS = None
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-COLOURS = {2: "RGB colour", 3: "a palette of colours", 4: "a channel of transparency", 6: "RGB colour and transparency"}
+COLOUR = 2
+REFUSED_COLOURS = {3: "a palette of colours", 4: "a channel of transparency", 6: "RGB colour and transparency"}
 # Chunks (PNG, third edition, section 11.3) that make more of a sample than a number, and what they make of it.
 REFUSED = {b"tRNS": "makes pixels of one value transparent", b"acTL": "makes it a film of several images"}
 
 
 class Header(NamedTuple):
-    """Rows, columns, bits of a sample, and how many of them are significant."""
+    """Rows, columns, bits of a sample, how many of them are significant, and samples of a pixel."""
 
     rows: int
     columns: int
     bits: int
     significant_bits: int
+    samples: int
 
 
 def header(path: Path) -> Header:
@@ -43,15 +45,18 @@ def header(path: Path) -> Header:
                 raise Refused(f"its chunk {name.decode()} {REFUSED[name]}; save it as a plain grey image")
             if name == b"sBIT" and content:
                 significant = content[0]
-    if colour in COLOURS:
-        raise Refused(f"has {COLOURS[colour]} (PNG colour type {colour}); {ONE_CHANNEL}")
+                if colour == COLOUR and len(set(content[:3])) > 1:
+                    raise Refused("its chunk sBIT gives its colours different bits; save it without that chunk")
+    if colour in REFUSED_COLOURS:
+        raise Refused(f"has {REFUSED_COLOURS[colour]} (PNG colour type {colour}); {ONE_CHANNEL}")
     if bits not in (8, 16):
         raise Refused(f"holds {bits} bit pixels; {ONE_CHANNEL}")
     if not 1 <= significant <= bits:
         raise Refused(f"its chunk sBIT says {significant} of {bits} bits; it must be 1 to {bits}")
     check_size(rows, columns)
-    check_length(rows * (columns * bits // 8 + 1) // DEFLATE_RATIO, length)
-    return Header(rows, columns, bits, significant)
+    samples = 3 if colour == COLOUR else 1
+    check_length(rows * (samples * columns * bits // 8 + 1) // DEFLATE_RATIO, length)
+    return Header(rows, columns, bits, significant, samples)
 
 
 def _chunk(stream, length: int) -> tuple[bytes, bytes]:
@@ -69,14 +74,21 @@ def _chunk(stream, length: int) -> tuple[bytes, bytes]:
 def pages(path: Path) -> list[Page]:
     """The one page of a file. Raises `Refused`."""
     found = header(path)
-    return [Page((found.rows, found.columns), found.significant_bits)]
+    return [Page((found.rows, found.columns), found.significant_bits, colours=RGB if found.samples == 3 else GREY)]
 
 
 def read(path: Path, page: int) -> np.ndarray:
-    """Pixels [rows, columns] as uint8 or uint16. Raises `Refused`, and what Pillow raises for a broken file."""
+    """Pixels, [rows, columns] or [rows, columns, colours], as uint8 or uint16. Raises `Refused`, and what Pillow or
+    imagecodecs raise for a broken file."""
     found = header(path)
-    with Image.open(path, formats=("PNG",)) as image:
-        pixels = np.asarray(image)
+    if found.samples == 1 or found.bits == 8:
+        with Image.open(path, formats=("PNG",)) as image:
+            pixels = np.asarray(image)
+    else:
+        import imagecodecs
+
+        # Pillow makes eight bits of sixteen where there are colours.
+        pixels = imagecodecs.png_decode(path.read_bytes())
     return _significant(pixels, found.bits, found.significant_bits)
 
 

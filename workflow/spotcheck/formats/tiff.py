@@ -11,7 +11,18 @@ from pathlib import Path
 import numpy as np
 import tifffile
 
-from spotcheck.formats.page import DEFLATE_RATIO, ONE_CHANNEL, PREVIEW, Page, Refused, check_length, check_size
+from spotcheck.formats.page import (
+    CFA,
+    DEFLATE_RATIO,
+    GREY,
+    ONE_CHANNEL,
+    PREVIEW,
+    RGB,
+    Page,
+    Refused,
+    check_length,
+    check_size,
+)
 
 # What is wrong with a file is said in our own words.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
@@ -54,7 +65,7 @@ def pages(path: Path) -> list[Page]:
 
 
 def read(path: Path, page: int) -> np.ndarray:
-    """Pixels [rows, columns] of a page as uint8 or uint16. Raises as `pages` does."""
+    """Pixels of a page, [rows, columns] or [rows, columns, colours], as uint8 or uint16. Raises as `pages` does."""
     starts, length = _directories(path)
     with _opened(path) as tiff:
         directory = _directory(tiff, starts, page if len(starts) > 1 else 0)
@@ -67,11 +78,21 @@ def read(path: Path, page: int) -> np.ndarray:
             stored = np.dtype(directory.dtype).newbyteorder(tiff.byteorder)
             start = directory.dataoffsets[0] + page * directory.nbytes
             pixels = np.fromfile(path, stored, math.prod(directory.shape), offset=start).reshape(directory.shape)
+    if pixels.ndim == 3 and directory.planarconfig == tifffile.PLANARCONFIG.SEPARATE:
+        pixels = np.moveaxis(pixels, 0, -1)
     down, right = TURNED[_tag(directory, "Orientation", 1)]
     pixels = pixels[::down, ::right]
     if directory.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
         pixels = pixels.dtype.type(2**directory.bitspersample - 1) - pixels
     return np.ascontiguousarray(pixels, pixels.dtype.newbyteorder("="))
+
+
+@contextmanager
+def directories(path: Path) -> Iterator[tuple[tifffile.TiffFile, Iterator[tifffile.TiffPage]]]:
+    """An open file and its directories one after another, for what they say beside the pixels. Raises `Refused`."""
+    starts, _ = _directories(path)
+    with _opened(path) as tiff:
+        yield tiff, (_directory(tiff, starts, page) for page in range(len(starts)))
 
 
 @contextmanager
@@ -163,14 +184,15 @@ def _named(value: int) -> str:
 
 def _page_of(page: tifffile.TiffPage, length: int) -> Page:
     """What a directory says of its page, in a file of `length` bytes. Raises `Refused`, which names the tag."""
-    if page.samplesperpixel != 1:
+    colours = _colours(page)
+    if page.samplesperpixel != (3 if colours == RGB else 1):
         raise Refused(f"has {page.samplesperpixel} channels (SamplesPerPixel); {ONE_CHANNEL}")
-    if len(page.shape) != 2:
+    if len(page.shape) != (3 if colours == RGB else 2):
         raise Refused(f"has {len(page.shape)} dimensions (ImageDepth, PhotometricInterpretation); {ONE_CHANNEL}")
     if page.dtype not in (np.uint8, np.uint16) or page.bitspersample < 8:
         kind = f"{page.bitspersample} bit" if page.dtype is None else str(page.dtype)
         raise Refused(f"holds {kind} pixels (SampleFormat, BitsPerSample {page.bitspersample}); {ONE_CHANNEL}")
-    if page.photometric not in (0, 1):
+    if page.photometric not in (0, 1) and not colours:
         raise Refused(f"PhotometricInterpretation is {_named(page.photometric)}; it must be MinIsBlack or MinIsWhite")
     if page.fillorder != 1:
         raise Refused(f"FillOrder is {page.fillorder}; it must be 1, the highest bit first")
@@ -183,11 +205,23 @@ def _page_of(page: tifffile.TiffPage, length: int) -> Page:
         raise Refused(
             f"Compression is {_named(page.compression)}, which may alter readings; save it uncompressed or by Deflate"
         )
-    rows, columns = page.shape
+    rows, columns = page.imagelength, page.imagewidth
     check_size(rows, columns)
-    check_size(*page.chunks)
+    check_size(1, math.prod(page.chunks))
     _check_parts(page, length)
-    return Page((rows, columns), page.bitspersample)
+    return Page((rows, columns), page.bitspersample, colours=colours)
+
+
+def _colours(page: tifffile.TiffPage) -> str:
+    """Colours of a page by its PhotometricInterpretation: RGB, or filters as CFAPattern names them (TIFF/EP)."""
+    if page.photometric == tifffile.PHOTOMETRIC.RGB:
+        return RGB
+    if page.photometric != tifffile.PHOTOMETRIC.CFA:
+        return GREY
+    size, filters = page.tags.valueof(33421), page.tags.valueof(33422)
+    known = size in (None, (2, 2)) and isinstance(filters, tuple | bytes) and len(filters) == 4
+    named = "".join("RGB"[own] if own in (0, 1, 2) else "?" for own in filters) if known else ""
+    return named if sorted(named) == list("BGGR") else CFA
 
 
 def _preview(page: tifffile.TiffPage) -> Page | None:
@@ -207,7 +241,7 @@ def _check_parts(page: tifffile.TiffPage, length: int) -> None:
         for at, _ in parts:
             _check_codestream(page, at)
     stored = sum(size for _, size in parts)
-    needed = page.shape[0] * math.ceil(page.shape[1] * page.bitspersample / 8)
+    needed = page.imagelength * math.ceil(page.imagewidth * page.samplesperpixel * page.bitspersample / 8)
     check_length(math.ceil(needed / LARGEST_GROWTH[page.compression]), stored)
 
 

@@ -1,0 +1,219 @@
+"""What files say of their frames: names, tags, OME-XML, ImageJ, EXIF, texts beside them."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image, PngImagePlugin
+
+from spotcheck.labels import names
+from spotcheck.labels.files import labels_of
+from spotcheck.labels.label import Label, settled
+from spotcheck.labels.words import of_key
+
+STACK = np.zeros((3, 16, 20), np.uint16)
+NAMES = {
+    "100us": {"exposure_s": 1e-4},
+    "t=1.5ms": {"exposure_s": 1.5e-3},
+    "1p5ms": {"exposure_s": 1.5e-3},
+    "12,5 µs": {"exposure_s": 1.25e-5},
+    "45deg": {"angle_deg": 45.0},
+    "theta-30": {"angle_deg": 30.0},
+    "z_176mm": {"z_m": 0.176},
+    "t-168mm": {"z_m": 0.168},
+    "z-0.5m": {"z_m": 0.5},
+    "z=-0.5m": {"z_m": -0.5},
+    "beam_-5mm": {"z_m": -0.005},
+    "2ms_-5mm": {"exposure_s": 2e-3, "z_m": -0.005},
+    "45deg-5mm": {"angle_deg": 45.0, "z_m": 0.005},
+    "a090_r3_t900us": {"exposure_s": 9e-4, "repeat": 3},
+    "dark_100ms_07": {"kind": "dark", "exposure_s": 0.1, "number": 7},
+    "flat (12)": {"kind": "flat", "number": 12},
+    "HeNe_632.8nm_z12.5mm": {"laser.wavelength_m": 6.328e-7, "z_m": 0.0125},
+    "beam_20260131_093000_2ms": {"date": "2026-01-31T09:30:00", "exposure_s": 2e-3},
+    "img_0042": {"number": 42},
+}
+
+
+def said(labels) -> dict:
+    """Values by column, of what was understood."""
+    return {label.column: label.value for label in labels if label.column and label.value is not None}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names(name):
+    """Numbers with units, words and running numbers, and nothing else."""
+    assert said(names.labels_of(name)) == NAMES[name]
+
+
+@pytest.mark.parametrize(
+    "name", ["exp_900", "z18", "f50mm", "x_3mm", "delay_10us", "b_000_c", "speckle", "45degree5", ""]
+)
+def test_names_that_say_nothing(name):
+    """A number without a unit, and lengths and times of something else."""
+    assert said(names.labels_of(name)) == {}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "column", "wanted"),
+    [
+        ("ExposureTime", "1/200 s", "exposure_s", 0.005),
+        ("Exposure-ms", "10", "exposure_s", 0.01),
+        ("exposureTimeUs", 250, "exposure_s", 2.5e-4),
+        ("Exposure (µs)", "2,5", "exposure_s", 2.5e-6),
+        ("exposure_s", "1e-3", "exposure_s", 1e-3),
+        ("ExposureTime", "100", "exposure_s", None),
+        ("ExposureTime", "3 mm", "exposure_s", None),
+        ("ZPositionUm", "1500", "z_m", 1.5e-3),
+        ("angle", "45", "angle_deg", 45.0),
+        ("gain_dn_per_e", "0.25", "sensor.gain_dn_per_e", 0.25),
+        ("Gain", "12", "sensor.gain_dn_per_e", None),
+        ("DateTime", "2026:13:01 00:00:00", "date", None),
+        ("Temperature", "20", None, None),
+    ],
+)
+def test_keys(key, value, column, wanted):
+    """The unit stands behind the number or in the key; without it a number says nothing."""
+    found = of_key(key, str(value), "here")
+    assert (found.column, found.value) == (column, pytest.approx(wanted, rel=1e-15) if wanted else wanted)
+
+
+def test_tags_of_a_tiff(tmp_path):
+    """ExposureTime and DateTime, and the keys of a description."""
+    tags = [(33434, 5, 1, (1, 1000), True)]
+    more = {"datetime": "2026:01:02 03:04:05", "description": "Exposure-ms: 10\nz = 5 mm; foo=3"}
+    tifffile.imwrite(tmp_path / "a_100us.tif", STACK[0], photometric="minisblack", extratags=tags, **more)
+    found = labels_of(tmp_path / "a_100us.tif")
+    assert Label("exposure_s", 1e-3, "0.001 s", "TIFF tag 33434 ExposureTime") in found
+    assert Label("date", "2026-01-02T03:04:05", "2026:01:02 03:04:05", "TIFF tag 306 DateTime") in found
+    assert Label("z_m", 5e-3, "z = 5 mm", "TIFF tag 270 ImageDescription") in found
+    assert Label(None, None, "foo = 3", "TIFF tag 270 ImageDescription") in found
+    taken, contradictions = settled(found)
+    assert "exposure_s" not in taken and taken["z_m"].value == 5e-3
+    assert contradictions == [
+        "exposure_s: TIFF tag 33434 ExposureTime says '0.001 s', but TIFF tag 270 ImageDescription says"
+        " 'Exposure-ms = 10'"
+    ]
+
+
+@pytest.mark.parametrize("order", ["XYZCT", "XYTCZ"])
+def test_planes_of_ome(tmp_path, order):
+    """Each page has what its own plane says, in whichever order the planes lie."""
+    planes = (
+        [(z, t) for z in range(2) for t in range(3)]
+        if order == "XYTCZ"
+        else [(z, t) for t in range(3) for z in range(2)]
+    )
+    listed = "".join(
+        f'<Plane TheZ="{z}" TheC="0" TheT="{t}" ExposureTime="{t + 1}" ExposureTimeUnit="ms" PositionZ="{z}"'
+        ' PositionZUnit="mm" DeltaT="30"/>'
+        for z in range(2)
+        for t in range(3)
+    )
+    xml = (
+        '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+        f'<AcquisitionDate>2026-01-31T09:30:00</AcquisitionDate><Pixels DimensionOrder="{order}" SizeX="20" SizeY="16"'
+        ' SizeZ="2" SizeC="1" SizeT="3" SignificantBits="12" PhysicalSizeX="3.45"><TiffData IFD="0" PlaneCount="6"/>'
+        f"{listed}</Pixels></Image></OME>"
+    )
+    with tifffile.TiffWriter(tmp_path / "a.tif") as out:
+        for k in range(6):
+            out.write(STACK[0], photometric="minisblack", description=xml if k == 0 else None, metadata=None)
+    found = labels_of(tmp_path / "a.tif")
+    for page, (z, t) in enumerate(planes):
+        taken, contradictions = settled(found, page)
+        assert not contradictions
+        assert taken["exposure_s"].value == pytest.approx((t + 1) * 1e-3, rel=1e-15)
+        assert (taken["z_m"].value, taken["sensor.bit_depth"].value) == (z * 1e-3, 12)
+        assert taken["date"].value == "2026-01-31T09:30:30"
+    assert "PhysicalSizeX = 3.45 µm" in [label.text for label in found if label.column is None]
+
+
+def test_imagej(tmp_path):
+    """The block of Info, and the label of each slice."""
+    own = {"Info": "Exposure = 20 ms\nWavelength=633 nm", "Labels": ["z=1 mm", "z=2 mm", "z=3 mm"]}
+    tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, metadata=own)
+    found = labels_of(tmp_path / "a.tif")
+    assert said(settled(found, 2)[0].values()) == {"exposure_s": 0.02, "laser.wavelength_m": 6.33e-7, "z_m": 3e-3}
+
+
+def test_png(tmp_path):
+    """EXIF and texts."""
+    info, exif = PngImagePlugin.PngInfo(), Image.Exif()
+    info.add_text("Comment", "angle = 30 deg")
+    exif[34665] = {33434: 1 / 64}
+    Image.fromarray(STACK[0]).save(tmp_path / "a.png", pnginfo=info, exif=exif)
+    assert said(labels_of(tmp_path / "a.png")) == {"angle_deg": 30.0, "exposure_s": 1 / 64}
+
+
+def test_files_beside(tmp_path):
+    """Of an image's own name, with or without its ending."""
+    (tmp_path / "a.pgm").write_bytes(b"P5 1 1 255\n0")
+    (tmp_path / "a.json").write_text(
+        json.dumps({"camera": {"ExposureTime_us": 100, "sensor": {"pixel pitch (um)": 3.45}}})
+    )
+    (tmp_path / "a.pgm.txt").write_text("z: 3 mm\n")
+    (tmp_path / "a.yaml").write_text("angle_deg: 30\n")
+    wanted = {"exposure_s": 1e-4, "sensor.pixel_pitch_m": 3.45e-6, "z_m": 3e-3, "angle_deg": 30.0}
+    assert said(labels_of(tmp_path / "a.pgm")) == wanted
+
+
+def test_the_list_of_an_emva_measurement(tmp_path):
+    """Exposures in ns and photons a pixel, for the images of that name in the folder below."""
+    (tmp_path / "EMVA1288_Data.txt").write_text(
+        "v 3.0\nn 12 4 3\nb 40000.0 120.0\ni images\\b_1.png\nd 50000\ni images\\d_1.png\n"
+    )
+    for name in ("b_1.png", "d_1.png"):
+        (tmp_path / "images").mkdir(exist_ok=True)
+        Image.fromarray(STACK[0]).save(tmp_path / "images" / name)
+    flat, dark = (said(settled(labels_of(tmp_path / "images" / f"{k}_1.png"))[0].values()) for k in "bd")
+    assert flat == {"kind": "flat", "exposure_s": 4e-5, "photons_per_px": 120.0, "sensor.bit_depth": 12, "number": 1}
+    assert dark == {"kind": "dark", "exposure_s": 5e-5, "sensor.bit_depth": 12, "number": 1}
+
+
+def test_folders_count_below_the_root(tmp_path):
+    """And those above it do not."""
+    path = tmp_path / "45deg" / "100us" / "0001.pgm"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"P5 1 1 255\n0")
+    assert said(labels_of(path, tmp_path)) == {"angle_deg": 45.0, "exposure_s": 1e-4, "number": 1}
+    assert said(labels_of(path)) == {"number": 1}
+
+
+@pytest.mark.parametrize("pages", [(0,), (0, 2)])
+def test_what_the_first_page_says_alone_is_of_all(tmp_path, pages):
+    """Else each page speaks for itself."""
+    with tifffile.TiffWriter(tmp_path / "a.tif") as out:
+        for k, pixels in enumerate(STACK):
+            text = f"exposure = {k + 1} ms" if k in pages else None
+            out.write(pixels, photometric="minisblack", metadata=None, description=text)
+    found = [said(settled(labels_of(tmp_path / "a.tif"), k)[0].values()) for k in range(3)]
+    assert found == ([{"exposure_s": 1e-3}] * 3 if pages == (0,) else [{"exposure_s": 1e-3}, {}, {"exposure_s": 3e-3}])
+
+
+HOSTILE = {
+    "a.txt": "a=" + "x " * 400_000 + "y\n" + "Exposure=" + " " * 100_000 + "1\n",
+    "a.json": "[" * 100_000,
+    "a.yaml": "a: &a [*a]",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_texts_end_soon(tmp_path, name):
+    """In labels, or in one that says what could not be read; these take milliseconds, a quadratic search minutes."""
+    (tmp_path / "a.pgm").write_bytes(b"P5 1 1 255\n0")
+    (tmp_path / name).write_text(HOSTILE[name])
+    before = time.process_time()
+    assert said(labels_of(tmp_path / "a.pgm")) == {}
+    assert time.process_time() - before < 5
+
+
+def test_entities_are_not_followed(tmp_path):
+    """Ten lines of XML that stand for more than memory holds."""
+    laughs = '<!DOCTYPE l [<!ENTITY a "ha">]><OME>&a;</OME>'
+    tifffile.imwrite(tmp_path / "a.tif", STACK[0], description=f"<?xml version='1.0'?>{laughs}", metadata=None)
+    assert ["TIFF tags", "cannot be read (it declares entities, which are not read)"] in [
+        [label.where, label.text] for label in labels_of(tmp_path / "a.tif")
+    ]

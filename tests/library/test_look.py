@@ -1,0 +1,251 @@
+"""The first look: what it says of drawn images, by function and by command, and on real ones."""
+
+import json
+import webbrowser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+import spotcheck
+from spotcheck.cli import COMMANDS, main
+from spotcheck.cli import look as command
+from spotcheck.cli import open as opening
+from spotcheck.first_look.images import counted
+from spotcheck.model.sensor import SensorModel
+from tests.conftest import SHARED
+
+SENSOR = SensorModel(0.25, 6.0, black_level_dn=20, full_scale_dn=4095)
+# A beam of M² 1.3: waist, its place, wavelength and pitch [m].
+WAIST, PLACE, WAVELENGTH, PITCH, M2 = 120e-6, 0.21, 632.8e-9, 8e-6, 1.3
+POSITIONS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
+
+
+def drawn(sigma=(20.0, 14.0), peak_e=9000, seed=1, shape=(300, 320), sensor=SENSOR) -> np.ndarray:
+    """An image of a Gaussian along x and y, by the sensor's exact law."""
+    y, x = np.indices(shape)
+    light = peak_e * np.exp(
+        -(((x - shape[1] / 2 - 1.3) / sigma[0]) ** 2 + ((y - shape[0] / 2 + 1.4) / sigma[1]) ** 2) / 2
+    )
+    return sensor.draw(light, rng=seed)
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    """A folder with images of the beam whose names say z, the last number without leading zeros."""
+    folder = tmp_path_factory.mktemp("scan")
+    for seed, z in enumerate(POSITIONS):
+        radius = WAIST * np.sqrt(1 + ((z - PLACE) * M2 * WAVELENGTH / (np.pi * WAIST**2)) ** 2)
+        sigma = radius / 2 / PITCH
+        tifffile.imwrite(folder / f"z_{1000 * z:g}mm.tif", drawn((sigma, sigma), seed=seed))
+    return folder
+
+
+def off(value: float, error: float, true: float) -> float:
+    """By how many of its standard errors a number is off. Four are exceeded by chance once in 16,000."""
+    assert error > 0
+    return abs(value - true) / error
+
+
+def test_widths_gain_and_noise_of_one_image():
+    """All within four of their errors of what the image was drawn with, widths known to a percent, the gain to 15 %."""
+    (one,), (camera,) = (found := spotcheck.look(drawn())).images, found.cameras
+    for own, true in (("major", 80.0), ("minor", 56.0)):
+        assert off(getattr(one.moments, own), getattr(one.moments, f"{own}_stderr"), true) < 4
+        fitted, error = getattr(one.fit, f"sigma_{own}"), getattr(one.fit, f"sigma_{own}_stderr")
+        assert off(4 * fitted, 4 * error, true) < 4 and error < 0.01 * fitted
+    assert off(camera.gain.value, camera.gain.stderr, SENSOR.gain_dn_per_e) < 4
+    # Texture too faint to be seen counts as error.
+    assert camera.gain.stderr < 0.15 * SENSOR.gain_dn_per_e
+    assert camera.black_dn == pytest.approx(20, abs=1) and one.clipped_px == 0
+    assert "a Gaussian within its noise" in repr(found) and "elliptical" in repr(found)
+
+
+def test_a_clipped_image_says_what_that_does():
+    """Where the light stops, in how many pixels, and that the fit still finds the width."""
+    sensor = SENSOR._replace(full_scale_dn=1023)
+    image = drawn(sensor=sensor)
+    (one,) = (found := spotcheck.look(image)).images
+    assert one.stop_dn == 1023 and one.clipped_px == np.count_nonzero(image == 1023) > 100
+    assert off(one.fit.sigma_major, one.fit.sigma_major_stderr, 20) < 4
+    # What the closed form says is what the moments show, within their error.
+    excess = one.moments.major / one.widened
+    assert off(excess, one.moments.major_stderr, 80) < 4 and one.widened > 1.02
+    assert f"{one.clipped_px} px at 1023 DN" in repr(found)
+
+
+def test_without_a_gain_errors_still_hold():
+    """A spot too small for its noise to tell the gain: the errors of 60 fits are those of their scatter. The scatter of
+    60 has an error of 9 %, and 4 of those are allowed: chance exceeds them once in 16,000."""
+    z = []
+    for seed in range(60):
+        y, x = np.indices((64, 72))
+        light = 900 * np.exp(-(((x - 35.2) / 4) ** 2 + ((y - 30.7) / 3) ** 2) / 2)
+        found = spotcheck.look(SensorModel(0.5, 5, black_level_dn=20, full_scale_dn=1023).draw(light, rng=seed))
+        assert found.cameras[0].gain is None and "unknown: no image shows noise" in repr(found)
+        fit = found.images[0].fit
+        z.append([(fit.sigma_major - 4) / fit.sigma_major_stderr, (fit.x_centre - 35.2) / fit.x_centre_stderr])
+    assert np.all(np.abs(np.std(z, axis=0, ddof=1) - 1) < 0.37)
+
+
+def test_a_folder_gives_m2_by_the_names_of_its_files(scan):
+    """Images in the order of z, not of letters; M² and waist of both methods within four errors."""
+    found = spotcheck.look(scan, pixel_pitch_m=PITCH, wavelength_m=WAVELENGTH)
+    assert [one.z_m for one in found.images] == pytest.approx(POSITIONS)
+    assert [own.method for own in found.beams] == ["second moments", "Gaussian fit"]
+    for own, known in zip(found.beams, (0.05, 0.005), strict=True):
+        assert not own.why_not and not own.left_out
+        for beam in own.caustics.values():
+            assert off(beam.m2, beam.m2_stderr, M2) < 4 and beam.m2_stderr < known * M2
+            assert off(beam.waist_radius, beam.waist_radius_stderr, WAIST) < 4
+    assert "z: by the file name" in found.remarks
+
+
+def test_positions_that_are_given_go_before_those_of_names(scan):
+    """And there must be one for each."""
+    files = sorted(scan.iterdir(), key=lambda path: counted(path.name))
+    found = spotcheck.look(files, z_m=[2 * z for z in POSITIONS])
+    assert [one.z_m for one in found.images] == pytest.approx([2 * z for z in POSITIONS])
+    assert found.beams == () and "M² needs the wavelength and the pixel pitch" in found.remarks
+    with pytest.raises(spotcheck.InputError, match="2 positions, but the number of images is 7; give one for each"):
+        spotcheck.look(files, z_m=[0.1, 0.2])
+
+
+def test_names_count_as_people_do():
+    """2 before 10."""
+    assert sorted(["z10.tif", "z9.tif", "Z2.tif"], key=counted) == ["Z2.tif", "z9.tif", "z10.tif"]
+
+
+def test_stacks_arrays_and_what_is_none(tmp_path):
+    """Every page is an image; what is no image ends in a sentence."""
+    tifffile.imwrite(tmp_path / "two.tif", np.stack([drawn(seed=1), drawn(seed=2)]), photometric="minisblack")
+    names = [one.name for one in spotcheck.look([tmp_path / "two.tif", drawn()]).images]
+    assert names == ["two.tif page 0", "two.tif page 1", "image 1"]
+    (tmp_path / "empty").mkdir()
+    for given, said in (
+        (tmp_path / "empty", "holds no image"),
+        (tmp_path / "none.tif", "no such file"),
+        (np.zeros(5), "each must be numbers"),
+        (np.full((9, 9), np.nan), "no pixel that was measured"),
+        ([], "none is given"),
+    ):
+        with pytest.raises(spotcheck.InputError, match=said):
+            spotcheck.look(given)
+
+
+def test_the_channel_of_a_colour_image_that_reads_most(tmp_path):
+    """Red of a red laser, and it is said."""
+    image = drawn(sensor=SENSOR._replace(full_scale_dn=255, gain_dn_per_e=0.02))
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([image, image // 9, image // 20], axis=-1).astype(np.uint8))
+    found = spotcheck.look(tmp_path / "a.tif")
+    assert off(found.images[0].fit.sigma_major, found.images[0].fit.sigma_major_stderr, 20) < 4
+    assert "the channel that reads most is taken, red" in repr(found)
+
+
+@pytest.mark.parametrize("image", [np.zeros((1, 1)), np.full((40, 50), 255, np.uint8), np.eye(30)])
+def test_an_image_without_a_spot_is_told(image, tmp_path):
+    """In words, in JSON and on the page."""
+    found = spotcheck.look(image)
+    assert "nothing stands out of the noise" in repr(found)
+    assert found.to_dict()["images"][0]["gaussian_fit"] is None
+    assert "nothing stands out" in found.write(tmp_path).read_text(encoding="utf-8")
+
+
+def test_json_alone_on_stdout(scan, tmp_path, monkeypatch, capsys):
+    """One document of plain numbers with units in the keys; nothing is written unless a folder is named."""
+    monkeypatch.chdir(tmp_path)
+    words = ["look", str(scan), "--wavelength-nm", "632.8", "--pixel-um", "8", "--json"]
+    main(words)
+    said = json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert list(tmp_path.iterdir()) == [] and said["page"] is None
+    first = said["images"][0]
+    assert first["second_moments"]["d4sigma_major_m"] == pytest.approx(
+        8e-6 * first["second_moments"]["d4sigma_major_px"]
+    )
+    assert {"sigma_major_px", "sigma_major_stderr_px", "sigma_major_m", "amplitude_dn"} <= set(first["gaussian_fit"])
+    (mean,) = said["beams"]["gaussian_fit"]["axes"].values()
+    assert off(mean["m2"], mean["m2_stderr"], M2) < 4
+    main([*words, "--output", "there"])
+    assert json.loads(capsys.readouterr().out)["page"] == "there/look.html"
+    assert (tmp_path / "there" / "look.html").exists() and (tmp_path / "there" / "look.png").exists()
+
+
+def test_the_command_prints_a_table_and_writes_a_page(scan, tmp_path, monkeypatch, capsys):
+    """A row an image; the page in a folder of its own, whole in one file; what is missing in one sentence."""
+    monkeypatch.chdir(tmp_path)
+    before = sorted(scan.iterdir())
+    main(["look", str(scan)])
+    said = capsys.readouterr().out
+    assert all(path.name in said for path in before)
+    assert "for M² add your --wavelength-nm and --pixel-um" in said and "look/look.html" in said
+    page = (tmp_path / "look" / "look.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64") == len(POSITIONS) and "http:" not in page and "https:" not in page
+    assert sorted(scan.iterdir()) == before
+    assert sorted(path.name for path in (tmp_path / "look").iterdir()) == ["look.html", "look.png"]
+
+
+def test_images_are_not_written_between(tmp_path, monkeypatch, capsys):
+    """Where the images lie in a folder that is called like the page's, another one is asked for."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "look").mkdir()
+    tifffile.imwrite(tmp_path / "look" / "a.tif", drawn())
+    with pytest.raises(SystemExit) as ended:
+        main(["look", "look"])
+    assert ended.value.code == 2 and "name another folder for the page with --output" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "look").iterdir()] == ["a.tif"]
+
+
+def test_help_leads_there(capsys):
+    """The first command that help names, its last line, and examples that the command takes."""
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert next(iter(COMMANDS)) == "look" and "New here? `spotcheck look IMAGE…`" in said
+    with pytest.raises(SystemExit):
+        main(["look", "--help"])
+    assert command.EXAMPLES in capsys.readouterr().out
+
+
+def test_open(tmp_path, monkeypatch, capsys):
+    """The page of results, or of the dataset's results; where it is; and what makes one where there is none."""
+    asked: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", lambda address: bool(asked.append(address)))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "manifest.csv").touch()
+    with pytest.raises(spotcheck.InputError, match=r"has no page yet; run `snakemake .*dataset=mine`"):
+        opening.page_of(Path("mine"))
+    (tmp_path / "results" / "mine").mkdir(parents=True)
+    page = tmp_path / "results" / "mine" / "report.html"
+    page.touch()
+    for place in ("mine", "results/mine", "results/mine/report.html"):
+        main(["open", place])
+        assert asked.pop() == page.as_uri()
+        said = capsys.readouterr().out
+        assert "results/mine/report.html" in said and "no browser was found" in said
+    (tmp_path / "images").mkdir()
+    with pytest.raises(spotcheck.InputError, match="`spotcheck look images` makes one"):
+        opening.page_of(Path("images"))
+    with pytest.raises(spotcheck.InputError, match="no such folder"):
+        opening.page_of(tmp_path / "nowhere")
+
+
+@pytest.mark.skipif(not (SHARED / "data" / "hene-zscan").exists(), reason="needs ../shared/data/hene-zscan")
+def test_nine_images_of_a_real_beam(tmp_path):
+    """Nothing known but wavelength and pitch: a width with its error for each, z from the names, M² by both methods.
+
+    A HeNe laser's fundamental mode has M² of little more than 1; where the frame holds the whole area of the standard
+    its second moments must find no less. Both waists lie where the light is narrowest, between 495 and 770 mm.
+    """
+    folder = SHARED / "data" / "hene-zscan" / "frames"
+    found = spotcheck.look(folder, pixel_pitch_m=3.75e-6, wavelength_m=632.8e-9)
+    assert [round(1e3 * one.z_m) for one in found.images] == [168, 210, 280, 348, 414, 495, 580, 666, 770]
+    assert all(one.fitted and one.moments.measured for one in found.images)
+    moments, fits = found.beams
+    assert moments.left_out == tuple(f"t-{z}mm.pgm" for z in (168, 210, 280, 348))
+    for beam in moments.caustics.values():
+        assert beam.m2 > 1 - 3 * beam.m2_stderr and beam.m2 < 1.3 + 3 * beam.m2_stderr and beam.m2_stderr < 0.2
+    for beam in (*moments.caustics.values(), *fits.caustics.values()):
+        assert 0.495 < beam.waist_position < 0.77 and beam.m2_stderr > 0
+    assert found.write(tmp_path).stat().st_size < 3e6

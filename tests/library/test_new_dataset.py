@@ -1,0 +1,251 @@
+"""`new-dataset` of a folder of images as it is: rows, keys, what is asked for, and what is said."""
+
+import io
+
+import numpy as np
+import pytest
+import tifffile
+import yaml
+
+from spotcheck import dataset
+from spotcheck.cli import main
+from spotcheck.errors import InputError
+from spotcheck.frames import probe_all, read
+from spotcheck.instrument import Sensor
+
+SIDE = 40
+
+
+def spot(seed: int = 0, sigma: float = 3.0) -> np.ndarray:
+    """A frame with a spot: a Gaussian of 2000 DN on 100 DN with noise of 3 DN."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
+    light = 2000 * np.exp(-(x**2 + y**2) / (2 * sigma**2))
+    return np.rint(100 + light + rng.normal(0, 3, light.shape)).astype(np.uint16)
+
+
+def saved(folder, *names: str, **options):
+    """Frames of these names, no two alike."""
+    for seed, name in enumerate(names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        tifffile.imwrite(folder / name, spot(seed), photometric="minisblack", metadata=None, **options)
+    return folder
+
+
+def new(folder, *words: str, capsys) -> tuple[dataset.Dataset, str]:
+    """The dataset that the command makes of a folder, and what it says; `check` passes."""
+    main(["new-dataset", str(folder), *words])
+    said = capsys.readouterr().out
+    found = dataset.load(folder)
+    dataset.check_files(found)
+    probe_all(found)
+    main(["check", str(folder)])
+    assert "in order" in capsys.readouterr().out
+    return found, said
+
+
+def test_a_scan_by_its_names(tmp_path, capsys):
+    """A position in each name: a condition, in the order in which people count."""
+    found, said = new(saved(tmp_path, *(f"z_{z}mm.tif" for z in (176, 20, 100))), capsys=capsys)
+    assert [frame.file for frame in found.frames] == ["z_20mm.tif", "z_100mm.tif", "z_176mm.tif"]
+    assert [frame.extra["z_m"] for frame in found.frames] == ["0.02", "0.1", "0.176"]
+    assert {frame.repeat for frame in found.frames} == {0}
+    assert found.instrument.conditions == ("z_m",) and not found.instrument.order_known
+    assert (found.instrument.crop_px, found.instrument.model.photon_budget) == (SIDE, "free")
+    assert "file name (z_20mm, …)" in said and "Not found: exposure_s, sensor.pixel_pitch_m" in said
+    assert not (tmp_path / "frames").exists()
+
+
+def test_hyphens_are_signs_where_there_are_both(tmp_path, capsys):
+    """Else they part a word from its number."""
+    found, _ = new(saved(tmp_path, "z-5mm.tif", "z0mm.tif", "z+5mm.tif"), capsys=capsys)
+    assert {frame.file: frame.extra["z_m"] for frame in found.frames} == {
+        "z-5mm.tif": "-0.005",
+        "z0mm.tif": "0.0",
+        "z+5mm.tif": "0.005",
+    }
+
+
+def test_folders_and_numbers(tmp_path, capsys):
+    """Angles and kinds of folders, exposures of names, numbers that start anew in each condition."""
+    names = [f"{angle}deg/{t}us_{n:03}.tif" for angle in (0, 90) for t in (100, 200) for n in (1, 2)]
+    found, _ = new(saved(tmp_path, *names, "dark/100us_001.tif", "dark/100us_002.tif"), capsys=capsys)
+    rows = {frame.file: (frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat) for frame in found.frames}
+    assert rows["90deg/200us_002.tif"] == ("spot", 90.0, 2e-4, 1)
+    assert rows["dark/100us_001.tif"] == ("dark", None, 1e-4, 0)
+    assert found.shape == (2, 2, 2)
+
+
+def test_numbers_that_run_on_are_no_repeats(tmp_path, capsys):
+    """They tell the order, and repeats are counted within each exposure."""
+    names = [f"{t}us_{n}.tif" for n, t in enumerate((100, 100, 200, 200))]
+    found, said = new(saved(tmp_path, *names), capsys=capsys)
+    assert [frame.repeat for frame in found.frames] == [0, 1, 0, 1]
+    assert found.instrument.order_known and "counted within each condition" in said
+
+
+def test_a_row_a_page(tmp_path, capsys):
+    """With the exposure of its own page."""
+    with tifffile.TiffWriter(tmp_path / "a.tif") as out:
+        for k in range(3):
+            tag = (33434, 5, 1, (k + 1, 1000), True)
+            out.write(spot(k), photometric="minisblack", metadata=None, extratags=[tag])
+    found, _ = new(tmp_path, capsys=capsys)
+    assert [(frame.page, frame.exposure_s) for frame in found.frames] == [(0, 1e-3), (1, 2e-3), (2, 3e-3)]
+
+
+def test_contradictions_are_left_blank_until_they_are_settled(tmp_path, capsys):
+    """A name and a tag: nothing is taken, and the sentence says how to say which is right."""
+    tag = (33434, 5, 1, (1, 1000), True)
+    saved(tmp_path, "100us_1.tif", "100us_2.tif", extratags=[tag])
+    main(["new-dataset", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert (
+        "exposure_s: TIFF tag 33434 ExposureTime says '0.001 s', but file name says '100us' (2 frames); left blank: say"
+        ' which is right by --set "exposure_s=TIFF tag 33434 ExposureTime" or --set "exposure_s=file name"' in said
+    )
+    assert {frame.exposure_s for frame in dataset.load(tmp_path).frames} == {None}
+    for answer, wanted in (("file name", 1e-4), ("TIFF tag 33434 ExposureTime", 1e-3), ("3 ms", 3e-3)):
+        for name in ("manifest.csv", "instrument.yaml"):
+            (tmp_path / name).unlink()
+        found, said = new(tmp_path, "--set", f"exposure_s={answer}", capsys=capsys)
+        assert {frame.exposure_s for frame in found.frames} == {wanted} and "left blank" not in said
+
+
+def test_numbers_without_a_unit(tmp_path, capsys):
+    """They say so, and take the unit that is given."""
+    saved(tmp_path, "z13.tif", "z18.tif")
+    found, said = new(tmp_path, capsys=capsys)
+    assert "z_m: z13 (file name, and 1 like it) has no unit that is known; give it by --set z_m=mm" in said
+    assert "z_m" not in found.frames[0].extra
+    for name in ("manifest.csv", "instrument.yaml"):
+        (tmp_path / name).unlink()
+    found, _ = new(tmp_path, "--set", "z_m=mm", capsys=capsys)
+    assert [frame.extra["z_m"] for frame in found.frames] == ["0.013", "0.018"]
+
+
+def test_keys_and_what_else_is_said(tmp_path, capsys):
+    """Keys with their origin, the rest as comments."""
+    saved(tmp_path, "a.tif", description="pixel size: 3.45 um\nGain = 12 dB\nbit depth = 12")
+    found, _ = new(tmp_path, "--set", "laser.wavelength_m=632.8nm", capsys=capsys)
+    text = (tmp_path / "instrument.yaml").read_text()
+    assert found.instrument.sensor.pixel_pitch_m == 3.45e-6 and found.instrument.sensor.bit_depth == 12
+    assert found.instrument.laser.wavelength_m == 6.328e-7
+    assert "# TIFF tag 270 ImageDescription: pixel size = 3.45 um" in text and "# as you said: 632.8nm" in text
+    assert "#   Gain = 12 dB (TIFF tag 270 ImageDescription)" in text
+    assert set(yaml.safe_load(text)) == {"crop_px", "sensor", "laser", "model"}
+
+
+@pytest.mark.parametrize("text", ["bit depth = 99", "bit depth = 12", "pixel size = 3 m", "exposure = 0 ms"])
+def test_values_that_cannot_be_are_left_out(tmp_path, text, capsys):
+    """A depth of more bits than are stored, a pitch of metres, a spot without exposure: `check` passes without them."""
+    tifffile.imwrite(tmp_path / "a.tif", (spot() // 16).astype(np.uint8), photometric="minisblack", description=text)
+    found, _ = new(tmp_path, capsys=capsys)
+    assert found.instrument.sensor == Sensor() and found.frames[0].exposure_s is None
+
+
+def test_links_out_of_the_folder_are_not_followed(tmp_path, capsys):
+    """A manifest names nothing there."""
+    saved(tmp_path / "out", "b.tif")
+    saved(tmp_path / "in", "a.tif")
+    (tmp_path / "in" / "c.tif").symlink_to(tmp_path / "out" / "b.tif")
+    found, said = new(tmp_path / "in", capsys=capsys)
+    assert [frame.file for frame in found.frames] == ["a.tif"] and "Not read: c.tif" in said
+
+
+def test_a_terminal_is_asked(tmp_path, monkeypatch, capsys):
+    """Only for what is missing, again where the answer is none (metres, seconds); Enter leaves it out."""
+    saved(tmp_path, "2ms.tif")
+    answers, asked = iter(["3.45", "3.45 s", "3.45 um", ""]), []
+    monkeypatch.setattr("sys.stdin", type("Terminal", (io.StringIO,), {"isatty": lambda self: True})())
+    monkeypatch.setattr("builtins.input", lambda question: (asked.append(question.partition(":")[0]), next(answers))[1])
+    found, said = new(tmp_path, capsys=capsys)
+    assert "sensor.pixel_pitch_m=3.45 s: must be a length such as 3.45um" in said
+    assert asked == ["sensor.pixel_pitch_m"] * 3 + ["laser.wavelength_m"]
+    assert (found.instrument.sensor.pixel_pitch_m, found.instrument.laser.wavelength_m) == (3.45e-6, None)
+
+
+def test_what_is_not_read_is_said(tmp_path, capsys):
+    """Other files, broken images, frames of another size; a text beside an image is read."""
+    saved(tmp_path, "a.tif", "b.tif")
+    (tmp_path / "a.txt").write_text("exposure: 2 ms\n")
+    (tmp_path / "notes.docx").touch()
+    (tmp_path / "c.tif").write_bytes(b"II*\0")
+    main(["new-dataset", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert "Not read: notes.docx\n" in said and "c.tif: the TIFF is cut short" in said
+    assert "exposure_s: not found for 1 of 2 frames (b.tif)" in said and "side file *.txt (exposure = 2 ms)" in said
+
+
+def test_flat_frames_without_a_word(tmp_path, capsys):
+    """No spot stands out of them: then it is said how darks and flats are told."""
+    rng = np.random.default_rng(1)
+    for k in range(2):
+        pixels = rng.poisson(500, (SIDE, SIDE)).astype(np.uint16)
+        tifffile.imwrite(tmp_path / f"{k}.tif", pixels, photometric="minisblack", metadata=None)
+    main(["new-dataset", str(tmp_path)])
+    assert "No spot stands out in these frames." in capsys.readouterr().out
+
+
+def test_the_crop_holds_ten_standard_deviations(tmp_path, capsys):
+    """Of the widest spot, 30 px here: 300 px, to a step of 20 px and the roughness of a half maximum, some 7 %."""
+    y, x = np.mgrid[:500, :500] - 249.5
+    pixels = np.rint(50 + 1000 * np.exp(-(x**2 + y**2) / (2 * 30**2))).astype(np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", pixels, photometric="minisblack", metadata=None)
+    found, _ = new(tmp_path, capsys=capsys)
+    assert 280 <= found.instrument.crop_px <= 340
+
+
+@pytest.mark.parametrize("name", ["manifest.csv", "instrument.yaml"])
+def test_nothing_is_overwritten(tmp_path, name):
+    """Nor is the other file written."""
+    saved(tmp_path, "a.tif")
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(tmp_path)])
+    assert (tmp_path / name).read_text() == "mine" and len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("word", ["exposure_s", "croppx=3", "exposure_s=", "sensor.pitch=3um"])
+def test_answers_to_no_question(tmp_path, word, capsys):
+    """One sentence that says what would be right."""
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(saved(tmp_path, "a.tif")), "--set", word])
+    assert capsys.readouterr().err.startswith(f"spotcheck: --set {word}: must be KEY=VALUE")
+    assert not (tmp_path / "manifest.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("word", "right"),
+    [
+        ("exposure_s=abc", "must be a time such as 2ms, or which source is right: file name"),
+        ("sensor.pixel_pitch_m=3kg", "must be a length such as 3.45um"),
+        ("sensor.channel=pink", "must be one of red, green, blue, green_r, green_b"),
+        ("sensor.bit_depth=99", "key sensor.bit_depth is 99; it must be at most 16"),
+        ("kind=spt", "must be spot, dark or flat"),
+    ],
+)
+def test_answers_that_are_none(tmp_path, word, right, capsys):
+    """They are not left out without a word."""
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(saved(tmp_path, "2ms.tif")), "--set", word])
+    assert capsys.readouterr().err == f"spotcheck: --set {word}: {right}\n"
+    assert not (tmp_path / "manifest.csv").exists()
+
+
+def test_colours(tmp_path, capsys):
+    """A channel is asked for, and taken."""
+    tifffile.imwrite(tmp_path / "a.tif", np.stack([spot(0), spot(1), spot(2)], -1), photometric="rgb")
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(tmp_path)])
+    assert "must say which one to take, such as by --set sensor.channel=red" in capsys.readouterr().err
+    found, _ = new(tmp_path, "--set", "sensor.channel=green", capsys=capsys)
+    np.testing.assert_array_equal(read(found, found.frames[0]), spot(1))
+
+
+def test_an_empty_folder_gets_a_template(tmp_path, capsys):
+    """With an example row, and frames/ to fill."""
+    main(["new-dataset", str(tmp_path / "new")])
+    assert "fill in the blanks" in capsys.readouterr().out and (tmp_path / "new" / "frames").is_dir()
+    with pytest.raises(InputError, match=r"frames/first\.tif is not there"):
+        dataset.check_files(dataset.load(tmp_path / "new"))

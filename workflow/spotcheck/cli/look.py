@@ -1,0 +1,94 @@
+"""`spotcheck look`: widths, shape, clip and camera of images that nobody has described."""
+
+import argparse
+import json
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from spotcheck.errors import InputError
+from spotcheck.first_look.images import folders_of, images_of
+from spotcheck.first_look.looking import look
+
+EXAMPLES = """Examples:
+  spotcheck look my-frames/frames                # all images of a folder
+  spotcheck look my-frames/frames --pixel-um 3.75 --json
+
+With --wavelength-nm as well, positions along the beam give M²: those that names say, as z_176mm.tif does, or --z.
+"""
+OUTPUT = "look"
+# What is said on standard error after so long [s].
+PATIENCE_S, COMPILED = 5.0, "still looking; on a new machine the spot fit is compiled first, which takes some 20 s"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EXAMPLES
+    parser.add_argument(
+        "images", nargs="+", metavar="IMAGE", help="image files, or a folder of them: TIFF, PNG, PGM, HDF5, .npy"
+    )
+    parser.add_argument(
+        "--z",
+        type=positions,
+        metavar="Z,Z,…",
+        help="position of each image along the beam [m], in their order; --z=-0.1,0,0.1 where the first is below 0",
+    )
+    parser.add_argument("--wavelength-nm", type=float, metavar="NM", help="wavelength [nm], for M²")
+    parser.add_argument("--pixel-um", type=float, metavar="UM", help="distance of two pixels [µm], for widths in µm")
+    parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
+    parser.add_argument(
+        "--output", type=Path, metavar="FOLDER", help=f"folder for the page and its first picture (default: {OUTPUT})"
+    )
+
+
+def positions(text: str) -> list[float]:
+    """Numbers between commas."""
+    try:
+        return [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"is {text!r}; it must be numbers between commas, in metres") from None
+
+
+def run(args: argparse.Namespace) -> None:
+    """Look, print, and write the page."""
+    folder = args.output or (None if args.json else Path(OUTPUT))
+    if args.output is None and folder is not None and folder.resolve() in folders_of(images_of(args.images)):
+        raise InputError(f"{OUTPUT}: holds the images; name another folder for the page with --output")
+    with _patience():
+        found = look(
+            args.images,
+            z_m=args.z,
+            pixel_pitch_m=None if args.pixel_um is None else 1e-6 * args.pixel_um,
+            wavelength_m=None if args.wavelength_nm is None else 1e-9 * args.wavelength_nm,
+        )
+    page = None if folder is None else found.write(folder)
+    if args.json:
+        print(json.dumps(found.to_dict() | {"page": None if page is None else str(page)}, indent=1, ensure_ascii=False))
+        return
+    print(found)
+    if asked := _asked(found.wavelength_m, found.pixel_pitch_m, any(one.z_m is not None for one in found.images)):
+        print(asked)
+    print(f"\npage: {page}    (spotcheck open {page})")
+
+
+@contextmanager
+def _patience() -> Iterator[None]:
+    """Say why nothing is to be seen for so long."""
+    timer = threading.Timer(PATIENCE_S, lambda: print(COMPILED, file=sys.stderr))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _asked(wavelength_m: float | None, pitch_m: float | None, scan: bool) -> str:
+    """Which options would tell more, in one sentence."""
+    options = (("--wavelength-nm", not scan or wavelength_m), ("--pixel-um", pitch_m))
+    missing = [option for option, value in options if not value]
+    if not missing:
+        return ""
+    return f"for {'M²' if scan else 'widths in µm'} add your {' and '.join(missing)}"

@@ -1,0 +1,1 @@
+"""What image files say of their frames beside the pixels: tags, texts, files beside them and their own names."""
