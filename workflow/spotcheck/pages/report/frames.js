@@ -220,15 +220,26 @@ async function drawViewer() {
   figure.layout.margin.b = 64;
   viewer.dataset.drawn = "yes";
   viewer.dataset.frame = shownFrame;
-  document.getElementById("viewer-said").textContent = saidOf(frame, names);
+  document.getElementById("viewer-said").replaceChildren(...saidOf(frame, names));
   await draw(viewer, figure.data, figure.layout);
 }
 
+/** What is said of a frame, as words and marked numbers. */
 function saidOf(frame, names) {
-  const left = Object.entries(frame.left).filter(([name, value]) => value !== null && names.includes(name))
-    .map(([name, value]) => `${Number(value.toPrecision(3))} noise σ by the ${INDEX.names[name]}`);
-  const why = names.length ? "" : " No model could be evaluated for this frame.";
-  return `${frame.label} (${frame.file}).${left.length ? ` Left, rms: ${left.join(", ")}.` : ""}${why}`;
+  const left = Object.entries(frame.left).filter(([name, value]) => value !== null && names.includes(name));
+  const said = left.flatMap(([name, value], k) =>
+    [k ? ", " : " Left, rms: ", marked(value, `views.${name}_left[frame=${frame.file}]`), ` by the ${INDEX.names[name]}`]);
+  return [`${frame.label} (${frame.file}).`, ...said, left.length ? "." : names.length ? "" : " No model could be evaluated for this frame."];
+}
+
+/** A number in units of the noise that says where it comes from, as those of cited.py do. */
+function marked(value, key) {
+  const own = document.createElement("span");
+  own.className = "from";
+  own.dataset.key = key;
+  own.title = `views.nc: ${key.split(/[.[]/)[1]}; explain: spotcheck explain '${key}'`;
+  own.textContent = `${Number(value.toPrecision(3))} noise σ`;
+  return own;
 }
 
 /** Shows a frame in the viewer. */

@@ -11,14 +11,10 @@ from spotcheck.estimate.fits import preferred
 from spotcheck.figures import series
 from spotcheck.figures.style import axis_name
 from spotcheck.manifest import Frame
-from spotcheck.pages.report.packed import Layer, packed, step_of, thinned
+from spotcheck.pages.report.packed import Layer, block_of, packed, step_of, thinned
 from spotcheck.pages.report.ranking import deviations_of, deviations_text, flags_text, place_text
 from spotcheck.views import MODELS, Line
 
-# Bytes that a page may have: 15 MB for 96 frames, 40 MB for 1,000, and on a straight line between.
-FEWEST, LEAST_ROOM, ROOM_EACH, MOST_ROOM = 96, 15_000_000, 27_650, 40_000_000
-# Bytes of it that are kept for all but the frames: 4.8 MB of Plotly, and pictures and tables.
-BESIDE = 8_000_000
 # Frames that are packed to see how large all will be.
 SAMPLE = 8
 NAMES = {
@@ -58,10 +54,10 @@ def frames_of(dataset: Dataset, files: Files) -> Frames:
     full_scale = float(files.frames["full_scale"])
     chosen = np.unique(np.linspace(0, len(cells) - 1, SAMPLE).astype(int))
     places = [dict(zip(dims, at, strict=True)) for at, _ in cells]
-    sample = [_layers(_images(files, places[k]), full_scale, 1) for k in chosen]
-    expected = len(cells) * float(np.mean([len(packed(own)) for own in sample]))
-    room = min(LEAST_ROOM + ROOM_EACH * max(len(cells) - FEWEST, 0), MOST_ROOM) - BESIDE
-    block = max(int(np.ceil(np.sqrt(expected / room))), 1)
+    sample = [_images(files, places[k]) for k in chosen]
+    block = block_of(
+        lambda own: float(np.mean([len(packed(_layers(images, full_scale, own))) for images in sample])), len(cells)
+    )
     texts, shown, rows = [], [], []
     for k, (place, (_, frame)) in enumerate(zip(places, cells, strict=True)):
         images = _images(files, place)
