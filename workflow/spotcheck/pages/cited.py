@@ -35,7 +35,8 @@ class Cited:
         return Markup(out)
 
     def _marked(self, text: str, key: str, title: str) -> Markup:
-        if not title:
+        # A dash, or a word in a number's place, comes from nowhere.
+        if not title or not any(own.isdigit() for own in str(text)):
             return escape(text)
         return Markup('<span class="from" data-key="{}" title="{}">{}</span>').format(key, title, text)
 

@@ -148,11 +148,11 @@ const FIRST_WIDTHS = 3;
 
 async function drawFirst(element) {
   const number = INDEX.best, frame = INDEX.frames[number], all = await readingsOf(number);
-  const models = ["declared", "extended", "simulated"].filter((name) => all[name]).slice(0, 2);
+  const models = INDEX.pictured;
   const left = models.map((name) => residual(all.measured, all[name], false));
   const reading = readingScale([all.measured, ...models.map((name) => all[name])], false), rest = residualScale(left, false);
   const narrow = element.clientWidth < 700;
-  const titles = { declared: "model before", extended: "model after", simulated: "simulation" };
+  const titles = models.length > 1 ? { declared: "model before", extended: "model after" } : { declared: "model", simulated: "simulation" };
   const panels = [
     imagePanel(frame, "measured", all.measured, reading),
     ...models.map((name) => imagePanel(frame, titles[name], all[name], reading)),

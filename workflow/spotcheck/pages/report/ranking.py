@@ -1,5 +1,6 @@
 """The table of frames: what is left of each, and why, in words."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -87,10 +88,19 @@ def _direction(right: float, down: float, block: int) -> str:
     )
 
 
-def deviations_of(views: xr.Dataset, at: dict[str, int]) -> dict[str, Deviation]:
-    """The deviations of a frame that are known."""
+def usual_of(views: xr.Dataset) -> dict[str, float]:
+    """By which factor the median frame is brighter and wider than the law of all frames: where the law as a whole is
+    off, no frame is worse for it."""
+    known = {name: views[name].values for name in WORDS if name in views}
+    return {name: 1.0 + float(np.nanmedian(own)) for name, own in known.items() if np.isfinite(own).any()}
+
+
+def deviations_of(views: xr.Dataset, at: dict[str, int], usual: Mapping[str, float]) -> dict[str, Deviation]:
+    """The deviations of a frame that are known, beside those of the median frame."""
     found = {}
     for name in NOTED:
         if name in views and np.isfinite(value := float(views[name].isel(at))):
-            found[name] = Deviation(value, float(views[f"{name}_stderr"].isel(at)))
+            factor, stderr = usual.get(name, 1.0), float(views[f"{name}_stderr"].isel(at))
+            value = (1.0 + value) / factor - 1.0 if name in usual else value
+            found[name] = Deviation(value, stderr / factor)
     return found

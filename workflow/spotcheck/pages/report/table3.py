@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.verdict.words import value_text
 from spotcheck.pages.cited import Cited
 
 # Of the data sheet: parameter, symbol, unit, and key.
@@ -43,7 +44,7 @@ class Row(NamedTuple):
 def parameters(
     dataset: Dataset, files: dict[str, xr.Dataset], top_hat_radius: float, cite: Cited
 ) -> list[tuple[str, str, str, str, str]]:
-    """Rows (parameter, symbol, value, unit, source)."""
+    """Rows (parameter, symbol, its index, value with unit, source)."""
     given = dataset.instrument
     rows = [
         Row(name, symbol, attrgetter(key)(given), unit, given.source(key), f"instrument.{key}")
@@ -58,18 +59,27 @@ def parameters(
             words = _sentence(told["long_name"])
             rows.append(Row(words, symbol, float(sensor[name]), told["units"], told["source"], f"sensor.{name}"))
     if exposures := dataset.exposures:
-        rows.append(Row("Exposure times", "t_exp", ", ".join(f"{t:g}" for t in exposures), "s", "manifest.csv", ""))
+        rows.append(
+            Row(
+                "Exposure times",
+                "t_exp",
+                ", ".join(value_text(t, None, "s") for t in exposures),
+                "",
+                "manifest.csv",
+                "",
+            )
+        )
     calibration = files.get("calibration")
     if calibration is not None and "skipped" not in calibration.attrs:
         own = calibration.sel({"estimator": calibration.attrs["used"]})
         for name in ("p1", "p2"):
-            text = f"{float(own[f'{name}_mean']):.3f} ± {float(own[f'{name}_sd_all']):.3f}"
+            text = value_text(float(own[f"{name}_mean"]), float(own[f"{name}_sd_all"]), "px")
             what = f"Beam propagation {'factor' if name == 'p1' else 'offset'}"
-            rows.append(Row(what, name, text, "px", "calibrated", f"calibration.{name}_mean"))
+            rows.append(Row(what, name, text, "", "calibrated; ± sd over all sites", f"calibration.{name}_mean"))
         peak = float(own["peak"])
         rows.append(Row("Peak at the longest exposure", "–", peak, "DN", "calibrated", "calibration.peak"))
     return [
-        (own.name, own.symbol, cite(_text(own.value), own.key), own.unit, "" if own.value is None else own.source)
+        (own.name, *_split(own.symbol), cite(_text(own), own.key), "" if own.value is None else own.source)
         for own in rows
     ]
 
@@ -79,9 +89,15 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _text(value: float | str | None) -> str:
-    if value is None:
+def _split(symbol: str) -> tuple[str, str]:
+    """A symbol and its index."""
+    sign, _, index = symbol.partition("_")
+    return sign, index
+
+
+def _text(own: Row) -> str:
+    if own.value is None:
         return "not given"
-    if isinstance(value, str):
-        return value
-    return "unknown" if np.isnan(value) else f"{value:.5g}"
+    if isinstance(own.value, str):
+        return own.value
+    return "unknown" if np.isnan(own.value) else value_text(own.value, None, own.unit)

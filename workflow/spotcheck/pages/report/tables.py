@@ -10,7 +10,14 @@ from markupsafe import Markup
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.verdict.words import condition_text, digits_of, percent_text, value_text
+from spotcheck.discrepancy.verdict.words import (
+    condition_text,
+    digits_of,
+    number_text,
+    over_noise_text,
+    percent_text,
+    value_text,
+)
 from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import beam_rows
 from spotcheck.estimate.fits import preferred
@@ -124,13 +131,14 @@ def calibration_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
         own = ds.sel({"estimator": name})
         row: dict[str, Any] = {"text": ds.attrs[f"estimator_{name}"], "used": name == ds.attrs["used"]}
         for p in ("p1", "p2"):
-            row[p] = {
-                key: cite(_number(own[f"{p}_{key}"]), f"calibration.{p}_{key}[estimator={name}]")
-                for key in ("mean", "sd_all", "sd_angles", "miss")
-            }
-            row[p]["stderr"] = cite(_number(own[f"{p}_stderr"], ".2g"), f"calibration.{p}_mean[estimator={name}]")
-            row[p]["sd_repeats"] = _number(own[f"{p}_sd_repeats"].mean())
-        row["peak"] = cite(_number(own["peak"], ".4g"), f"calibration.peak[estimator={name}]")
+            mean, stderr = float(own[f"{p}_mean"]), float(own[f"{p}_stderr"])
+            row[p] = {"value": cite(value_text(mean, stderr, "px"), f"calibration.{p}_mean[estimator={name}]")}
+            for key in ("sd_all", "sd_angles", "miss"):
+                # Less than a millionth of a pixel is the rounding of floats.
+                text = number_text(round(float(own[f"{p}_{key}"]), 6), 2)
+                row[p][key] = cite(text, f"calibration.{p}_{key}[estimator={name}]")
+            row[p]["sd_repeats"] = number_text(float(own[f"{p}_sd_repeats"].mean()), 2)
+        row["peak"] = cite(number_text(float(own["peak"]), 4), f"calibration.peak[estimator={name}]")
         rows.append(row)
     return {"rows": rows, "laser_width": float(ds["laser_width"]), "converged": bool(ds["likelihood_converged"])}
 
@@ -151,7 +159,7 @@ def fits_of(dataset: Dataset, fits: xr.Dataset | None, cite: Cited) -> list[tupl
             text = f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
             cells.append("–" if np.isnan(value) else cite.of_frame(text, f"fits.{name}", frame.label))
         chi2 = float(at["chi2_reduced"])
-        cells.append("–" if np.isnan(chi2) else cite.of_frame(f"{chi2:.3g}", "fits.chi2_reduced", frame.label))
+        cells.append("–" if np.isnan(chi2) else cite.of_frame(number_text(chi2), "fits.chi2_reduced", frame.label))
         rows.append((frame.label, cells))
     return rows
 
@@ -175,11 +183,8 @@ def levels_of(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] 
         )
     except InputError:
         return None
-    return {"rows": rows, "calibrated": float(own["peak"]), "exposure_s": longest}
-
-
-def _number(value: xr.DataArray, form: str = ".3f") -> str:
-    return format(float(value), form) if np.isfinite(float(value)) else "–"
+    told = [(text, number_text(value)) for text, value in rows]
+    return {"rows": told, "calibrated": float(own["peak"]), "exposure": value_text(longest, None, "s")}
 
 
 def caustic_of(ds: xr.Dataset | None, cite: Cited) -> Markup | None:
@@ -213,7 +218,11 @@ def precision_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
         for source in ("measured", "simulated"):
             told = [(f"frames_{source}", "", str(int(own[f"frames_{source}"])))]
             told += [
-                (f"{what}_{source}", "sigma_mean", _number(own[f"{what}_{source}"].sel(parameter="sigma_mean"), ".3g"))
+                (
+                    f"{what}_{source}",
+                    "sigma_mean",
+                    number_text(float(own[f"{what}_{source}"].sel(parameter="sigma_mean")), 2),
+                )
                 for what in ("scatter", "bound")
             ]
             for name in ("sigma_mean", "amplitude"):
@@ -260,8 +269,8 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
                 (key, cite(value_text(p["value"], p["stderr"], p["unit"]), f"verdict.effects.{own['name']}.{key}"))
                 for key, p in own["parameters"].items()
             ],
-            "gain": cite(_plain(own["evidence"]["gain"], ".3g"), f"verdict.effects.{own['name']}.evidence.gain"),
-            "z": cite(_plain(own["evidence"]["z"], ".3g"), f"verdict.effects.{own['name']}.evidence.z"),
+            "gain": cite(number_text(own["evidence"]["gain"]), f"verdict.effects.{own['name']}.evidence.gain"),
+            "z": cite(number_text(own["evidence"]["z"]), f"verdict.effects.{own['name']}.evidence.z"),
             # A learned shape is told by all frames together, and by no cells.
             "cells": "–" if own["evidence"]["consistency"] is None else own["evidence"]["consistency"]["cells"],
             "rivals": [name for name in own["candidates"] if name != own["name"]],
@@ -296,14 +305,15 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
         "status": verdict["status"].replace("_", " "),
         "sentence": [cite.within(line, numbers_in(verdict)) for line in verdict["sentence"].splitlines()],
         "effects": effects,
-        "gap": [cite(_plain(gap[key]), f"verdict.gap.{key}") for key in ("before", "after", "noise_floor")]
+        "gap": [cite(over_noise_text(gap[key]), f"verdict.gap.{key}") for key in ("before", "after", "noise_floor")]
         if gap["on"]
         else [],
         "gap_on": gap["on"],
         "closed": percent_of(_at_most_all(gap["closed"])),
         "shifts": shifts,
         "places": [
-            (own["words"], cite(_plain(own["z"]), f"verdict.where.{k}.z")) for k, own in enumerate(verdict["where"])
+            (own["words"], cite(number_text(own["z"]), f"verdict.where.{k}.z"))
+            for k, own in enumerate(verdict["where"])
         ],
         "limits": limits,
         "advice": [(own["frames"], condition_text(own["condition"]), own["separates"]) for own in verdict["advice"]],
@@ -315,11 +325,8 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
 def _before(own: dict[str, Any]) -> str:
     """p1 or p2 before, to the digits of the error that it has after."""
     error = own["stderr"]
-    return _plain(own["before"], ".4g" if not error else f".{max(digits_of(error), 0)}f")
-
-
-def _plain(value: float | None, form: str = ".3g") -> str:
-    return "–" if value is None else format(value, form).replace("-", "−")
+    text = f"{own['before']:.{max(digits_of(error), 0)}f}".replace("-", "−") if error else number_text(own["before"], 4)
+    return f"{text} {own['unit']}"
 
 
 def _at_most_all(part: float | None) -> float | None:
