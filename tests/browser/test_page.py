@@ -24,8 +24,10 @@ def page(opened):
 
 
 def test_opens_from_disk_without_a_network(opened):
-    """It asks for nothing elsewhere, and neither its scripts nor the browser complain."""
+    """It asks for nothing elsewhere, and neither its scripts nor the browser complain, also of what is drawn when it is
+    seen."""
     opened.page.evaluate("looks.unfold(true)")
+    opened.page.evaluate("looks.visit()")
     assert opened.page.title()
     assert opened.outside == []
     assert opened.errors == []

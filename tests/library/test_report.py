@@ -141,7 +141,7 @@ def test_reasons_in_words():
     own = {"brighter": Deviation(0.2, 0.01), "wider": Deviation(-0.05, 0.001), "right": Deviation(3.0, 0.1),
            "down": Deviation(-4.0, 0.1)}  # fmt: skip
     assert ranking.deviations_text(own) == [
-        "20 % brighter than the law says", "5 % narrower than the law says", "5 px off its site's centre"
+        "20 % brighter and 5 % narrower than the law says", "5 px off its site's centre"
     ]  # fmt: skip
     assert ranking.deviations_text({"brighter": Deviation(0.2, 0.1), "wider": Deviation(0.001, 1e-6)}) == []
     assert ranking.flags_text(16, "", 1) == ["1 pixel at full scale"]

@@ -229,7 +229,8 @@ function saidOf(frame, names) {
   const left = Object.entries(frame.left).filter(([name, value]) => value !== null && names.includes(name));
   const said = left.flatMap(([name, value], k) =>
     [k ? ", " : " Left, rms: ", marked(value, `views.${name}_left[frame=${frame.file}]`), ` by the ${INDEX.names[name]}`]);
-  return [`${frame.label} (${frame.file}).`, ...said, left.length ? "." : names.length ? "" : " No model could be evaluated for this frame."];
+  return [`${frame.label} (${frame.file}).`, ...said, left.length ? "." : "",
+    frame.why ? ` Why: ${frame.why}.` : "", names.length ? "" : " No model could be evaluated for this frame."];
 }
 
 /** A number in units of the noise that says where it comes from, as those of cited.py do. */

@@ -70,6 +70,7 @@ def frames_of(dataset: Dataset, files: Files) -> Frames:
         own = _shown(files, place, frame, layers)
         shown.append(own)
         rows.append(_row(files, place, frame, k, own, images, usual))
+        own["why"] = "" if rows[-1]["why"] == NOTHING else rows[-1]["why"]
     names = list(dict.fromkeys(name for own in shown for name in own["layers"]))
     contents = {
         "block": block,

@@ -14,10 +14,7 @@ from spotcheck.pages.report.packed import thinned
 # standard errors: smaller ones no user could act on, and of 1,000 frames noise alone makes less than one stand out.
 NOTED = {"brighter": 0.02, "wider": 0.01, "right": 0.25, "down": 0.25}
 ERRORS = 5.0
-WORDS = {
-    "brighter": ("brighter than the law says", "fainter than the law says"),
-    "wider": ("wider than the law says", "narrower than the law says"),
-}
+WORDS = {"brighter": ("brighter", "fainter"), "wider": ("wider", "narrower")}
 # Blocks along a crop's side in which the place is looked for where most is left.
 BLOCKS = 24
 # What is left of such a block is worth a word above so many standard deviations of its noise.
@@ -46,11 +43,12 @@ def flags_text(status: int, left_out: str, at_full_scale: int) -> list[str]:
 
 def deviations_text(deviations: dict[str, Deviation]) -> list[str]:
     """How the frame differs from what all share, as far as it matters and is no chance."""
-    texts = []
-    for name, (more, less) in WORDS.items():
-        own = deviations.get(name)
-        if own is not None and _stands_out(name, own):
-            texts.append(f"{percent_text(abs(own.value))} {more if own.value > 0 else less}")
+    beside = [
+        f"{percent_text(abs(own.value))} {more if own.value > 0 else less}"
+        for name, (more, less) in WORDS.items()
+        if (own := deviations.get(name)) is not None and _stands_out(name, own)
+    ]
+    texts = [f"{' and '.join(beside)} than the law says"] if beside else []
     aside = [deviations[name] for name in ("right", "down") if name in deviations]
     if any(_stands_out(name, deviations[name]) for name in ("right", "down") if name in deviations):
         texts.append(f"{float(np.linalg.norm([own.value for own in aside])):.2g} px off its site's centre")
