@@ -157,7 +157,9 @@ def fits_of(dataset: Dataset, fits: xr.Dataset | None, cite: Cited) -> list[tupl
             value, error = float(at[name]), float(at[f"{name}_stderr"])
             digits = int(np.clip(1 - np.floor(np.log10(error)), 0, 4)) if error > 0 and np.isfinite(error) else 2
             text = f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
-            cells.append("–" if np.isnan(value) else cite.of_frame(text, f"fits.{name}", frame.label))
+            # A round spot has no orientation: its error is infinite.
+            is_known = np.isfinite(value) and not np.isinf(error)
+            cells.append(cite.of_frame(text, f"fits.{name}", frame.label) if is_known else "–")
         chi2 = float(at["chi2_reduced"])
         cells.append("–" if np.isnan(chi2) else cite.of_frame(number_text(chi2), "fits.chi2_reduced", frame.label))
         rows.append((frame.label, cells))
