@@ -136,11 +136,17 @@ window.looks = (() => {
 
   const unfold = (open) => document.querySelectorAll("details").forEach((own) => { own.open = open; });
 
+  const CONTROLS = "a[href], button, input, select, textarea, summary, [tabindex]";
+
+  // A box of text alone that is wider than it shows: a keyboard scrolls it once it has the focus.
+  const scrolls = (own) => own.tagName === "DIV" && own.scrollWidth > own.clientWidth && !own.querySelector(CONTROLS)
+    && ["auto", "scroll"].includes(getComputedStyle(own).overflowX);
+
   // What Tab should reach, in the order of the document; of radio buttons of one name Tab reaches one.
   function controls() {
-    const all = [...document.querySelectorAll("a[href], button, input, select, textarea, summary, [tabindex]")];
+    const all = [...document.querySelectorAll(`${CONTROLS}, div`)];
     // A graph's buttons are shown when they have the focus.
-    return all.filter((own) => own.tabIndex >= 0 && !own.disabled && (visible(own) || (own.closest(".modebar") && own.checkVisibility()))
+    return all.filter((own) => (own.tabIndex >= 0 || scrolls(own)) && !own.disabled && (visible(own) || (own.closest(".modebar") && own.checkVisibility()))
       && !(own.type === "radio" && !own.checked && document.querySelector(`input[name="${own.name}"]:checked`)));
   }
 

@@ -87,14 +87,14 @@ def test_contrast_is_that_of_the_guidelines(opened, grey, contrast):
 
 
 def test_a_good_page_is_walked_in_order(opened):
-    """Each control once, radio buttons of one name together."""
+    """Each control once, radio buttons of one name together; a box of text that scrolls is one, too."""
     opened.page.set_content(
         "<a href='#x'>one</a><details><summary>two</summary><a href='#x'>hidden</a></details><button disabled>no"
         "</button><input type=radio name=r checked><input type=radio name=r><select><option>four"
-        "</select><p tabindex=0>five"
+        "</select><p tabindex=0>five</p><div style='width: 90px; overflow-x: auto'><p style='width: 200px'>six</div>"
     )
     steps = tabbed(opened.page)
-    assert [step["at"] for step in steps] == [0, 1, 2, 3, 4]
+    assert [step["at"] for step in steps] == [0, 1, 2, 3, 4, 5]
     assert all(step["seen"] for step in steps)
 
 

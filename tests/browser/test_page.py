@@ -2,6 +2,7 @@
 
 import pytest
 
+from spotcheck import origin
 from tests.browser.opening import WINDOW, look
 
 # Widths [px] of a telephone, a notebook and a large screen.
@@ -23,8 +24,10 @@ def page(opened):
 
 
 def test_opens_from_disk_without_a_network(opened):
-    """It asks for nothing elsewhere, and neither its scripts nor the browser complain."""
+    """It asks for nothing elsewhere, and neither its scripts nor the browser complain, also of what is drawn when it is
+    seen."""
     opened.page.evaluate("looks.unfold(true)")
+    opened.page.evaluate("looks.visit()")
     assert opened.page.title()
     assert opened.outside == []
     assert opened.errors == []
@@ -72,6 +75,23 @@ def test_no_number_is_left_out_by_accident(page):
     """No text shows what a program writes where it has nothing."""
     page.evaluate("looks.unfold(true)")
     assert look(page, "leftovers") == ""
+
+
+def test_numbers_say_where_they_come_from(page, results):
+    """What is marked is known to `spotcheck explain`, the first and last of each file at least; of the tables of fits,
+    of the data sheet and of the simulation's parameters every number is."""
+    keys = page.evaluate("[...document.querySelectorAll('.from')].map(own => own.dataset.key)")
+    files: dict[str, list[str]] = {}
+    for key in keys:
+        files.setdefault(key.split("[")[0], []).append(key)
+    for own in files.values():
+        for key in {own[0], own[-1]}:
+            assert origin.of(results, key).words, key
+    for fold in ("fits", "sheet", "parameters", "table"):
+        # Exposures of the manifest and the constant of Eq. 40 are in no file of numbers.
+        rows = f"#{fold} tr:not(:has-text('manifest.csv')):not(:has-text('Eq. 40'))"
+        cells = page.locator(f"{rows} td.number:not(:has(.from))").all_text_contents()
+        assert [text for text in cells if any(own.isdigit() for own in text)] == [], fold
 
 
 def test_size(results):

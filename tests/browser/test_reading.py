@@ -21,8 +21,12 @@ def page(chromium, results):
         yield own.page
 
 
-def test_tab_reaches_every_control_in_order(page):
-    """From the top to the last, in the order of the document, and the focus is seen on each."""
+@pytest.mark.parametrize("unfolded", [False, True], ids=["folded", "unfolded"])
+def test_tab_reaches_every_control_in_order(page, unfolded):
+    """From the top to the last, in the order of the document, and the focus is seen on each; also on what stands in the
+    folds."""
+    page.evaluate("looks.unfold", unfolded)
+    page.evaluate("looks.visit()")
     steps = tabbed(page)
     assert steps
     assert [step["place"] for at, step in enumerate(steps) if step["at"] != at] == []

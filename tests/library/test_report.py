@@ -64,7 +64,7 @@ def test_the_gap_is_shown_where_there_is_one():
     found = gap_of(verdict_of("one"))
     assert found is not None
     assert [(name, text) for name, _, text, _ in found.numbers] == [
-        ("before", "9"), ("after", "1.01"), ("noise alone", "1")
+        ("before", "9.00"), ("after", "1.01"), ("scatter alone", "1.00")
     ]  # fmt: skip
     assert gap_of(verdict_of("one, no frames apart")) is None
 
@@ -113,11 +113,35 @@ def test_blocks_are_means():
     assert found[1, 2] == image[2:4, 4:6].mean()
 
 
+@pytest.mark.parametrize(("count", "whole"), [(1, 15e6), (96, 15e6), (1000, 40e6), (20_000, 40e6)])
+@pytest.mark.parametrize("side", (64, 240))
+def test_a_page_stays_small(count, whole, side):
+    """Frames that cannot be deflated, of 16 bits and with four models, are thinned until all of them have room, and no
+    further."""
+    rng = np.random.default_rng(6)
+    images = rng.integers(0, 65_536, (2, 5, side, side)).astype(float)
+
+    def size(block: int) -> float:
+        layers = [
+            {
+                str(k): packed.Layer(packed.thinned(own, block), packed.step_of(65_535), k > 0)
+                for k, own in enumerate(frame)
+            }
+            for frame in images
+        ]
+        return float(np.mean([len(packed.packed(own)) for own in layers]))
+
+    block = packed.block_of(size, count)
+    assert packed.room_of(count) == pytest.approx(whole - packed.BESIDE, rel=1e-3)
+    assert count * size(block) <= packed.room_of(count)
+    assert block == 1 or count * size(block - 1) > packed.room_of(count)
+
+
 def test_reasons_in_words():
     own = {"brighter": Deviation(0.2, 0.01), "wider": Deviation(-0.05, 0.001), "right": Deviation(3.0, 0.1),
            "down": Deviation(-4.0, 0.1)}  # fmt: skip
     assert ranking.deviations_text(own) == [
-        "20 % brighter than the law says", "5 % narrower than the law says", "5 px off its site's centre"
+        "20 % brighter and 5 % narrower than the law says", "5 px off its site's centre"
     ]  # fmt: skip
     assert ranking.deviations_text({"brighter": Deviation(0.2, 0.1), "wider": Deviation(0.001, 1e-6)}) == []
     assert ranking.flags_text(16, "", 1) == ["1 pixel at full scale"]

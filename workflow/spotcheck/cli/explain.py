@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print(json.dumps(words.plain(number, results), indent=1, ensure_ascii=False))
     else:
-        print(words.explained(number, results, args.number, COMMANDS[number.source.command]))
+        print(words.explained(number, results, args.number, COMMANDS.get(number.source.command, "")))
 
 
 def only_one(base: Path) -> Path:

@@ -170,7 +170,7 @@ def sentence(ds: xr.Dataset) -> str:
             f"the bound is least at {_time(best)}{edge}, {float(ds['sigma_bound_over_fine_exposure'].min()):.2g} px"
         )
         if enough < best:
-            parts.append(f"from {_time(enough)} on it falls by no more than {ENOUGH:.0%}")
+            parts.append(f"from {_time(enough)} on it falls by no more than {100 * ENOUGH:g} %")
     for source in ("measured", "simulated"):
         ratio, error = pooled_ratio(ds, source, "sigma_mean")
         # Copies of one frame do not scatter at all.

@@ -29,7 +29,8 @@ MOST_NAMED = 6
 LIKE = 0.6
 # Variables above this size are images, not numbers [byte]: those of 10,000 frames are smaller, one image is not.
 LARGEST = 2**20
-TEXTS = {"verdict.json": documents.of_verdict, "paper_numbers.csv": documents.of_paper}
+SHEET = "instrument.yaml"
+TEXTS = {"verdict.json": documents.of_verdict, "paper_numbers.csv": documents.of_paper, SHEET: documents.of_sheet}
 
 
 class Shelf(NamedTuple):
@@ -57,7 +58,9 @@ def of(results: str | Path, key: str) -> Number:
     if entry.key in shelf.told:
         own = shelf.told[entry.key]
     else:
-        if "frame" in asked and "frame" not in entry.dims:
+        if "frame" in asked and "frame" in entry.dims:
+            asked["frame"] = row_of(shelf.files[file], str(asked["frame"]))
+        elif "frame" in asked:
             asked.update((dim, k) for dim, k in cell_of(results, file, asked).items() if dim in entry.dims)
         if missing := [dim for dim in entry.free if dim not in asked]:
             labels = {dim: netcdf.labels_of(shelf.files[file], dim)[0] for dim in missing}
@@ -84,11 +87,23 @@ def tables(results: str | Path) -> list[str]:
 
 def hover(number: Number) -> str:
     """Where a number comes from, in one line."""
-    made = ", ".join(dict.fromkeys(own.name for own in number.inputs))
-    return (
-        f"{number.file}: {shown(number.variable)}, by rule {number.rule}{f' from {made}' if made else ''};"
-        f" explain: spotcheck explain {shlex.quote(number.short)}"
-    )
+    return _hover(number.source, number.variable, number.short)
+
+
+def hover_of_frame(results: str | Path, table: str, frame: str) -> str:
+    """The same of a number of one frame, by its table such as `fits.sigma_mean`, without a look at its value. Raises
+    `InputError` where there is no such table."""
+    shelf = shelf_of(Path(results))
+    entry = found(shelf, table, {"frame": frame})
+    return _hover(shelf.sources[entry.path[0]], entry.path[-1], f"{table}[frame={frame}]")
+
+
+def _hover(source: Source, variable: str, name: str) -> str:
+    made = ", ".join(dict.fromkeys(own.name for own in source.inputs))
+    by = f"by rule {source.rule}{f' from {made}' if made else ''}" if source.rule else "as given"
+    # A file that was given lies elsewhere, and its folder may say whose machine this is.
+    file = source.file if source.rule else Path(source.file).name
+    return f"{file}: {shown(variable)}, {by}; explain: spotcheck explain {shlex.quote(name)}"
 
 
 def shown(variable: str) -> str:
@@ -176,6 +191,7 @@ def shelf_of(results: Path) -> Shelf:
     if not results.is_dir():
         raise InputError(f"{results}: no such folder; name the results of a dataset, such as results/virtual-rig")
     files = [*sorted(results.glob("*.nc")), *sorted(results.glob("*/*.nc")), *(results / name for name in TEXTS)]
+    files += [Path(noted, SHEET)] if (noted := store.owner_of(results)) else []
     state = tuple((str(path), path.stat().st_mtime_ns) for path in files if path.is_file())
     return _shelf(results, state)
 
@@ -184,18 +200,19 @@ def shelf_of(results: Path) -> Shelf:
 def _shelf(results: Path, state: tuple[tuple[str, int], ...]) -> Shelf:
     shelf = Shelf({}, {}, {}, {}, {})
     for path in (Path(name) for name, _ in state):
-        file = path.relative_to(results).as_posix()
-        name = file.removesuffix(path.suffix)
+        given = path.name == SHEET
+        file = str(path) if given else path.relative_to(results).as_posix()
+        name = path.stem if given else file.removesuffix(path.suffix)
         if path.suffix == ".nc":
             with store.read(path) as ds:
                 small = [own for own, variable in ds.variables.items() if variable.nbytes <= LARGEST]
                 shelf.files[name] = ds[small].load()
         attributes = shelf.files[name].attrs if name in shelf.files else {}
         # A file that nothing writes was left behind by another version.
-        if source := source_of(results, file, attributes):
+        if source := Source(file, "", "") if given else source_of(results, file, attributes):
             shelf.sources[name] = source
             _put(shelf, path, name)
-    if not shelf.entries:
+    if not any(shelf.sources[entry.path[0]].rule for entry in shelf.entries.values()):
         raise InputError(f"{results}: holds no results; name the results of a dataset, such as results/virtual-rig")
     return shelf
 
@@ -203,12 +220,20 @@ def _shelf(results: Path, state: tuple[tuple[str, int], ...]) -> Shelf:
 def _put(shelf: Shelf, path: Path, name: str) -> None:
     """Add the numbers of a file."""
     if path.name in TEXTS:
-        for entry, own in TEXTS[path.name](path):
+        for entry, own in _told(path):
             shelf.told[entry.key] = own
             _name(shelf, entry)
     elif "skipped" not in shelf.files[name].attrs:
         for entry in netcdf.entries(name, shelf.files[name]):
             _name(shelf, entry)
+
+
+def _told(path: Path) -> list[tuple[Entry, netcdf.Cell]]:
+    try:
+        return list(TEXTS[path.name](path))
+    except InputError:
+        # A data sheet that was spoilt since says nothing; results are still there.
+        return []
 
 
 def _name(shelf: Shelf, entry: Entry) -> None:
@@ -248,6 +273,14 @@ def dataset_of(results: Path, file: str) -> Dataset:
             raise InputError(f"{results}: does not say of which dataset it is; name the frame by its conditions")
         folder = Path(noted)
     return load(folder)
+
+
+def row_of(ds: xr.Dataset, name: str) -> int | str:
+    """Row of a table of frames, such as frames.nc, of the file that messages name so; the name itself where there is no
+    such file, for it may be a number."""
+    pages = zip(ds["file"].values.tolist(), ds["page"].values.tolist(), strict=True)
+    labels = [f"{file}, page {int(page)}" if page else file for file, page in pages]
+    return labels.index(name) if name in labels else name
 
 
 def cell_of(results: Path, file: str, asked: dict[str, str | int]) -> dict[str, int]:

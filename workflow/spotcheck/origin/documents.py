@@ -1,13 +1,15 @@
-"""Numbers of text results: verdict.json and paper_numbers.csv."""
+"""Numbers of text files: verdict.json and paper_numbers.csv of the results, and the data sheet that they were given."""
 
 import ast
 import csv
 import json
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from spotcheck.instrument import read_instrument
 from spotcheck.model.effects import built_in
 from spotcheck.origin.number import Entry
 from spotcheck.origin.tables import Cell
@@ -20,6 +22,8 @@ NAMES = ("name", "effect")
 SILENT = ("parameters",)
 # Keys whose numbers are the errors of others.
 ERRORS = ("stderr", "error", "stated_stderr")
+# A description of a key of the data sheet: words, and the unit in brackets.
+DESCRIBED = re.compile(r"(?P<words>[^\[]+?)(?: \[(?P<unit>[^\]]+)\].*)?")
 
 Words = tuple[str, ...]
 Schema = dict[str, Any]
@@ -103,6 +107,31 @@ def of_paper(path: Path) -> Iterator[tuple[Entry, Cell]]:
             own = Cell(float(row["ours"]), None, row["unit"], words, f"ours[id={row['id']}]", how, {})
             # A short name is ours before it is the paper's.
             yield Entry((path.stem, row["id"]), behind=True), own
+
+
+def of_sheet(path: Path) -> Iterator[tuple[Entry, Cell]]:
+    """All numbers of a data sheet, given or by default. Raises `InputError` where it cannot be read."""
+    sheet = read_instrument(path)
+    for key, told in _keys(read_schema("instrument")):
+        section, _, name = key.rpartition(".")
+        around = getattr(sheet, section) if section else sheet
+        value = getattr(around, name)
+        if told["type"] not in ("number", "integer") or value is None or name.endswith("_stderr"):
+            continue
+        said = DESCRIBED.fullmatch(told["description"])
+        assert said is not None, key
+        how = "" if key in sheet.given else f"the default: {path.name} does not give it"
+        stderr = getattr(around, f"{name}_stderr", 0.0) or None
+        own = Cell(float(value), stderr, said["unit"] or "1", said["words"], key, how, {})
+        # A short name is that of a result before it is the sheet's.
+        yield Entry((path.stem, *key.split(".")), behind=True), own
+
+
+def _keys(told: Schema) -> Iterator[tuple[str, Schema]]:
+    """Keys of the data sheet such as "sensor.bit_depth" and what the schema says of each."""
+    for name, own in told["properties"].items():
+        inside = own.get("properties", {})
+        yield from ((f"{name}.{key}", below) for key, below in inside.items()) if inside else ((name, own),)
 
 
 @cache

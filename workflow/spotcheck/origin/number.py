@@ -13,7 +13,8 @@ class Input(NamedTuple):
 
 class Source(NamedTuple):
     """How a file of results came about: its path in the folder of results, the rule and the subcommand that write it,
-    its inputs, the version of the code, and when it was written (UTC); "" where no note tells."""
+    its inputs, the version of the code, and when it was written (UTC); "" where no note tells. What the user gave has
+    its own path, and no rule."""
 
     file: str
     rule: str

@@ -24,8 +24,8 @@ def explained(number: Number, results: Path, asked: str, task: str) -> str:
         "key": number.key,
         "in": f"{results / number.file}: {shown(number.variable)}",
         "frame": frame_said(results, number),
-        "by": f"rule {source.rule} (spotcheck {source.command}: {task})",
-        "made": made(source),
+        "by": f"rule {source.rule} (spotcheck {source.command}: {task})" if source.rule else "whoever gave the dataset",
+        "made": made(source) if source.rule else "",
     }
     lines = [f"{asked} = {measured(number)}", f"  {number.words}", ""]
     lines += [f"  {name:<7}{text}" for name, text in rows.items() if text]

@@ -23,7 +23,7 @@ function template() {
       font: { color: ink, family: "system-ui, sans-serif", size: 12 },
       hoverlabel: { bgcolor: colour("panel"), bordercolor: rule, font: { color: ink } },
       margin: { l: 56, r: 12, t: 28, b: 44 }, xaxis: axis, yaxis: axis,
-      coloraxis: { colorbar: bar }, legend: { orientation: "h", y: 1.12, x: 0 },
+      coloraxis: { colorbar: bar }, legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" },
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("soft"), activecolor: ink },
     },
   };
@@ -52,7 +52,8 @@ function drawInView(elements, drawing) {
     }
   }, { rootMargin: "200px" });
   elements.forEach((element) => seen.observe(element));
-  const anew = () => elements.forEach((own) => own.dataset.drawn && drawing(own));
+  // In a closed fold nothing can be measured: what is there is drawn anew when it opens.
+  const anew = () => elements.forEach((own) => own.dataset.drawn && (own.checkVisibility() ? drawing(own) : seen.observe(own)));
   GROUNDS.forEach((ground) => ground.addEventListener("change", anew));
 }
 

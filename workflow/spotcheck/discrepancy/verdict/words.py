@@ -7,7 +7,7 @@ import numpy as np
 
 UNITS = {"1": "", "deg": "°", "degree": "°", "pixel": "px"}
 # Units that are told with a prefix, as exposures and beams span powers of ten.
-WITH_PREFIX = ("s", "m", "rad")
+WITH_PREFIX = ("s", "m", "rad", "W")
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: ""}
 # An error that begins with less than this has two digits.
 TWO_DIGITS = 3.55
@@ -15,6 +15,7 @@ TWO_DIGITS = 3.55
 LEAST_PERCENT = 0.001
 # Smaller p-values are not read as numbers.
 SMALL_P = 1e-4
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def value_text(value: float | None, stderr: float | None, unit: str) -> str:
@@ -54,6 +55,25 @@ def condition_text(condition: Mapping[str, Any]) -> str:
         elif name != "blocked" and value is not None:
             words.append(f"{name} {value:.4g}")
     return list_text(words) + (" with the beam blocked" if condition.get("blocked") else "")
+
+
+def number_text(value: float | None, digits: int = 3) -> str:
+    """A number without an error, with so many digits: `1.00`, `5440`, `9.61 · 10⁵`; a dash where it is not known."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    # Rounded first: 9.996 has one digit more before its point than after it was cut.
+    value = float(f"{value:.{digits - 1}e}")
+    power = int(np.floor(np.log10(abs(value)))) if value else 0
+    if -4 <= power < 5:
+        text = f"{value:.{max(digits - 1 - power, 0)}f}"
+    else:
+        text = f"{value / 10.0**power:.{digits - 1}f} · 10{str(power).translate(RAISED)}"
+    return text.replace("-", "−")
+
+
+def over_noise_text(value: float | None) -> str:
+    """A number in units of the noise, which is 1.00 where noise alone is left."""
+    return f"{value:.2f}" if value is not None and abs(value) < 1 else number_text(value)
 
 
 def percent_text(part: float) -> str:

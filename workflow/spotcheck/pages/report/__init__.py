@@ -9,14 +9,15 @@ import xarray as xr
 
 from spotcheck import optics, store
 from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.verdict.words import list_text
 from spotcheck.estimate.sensor import SOURCES
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.pages import plots, write_page
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report import tables
 from spotcheck.pages.report.curves import curves_of, levels
-from spotcheck.pages.report.frames import NAMES, Files, Frames, frames_of
-from spotcheck.pages.report.gap import gap_of
+from spotcheck.pages.report.frames import NAMES, NOTHING, Files, Frames, frames_of
+from spotcheck.pages.report.gap import gap_of, was_added
 from spotcheck.pages.report.light import shape_of
 from spotcheck.pages.report.spoken import numbers_in, spoken
 from spotcheck.pages.report.table3 import parameters
@@ -35,7 +36,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
     verdict = _read(results / "verdict.json")
     cite = Cited(results)
     content = {"cite": cite} | _first(dataset, files, verdict) | _details(dataset, results, files, verdict, cite)
-    content["shown"] = _shown(dataset, results, files)
+    content["shown"] = _shown(dataset, results, files, added=verdict is not None and was_added(verdict))
     if content["shown"] is not None:
         content |= _about(content["shown"])
     content["links"] = _links(content)
@@ -62,27 +63,34 @@ def _first(dataset: Dataset, files: dict[str, xr.Dataset], verdict: dict[str, An
     }
 
 
-def _shown(dataset: Dataset, results: Path, files: dict[str, xr.Dataset]) -> Frames | None:
-    """The frames, where there are spots."""
+def _shown(dataset: Dataset, results: Path, files: dict[str, xr.Dataset], *, added: bool) -> Frames | None:
+    """The frames, where there are spots. An extended model to which nothing was `added` is the declared one again."""
     if not dataset.spots:
         return None
     with store.read(results / "crops.nc") as crops, store.read(results / "views.nc") as views:
-        return frames_of(dataset, Files(files["frames"], crops, files["fits"], views))
+        twice = [] if added else [str(name) for name in views if str(name).startswith("extended")]
+        return frames_of(dataset, Files(files["frames"], crops, files["fits"], views.drop_vars(twice)))
 
 
 def _about(shown: Frames) -> dict[str, Any]:
     """What is said beside the frames."""
     best = shown.contents["frames"][shown.contents["best"]]
-    models = [name for name in ("declared", "extended", "simulated") if name in best["layers"]][:2]
-    which = " and ".join(NAMES[name] for name in models)
-    picture = (
-        f"The frame in which it is seen best ({best['label']}): measured, {which}, and what each leaves. Readings are"
-        " on one scale and residuals on another, red where the frame is brighter than the model."
+    names = [NAMES[name] for name in shown.contents["pictured"]]
+    added = "extended" in shown.contents["pictured"]
+    which = "The frame that shows best what was missing" if added else "The frame of which most is left"
+    models = {0: "", 1: f", {names[0]}, and what it leaves"}.get(
+        len(names), f", {list_text(names)}, and what each leaves"
     )
+    scales = " Readings are on one scale and residuals on another, red where the frame is brighter than the model."
+    worst = shown.rows[0]
+    stands_out = worst["why"] != NOTHING
     return {
-        "picture": picture,
+        "picture": f"{which} ({best['label'] or best['file']}): measured{models}.{scales if names else ''}",
         "ranked_by": NAMES[shown.ranked_by],
-        "has_declared": "declared" in shown.contents["names"],
+        "has_before": "declared" in shown.contents["names"] and shown.ranked_by == "extended",
+        "worst": f"the worst: {worst['label'] or worst['file']}"
+        if stands_out
+        else f"none of {len(shown.rows)} stands out",
     }
 
 
@@ -113,11 +121,11 @@ def _details(
         "sources_of_sensor": SOURCES,
         "transfer": tables.transfer_of(files.get("transfer"), cite),
         "calibration": tables.calibration_of(files.get("calibration"), cite),
-        "caustic": tables.caustic_of(files.get("caustic")),
-        "precision": tables.precision_of(files.get("precision")),
+        "caustic": tables.caustic_of(files.get("caustic"), cite),
+        "precision": tables.precision_of(files.get("precision"), cite),
         "flagged": tables.flagged_of(dataset, files.get("fits")),
-        "parameters": parameters(dataset, files, TOP_HAT_RADIUS),
-        "fits": tables.fits_of(dataset, files.get("fits")),
+        "parameters": parameters(dataset, files, TOP_HAT_RADIUS, cite),
+        "fits": tables.fits_of(dataset, files.get("fits"), cite),
         "fit_text": tables.fit_text(files.get("fits")),
         "levels": tables.levels_of(dataset, files),
         "numbers": numbers,

@@ -19,6 +19,8 @@ FINE = 60
 COLOURS = {"measured": "var(--measured)", "simulated": "var(--simulated)"}
 # Pictures of figures/ in whose place metrics are drawn here; others are called after their metric.
 PICTURES = {"speckle_contrast": "fig09b", "maximum": "fig10a", "sum": "fig12"}
+# What laws of the readings are called.
+LAWS = {"poisson_gauss": "shot and read noise", "poisson": "shot noise alone", "dn": "a Poisson law of DN"}
 # Markers of series beside each other, and dashes of the simulated ones: told apart without colour.
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "x", "star", "pentagon")
 
@@ -142,7 +144,7 @@ def precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
     ds = files.get("precision")
     if ds is None or "fine_exposure" not in ds:
         return None
-    fine, unit, label = series.coordinate(ds, "fine_exposure")
+    fine, unit, _ = series.coordinate(ds, "fine_exposure")
     factor = fine[0] / float(ds["fine_exposure"][0])
     data = [line("bound of one frame", fine, ds["sigma_bound_over_fine_exposure"].values)]
     for source in COLOURS:
@@ -158,7 +160,7 @@ def precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
                 )
             )
     layout = {
-        "xaxis": axis(label.replace("fine exposure", "exposure time"), type="log"),
+        "xaxis": axis(style.label(style.NAMES["exposure"], unit), type="log", dtick=1),
         "yaxis": axis("standard deviation of σ̄ / px", type="log"),
     }
     return Curve("curve-precision", "How precisely a frame measures", figure(data, layout), sentence(ds), "precision")
@@ -172,10 +174,10 @@ def bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:
     dashes = ("solid", "dash", "dot", "dashdot")
     photons, bound = ds["photons"].values, ds["var_sigma_over_photons"] ** 0.5
     data = [
-        line(str(law).replace("_", " "), photons, bound.sel(law=law).values, dash=dashes[k % len(dashes)])
+        line(LAWS.get(str(law), str(law)), photons, bound.sel(law=law).values, dash=dashes[k % len(dashes)])
         for k, law in enumerate(ds["law"].values)
     ]
-    laws = "; ".join(f"{str(law).replace('_', ' ')}: {ds.attrs[f'law_{law}']}" for law in ds["law"].values)
+    laws = "; ".join(f"{LAWS.get(str(law), str(law))}: {ds.attrs[f'law_{law}']}" for law in ds["law"].values)
     layout = {
         "xaxis": axis("photons on the brightest pixel", type="log"),
         "yaxis": axis("bound on the sd of σ_g / px", type="log"),
@@ -202,8 +204,8 @@ def by_condition(files: Mapping[str, xr.Dataset]) -> Curve | None:
             marker = {"symbol": "circle-open" if stage == "before" else "circle"}
             data.append(points(stage, names, values, None, source, marker=marker, hovertemplate=hover))
     floor = np.full(len(names), float(ds["gap_floor"]))
-    data.append(line("noise alone", names, floor, dash="dot"))
-    caption = f"Mean square of block residuals over the noise, of each condition, on {ds.attrs['gap_on']}."
+    data.append(line("scatter alone", names, floor, dash="dot"))
+    caption = f"Mean square of block residuals over the sensor's noise, of each condition, on {ds.attrs['gap_on']}."
     layout = {"xaxis": axis("", tickangle=-45, type="category"), "yaxis": axis("mean square over noise", type="log")}
     return Curve("curve-gap", "The gap by condition", figure(data, layout), caption, "missing-gap")
 

@@ -148,11 +148,11 @@ const FIRST_WIDTHS = 3;
 
 async function drawFirst(element) {
   const number = INDEX.best, frame = INDEX.frames[number], all = await readingsOf(number);
-  const models = ["declared", "extended", "simulated"].filter((name) => all[name]).slice(0, 2);
+  const models = INDEX.pictured;
   const left = models.map((name) => residual(all.measured, all[name], false));
   const reading = readingScale([all.measured, ...models.map((name) => all[name])], false), rest = residualScale(left, false);
   const narrow = element.clientWidth < 700;
-  const titles = { declared: "model before", extended: "model after", simulated: "simulation" };
+  const titles = models.length > 1 ? { declared: "model before", extended: "model after" } : { declared: "model", simulated: "simulation" };
   const panels = [
     imagePanel(frame, "measured", all.measured, reading),
     ...models.map((name) => imagePanel(frame, titles[name], all[name], reading)),
@@ -220,15 +220,27 @@ async function drawViewer() {
   figure.layout.margin.b = 64;
   viewer.dataset.drawn = "yes";
   viewer.dataset.frame = shownFrame;
-  document.getElementById("viewer-said").textContent = saidOf(frame, names);
+  document.getElementById("viewer-said").replaceChildren(...saidOf(frame, names));
   await draw(viewer, figure.data, figure.layout);
 }
 
+/** What is said of a frame, as words and marked numbers. */
 function saidOf(frame, names) {
-  const left = Object.entries(frame.left).filter(([name, value]) => value !== null && names.includes(name))
-    .map(([name, value]) => `${Number(value.toPrecision(3))} noise σ by the ${INDEX.names[name]}`);
-  const why = names.length ? "" : " No model could be evaluated for this frame.";
-  return `${frame.label} (${frame.file}).${left.length ? ` Left, rms: ${left.join(", ")}.` : ""}${why}`;
+  const left = Object.entries(frame.left).filter(([name, value]) => value !== null && names.includes(name));
+  const said = left.flatMap(([name, value], k) =>
+    [k ? ", " : " Left, rms: ", marked(value, `views.${name}_left[frame=${frame.file}]`), ` by the ${INDEX.names[name]}`]);
+  return [`${frame.label} (${frame.file}).`, ...said, left.length ? "." : "",
+    frame.why ? ` Why: ${frame.why}.` : "", names.length ? "" : " No model could be evaluated for this frame."];
+}
+
+/** A number in units of the noise that says where it comes from, as those of cited.py do. */
+function marked(value, key) {
+  const own = document.createElement("span");
+  own.className = "from";
+  own.dataset.key = key;
+  own.title = `views.nc: ${key.split(/[.[]/)[1]}; explain: spotcheck explain '${key}'`;
+  own.textContent = `${Number(value.toPrecision(3))} noise σ`;
+  return own;
 }
 
 /** Shows a frame in the viewer. */

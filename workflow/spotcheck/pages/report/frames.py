@@ -7,18 +7,15 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.verdict.words import number_text, over_noise_text
 from spotcheck.estimate.fits import preferred
 from spotcheck.figures import series
 from spotcheck.figures.style import axis_name
 from spotcheck.manifest import Frame
-from spotcheck.pages.report.packed import Layer, packed, step_of, thinned
-from spotcheck.pages.report.ranking import deviations_of, deviations_text, flags_text, place_text
+from spotcheck.pages.report.packed import Layer, block_of, packed, step_of, thinned
+from spotcheck.pages.report.ranking import deviations_of, deviations_text, flags_text, place_text, usual_of
 from spotcheck.views import MODELS, Line
 
-# Bytes that a page may have: 15 MB for 96 frames, 40 MB for 1,000, and on a straight line between.
-FEWEST, LEAST_ROOM, ROOM_EACH, MOST_ROOM = 96, 15_000_000, 27_650, 40_000_000
-# Bytes of it that are kept for all but the frames: 4.8 MB of Plotly, and pictures and tables.
-BESIDE = 8_000_000
 # Frames that are packed to see how large all will be.
 SAMPLE = 8
 NAMES = {
@@ -28,8 +25,11 @@ NAMES = {
     "simulated": "simulation by p1 and p2",
 }
 WITHOUT = "without "
+NOTHING = "nothing stands out"
 # By which model frames are ranked: the best that there is.
 RANKED_BY = ("extended", "declared", "simulated")
+# In which order models stand in the picture of the first screen.
+PICTURED = ("declared", "extended", "simulated")
 
 
 class Frames(NamedTuple):
@@ -58,18 +58,19 @@ def frames_of(dataset: Dataset, files: Files) -> Frames:
     full_scale = float(files.frames["full_scale"])
     chosen = np.unique(np.linspace(0, len(cells) - 1, SAMPLE).astype(int))
     places = [dict(zip(dims, at, strict=True)) for at, _ in cells]
-    sample = [_layers(_images(files, places[k]), full_scale, 1) for k in chosen]
-    expected = len(cells) * float(np.mean([len(packed(own)) for own in sample]))
-    room = min(LEAST_ROOM + ROOM_EACH * max(len(cells) - FEWEST, 0), MOST_ROOM) - BESIDE
-    block = max(int(np.ceil(np.sqrt(expected / room))), 1)
-    texts, shown, rows = [], [], []
+    sample = [_images(files, places[k]) for k in chosen]
+    block = block_of(
+        lambda own: float(np.mean([len(packed(_layers(images, full_scale, own))) for images in sample])), len(cells)
+    )
+    texts, shown, rows, usual = [], [], [], usual_of(files.views)
     for k, (place, (_, frame)) in enumerate(zip(places, cells, strict=True)):
         images = _images(files, place)
         layers = _layers(images, full_scale, block)
         texts.append(packed(layers))
         own = _shown(files, place, frame, layers)
         shown.append(own)
-        rows.append(_row(files, place, frame, k, own, images))
+        rows.append(_row(files, place, frame, k, own, images, usual))
+        own["why"] = "" if rows[-1]["why"] == NOTHING else rows[-1]["why"]
     names = list(dict.fromkeys(name for own in shown for name in own["layers"]))
     contents = {
         "block": block,
@@ -80,9 +81,12 @@ def frames_of(dataset: Dataset, files: Files) -> Frames:
         "axes": _axes(files.crops, dims),
         "noise": [_number(files.views["noise_at_zero"]), _number(files.views["noise_slope"])],
         "frames": shown,
-        "best": _best(shown),
     }
     ranked_by = next(name for name in RANKED_BY if name in files.views)
+    contents["best"] = _best(shown, ranked_by)
+    # Before and after, or the only model.
+    able = [name for name in PICTURED if name in shown[contents["best"]]["layers"]]
+    contents["pictured"] = able[: 2 if "extended" in able else 1]
     remark = f"Images are shown in blocks of {block} × {block} px, so that the page stays small." if block > 1 else ""
     # A frame of which nothing is left, for it could not be used, comes last.
     rows.sort(key=lambda row: -np.inf if row["left"] is None else row["left"], reverse=True)
@@ -164,6 +168,7 @@ def _row(
     number: int,
     shown: dict[str, Any],
     images: dict[str, np.ndarray],
+    usual: dict[str, float],
 ) -> dict[str, Any]:
     """A row of the table of frames."""
     fit, views = preferred(files.fits).isel(at), files.views
@@ -171,7 +176,7 @@ def _row(
     record = files.frames.isel(frame=int(np.argmax(same.values)))
     left_out = str(fit["left_out"].values) if "left_out" in fit else ""
     why = flags_text(int(fit["status"]), left_out, int(record["at_full_scale"]))
-    why += deviations_text(deviations_of(views, at))
+    why += deviations_text(deviations_of(views, at, usual))
     known = [name for name in RANKED_BY if shown["left"].get(name) is not None]
     model = next((name for name in RANKED_BY if name in images), None)
     if model is not None and "measured" in images:
@@ -183,7 +188,8 @@ def _row(
         "before": shown["left"].get("declared"),
         "rms": shown["rms"].get(model) if model else None,
     }
-    texts = {f"{name}_text": "–" if value is None else f"{value:.3g}" for name, value in numbers.items()}
+    texts = {"rms_text": number_text(numbers["rms"])}
+    texts |= {f"{name}_text": over_noise_text(numbers[name]) for name in ("left", "before")}
     return (
         numbers
         | texts
@@ -192,19 +198,21 @@ def _row(
             "label": shown["label"],
             "file": frame.label,
             "maximum": int(record["maximum"]),
-            "why": "; ".join(why) or "nothing stands out",
+            "why": "; ".join(why) or NOTHING,
         }
     )
 
 
-def _best(shown: list[dict[str, Any]]) -> int:
-    """The frame in which the disagreement is seen best: where most goes with what was added, else where most is."""
+def _best(shown: list[dict[str, Any]], ranked_by: str) -> int:
+    """The frame in which the disagreement is seen best: where most goes with what was added, else where most is
+    left."""
 
     def gain(own: dict[str, Any]) -> float:
         before, after = (own["rms"].get(name) for name in ("declared", "extended"))
-        if before is None:
-            return (own["rms"].get("simulated") or 0.0) ** 2 - 1e12
-        return before**2 - (after or 0.0) ** 2
+        if ranked_by == "extended" and before is not None:
+            return before**2 - (after or 0.0) ** 2
+        # A frame without a model comes last.
+        return (own["left"].get(ranked_by) or own["rms"].get("simulated") or 0.0) - 1e12
 
     return int(np.argmax([gain(own) for own in shown]))
 

@@ -1,15 +1,16 @@
-"""The gap before and after as one bar, with the noise floor."""
+"""The gap before and after as one bar, with what the scatter of the readings alone would leave: the sensor's noise and,
+where one was found, speckle."""
 
 from typing import Any, NamedTuple
 
-from spotcheck.discrepancy.verdict.words import percent_text
+from spotcheck.discrepancy.verdict.words import over_noise_text, percent_text
 from spotcheck.pages.plots import figure
 
 # Keys of verdict.json's gap: what each is called, and the colour of page.css in which it is drawn.
 SHOWN = {
     "before": ("before", "simulated"),
     "after": ("after", "measured"),
-    "noise_floor": ("noise alone", "ink"),
+    "noise_floor": ("scatter alone", "ink"),
 }
 
 
@@ -28,20 +29,31 @@ def gap_of(verdict: dict[str, Any]) -> Gap | None:
     own = verdict["gap"]
     if own["before"] is None:
         return None
+    # Where nothing was added there is no before and after.
+    added = was_added(verdict)
+    shown = SHOWN if added else {"before": ("residuals", "simulated"), "noise_floor": SHOWN["noise_floor"]}
     numbers = [
-        (name, colour, f"{own[key]:.3g}", f"verdict.gap.{key}")
-        for key, (name, colour) in SHOWN.items()
+        (name, colour, over_noise_text(own[key]), f"verdict.gap.{key}")
+        for key, (name, colour) in shown.items()
         if own[key] is not None
     ]
-    closed = "" if own["closed"] is None or own["closed"] <= 0 else percent_text(min(own["closed"], 1.0))
+    is_closed = added and own["closed"] is not None and own["closed"] > 0
+    closed = percent_text(min(own["closed"], 1.0)) if is_closed else ""
     told = ", ".join(f"{name} {text}" for name, _, text, _ in numbers)
-    alt = f"What is left on {own['on']}, rms of residuals over their noise: {told}."
-    return Gap(_figure(own), alt, numbers, closed, str(own["on"]))
+    alt = f"What the model misses on {own['on']}, rms of residuals over their noise: {told}."
+    return Gap(_figure(own, shown), alt, numbers, closed, str(own["on"]))
 
 
-def _figure(own: dict[str, Any]) -> str:
+def was_added(verdict: dict[str, Any]) -> bool:
+    """Whether the verdict adds anything to the declared model: effects, or a learned shape of the light."""
+    return bool(verdict["effects"]) or verdict["light"] is not None
+
+
+def _figure(own: dict[str, Any], shown: dict[str, tuple[str, str]]) -> str:
     bars = [
-        _bar(name, own[name], height) for name, height in (("before", 0.9), ("after", 0.5)) if own[name] is not None
+        _bar(*shown[key], own[key], height)
+        for key, height in (("before", 0.9), ("after", 0.5))
+        if key in shown and own[key] is not None
     ]
     floor = own["noise_floor"]
     mark = {"type": "line", "x0": floor, "x1": floor, "y0": 0, "y1": 1, "yref": "paper",
@@ -51,14 +63,17 @@ def _figure(own: dict[str, Any]) -> str:
         "shapes": [] if floor is None else [mark],
         "showlegend": False,
         "margin": {"l": 4, "r": 12, "t": 2, "b": 34},
-        "xaxis": {"rangemode": "tozero", "nticks": 8, "title": {"text": "rms of residuals / noise σ", "standoff": 2}},
+        "xaxis": {
+            "rangemode": "tozero",
+            "nticks": 8,
+            "title": {"text": "rms of residuals / σ of the sensor's noise", "standoff": 2},
+        },
         "yaxis": {"visible": False, "fixedrange": True},
     }
     return figure(bars, layout)
 
 
-def _bar(name: str, value: float, height: float) -> dict[str, Any]:
-    words, colour = SHOWN[name]
+def _bar(words: str, colour: str, value: float, height: float) -> dict[str, Any]:
     return {
         "type": "bar",
         "orientation": "h",

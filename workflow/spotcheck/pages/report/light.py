@@ -25,12 +25,7 @@ def shape_of(ds: xr.Dataset | None, verdict: dict[str, Any] | None, dataset: Dat
     if ds is None or verdict is None or verdict["status"] == "not_assessed":
         return None
     if "skipped" in ds.attrs or verdict["light"] is None:
-        return Shape(
-            "as declared",
-            f"{str(ds.attrs.get('skipped', 'the declared shape of the light stands')).capitalize()}.",
-            "",
-            "",
-        )
+        return Shape("as declared", "The frames ask for no other light than the declared one.", "", "")
     u, s = learned_shape(ds)
     before = declared_shape(dataset, u, u)
     lights = ds.sizes["light"]

@@ -6,8 +6,9 @@ bytes of the numbers stand apart, which deflates further.
 """
 
 import base64
+import itertools
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,10 @@ MISSING = 65_535
 # Means of models are kept to this [DN]: a twelfth of it is their error, far below the noise of any converter.
 FINEST_DN = 0.25
 LEVEL = 9
+# Bytes that a page may have: 15 MB for 96 frames, 40 MB for 1,000, and on a straight line between.
+FEWEST, LEAST_ROOM, ROOM_EACH, MOST_ROOM = 96, 15_000_000, 27_650, 40_000_000
+# Bytes of it that are kept for all but the frames: 4.8 MB of Plotly, and pictures and tables.
+BESIDE = 8_000_000
 
 
 class Layer(NamedTuple):
@@ -32,6 +37,17 @@ class Layer(NamedTuple):
 def step_of(full_scale: float) -> float:
     """The step in which means are kept [DN], a power of two."""
     return max(FINEST_DN, float(2.0 ** np.ceil(np.log2((full_scale + 1) / (MISSING + 1)))))
+
+
+def room_of(count: int) -> int:
+    """Bytes that so many frames may have together on a page."""
+    return min(LEAST_ROOM + ROOM_EACH * max(count - FEWEST, 0), MOST_ROOM) - BESIDE
+
+
+def block_of(size: Callable[[int], float], count: int) -> int:
+    """The smallest side of a block of pixels [px] with which so many frames have room; `size` is that of one frame in
+    such blocks [byte]."""
+    return next(block for block in itertools.count(1) if count * size(block) <= room_of(count))
 
 
 def thinned(image: np.ndarray, block: int) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The table of frames: what is left of each, and why, in words."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +14,7 @@ from spotcheck.pages.report.packed import thinned
 # standard errors: smaller ones no user could act on, and of 1,000 frames noise alone makes less than one stand out.
 NOTED = {"brighter": 0.02, "wider": 0.01, "right": 0.25, "down": 0.25}
 ERRORS = 5.0
-WORDS = {
-    "brighter": ("brighter than the law says", "fainter than the law says"),
-    "wider": ("wider than the law says", "narrower than the law says"),
-}
+WORDS = {"brighter": ("brighter", "fainter"), "wider": ("wider", "narrower")}
 # Blocks along a crop's side in which the place is looked for where most is left.
 BLOCKS = 24
 # What is left of such a block is worth a word above so many standard deviations of its noise.
@@ -45,11 +43,12 @@ def flags_text(status: int, left_out: str, at_full_scale: int) -> list[str]:
 
 def deviations_text(deviations: dict[str, Deviation]) -> list[str]:
     """How the frame differs from what all share, as far as it matters and is no chance."""
-    texts = []
-    for name, (more, less) in WORDS.items():
-        own = deviations.get(name)
-        if own is not None and _stands_out(name, own):
-            texts.append(f"{percent_text(abs(own.value))} {more if own.value > 0 else less}")
+    beside = [
+        f"{percent_text(abs(own.value))} {more if own.value > 0 else less}"
+        for name, (more, less) in WORDS.items()
+        if (own := deviations.get(name)) is not None and _stands_out(name, own)
+    ]
+    texts = [f"{' and '.join(beside)} than the law says"] if beside else []
     aside = [deviations[name] for name in ("right", "down") if name in deviations]
     if any(_stands_out(name, deviations[name]) for name in ("right", "down") if name in deviations):
         texts.append(f"{float(np.linalg.norm([own.value for own in aside])):.2g} px off its site's centre")
@@ -87,10 +86,19 @@ def _direction(right: float, down: float, block: int) -> str:
     )
 
 
-def deviations_of(views: xr.Dataset, at: dict[str, int]) -> dict[str, Deviation]:
-    """The deviations of a frame that are known."""
+def usual_of(views: xr.Dataset) -> dict[str, float]:
+    """By which factor the median frame is brighter and wider than the law of all frames: where the law as a whole is
+    off, no frame is worse for it."""
+    known = {name: views[name].values for name in WORDS if name in views}
+    return {name: 1.0 + float(np.nanmedian(own)) for name, own in known.items() if np.isfinite(own).any()}
+
+
+def deviations_of(views: xr.Dataset, at: dict[str, int], usual: Mapping[str, float]) -> dict[str, Deviation]:
+    """The deviations of a frame that are known, beside those of the median frame."""
     found = {}
     for name in NOTED:
         if name in views and np.isfinite(value := float(views[name].isel(at))):
-            found[name] = Deviation(value, float(views[f"{name}_stderr"].isel(at)))
+            factor, stderr = usual.get(name, 1.0), float(views[f"{name}_stderr"].isel(at))
+            value = (1.0 + value) / factor - 1.0 if name in usual else value
+            found[name] = Deviation(value, stderr / factor)
     return found

@@ -35,6 +35,9 @@ def numbers_in(verdict: dict[str, Any]) -> dict[str, str]:
             # A whole number without a unit may be a count in the sentence, and is no value that it tells.
             if not text.isdigit():
                 found[text] = f"verdict.effects.{own['name']}.{name}"
+    for name, own in verdict["baseline_shift"].items():
+        if own["after"] is not None:
+            found[value_text(own["after"], own["stderr"], own["unit"])] = f"verdict.baseline_shift.{name}.after"
     if detection["p_value"] is not None:
         found[probability_text(detection["p_value"])] = "verdict.detection.p_value"
     if closed is not None:

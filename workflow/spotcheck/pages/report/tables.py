@@ -6,10 +6,18 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from markupsafe import Markup
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.verdict.words import condition_text, digits_of, percent_text, value_text
+from spotcheck.discrepancy.verdict.words import (
+    condition_text,
+    digits_of,
+    number_text,
+    over_noise_text,
+    percent_text,
+    value_text,
+)
 from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import beam_rows
 from spotcheck.estimate.fits import preferred
@@ -21,11 +29,21 @@ from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.pages.cited import Cited
+from spotcheck.pages.report.frames import label_of
 from spotcheck.pages.report.spoken import numbers_in
 from spotcheck.paper.level import readings
 
 # Rows of the table of fits; all of them are in fits.nc.
 MOST_FITS = 200
+# Columns of the table of `ranges`, by the ends of their names in transfer.nc.
+RANGES = ("limit", "levels", "gain", "intercept")
+# What is said of the beam: variable of caustic.nc, words, factor to the unit, and the unit.
+BEAM = (
+    ("waist_radius", "waist w0 =", 1e6, "µm"),
+    ("waist_position", "at z0 =", 1e3, "mm"),
+    ("divergence", "divergence θ =", 1e3, "mrad"),
+    ("m2", "M² =", 1.0, ""),
+)
 
 
 def facts_of(table: xr.Dataset) -> dict[str, Any]:
@@ -54,12 +72,14 @@ def sensor_of(ds: xr.Dataset | None, cite: Cited) -> list[dict[str, Any]]:
                 "value": cite(
                     "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}", f"sensor.{name}"
                 ),
-                "error": "" if np.isnan(error) else f"± {error:.2g}",
+                "error": "" if np.isnan(error) else cite(f"± {error:.2g}", f"sensor.{name}"),
                 "units": units,
                 "source": ds[name].attrs["source"],
                 "by": [
-                    "" if np.isnan(v) else plus_minus(float(v), float(e))
-                    for v, e in zip(ds[f"{name}_by"].values, ds[f"{name}_by_stderr"].values, strict=True)
+                    "" if np.isnan(v) else cite(plus_minus(float(v), float(e)), f"sensor.{name}_by[source={source}]")
+                    for source, v, e in zip(
+                        ds["source"].values, ds[f"{name}_by"].values, ds[f"{name}_by_stderr"].values, strict=True
+                    )
                 ],
             }
         )
@@ -82,7 +102,11 @@ def transfer_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
                 "why": own.why,
             }
         )
-    return {"rows": rows, "remarks": store.remarks_of(ds), "ranges": ranges(ds)}
+    cited = [
+        [cite(text, f"transfer.range_{name}[range={k}]") for name, text in zip(RANGES, row, strict=True)]
+        for k, row in enumerate(ranges(ds))
+    ]
+    return {"rows": rows, "remarks": store.remarks_of(ds), "ranges": cited}
 
 
 def ranges(ds: xr.Dataset) -> list[tuple[str, str, str, str]]:
@@ -107,18 +131,19 @@ def calibration_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
         own = ds.sel({"estimator": name})
         row: dict[str, Any] = {"text": ds.attrs[f"estimator_{name}"], "used": name == ds.attrs["used"]}
         for p in ("p1", "p2"):
-            row[p] = {
-                key: cite(_number(own[f"{p}_{key}"]), f"calibration.{p}_{key}[estimator={name}]")
-                for key in ("mean", "sd_all", "sd_angles", "miss")
-            }
-            row[p]["stderr"] = _number(own[f"{p}_stderr"], ".2g")
-            row[p]["sd_repeats"] = _number(own[f"{p}_sd_repeats"].mean())
-        row["peak"] = cite(_number(own["peak"], ".4g"), f"calibration.peak[estimator={name}]")
+            mean, stderr = float(own[f"{p}_mean"]), float(own[f"{p}_stderr"])
+            row[p] = {"value": cite(value_text(mean, stderr, "px"), f"calibration.{p}_mean[estimator={name}]")}
+            for key in ("sd_all", "sd_angles", "miss"):
+                # Less than a millionth of a pixel is the rounding of floats.
+                text = number_text(round(float(own[f"{p}_{key}"]), 6), 2)
+                row[p][key] = cite(text, f"calibration.{p}_{key}[estimator={name}]")
+            row[p]["sd_repeats"] = number_text(float(own[f"{p}_sd_repeats"].mean()), 2)
+        row["peak"] = cite(number_text(float(own["peak"]), 4), f"calibration.peak[estimator={name}]")
         rows.append(row)
     return {"rows": rows, "laser_width": float(ds["laser_width"]), "converged": bool(ds["likelihood_converged"])}
 
 
-def fits_of(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, list[str]]]:
+def fits_of(dataset: Dataset, fits: xr.Dataset | None, cite: Cited) -> list[tuple[str, list[str]]]:
     """Frame, and its fitted values with standard errors, for the first frames of a dataset."""
     if fits is None:
         return []
@@ -131,9 +156,13 @@ def fits_of(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, list[s
         for name in PARAMETERS:
             value, error = float(at[name]), float(at[f"{name}_stderr"])
             digits = int(np.clip(1 - np.floor(np.log10(error)), 0, 4)) if error > 0 and np.isfinite(error) else 2
-            cells.append("–" if np.isnan(value) else f"{value:.{digits}f} ± {error:.{digits}f}")
+            text = f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
+            # A round spot has no orientation: its error is infinite.
+            is_known = np.isfinite(value) and not np.isinf(error)
+            cells.append(cite.of_frame(text, f"fits.{name}", frame.label) if is_known else "–")
         chi2 = float(at["chi2_reduced"])
-        rows.append((frame.label, [*cells, "–" if np.isnan(chi2) else f"{chi2:.3g}"]))
+        cells.append("–" if np.isnan(chi2) else cite.of_frame(number_text(chi2), "fits.chi2_reduced", frame.label))
+        rows.append((frame.label, cells))
     return rows
 
 
@@ -156,34 +185,29 @@ def levels_of(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] 
         )
     except InputError:
         return None
-    return {"rows": rows, "calibrated": float(own["peak"]), "exposure_s": longest}
+    told = [(text, number_text(value)) for text, value in rows]
+    return {"rows": told, "calibrated": float(own["peak"]), "exposure": value_text(longest, None, "s")}
 
 
-def _number(value: xr.DataArray, form: str = ".3f") -> str:
-    return format(float(value), form) if np.isfinite(float(value)) else "–"
-
-
-def caustic_of(ds: xr.Dataset | None) -> str | None:
+def caustic_of(ds: xr.Dataset | None, cite: Cited) -> Markup | None:
     """Waist, divergence and M² in a sentence for the mean of both axes of a round beam, or for each of them."""
     if ds is None or "skipped" in ds.attrs:
         return None
 
-    def quantity(own: xr.Dataset, name: str, scale: float, unit: str) -> str:
-        return plus_minus(float(own[name]) * scale, float(own[f"{name}_stderr"]) * scale, unit)
+    def told(own: xr.Dataset, name: str, words: str, scale: float, unit: str) -> Markup:
+        text = plus_minus(float(own[name]) * scale, float(own[f"{name}_stderr"]) * scale, unit).replace("-", "−")
+        return Markup("{} {}").format(words, cite(text, f"caustic.{name}[axis={own['axis'].item()}]"))
 
     parts = [
-        f"{words}: waist w0 = {quantity(own, 'waist_radius', 1e6, 'µm')}"
-        f" at z0 = {quantity(own, 'waist_position', 1e3, 'mm')}, divergence θ ="
-        f" {quantity(own, 'divergence', 1e3, 'mrad')}, M² = {quantity(own, 'm2', 1.0, '')}"
+        Markup("{}: {} {}, {}, {}").format(words, *(told(own, *row) for row in BEAM))
         for words, own in beam_rows(ds).items()
     ]
-    return (
-        f"The fitted widths follow a hyperbola in z ({ds.attrs['beam']} beam; 1/e² radii of the fitted Gaussian,"
-        f" standard errors); {'; '.join(parts)}."
-    )
+    return Markup(
+        "The fitted widths follow a hyperbola in z ({} beam; 1/e² radii of the fitted Gaussian, standard errors); {}."
+    ).format(ds.attrs["beam"], Markup("; ").join(parts))
 
 
-def precision_of(ds: xr.Dataset | None) -> dict[str, Any] | None:
+def precision_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
     """The sentence, and scatter over bound of every condition."""
     if ds is None or "skipped" in ds.attrs:
         return None
@@ -191,22 +215,26 @@ def precision_of(ds: xr.Dataset | None) -> dict[str, Any] | None:
     rows = []
     for at in np.ndindex(*(ds.sizes[d] for d in dims)):
         own = ds.isel(dict(zip(dims, at, strict=True)))
-        places = [f"{d} {float(own[d]):.4g} {_unit(ds[d])}".strip() for d in dims if d in ds.coords]
+        inside = [f"{d}={own[d].item() if d in ds.coords else k}" for d, k in zip(dims, at, strict=True)]
         cells = []
         for source in ("measured", "simulated"):
-            cells.append(str(int(own[f"frames_{source}"])))
+            told = [(f"frames_{source}", "", str(int(own[f"frames_{source}"])))]
+            told += [
+                (
+                    f"{what}_{source}",
+                    "sigma_mean",
+                    number_text(float(own[f"{what}_{source}"].sel(parameter="sigma_mean")), 2),
+                )
+                for what in ("scatter", "bound")
+            ]
             for name in ("sigma_mean", "amplitude"):
                 ratio, error = (float(own[f"{q}_{source}"].sel(parameter=name)) for q in ("ratio", "ratio_stderr"))
-                cells.append(plus_minus(ratio, error) if np.isfinite(ratio) else "–")
-            cells.insert(-2, _number(own[f"scatter_{source}"].sel(parameter="sigma_mean"), ".3g"))
-            cells.insert(-2, _number(own[f"bound_{source}"].sel(parameter="sigma_mean"), ".3g"))
-        rows.append((", ".join(places) or "all frames", cells))
+                told.append((f"ratio_{source}", name, plus_minus(ratio, error) if np.isfinite(ratio) else "–"))
+            for table, parameter, text in told:
+                labels = ",".join([*inside, *([f"parameter={parameter}"] if parameter else [])])
+                cells.append(cite(text, f"precision.{table}[{labels}]"))
+        rows.append((label_of(ds, dict(zip(dims, at, strict=True))) or "all frames", cells))
     return {"sentence": sentence(ds), "rows": rows}
-
-
-def _unit(coordinate: xr.DataArray) -> str:
-    units = str(coordinate.attrs.get("units", ""))
-    return {"degree": "°", "1": ""}.get(units, units)
 
 
 def sheet_of(verdict: dict[str, Any] | None, cite: Cited) -> dict[str, Any] | None:
@@ -216,9 +244,13 @@ def sheet_of(verdict: dict[str, Any] | None, cite: Cited) -> dict[str, Any] | No
     rows = [
         {
             "name": own["name"].replace("_", " "),
-            "stated": value_text(own["stated"], own["stated_stderr"], own["unit"]),
+            "stated": cite(
+                value_text(own["stated"], own["stated_stderr"], own["unit"]), f"verdict.sheet.{own['name']}.stated"
+            ),
             "found": cite(value_text(own["found"], own["stderr"], own["unit"]), f"verdict.sheet.{own['name']}.found"),
-            "moved": f"{own['stated_errors']:.2g}".replace("-", "−"),
+            "moved": cite(
+                f"{own['stated_errors']:.2g}".replace("-", "−"), f"verdict.sheet.{own['name']}.stated_errors"
+            ),
             "contradicts": own["contradicts"],
         }
         for own in verdict["sheet"]
@@ -239,8 +271,8 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
                 (key, cite(value_text(p["value"], p["stderr"], p["unit"]), f"verdict.effects.{own['name']}.{key}"))
                 for key, p in own["parameters"].items()
             ],
-            "gain": cite(_plain(own["evidence"]["gain"], ".3g"), f"verdict.effects.{own['name']}.evidence.gain"),
-            "z": cite(_plain(own["evidence"]["z"], ".3g"), f"verdict.effects.{own['name']}.evidence.z"),
+            "gain": cite(number_text(own["evidence"]["gain"]), f"verdict.effects.{own['name']}.evidence.gain"),
+            "z": cite(number_text(own["evidence"]["z"]), f"verdict.effects.{own['name']}.evidence.z"),
             # A learned shape is told by all frames together, and by no cells.
             "cells": "–" if own["evidence"]["consistency"] is None else own["evidence"]["consistency"]["cells"],
             "rivals": [name for name in own["candidates"] if name != own["name"]],
@@ -275,14 +307,15 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
         "status": verdict["status"].replace("_", " "),
         "sentence": [cite.within(line, numbers_in(verdict)) for line in verdict["sentence"].splitlines()],
         "effects": effects,
-        "gap": [cite(_plain(gap[key]), f"verdict.gap.{key}") for key in ("before", "after", "noise_floor")]
+        "gap": [cite(over_noise_text(gap[key]), f"verdict.gap.{key}") for key in ("before", "after", "noise_floor")]
         if gap["on"]
         else [],
         "gap_on": gap["on"],
         "closed": percent_of(_at_most_all(gap["closed"])),
         "shifts": shifts,
         "places": [
-            (own["words"], cite(_plain(own["z"]), f"verdict.where.{k}.z")) for k, own in enumerate(verdict["where"])
+            (own["words"], cite(number_text(own["z"]), f"verdict.where.{k}.z"))
+            for k, own in enumerate(verdict["where"])
         ],
         "limits": limits,
         "advice": [(own["frames"], condition_text(own["condition"]), own["separates"]) for own in verdict["advice"]],
@@ -294,11 +327,8 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
 def _before(own: dict[str, Any]) -> str:
     """p1 or p2 before, to the digits of the error that it has after."""
     error = own["stderr"]
-    return _plain(own["before"], ".4g" if not error else f".{max(digits_of(error), 0)}f")
-
-
-def _plain(value: float | None, form: str = ".3g") -> str:
-    return "–" if value is None else format(value, form).replace("-", "−")
+    text = f"{own['before']:.{max(digits_of(error), 0)}f}".replace("-", "−") if error else number_text(own["before"], 4)
+    return f"{text} {own['unit']}"
 
 
 def _at_most_all(part: float | None) -> float | None:
