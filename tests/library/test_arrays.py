@@ -6,6 +6,7 @@ import signal
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 
 from spotcheck import crops, dataset, frames
 from spotcheck.cli import main
@@ -55,6 +56,14 @@ def test_npy_with_its_first_axis_fastest(tmp_path):
 def test_packed_datasets(tmp_path, options):
     """Chunks that fit neither frame nor stack, and what packs without loss."""
     np.testing.assert_array_equal(files.pixels(h5(tmp_path, STACK, **options), 1, "a"), STACK[1])
+
+
+def test_netcdf(tmp_path):
+    """A variable that xarray wrote, beside its coordinates."""
+    array = xr.DataArray(STACK, dims=("z", "y", "x"), coords={"z": [1.0, 2.0, 3.0]}, name="image")
+    array.to_netcdf(tmp_path / "a.nc")
+    assert files.stacks(tmp_path / "a.nc", "a.nc") == ["a.nc#/image"]
+    np.testing.assert_array_equal(files.pixels(tmp_path / "a.nc", 2, "a"), STACK[2])
 
 
 def test_a_dataset_is_named_where_there_are_several(tmp_path):

@@ -6,9 +6,11 @@ import time
 import numpy as np
 import pytest
 import tifffile
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from spotcheck.labels import names
+from spotcheck.labels import names, words
 from spotcheck.labels.files import labels_of
 from spotcheck.labels.label import Label, settled
 from spotcheck.labels.words import of_key
@@ -208,6 +210,18 @@ def test_hostile_texts_end_soon(tmp_path, name):
     before = time.process_time()
     assert said(labels_of(tmp_path / "a.pgm")) == {}
     assert time.process_time() - before < 5
+
+
+PIECES = st.sampled_from(
+    "1 1e999 - _ = : . , / 0 us mm nm deg ° z exp dark 2026 0131 { } [ ExposureTime date angle (ms) e5 p r".split(" ")
+) | st.sampled_from([" ", "\n", "\0", '"', "\u0663", "9" * 30])
+
+
+@given(st.lists(PIECES | st.text(max_size=3), max_size=12).map("".join))
+def test_any_text_is_read_or_not(text):
+    """Whatever a name or a text holds: numbers are finite, and nothing is raised."""
+    for label in [*names.labels_of(text), *words.labels_in(text, "here")]:
+        assert label.value is None or not isinstance(label.value, float) or np.isfinite(label.value)
 
 
 def test_entities_are_not_followed(tmp_path):

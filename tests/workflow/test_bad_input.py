@@ -50,7 +50,10 @@ CASES = {
         ["frames/stray.tif", "does not name"],
     ),
     "cut short": (cut_short, ["a0_r0_t0.0001.tif", "cut short"]),
-    "RGB": (lambda f: rewrite(f, lambda p: np.stack([p] * 3, -1)), ["a0_r0_t0.0001.tif", "3 channels", "one channel"]),
+    "RGB": (
+        lambda f: rewrite(f, lambda p: np.stack([p] * 3, -1)),
+        ["a0_r0_t0.0001.tif", "red, green and blue", "sensor.channel"],
+    ),
     "float": (lambda f: rewrite(f, lambda p: p.astype("f4")), ["a0_r0_t0.0001.tif", "float32", "unsigned"]),
     "signed": (lambda f: rewrite(f, lambda p: p.astype("i2")), ["a0_r0_t0.0001.tif", "int16", "unsigned"]),
     "above bit depth": (

@@ -23,24 +23,24 @@ _processes: dict[int, subprocess.Popen] = {}
 
 def pages(path: Path, inside: str = "") -> list[Page]:
     """Every page of the dataset at the path `inside` a file. Raises `Refused`."""
-    (shape, dtype), _ = _ask({"what": "pages", "path": str(path), "inside": inside})
+    (shape, dtype), _ = _ask({"what": "pages", "path": str(path.absolute()), "inside": inside})
     return pages_of(tuple(shape), np.dtype(dtype))
 
 
 def read(path: Path, page: int, inside: str = "") -> np.ndarray:
     """Pixels of a page, [rows, columns] or [rows, columns, colours], as uint8 or uint16. Raises `Refused`."""
-    (shape, dtype), content = _ask({"what": "read", "path": str(path), "inside": inside, "page": page})
+    (shape, dtype), content = _ask({"what": "read", "path": str(path.absolute()), "inside": inside, "page": page})
     return np.frombuffer(content, dtype).reshape(shape)
 
 
 def stacks(path: Path) -> list[str]:
     """Paths inside a file at which frames lie. Raises `Refused`."""
-    return list(_ask({"what": "stacks", "path": str(path)})[0])
+    return list(_ask({"what": "stacks", "path": str(path.absolute())})[0])
 
 
 def texts(path: Path, inside: str) -> list[tuple[str, str, int | None]]:
     """Names and values around the dataset at the path `inside` a file, each with its page. Raises `Refused`."""
-    return [tuple(own) for own in _ask({"what": "texts", "path": str(path), "inside": inside})[0]]
+    return [tuple(own) for own in _ask({"what": "texts", "path": str(path.absolute()), "inside": inside})[0]]
 
 
 def _ask(question: dict[str, Any]) -> tuple[Any, bytes]:
@@ -49,7 +49,9 @@ def _ask(question: dict[str, Any]) -> tuple[Any, bytes]:
         if os.getpid() not in _processes:
             command = [sys.executable, "-P", "-c", "from spotcheck.formats import hdf5; hdf5.serve()"]
             pipe, null = subprocess.PIPE, subprocess.DEVNULL
-            _processes[os.getpid()] = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=null)
+            # It finds the modules where this process does, and none that happen to lie in the working folder (-P).
+            where = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+            _processes[os.getpid()] = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=null, env=where)
         process = _processes[os.getpid()]
         assert process.stdin is not None and process.stdout is not None
         try:

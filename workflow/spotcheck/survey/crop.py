@@ -14,7 +14,7 @@ from spotcheck.spotfinding import light_centroid
 from spotcheck.survey.rows import Rows
 
 # Frames that are looked at, evenly over the rows: the spots of a scan change slowly.
-MOST_FRAMES = 32
+MOST_FRAMES = 16
 # Blocks over which readings are averaged first, so that no hot pixel is the peak [px].
 BLOCK = 4
 # A crop holds ten standard deviations of a Gaussian (the contract asks for as much), in steps of this size [px].
