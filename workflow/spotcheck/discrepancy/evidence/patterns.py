@@ -65,18 +65,22 @@ class Pattern(NamedTuple):
     told: Variance
 
 
-def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], context: Context) -> Iterator[Pattern]:
-    """What sums over frames (`gathered`) tell of effects that scatter pixels or rows, beside a fit without them."""
-    kinds = {(e.scatter.of, e.scatter.shared): e for e in effects if e.scatter and e.scatter.of in ("field", "row")}
+def variances_of(sites: Sequence[Site], rows: Places) -> dict[tuple[str, str], Variance | None]:
+    """Of what is shared (see `Scatter`) its variance, whether there is any or not; None where too little tells it."""
     sensor = of_sensor(sites)
     known = sensor.value if sensor is not None else 0.0
-    found = {
+    return {
         ("field", "sensor"): sensor,
         ("field", "site"): variance_of(shared(sites), known, neighbours(sites[0].grain / sites[0].step)),
         ("row", "frame"): variance_of(rows),
     }
+
+
+def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], context: Context) -> Iterator[Pattern]:
+    """What sums over frames (`gathered`) tell of effects that scatter pixels or rows, beside a fit without them."""
+    kinds = {(e.scatter.of, e.scatter.shared): e for e in effects if e.scatter and e.scatter.of in ("field", "row")}
     alone = len(sites) == 1 and sites[0].single
-    for kind, told in found.items():
+    for kind, told in variances_of(sites, rows).items():
         if kind in kinds and told is not None and told.sure:
             effect, root = kinds[kind], float(np.sqrt(told.value))
             if alone and kind == ("field", "site") and root < criteria.FIELD_ALONE.value:
