@@ -19,8 +19,8 @@ from spotcheck.plausible import remarks_on
 
 # How the crop is centred: on the light's centroid (default of every stage), or on the maximum, as the paper.
 CENTRINGS = ("light", "maximum")
-# Copies that are named one by one; more would not be read.
-MOST_COPIES = 5
+# Frames of a kind that are named one by one; more would not be read.
+MOST_NAMED = 5
 # Part of a crop's pixels that must read below full scale, or nothing of a spot is seen.
 LEAST_UNCLIPPED = 0.01
 
@@ -111,8 +111,8 @@ def copies(dataset: Dataset, copy_of: np.ndarray) -> list[str]:
     """A remark on each frame that is a copy; of many on the first and their number."""
     own = np.flatnonzero(copy_of >= 0)
     said = [f"{dataset.frames[k].label} holds the same pixels as {dataset.frames[copy_of[k]].label}" for k in own]
-    more = [f"{len(said) - MOST_COPIES} more frames are copies"] if len(said) > MOST_COPIES else []
-    return [f"{text}, so that it is left out as a copy" for text in said[:MOST_COPIES]] + more
+    more = [f"{len(said) - MOST_NAMED} more frames are copies"] if len(said) > MOST_NAMED else []
+    return [f"{text}, so that it is left out as a copy" for text in said[:MOST_NAMED]] + more
 
 
 def without_copies(dataset: Dataset, table: xr.Dataset) -> Dataset:
@@ -224,15 +224,23 @@ def _judged(
     why = {own.spot: own.why for own in odd}
     for own in odd:
         statuses[own.spot] |= store.flag(own.flag)
-    remarks = [remark] if remark else []
+    aside: dict[str, list[str]] = {}
     for k, frame in enumerate(dataset.spots):
         if frame.keep:
             statuses[k] &= ~store.SET_ASIDE
-        aside = statuses[k, CENTRINGS.index("light")] & (store.SET_ASIDE | store.flag("dropped"))
-        if aside:
-            names, texts = store.status_names(aside), store.reasons(aside)
-            remarks.append(f"{frame.label} is set aside as {names}: {why.get(k, texts)}")
-    return statuses, remarks
+        flags = statuses[k, CENTRINGS.index("light")] & (store.SET_ASIDE | store.flag("dropped"))
+        if flags:
+            text = f"set aside as {store.status_names(flags)}: {why.get(k, store.reasons(flags))}"
+            aside.setdefault(text, []).append(frame.label)
+    told = [f"{own[0]} is {text}" if len(own) == 1 else f"{len(own)} frames are {text} ({some_of(own)})"
+            for text, own in aside.items()]  # fmt: skip
+    return statuses, [*([remark] if remark else []), *told]
+
+
+def some_of(labels: list[str]) -> str:
+    """Frames by name, and of many the first."""
+    more = [f"{len(labels) - MOST_NAMED} more"] if len(labels) > MOST_NAMED else []
+    return ", ".join([*labels[:MOST_NAMED], *more])
 
 
 def _status(image: np.ndarray, found: bool, highest: float, clip: float) -> int:

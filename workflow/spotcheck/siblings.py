@@ -122,7 +122,8 @@ def odd_ones(dataset: Dataset, glances: Sequence[Glance | None]) -> tuple[list[O
 
 
 def _beside_repeats(values: np.ndarray, errors: np.ndarray, index: list[tuple[int, ...]], repeat: int) -> _Beside:
-    """Frames beside the others of their condition, and in turn beside the others of their site."""
+    """Frames beside the others of their condition, and in turn beside the others of their site. Where sites are seen
+    several times, those that are not are not judged, as what is the site's is not told from what is the frame's."""
     condition = [tuple(own[:repeat] + own[repeat + 1 :]) for own in index]
     count = Counter(condition)
     judged = np.array([count[own] >= FEWEST for own in condition])
@@ -137,9 +138,13 @@ def _beside_repeats(values: np.ndarray, errors: np.ndarray, index: list[tuple[in
         for own in (*conditions, *sites):
             off[own] -= np.median(off[own], axis=0)
     freedom = int(judged.sum()) - len(conditions) - len(sites) + bool(sites)
-    scale = _scale(off[judged])
-    for own in conditions:
-        most[own] = _most(np.maximum(scale, _scale(off[own])), errors[own], freedom)
+    scale, exposure = _scale(off[judged]), np.array([own[1] for own in index])
+    alone = judged & ~np.isin(np.arange(len(index)), np.concatenate(sites)) if sites else ~judged
+    for k in np.flatnonzero(judged & ~alone):
+        # Short exposures may scatter by more than long ones.
+        like = judged & (exposure == exposure[k])
+        like[k] = False
+        most[k] = _most(np.maximum(scale, _scale(off[like])), errors[k], freedom)
     return _Beside(off, most, list(condition))
 
 
@@ -186,17 +191,19 @@ def _beside_neighbours(
     while True:
         for own in series:
             off[own] = _off_line(where[own], values[own])
-        told = np.concatenate([own[BESIDE:-BESIDE] for own in series]) if series else np.zeros(0, int)
-        if not len(told):
+        inner = np.concatenate([own[1:-1] for own in series]) if series else np.zeros(0, int)
+        if not len(inner):
             return _Beside(off, most, among)
         # Width follows no straight line at a waist.
-        most[told] = _most(_scale(off[told]), errors[told], len(told))
-        most[told, 1] = np.inf
-        ratio = np.abs(off[told]) / most[told]
-        worst = told[int(np.argmax(ratio.max(axis=1)))]
+        most[inner] = _most(_scale(off[inner]), errors[inner], len(inner))
+        most[inner, 1] = np.inf
+        ratio = np.abs(off[inner]) / most[inner]
+        worst = inner[int(np.argmax(ratio.max(axis=1)))]
         if _odd(0, off[worst], most[worst], np.exp(values[worst, 1])) is None:
             return _Beside(off, most, among)
-        # Its neighbours are then judged without it.
+        # The others are then judged without it. Whether it is odd or the end of its series, nobody knows.
+        if not any(worst in own[BESIDE:-BESIDE] for own in series):
+            most[worst] = np.inf
         series = [own[own != worst] for own in series]
 
 

@@ -22,7 +22,7 @@ from spotcheck.errors import InputError
 STATUS = {
     1: ("missing", "no frame in this cell of the grid"),
     2: ("black", "no light above the noise"),
-    4: ("saturated", "every pixel of the crop reads full scale, or nearly every one"),
+    4: ("saturated", "hardly a pixel of the crop reads below full scale"),
     8: ("masked", "the crop reaches beyond the frame"),
     16: ("clipped", "some pixels read full scale, or many exactly the highest reading of the frame"),
     32: ("not_converged", "the fit stopped before its minimum"),

@@ -43,7 +43,9 @@ def limits_of(
     reach |= {effect.name: own for effect, own in _of_fields(outcome, design, asked, context)}
     reach |= {effect.name: own for effect, own in _of_noise(outcome, design, asked, context)}
     scatters = {own.present.effect.name: _of_scatter(own) for own in laws.scatters}
-    own_laws = (own for own in laws.trials if own.present.effect.name not in scatters)
+    # Another law than the model's has no size.
+    own_laws = [own for own in laws.trials if not np.isnan(own.present.effect.neutral)]
+    own_laws = [own for own in own_laws if own.present.effect.name not in scatters]
     reach |= {own.present.effect.name: _of_law(own, context) for own in own_laws} | scatters
     return tuple(_limit(effect, reach.get(effect.name), effect.name in tied) for effect in effects)
 
@@ -54,7 +56,15 @@ def _limit(effect: Effect, reach: Reach | None, tied: bool) -> Limit:
     if tied or reach is None:
         untold = NO_SHAPE if effect.place is Place.SHAPE else NO_SIZE if effect.place is Place.WIDTH else UNTOLD
         return Limit(effect.name, own.name, own.unit, TIED_WITH_SHAPE if tied else untold)
-    more = BRIGHTER if np.isnan(reach.times) else ALREADY if reach.there else SHARED_BY_ALL if np.isinf(reach.times) else ""
+    more = (
+        BRIGHTER
+        if np.isnan(reach.times)
+        else ALREADY
+        if reach.there
+        else SHARED_BY_ALL
+        if np.isinf(reach.times)
+        else ""
+    )
     return Limit(effect.name, own.name, own.unit, NOT_FOUND, reach.low, reach.high, reach.times, more)
 
 
@@ -120,6 +130,4 @@ def _of_noise(
     """Of noise that dark pixels show beyond the stated one."""
     for own in noises_of(outcome.frames, groups_of(design), outcome.after.model, effects, context):
         there = own.gain > THERE**2
-        yield own.own.effect, Reach(
-            np.nan, own.own.values[0] + ONE_SIDED * own.error, np.inf if there else 4.0, there
-        )
+        yield own.own.effect, Reach(np.nan, own.own.values[0] + ONE_SIDED * own.error, np.inf if there else 4.0, there)

@@ -151,7 +151,9 @@ def _growth(frames: Sequence[Frame], fitted: Fitted, design: Design, trials: Seq
     every = zip(trials, scores([frames[k] for k in half], fewer, looked), strict=True)
     more = np.log(len(frames) / len(half))
     return [
-        float(np.log(own.information / score.information) / more) if min(own.information, score.information) > 0 else 0.0
+        float(np.log(own.information / score.information) / more)
+        if min(own.information, score.information) > 0
+        else 0.0
         for own, score in every
     ]
 
