@@ -28,7 +28,7 @@ def grid(angles=(0.0,), exposures=(1e-4, 4e-4, 9e-4), repeats=5, keep: dict[int,
     frames = tuple(
         Frame(k + 2, f"f{k}.tif", 0, "spot", *cell, {"keep": (keep or {}).get(k, "")}) for k, cell in enumerate(cells)
     )
-    return Dataset(Path("."), Instrument(), frames)
+    return Dataset(Path(), Instrument(), frames)
 
 
 def glances(dataset: Dataset, off: np.ndarray, growth: float = 1.0, sites: float = 0.3) -> list[Glance]:

@@ -40,6 +40,7 @@ COMMANDS = {
     "compare": "one page of several datasets: what changed beyond its errors, and trends",
     "new-dataset": "write a commented manifest and instrument file to fill in",
     "explain": "say where a number of the results comes from: file, variable, rule and inputs",
+    "limits": "how large each effect that a verdict does not name could still be, and how many frames would halve that",
     "where": "say where the results of a dataset lie",
 }
 

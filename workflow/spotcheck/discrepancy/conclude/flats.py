@@ -9,8 +9,8 @@ from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.detect import Detection
 from spotcheck.discrepancy.conclude.judgement import NOTHING, TOO_SMALL, Gap, Judgement, Levels, Limit, untested
 from spotcheck.discrepancy.conclude.limits import NOT_FOUND, UNTOLD
-from spotcheck.discrepancy.conclude.reach import ONE_SIDED, TWO_SIDED
 from spotcheck.discrepancy.conclude.places import Where
+from spotcheck.discrepancy.conclude.reach import ONE_SIDED, TWO_SIDED
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.evidence.parts import SMALLEST, Part, smallest_of
 from spotcheck.discrepancy.observe.flats import FEWEST, Series, hidden, series_of

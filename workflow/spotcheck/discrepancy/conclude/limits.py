@@ -42,11 +42,11 @@ def limits_of(
     reach = reach_of_pixels(outcome.frames, outcome.after, design, asked, context)
     reach |= {effect.name: own for effect, own in _of_fields(outcome, design, asked, context)}
     reach |= {effect.name: own for effect, own in _of_noise(outcome, design, asked, context)}
-    scatters = {own.present.effect.name: _of_scatter(own) for own in laws.scatters}
+    scatters = {own.present.effect.name: of_scatter(own) for own in laws.scatters}
     # Another law than the model's has no size.
     own_laws = [own for own in laws.trials if not np.isnan(own.present.effect.neutral)]
     own_laws = [own for own in own_laws if own.present.effect.name not in scatters]
-    reach |= {own.present.effect.name: _of_law(own, context) for own in own_laws} | scatters
+    reach |= {own.present.effect.name: of_law(own, context) for own in own_laws} | scatters
     return tuple(_limit(effect, reach.get(effect.name), effect.name in tied) for effect in effects)
 
 
@@ -68,7 +68,7 @@ def _limit(effect: Effect, reach: Reach | None, tied: bool) -> Limit:
     return Limit(effect.name, own.name, own.unit, NOT_FOUND, reach.low, reach.high, reach.times, more)
 
 
-def _of_law(own: Trial, context: Context) -> Reach:
+def of_law(own: Trial, context: Context) -> Reach:
     """Of a law of brightness or width, whose strength follows Student's law; its error falls with all frames."""
     effect = own.present.effect
     both = len(effect.signs(context)) > 1
@@ -83,19 +83,20 @@ def _of_law(own: Trial, context: Context) -> Reach:
     )
 
 
-def _of_scatter(own: Trial) -> Reach:
-    """Of a scatter of frames' numbers: with noise it is a variance that follows χ² of so many steps between frames."""
+def of_scatter(own: Trial) -> Reach:
+    """Of a scatter of frames' numbers."""
     variance = own.value**2
-    # The trial's error is that of a root.
-    error = 2 * own.error * np.sqrt(variance) if variance > 2 * own.error * np.sqrt(variance) else (2 * own.error) ** 2
-    noise = max(error * np.sqrt(own.freedom / 2) - variance, 0.0)
-    most = (variance + noise) * own.freedom / float(stats.chi2.isf(1 - BEYOND, own.freedom)) - noise
-    return _of_root(most, variance > THERE * error, 16.0)
+    # The trial's error is that of a root, and where that is less than it of the root of an error.
+    error = 2 * own.error * own.value if own.value > 2 * own.error else (2 * own.error) ** 2
+    return _of_variance(variance, error, own.freedom, 16.0)
 
 
-def _of_root(most: float, there: bool, times: float) -> Reach:
-    """Of a scatter, by the most that its variance may be; whose error falls with the root of frames, so that its root
-    needs 16 times as many."""
+def _of_variance(variance: float, error: float, freedom: float, times: float) -> Reach:
+    """Of a scatter by its variance, which with the noise beneath it follows χ² as so many equal squares do. Where its
+    error falls with the root of the number of frames, its root needs 16 `times` as many."""
+    noise = max(error * np.sqrt(freedom / 2) - variance, 0.0)
+    most = (variance + noise) * freedom / float(stats.chi2.isf(1 - BEYOND, freedom)) - noise
+    there = variance > THERE * error
     return Reach(np.nan, float(np.sqrt(most)), np.inf if there else times, there)
 
 
@@ -110,7 +111,7 @@ def _of_fields(
         if own is not None:
             # What all frames show alike is a product of two of them.
             times = 4.0 if effect.scatter and effect.scatter.shared == "sensor" else 16.0
-            yield effect, _of_root(own.value + ONE_SIDED * own.error, own.value > THERE * own.error, times)
+            yield effect, _of_variance(own.value, own.error, own.freedom, times)
         if effect.spectral and stripes is not None:
             yield effect, _of_stripes(stripes)
 
@@ -121,7 +122,8 @@ def _of_stripes(own: Stripes) -> Reach:
     count, total = len(own.weight), float(own.weight.sum())
     square = float(own.weight @ np.abs(own.amplitude) ** 2) / total - 4 * count / total
     error = np.sqrt(16 * count / total**2 + 8 * max(square, 0.0) / total)
-    return _of_root(max(square, 0.0) + ONE_SIDED * float(error), own.gain > 0, 16.0)
+    high = float(np.sqrt(max(square, 0.0) + ONE_SIDED * error))
+    return Reach(np.nan, high, np.inf if own.gain > 0 else 16.0, own.gain > 0)
 
 
 def _of_noise(

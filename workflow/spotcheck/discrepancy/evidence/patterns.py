@@ -42,13 +42,15 @@ class Places(NamedTuple):
 
 
 class Variance(NamedTuple):
-    """Variance of a pattern and its standard error, what −2 ln L gains with it, and Q over so many cells."""
+    """Variance of a pattern and its standard error, what −2 ln L gains with it, Q over so many cells, and as how many
+    equal squares it is told."""
 
     value: float
     error: float
     gain: float
     q: float
     cells: int
+    freedom: float
 
     @property
     def sure(self) -> bool:
@@ -183,4 +185,5 @@ def variance_of(places: Places, known: float = 0.0, together: float = 1.0) -> Va
     gain = float(np.sum((1 + excess / weight) * x / (1 + x) - np.log1p(x))) / inflated
     by_cell, noise = np.bincount(places.cell, rest, CELLS), np.bincount(places.cell, spread, CELLS) * inflated
     told = noise > 1e-4 * noise.max()
-    return Variance(value, error, gain, float(np.sum(by_cell[told] ** 2 / noise[told])), int(told.sum()))
+    return Variance(value, error, gain, float(np.sum(by_cell[told] ** 2 / noise[told])), int(told.sum()),
+                    total**2 / float(((light * unit) ** 2).sum()) / inflated)  # fmt: skip

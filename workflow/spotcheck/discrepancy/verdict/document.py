@@ -13,7 +13,7 @@ from spotcheck.discrepancy.evidence.parts import SMALLEST
 from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.discrepancy.search.holds import Holding
-from spotcheck.discrepancy.verdict.words import value_text
+from spotcheck.discrepancy.verdict.words import limit_text
 from spotcheck.model.effect import COMPONENTS, Place, Present
 from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.model.sensor import ROUNDING_VARIANCE
@@ -242,7 +242,7 @@ def limit_row(own: Limit, judgement: Judgement) -> dict[str, Any]:
     """What an effect that is not named may still be, and how many frames more, of all conditions alike, would halve
     that."""
     effect = vocabulary().get(own.effect)
-    ends = [value_text(end, None, own.unit) if np.isfinite(end) else "" for end in (own.low, own.high)]
+    ends = [limit_text(end, own.unit) if np.isfinite(end) else "" for end in (own.low, own.high)]
     spots = len(judgement.fits.shots) if judgement.fits else 0
     halved = np.isfinite(own.times) and spots
     return {

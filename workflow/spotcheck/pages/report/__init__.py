@@ -35,6 +35,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
     verdict = _read(results / "verdict.json")
     cite = Cited(results)
     content = {"cite": cite} | _first(dataset, files, verdict) | _details(dataset, results, files, verdict, cite)
+    content["aside"] = _aside(dataset, results)
     content["shown"] = _shown(dataset, results, files)
     if content["shown"] is not None:
         content |= _about(content["shown"])
@@ -68,6 +69,14 @@ def _shown(dataset: Dataset, results: Path, files: dict[str, xr.Dataset]) -> Fra
         return None
     with store.read(results / "crops.nc") as crops, store.read(results / "views.nc") as views:
         return frames_of(dataset, Files(files["frames"], crops, files["fits"], views))
+
+
+def _aside(dataset: Dataset, results: Path) -> list[str]:
+    """Sentences on spot frames that were set aside, or that stand out."""
+    if not dataset.spots:
+        return []
+    with store.read(results / "crops.nc") as crops:
+        return store.remarks_of(crops)
 
 
 def _about(shown: Frames) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.verdict.words import condition_text, digits_of, percent_text, value_text
+from spotcheck.discrepancy.verdict.words import condition_text, digits_of, limit_text, percent_text, value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import beam_rows
 from spotcheck.estimate.fits import preferred
@@ -291,7 +291,7 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
 def _ends(own: dict[str, Any]) -> dict[str, str]:
     """The texts of a limit's ends and their keys."""
     key = f"verdict.limits.{own['effect']}.{own['parameter']}"
-    return {value_text(own[end], None, own["unit"]): f"{key}.{end}" for end in ("low", "high") if own[end] is not None}
+    return {limit_text(own[end], own["unit"]): f"{key}.{end}" for end in ("low", "high") if own[end] is not None}
 
 
 def _before(own: dict[str, Any]) -> str:
