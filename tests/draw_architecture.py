@@ -31,6 +31,7 @@ ROOMS = {
     "spotfinding": "find the spot, cut it out",
     "formats": "image files",
     "clip": "where readings stop",
+    "siblings": "frames unlike the others",
     "crops": "stages ingest and crop",
     "optics": "geometry, diffraction",
     "template": "new-dataset",

@@ -56,7 +56,6 @@ def test_effects_of_the_mean_image(name):
         ends.append(own.low if np.isinf(effect.neutral) else own.high)
     away = np.array(ends) - truth
     covered = away < 0 if np.isinf(effect.neutral) else away > 0
-    print(name, covered.sum(), np.sort(ends))
     assert covered.sum() >= least(SEEDS)
     reach = abs(np.median(ends) - (0 if np.isinf(effect.neutral) else effect.neutral))
     scale = truth if np.isinf(effect.neutral) else abs(truth - effect.neutral)
@@ -88,7 +87,6 @@ def test_effects_of_the_noise(name):
         outcome = Outcome(tuple(frames), fit, fit, (), ())
         (own,) = limits_of(outcome, Laws(None, (), ()), design, [effect], CONTEXT)
         ends.append(own.high)
-    print(name, (np.array(ends) > truth).sum(), np.sort(ends))
     assert (np.array(ends) > truth).sum() >= least(SEEDS)
     assert truth < np.median(ends) < 3 * truth
 
@@ -106,11 +104,10 @@ def test_laws_of_the_frames(name):
     for seed in range(SETS):
         rng = np.random.default_rng(seed)
         numbers = test_laws.drawn(rng, design, present, sites=0.003, frames=0.003)
-        found, trials = test_laws.tried(numbers, design, name)
+        _, trials = test_laws.tried(numbers, design, name)
         own = of_law(trials[name], CONTEXT)
         covered += own.low < LAWS[name][0] < own.high
         width.append(own.high - own.low)
-    print(name, covered, np.median(width))
     assert covered >= least(SETS)
     assert np.median(width) < 20 * LAWS[name][0]
 
@@ -128,7 +125,6 @@ def test_scatter_of_the_frames(name, rms):
         (own,) = told.scatters
         highs.append(of_scatter(own).high)
     covered = int((np.array(highs) > rms).sum())
-    print(name, covered, np.median(highs))
     assert covered >= least(SETS)
     assert rms < np.median(highs) < 2.5 * rms
 

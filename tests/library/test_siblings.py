@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from scipy import stats
 
-from spotcheck.dataset import Dataset
+from spotcheck import crops, store
+from spotcheck.dataset import Dataset, load
+from spotcheck.errors import InputError
 from spotcheck.instrument import Instrument
 from spotcheck.manifest import Frame
 from spotcheck.siblings import ALARM, Glance, glance, odd_ones
@@ -177,3 +180,57 @@ def test_no_use_and_no_sibling():
     looked: Sequence[Glance | None] = [None, *glances(dataset, small(dataset))[1:]]
     assert odd_ones(dataset, looked) == ([], "")
     assert odd_ones(dataset, [None] * 28 + list(looked[28:])) == ([], "")
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """A dataset folder of 30 spots, of which the eighth is half dark, the ninth black and the tenth saturated."""
+    cells = [(f.angle_deg, f.exposure_s, f.repeat) for f in grid(angles=(0.0, 90.0)).spots]
+    images = [image(x=30 + 0.05 * k, seed=k) for k in range(len(cells))]
+    images[7], images[8] = BAD["blocked"], image(light=0.0, seed=77)
+    images[9] = np.full((SIDE, SIDE), 1023)
+    for k, own in enumerate(images):
+        tifffile.imwrite(tmp_path / f"f{k}.tif", own.astype(np.uint16))
+    (tmp_path / "instrument.yaml").write_text("crop_px: 40\nsensor: {bit_depth: 10}\n")
+    manifest(tmp_path, {})
+    return tmp_path
+
+
+def manifest(folder: Path, keep: dict[int, str]) -> None:
+    """manifest.csv with `keep` of some frames, by their place."""
+    rows = ["file,kind,angle_deg,exposure_s,repeat,keep"]
+    rows += [f"{f.file},spot,{f.angle_deg},{f.exposure_s},{f.repeat},{keep.get(k, '')}"
+             for k, f in enumerate(grid(angles=(0.0, 90.0)).spots)]  # fmt: skip
+    (folder / "manifest.csv").write_text("\n".join(rows) + "\n")
+
+
+def cropped(folder: Path) -> tuple[dict[str, str], list[str]]:
+    """Flags of the frames that are of no use, by their files, and remarks."""
+    dataset = load(folder)
+    table = crops.ingest(dataset)
+    crops.crop(dataset, table, folder / "crops.nc", code="", inputs=[])
+    with store.read(folder / "crops.nc") as ds:
+        status = ds["status"].sel(centring="light").transpose("angle", "exposure", "repeat").values
+        flags = {f.file: str(store.status_names(status[index] & store.UNUSABLE)) for index, f in dataset.cells()}
+        return {file: own for file, own in flags.items() if own != "ok"}, store.remarks_of(ds)
+
+
+def test_crops_say_what_is_set_aside_and_why(folder):
+    """And the manifest overrules it: yes, and no."""
+    flags, remarks = cropped(folder)
+    assert flags == {"f7.tif": "blocked", "f8.tif": "black", "f9.tif": "saturated"}
+    assert "f7.tif is set aside as blocked: it holds 4" in remarks[0] and "% of the light of its siblings" in remarks[0]
+    assert remarks[1:] == [
+        "f8.tif is set aside as black: no light above the noise",
+        "f9.tif is set aside as saturated: hardly a pixel of the crop reads below full scale",
+    ]
+    manifest(folder, {7: "yes", 8: "Yes", 9: "yes", 3: "no"})
+    flags, remarks = cropped(folder)
+    assert flags == {"f3.tif": "dropped"}
+    assert remarks == ["f3.tif is set aside as dropped: left out by hand (keep = no in manifest.csv)"]
+
+
+def test_keep_is_yes_no_or_blank(folder):
+    manifest(folder, {4: "1"})
+    with pytest.raises(InputError, match="manifest.csv line 6: keep is '1'; it must be yes, no or blank"):
+        load(folder)

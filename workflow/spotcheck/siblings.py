@@ -122,8 +122,7 @@ def odd_ones(dataset: Dataset, glances: Sequence[Glance | None]) -> tuple[list[O
 
 
 def _beside_repeats(values: np.ndarray, errors: np.ndarray, index: list[tuple[int, ...]], repeat: int) -> _Beside:
-    """Frames beside the others of their condition, and in turn beside the others of their site. Where sites are seen
-    several times, those that are not are not judged, as what is the site's is not told from what is the frame's."""
+    """Frames beside the others of their condition, and in turn beside the others of their site."""
     condition = [tuple(own[:repeat] + own[repeat + 1 :]) for own in index]
     count = Counter(condition)
     judged = np.array([count[own] >= FEWEST for own in condition])
@@ -133,18 +132,21 @@ def _beside_repeats(values: np.ndarray, errors: np.ndarray, index: list[tuple[in
     if not judged.any():
         return _Beside(off, most, list(condition))
     conditions, sites = _groups(condition, judged), _groups(site, judged)
-    off[judged] = values[judged]
-    for _ in range(TURNS):
-        for own in (*conditions, *sites):
-            off[own] -= np.median(off[own], axis=0)
-    freedom = int(judged.sum()) - len(conditions) - len(sites) + bool(sites)
-    scale, exposure = _scale(off[judged]), np.array([own[1] for own in index])
-    alone = judged & ~np.isin(np.arange(len(index)), np.concatenate(sites)) if sites else ~judged
-    for k in np.flatnonzero(judged & ~alone):
-        # Short exposures may scatter by more than long ones.
-        like = judged & (exposure == exposure[k])
-        like[k] = False
-        most[k] = _most(np.maximum(scale, _scale(off[like])), errors[k], freedom)
+    exposure = np.array([own[1] for own in index])
+    several = np.isin(np.arange(len(index)), np.concatenate(sites)) if sites else np.zeros(len(index), bool)
+    # A frame whose site is hardly seen otherwise stands beside its condition alone, among the scatter of all sites.
+    for groups, told in (((conditions,), judged & ~several), ((conditions, sites), judged & several)):
+        rest = np.where(judged[:, None], values, np.nan)
+        for _ in range(TURNS):
+            for own in (group for each in groups for group in each):
+                rest[own] -= np.median(rest[own], axis=0)
+        freedom = int(judged.sum()) - sum(map(len, groups)) + len(groups) - 1
+        scale = _scale(rest[judged])
+        for k in np.flatnonzero(told):
+            # Short exposures may scatter by more than long ones.
+            like = judged & (exposure == exposure[k])
+            like[k] = False
+            off[k], most[k] = rest[k], _most(np.maximum(scale, _scale(rest[like])), errors[k], freedom)
     return _Beside(off, most, list(condition))
 
 
@@ -216,20 +218,20 @@ def _off_line(where: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _odd(spot: int, off: np.ndarray, most: np.ndarray, sigma: float) -> Odd | None:
-    """What is wrong with a frame, the light first: what lacks light is off in place as well."""
-    beyond = np.abs(off) > most
-    light, width = (float(np.exp(own)) if out else 1.0 for own, out in zip(off[:2], beyond[:2], strict=True))
-    away = float(np.hypot(*off[2:])) if beyond[2:].any() else 0.0
-    if light < BLOCKED:
-        return Odd(spot, "blocked", f"it holds {100 * light:.2g} % of the light of its siblings")
-    if light > TWICE:
-        return Odd(spot, "double", f"it holds {light:.2g} times the light of its siblings")
-    if width > WIDE:
-        return Odd(spot, "double", f"its spot is {width:.2g} times as wide as those of its siblings")
-    if width < NARROW:
-        return Odd(spot, "blocked", f"its spot is {width:.2g} times as wide as those of its siblings")
-    # The width of the siblings, in which a place is told.
-    own = sigma / float(np.exp(np.nan_to_num(off[1])))
-    if away > MOVED * own:
-        return Odd(spot, "moved", f"its spot lies {away:.3g} px from where its siblings have theirs")
-    return None
+    """What is wrong with a frame of which some number is grossly off; light tells it first, as what lacks light is off
+    in place as well."""
+    judged = np.where(np.isfinite(most), off, 0.0)
+    light, width, away = float(np.exp(judged[0])), float(np.exp(judged[1])), float(np.hypot(*judged[2:]))
+    # Places are told in widths of the siblings.
+    gross = light < BLOCKED or light > TWICE, width < NARROW or width > WIDE, away > MOVED * sigma / width
+    beyond = np.abs(judged) > most
+    if not ((gross[0] and beyond[0]) or (gross[1] and beyond[1]) or (gross[2] and beyond[2:].any())):
+        return None
+    if gross[0]:
+        share = f"{100 * light:.2g} % of" if light < 1 else f"{light:.2g} times"
+        return Odd(spot, "blocked" if light < 1 else "double", f"it holds {share} the light of its siblings")
+    if gross[1]:
+        return Odd(
+            spot, "blocked" if width < 1 else "double", f"its spot is {width:.2g} times as wide as its siblings'"
+        )
+    return Odd(spot, "moved", f"its spot lies {away:.3g} px from where its siblings have theirs")

@@ -1,10 +1,10 @@
 """How far effects of pixels may be from where they vanish: the strength of which all is just excluded.
 
-Of a strength that is tried, its score says what part of it there is, s, with the standard error e. All of it is excluded
-where s + k e is below 1, k being the normal quantile of the confidence. So no straight line is drawn from 0, which a
-clip or a blur does not follow. Where there is less than none of an effect, s counts as 0. Errors are wider where fields
-make neighbouring pixels alike, and where cells of the spot disagree by more than chance, by √(χ² per degree of freedom)
-(the scale factor of the Particle Data Group, Review of Particle Physics, Introduction 5.2.2).
+Of a strength that is tried, its score says what part of it there is, s, with the standard error e. All of it is
+excluded where s + k e is below 1, k being the normal quantile of the confidence. So no straight line is drawn from 0,
+which a clip or a blur does not follow. Where there is less than none of an effect, s counts as 0. Errors are wider
+where fields make neighbouring pixels alike, and where cells of the spot disagree by more than chance, by √(χ² per
+degree of freedom) (the scale factor of the Particle Data Group, Review of Particle Physics, Introduction 5.2.2).
 """
 
 from collections.abc import Iterable, Sequence

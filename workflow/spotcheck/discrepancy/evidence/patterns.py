@@ -137,7 +137,8 @@ def _rows(lines, design: Design) -> Places:
     rest = pull - np.where(count > 1, part * common, 0.0)
     left = weight * (1 - part)
     good = left > 0
-    return Places((rest**2 - left)[good], (weight * left)[good], np.ones(good.sum()), (2 * left**2)[good],
+    # What the n frames of a condition leave beside each other is alike: their squares tell as much as those of n − 1.
+    return Places((rest**2 - left)[good], (weight * left)[good], np.ones(good.sum()), (2 * left * weight)[good],
                   which[good] % CELLS, which[good])  # fmt: skip
 
 
