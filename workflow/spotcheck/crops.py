@@ -179,8 +179,8 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
             places.append(index)
             statuses.append(cell["status"])
             glances.append(_glance(cell))
-        statuses, remarks = _judged(dataset, np.array(statuses), glances)
-        for index, status in zip(places, statuses, strict=True):
+        judged, remarks = _judged(dataset, np.array(statuses), glances)
+        for index, status in zip(places, judged, strict=True):
             writer.put(index, {"status": status})
         writer.remark(remarks)
 
@@ -227,8 +227,8 @@ def _judged(
     aside: dict[str, list[str]] = {}
     for k, frame in enumerate(dataset.spots):
         if frame.keep:
-            statuses[k] &= ~store.SET_ASIDE
-        flags = statuses[k, CENTRINGS.index("light")] & (store.SET_ASIDE | store.flag("dropped"))
+            statuses[k] &= ~store.BY_SIBLINGS
+        flags = statuses[k, CENTRINGS.index("light")] & store.SET_ASIDE
         if flags:
             text = f"set aside as {store.status_names(flags)}: {why.get(k, store.reasons(flags))}"
             aside.setdefault(text, []).append(frame.label)

@@ -153,8 +153,8 @@ def _beside_repeats(values: np.ndarray, errors: np.ndarray, index: list[tuple[in
 def _groups(labels: Sequence[Hashable], among: np.ndarray) -> list[np.ndarray]:
     """Frames of one label each, where there are enough."""
     members: dict[Hashable, list[int]] = {}
-    for k in np.flatnonzero(among):
-        members.setdefault(labels[k], []).append(int(k))
+    for k in np.flatnonzero(among).tolist():
+        members.setdefault(labels[k], []).append(k)
     return [np.array(own) for own in members.values() if len(own) >= FEWEST]
 
 

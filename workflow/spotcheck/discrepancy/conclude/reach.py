@@ -208,7 +208,9 @@ def _growth(
     half = np.flatnonzero(nth(design.condition) % 2 == 0)
     if len(half) == len(frames):
         return [1.0] * len(trials)
-    few = scores([frames[k] for k in half], at_frames(frames, fitted, half), [own.at(own.distance) for own in trials])
+    few = scores(
+        [frames[int(k)] for k in half], at_frames(frames, fitted, half), [own.at(own.distance) for own in trials]
+    )
     pairs = [(one.information, max(other.information, 0.0)) for one, other in zip(told, few, strict=True)]
     more = np.log(len(frames) / len(half))
     return [float(np.log(one / other) / more) if min(one, other) > 0 else 0.0 for one, other in pairs]
