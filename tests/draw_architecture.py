@@ -34,6 +34,7 @@ ROOMS = {
     "labels": "what files say of frames",
     "survey": "a folder of images as it is",
     "clip": "where readings stop",
+    "siblings": "frames unlike the others",
     "crops": "stages ingest and crop",
     "optics": "geometry, diffraction",
     "template": "new-dataset",

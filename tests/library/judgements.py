@@ -69,7 +69,7 @@ def judged(**changes: Any) -> Judgement:
         unexplained=left(0.0),
         gap=None,
         shift=Shift((7.3931, 86.81), None, (0.0034, 0.029)),
-        limits=(Limit("smear", "fraction", 0.0004, "1", "not there"),),
+        limits=(Limit("smear", "fraction", "1", "not there", high=0.0004, times=4.0),),
         where=(),
         off=0.0003,
     )

@@ -17,7 +17,7 @@ FLOORS = {
         *("errors", "text", "writing", "schema", "conditions", "plausible", "manifest", "instrument", "dataset"),
         *("store", "provenance", "configuration", "running", "seen"),
     ),
-    1: ("frames", "formats", "labels", "survey", "spotfinding", "clip", "crops", "optics", "template"),
+    1: ("frames", "formats", "labels", "survey", "spotfinding", "clip", "siblings", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "pairs", "simulation", "design"),
     4: ("first_look", "figures", "discrepancy", "comparison", "views", "pages", "paper", "origin"),

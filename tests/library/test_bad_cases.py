@@ -151,13 +151,13 @@ BRIGHTER = alike("dark", 25.0)
 CASES: dict[str, Callable[[], Case]] = {
     # Nothing to look at.
     "saturated everywhere": lambda: Case(
-        spots(after=whole(1023)), {}, NOTHING, (), f"{EVERYWHERE} (every pixel of the crop reads full scale)"
+        spots(after=whole(1023)), {}, NOTHING, (), f"{EVERYWHERE} (hardly a pixel of the crop reads below full scale)"
     ),
     "black": lambda: Case(spots(after=whole(0)), {}, NOTHING, (), f"{EVERYWHERE} (no light above the noise)"),
     "constant": lambda: Case(spots(after=whole(300)), {}, NOTHING, (), f"{EVERYWHERE} (no light above the noise)"),
     "black and saturated": lambda: Case(
         [*spots(after=whole(0))[:5], *spots(after=whole(1023))[5:]], {}, NOTHING, (),
-        f"{EVERYWHERE} (5: no light above the noise; 7: every pixel of the crop reads full scale)",
+        f"{EVERYWHERE} (5: no light above the noise; 7: hardly a pixel of the crop reads below full scale)",
     ),
     "a single black frame": lambda: Case(
         spots(after=whole(0))[:1], {}, NOTHING, (), "the only spot frame cannot be used (no light above the noise)"

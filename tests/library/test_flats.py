@@ -102,7 +102,7 @@ def test_linear_flats_are_consistent(seed, lamp):
     assert "Flats and a linear sensor agree" in own["sentence"] and "K = 0." in own["sentence"]
     assert ("The light scatters" in own["sentence"]) == (lamp > 0)
     # What may still be there is stated, and small.
-    limits = {row["effect"]: row["value"] for row in own["limits"]}
+    limits = {row["effect"]: row["high"] for row in own["limits"]}
     assert 0 < limits["nonlinearity"] < (0.02 if lamp else 2e-3)
     assert {row["effect"] for row in own["not_assessed"]} == {e.name for e in vocabulary().values() if e.flats}
 

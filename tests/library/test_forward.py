@@ -30,7 +30,7 @@ def test_scores_of_what_is_not_there_are_normal():
         ]
         scores = screen(frames, fit, others)
         z.append([score.z for score in scores])
-        score, information, *_ = by_cell(frames, fit, others[0], scores[0])
+        score, information, *_ = by_cell(frames, fit, [others[0]], [scores[0]])[0]
         assert score.sum() == pytest.approx(scores[0].score, abs=0.02 * np.sqrt(scores[0].information))
         assert information.sum() == pytest.approx(scores[0].information, rel=0.01)
     for name, own in zip(TRIED, np.transpose(z), strict=True):

@@ -23,7 +23,7 @@ from tests.library.shelf import LAW, design, flats
 
 DEFAULT = ROOT / "results" / "virtual-rig"
 VERDICT = {
-    "schema": 2,
+    "schema": 3,
     "detection": {"p_value": 1e-5, "alpha": 0.01, "worst": None},
     "effects": [
         {
@@ -39,7 +39,7 @@ VERDICT = {
         {"name": "gain_dn_per_e", "unit": "DN/e-", "stated": 0.11, "stated_stderr": 0.001, "found": 0.12,
          "stderr": 0.002, "stated_errors": 10.0, "z": 4.0, "contradicts": True}
     ],
-    "limits": [{"effect": "smear", "parameter": "fraction", "value": 1e-5, "unit": "1", "why": "not found"}],
+    "limits": [{"effect": "row_noise", "parameter": "rms", "low": None, "high": 0.05, "unit": "DN", "frames": 270}],
     "baseline_shift": {"p1": {"before": 1.6, "after": 0.002, "stderr": 0.007, "unit": "px"}},
     "unexplained": {"size": 0.004, "error": 0.0001, "z": 20.0, "tolerance": 0.002, "share": 0.1, "p_value": None},
     "gap": {"before": 3.0, "closed": 0.9, "rms_dn_before": 52.0, "on": "unseen repeats"},
@@ -112,7 +112,8 @@ def test_p1_is_that_of_the_estimator_in_use(results):
         ("gain_dn_per_e.stated", "verdict.sheet.gain_dn_per_e.stated", 0.11, 0.001, "DN/e-"),
         ("gain_dn_per_e.found", "verdict.sheet.gain_dn_per_e.found", 0.12, 0.002, "DN/e-"),
         ("gain_dn_per_e.z", "verdict.sheet.gain_dn_per_e.z", 4.0, None, "1"),
-        ("smear.fraction", "verdict.limits.smear.fraction", 1e-5, None, "1"),
+        ("row_noise.rms.high", "verdict.limits.row_noise.rms.high", 0.05, None, "DN"),
+        ("row_noise.rms.frames", "verdict.limits.row_noise.rms.frames", 270, None, "1"),
         ("unexplained.size", "verdict.unexplained.size", 0.004, 0.0001, "1"),
         ("unexplained.share", "verdict.unexplained.share", 0.1, None, "1"),
         ("magnification", "paper_numbers.magnification", 0.2008, None, "1"),

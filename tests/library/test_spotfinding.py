@@ -37,7 +37,7 @@ def test_hot_pixels_brighter_than_the_spot(seed, sigma):
 def test_median_of_nine(shape):
     """As scipy has it, ties and borders included."""
     image = np.random.default_rng(3).integers(0, 9, shape).astype(np.float32)
-    np.testing.assert_array_equal(spotfinding._median_of_nine(image), ndimage.median_filter(image, 3, mode="nearest"))
+    np.testing.assert_array_equal(spotfinding.median_of_nine(image), ndimage.median_filter(image, 3, mode="nearest"))
 
 
 BORDERS = [

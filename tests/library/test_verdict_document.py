@@ -1,7 +1,8 @@
-"""verdict.json, version 2: every status keeps the contract, and its numbers mean what they say."""
+"""verdict.json, version 3: every status keeps the contract, and its numbers mean what they say."""
 
 import ast
 import json
+from collections import namedtuple
 
 import numpy as np
 import pytest
@@ -9,9 +10,12 @@ import pytest
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.judgement import TIED_WITH_SHAPE, Limit
 from spotcheck.discrepancy.search.holds import Holding
-from spotcheck.discrepancy.verdict.document import LIGHT, NOT_FORETOLD, document, weights_of
+from spotcheck.discrepancy.verdict.document import LIGHT, NOT_FORETOLD, document, limit_row, weights_of
 from spotcheck.discrepancy.verdict.sentence import sentence
+from spotcheck.discrepancy.verdict.words import limits_text
 from spotcheck.discrepancy.verdict.written import breach_of_verdict, rounded, write_verdict
+from spotcheck.model.effect import Parameter
+from spotcheck.model.effects import built_in
 from spotcheck.schema import read_schema
 from spotcheck.store import ContractError
 from tests.library.conftest import ROOT
@@ -84,7 +88,7 @@ def test_what_unseen_frames_do_not_bear_out_is_not_named():
     """It goes to the limits, once; another effect beside it stays."""
     own = document(off(found=(CLIP, BEND), beyond=("nonlinearity",)), "small")
     assert [effect["name"] for effect in own["effects"]] == ["saturation"] and own["status"] == "named"
-    assert [(row["effect"], row["parameter"], row["value"], row["why"]) for row in own["limits"]] == [
+    assert [(row["effect"], row["parameter"], row["high"], row["why"]) for row in own["limits"]] == [
         ("nonlinearity", "q", None, NOT_FORETOLD)
     ]
 
@@ -269,7 +273,7 @@ def test_the_table_reads_it():
     assert score.pulls(record("two", "nonlinearity"))["nonlinearity.q"] == pytest.approx((0.112 - 0.11) / 0.00112)
     assert score.says_tied(record("light", "beam_ellipticity", light="real"))
     own = record("stranger", "smear")
-    own["verdict"]["limits"] = [Limit("smear", "fraction", None, "1", TIED_WITH_SHAPE)._asdict()]
+    own["verdict"]["limits"] = [limit_row(Limit("smear", "fraction", "1", TIED_WITH_SHAPE), judged())]
     assert score.says_tied(own) and not score.says_tied(record("agreed", "smear"))
     assert not score.says_tied(record("one", "saturation"))
     assert score.wrong(record("light", light="real")) == set() and score.wrong(record("light")) == {LIGHT}
@@ -285,3 +289,38 @@ def test_the_room_imports_no_file_beside_the_rooms():
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("spotcheck.discrepancy"):
                 parts = (node.module or "").split(".")
                 assert {parts[2]} <= rooms if len(parts) > 2 else {own.name for own in node.names} <= rooms
+
+
+LIMITS = {
+    "smear": (Limit("smear", "fraction", "1", "not found", high=0.000444, times=4.0),
+              "light smeared along columns below 0.00044", 54, ""),
+    "bend": (Limit("nonlinearity", "q", "1", "not found", low=-0.0123, high=0.004, times=np.inf, more="no"),
+             "bend of the response from −0.012 to 0.004", None, "no"),
+    "clip": (Limit("saturation", "level", "DN", "not found", low=930.0), "no clip below 930 DN", None, ""),
+    "untold": (Limit("speckle", "contrast", "1", "these frames do not tell"), "", None, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", LIMITS)
+def test_a_limit_in_words(kind):
+    """By the effect's own noun; and frames more, of 18, that halve it."""
+    own, words, frames, more = LIMITS[kind]
+    fits = namedtuple("Fits", "shots")((None,) * 18)
+    row = limit_row(own, judged()._replace(fits=fits))
+    assert (row["words"], row["frames"], row["more"]) == (words, frames, more)
+    told = words + " (95 %)" if words else own.why
+    after = "; 54 more frames would halve that" if frames else f"; {more}" if more else ""
+    assert limits_text({"limits": [row]}) == [f"{own.effect}: {told}{after}"]
+
+
+@pytest.mark.parametrize("name", built_in())
+def test_every_effect_has_words_for_its_limit(name):
+    """A noun of its own in its file, which is not its name; and something to say of every end that it may have."""
+    effect = built_in()[name]
+    assert effect.noun and effect.noun != name and effect.noun[0].islower() and not effect.noun.endswith(".")
+    assert [own.noun for own in built_in().values()].count(effect.noun) == 1
+    ends = ("1 DN", "") if np.isinf(effect.neutral) else ("", "2 DN")
+    assert effect.size_text(*ends).endswith("below 1 DN" if ends[0] else "below 2 DN")
+    assert effect.size_text("", "") == ""
+    assert "q of mine" in effect._replace(noun="", name="mine", neutral=0.0, parameters=(Parameter("q", "1", 0, 1),)
+                                          ).size_text("", "2")  # fmt: skip

@@ -41,7 +41,7 @@ SENTENCES = {
     "agreed": [
         "Model and measurement agree: they differ by no more than noise does (p = 0.32).",
         "As fitted, p1 = 7.3931 ± 0.0034 px and p2 = 86.810 ± 0.029 px.",
-        "That does not prove the model: how large each effect could still be stands under limits.",
+        "That does not prove the model: how large each effect could still be, `spotcheck limits` tells.",
     ],
     "agreed, one frame": ["Model and measurement agree: they differ by no more than noise does (p = 0.32)."],
     "one": [

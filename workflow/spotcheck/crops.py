@@ -6,11 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from spotcheck import frames, seen, spotfinding, store
+from spotcheck import frames, seen, siblings, spotfinding, store
 from spotcheck.clip import End, end_of, top_of
 from spotcheck.dataset import Dataset, check_files, unit_of
 from spotcheck.errors import InputError
@@ -18,8 +19,10 @@ from spotcheck.plausible import remarks_on
 
 # How the crop is centred: on the light's centroid (default of every stage), or on the maximum, as the paper.
 CENTRINGS = ("light", "maximum")
-# Copies that are named one by one; more would not be read.
-MOST_COPIES = 5
+# Frames of a kind that are named one by one; more would not be read.
+MOST_NAMED = 5
+# Part of a crop's pixels that must read below full scale, or nothing of a spot is seen.
+LEAST_UNCLIPPED = 0.01
 
 
 def check_dataset(dataset: Dataset) -> frames.Probe:
@@ -108,13 +111,14 @@ def copies(dataset: Dataset, copy_of: np.ndarray) -> list[str]:
     """A remark on each frame that is a copy; of many on the first and their number."""
     own = np.flatnonzero(copy_of >= 0)
     said = [f"{dataset.frames[k].label} holds the same pixels as {dataset.frames[copy_of[k]].label}" for k in own]
-    more = [f"{len(said) - MOST_COPIES} more frames are copies"] if len(said) > MOST_COPIES else []
-    return [f"{text}, so that it is left out as a copy" for text in said[:MOST_COPIES]] + more
+    more = [f"{len(said) - MOST_NAMED} more frames are copies"] if len(said) > MOST_NAMED else []
+    return [f"{text}, so that it is left out as a copy" for text in said[:MOST_NAMED]] + more
 
 
 def without_copies(dataset: Dataset, table: xr.Dataset) -> Dataset:
-    """The dataset without frames that hold the pixels of an earlier one and so measure nothing anew."""
-    kept = [frame for frame, own in zip(dataset.frames, table["copy_of"].values, strict=True) if own < 0]
+    """The dataset without frames that hold the pixels of an earlier one, and without those left out by hand."""
+    pairs = zip(dataset.frames, table["copy_of"].values, strict=True)
+    kept = [frame for frame, own in pairs if own < 0 and frame.keep is not False]
     return replace(dataset, frames=tuple(kept))
 
 
@@ -125,6 +129,7 @@ def end_in(table: xr.Dataset) -> End:
 
 def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: list) -> None:
     """Write crops.nc: for every spot both crops, their place on the sensor, and the reduced copy of the whole frame.
+    Frames that are not like their siblings are flagged; `remarks` says of each frame that is set aside why.
 
     Raises `InputError` where a frame is no more what `table`, its frames.nc, says of it.
     """
@@ -163,14 +168,24 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
         store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer,
         seen.as_ingested(dataset, table),
     ):
+        places, statuses, glances = [], [], []
         for index, frame, pixels in frames.spots(dataset):
             if (frame.file, frame.page) not in copied:
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
             again = store.flag("copy") if copied[frame.file, frame.page] else 0
-            writer.put(index, _cell(pixels, side, highest, again))
+            again |= store.flag("dropped") if frame.keep is False else 0
+            cell = _cell(pixels, side, highest, again)
+            writer.put(index, cell)
+            places.append(index)
+            statuses.append(cell["status"])
+            glances.append(_glance(cell))
+        judged, remarks = _judged(dataset, np.array(statuses), glances)
+        for index, status in zip(places, judged, strict=True):
+            writer.put(index, {"status": status})
+        writer.remark(remarks)
 
 
-def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str, object]:
+def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str, Any]:
     """All variables of one frame; `flags` are set in its status beside what its pixels say."""
     spots = (spotfinding.light_centroid(pixels, side), spotfinding.brightest_pixel(pixels))
     images = np.stack([spotfinding.cut(pixels, spot, side) for spot in spots])
@@ -192,10 +207,46 @@ def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str
     }
 
 
+def _glance(cell: dict[str, Any]) -> siblings.Glance | None:
+    """A glance at the crop around the light; None where it is of no use."""
+    at_light = CENTRINGS.index("light")
+    if not usable(cell["status"][at_light]):
+        return None
+    return siblings.glance(cell["image"][at_light], cell["left"][at_light], cell["top"][at_light])
+
+
+def _judged(
+    dataset: Dataset, statuses: np.ndarray, glances: list[siblings.Glance | None]
+) -> tuple[np.ndarray, list[str]]:
+    """Statuses [spot, centring] with what siblings say and the manifest overrules, and a remark on each frame that is
+    set aside."""
+    odd, remark = siblings.odd_ones(dataset, glances)
+    why = {own.spot: own.why for own in odd}
+    for own in odd:
+        statuses[own.spot] |= store.flag(own.flag)
+    aside: dict[str, list[str]] = {}
+    for k, frame in enumerate(dataset.spots):
+        if frame.keep:
+            statuses[k] &= ~store.BY_SIBLINGS
+        flags = statuses[k, CENTRINGS.index("light")] & store.SET_ASIDE
+        if flags:
+            text = f"set aside as {store.status_names(flags)}: {why.get(k, store.reasons(flags))}"
+            aside.setdefault(text, []).append(frame.label)
+    told = [f"{own[0]} is {text}" if len(own) == 1 else f"{len(own)} frames are {text} ({some_of(own)})"
+            for text, own in aside.items()]  # fmt: skip
+    return statuses, [*([remark] if remark else []), *told]
+
+
+def some_of(labels: list[str]) -> str:
+    """Frames by name, and of many the first."""
+    more = [f"{len(labels) - MOST_NAMED} more"] if len(labels) > MOST_NAMED else []
+    return ", ".join([*labels[:MOST_NAMED], *more])
+
+
 def _status(image: np.ndarray, found: bool, highest: float, clip: float) -> int:
     """Flags of a crop by the largest reading of all [DN], and that at which the frame itself stops."""
     valid = np.isfinite(image)
-    if np.all(image[valid] >= highest):
+    if np.count_nonzero(image[valid] < highest) <= LEAST_UNCLIPPED * np.count_nonzero(valid):
         return store.flag("saturated")
     clipped = bool(np.any(image[valid] >= clip))
     return (0 if found else store.flag("black")) | (store.flag("clipped") if clipped else 0)

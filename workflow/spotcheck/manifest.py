@@ -17,6 +17,9 @@ KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
 # The column that gives the light of a flat.
 PHOTONS = "photons_per_px"
+# The column that says whether a frame is used whatever its siblings look like; blank: they decide.
+KEEP = "keep"
+KEEPS = {"yes": True, "no": False, "": None}
 # The column that says when a frame was taken (ISO 8601); only the comparison of datasets asks for it.
 DATE = "date"
 ALIKE_TWICE = (
@@ -56,6 +59,11 @@ class Frame:
     def label(self) -> str:
         """How messages name the frame."""
         return f"{self.file}, page {self.page}" if self.page else self.file
+
+    @property
+    def keep(self) -> bool | None:
+        """Whether the frame is used whatever its siblings look like, or not at all; None: they decide."""
+        return KEEPS[self.extra.get(KEEP, "").lower()]
 
 
 def parted(file: str) -> tuple[str, str]:
@@ -101,7 +109,7 @@ def _rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list[tupl
         for number, line in enumerate(re.split(r"\r\n|\r|\n", read_text(path)), start=1)
         if line.strip(" ,") and not (_is_comment(line, path.parent) or (number == 1 and SEPARATOR.fullmatch(line)))
     ]
-    known = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, *conditions)}
+    known = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, KEEP, *conditions)}
     try:
         reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
         columns = [known.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
@@ -184,6 +192,8 @@ def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[
         raise InputError(
             f"{where}: {file} is in no format that is read; save it as TIFF, PNG or PGM ({', '.join(IMAGE_SUFFIXES)})"
         )
+    if cell.get(KEEP, "").lower() not in KEEPS:
+        raise InputError(f"{where}: {KEEP} is {cell[KEEP][:LONGEST_CELL]!r}; it must be yes, no or blank")
     extra = {name: value for name, value in cell.items() if name not in (*REQUIRED_COLUMNS, "page")}
     return Frame(
         line=line,

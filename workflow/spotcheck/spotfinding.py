@@ -120,7 +120,7 @@ def _centroid(
     row, column = place
     for side in (max(window_px, WINDOW_BLOCKS * SEARCH_PX), window_px):
         top, left = max(row - side // 2, 0), max(column - side // 2, 0)
-        window = _median_of_nine(pixels[top : top + side, left : left + side].astype(np.float32))
+        window = median_of_nine(pixels[top : top + side, left : left + side].astype(np.float32))
         signal = window - background
         peak = float(signal.max())
         if peak <= enough:
@@ -134,7 +134,7 @@ def _centroid(
     return _Light(Spot(row, column, True), peak, peak - float(np.median(signal)))
 
 
-def _median_of_nine(image: np.ndarray) -> np.ndarray:
+def median_of_nine(image: np.ndarray) -> np.ndarray:
     """3 × 3 median, the border repeated: the middle one of the largest low, the middle middle and the smallest high of
     three sorted rows. Equal to that of `scipy.ndimage`, whose sorting took most of the time of cropping."""
     wide = np.pad(image, 1, mode="edge")

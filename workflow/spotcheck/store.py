@@ -22,7 +22,7 @@ from spotcheck.errors import InputError
 STATUS = {
     1: ("missing", "no frame in this cell of the grid"),
     2: ("black", "no light above the noise"),
-    4: ("saturated", "every pixel of the crop reads full scale"),
+    4: ("saturated", "hardly a pixel of the crop reads below full scale"),
     8: ("masked", "the crop reaches beyond the frame"),
     16: ("clipped", "some pixels read full scale, or many exactly the highest reading of the frame"),
     32: ("not_converged", "the fit stopped before its minimum"),
@@ -32,8 +32,15 @@ STATUS = {
     512: ("left_out", "pixels whose readings no light explains were left out of the fit"),
     1024: ("misfit", "chi-square is far from what the stated noise lets expect"),
     2048: ("no_error", "a standard error is 0, which no measurement has"),
+    4096: ("blocked", "light is missing that its siblings have"),
+    8192: ("moved", "the spot is not where its siblings have theirs"),
+    16384: ("double", "exposed twice, or two spots in one frame"),
+    32768: ("dropped", "left out by hand (keep = no in manifest.csv)"),
 }
-UNUSABLE = 1 | 2 | 4 | 256
+# What a frame is by its siblings; `keep` in manifest.csv overrules that. A frame without light has nothing to be used.
+BY_SIBLINGS = 4096 | 8192 | 16384
+SET_ASIDE = 2 | 4 | 32768 | BY_SIBLINGS
+UNUSABLE = 1 | 256 | SET_ASIDE
 
 # HDF5 keeps chunks that were touched, and frames are touched once: a cache of some frames, so that memory does not grow
 # with their number.
@@ -75,6 +82,11 @@ def status_names(flags: Any) -> np.ndarray:
     flags = np.asarray(flags)
     known = {own: " ".join(name for bit, (name, _) in STATUS.items() if own & bit) or "ok" for own in np.unique(flags)}
     return np.array([known[own] for own in flags.ravel()], dtype=str).reshape(flags.shape)[()]
+
+
+def reasons(flags: int) -> str:
+    """What flags say, in words."""
+    return "; ".join(text for bit, (_, text) in STATUS.items() if flags & bit)
 
 
 def check(ds: xr.Dataset, what: str) -> xr.Dataset:
@@ -205,6 +217,10 @@ class FrameWriter:
                 variable.setncatts(status_attributes())
             if fill is None:
                 variable[:] = np.full(shape, flag("missing") if name == "status" else -1, spec.dtype)
+
+    def remark(self, remarks: Sequence[str]) -> None:
+        """Set the file's sentences on what is odd about it."""
+        self._nc.remarks = "\n".join(remarks)
 
     def put(self, index: tuple[int, ...], values: Mapping[str, Any]) -> None:
         """Write the values of one frame at `index` on the grid."""

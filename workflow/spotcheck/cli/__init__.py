@@ -41,6 +41,7 @@ COMMANDS = {
     "compare": "one page of several datasets: what changed beyond its errors, and trends",
     "new-dataset": "make a dataset of a folder of images: read what they say, ask for the rest",
     "explain": "say where a number of the results comes from: file, variable, rule and inputs",
+    "limits": "how large each effect that a verdict does not name could still be, and how many frames would halve that",
     "where": "say where the results of a dataset lie",
     "open": "open the page of a dataset or of results in the browser",
 }

@@ -19,3 +19,6 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.frames) as table:
         crops.crop(found, table, Path(args.output), code=provenance.code_digest(__name__), inputs=[args.frames])
     print(f"{found.name}: {len(found.spots)} spots cropped to {found.instrument.crop_px} px")
+    with store.read(args.output) as written:
+        for remark in store.remarks_of(written):
+            print(remark)

@@ -101,7 +101,8 @@ class Effect(NamedTuple):
 
     What it is:
 
-    - `name`, a word; `sentence`, what a person is told, from a small letter on and without a full stop.
+    - `name`, a word; `sentence`, what a person is told, from a small letter on and without a full stop; `noun`, what
+      its strength is the size of, as in "no clip below 930 DN"; without one its parameter's name.
     - `place` in the chain; `function`, as the place says (none at `Place.SHAPE`, whose parameters only describe).
     - `parameters`, the strength first. A verdict reports those that are not `inner`, with their units; of an effect
       that scatters, as many as its component tells (`COMPONENTS`).
@@ -148,6 +149,7 @@ class Effect(NamedTuple):
     uniform: bool = False
     marks: tuple[str, ...] = ()
     flats: str = NO_SPOT
+    noun: str = ""
 
     @property
     def component(self) -> str:
@@ -162,6 +164,21 @@ class Effect(NamedTuple):
         """Whether a form of it does what another black level would."""
         subtracted = self.place is Place.DIGITAL and form == "subtracted"
         return subtracted or (self.place is Place.PEDESTAL and self.uniform)
+
+    def signs(self, context: Context) -> tuple[int, ...]:
+        """On which sides of where it vanishes its strength may lie; none where it vanishes nowhere."""
+        low, high = self.bounds(context)[0]
+        return tuple(sign for sign, there in ((-1, low < self.neutral), (1, high > self.neutral)) if there)
+
+    def size_text(self, low: str, high: str) -> str:
+        """How large it may be, in words, by texts of the ends of what its strength may be; "" for an end that nature or
+        nothing sets."""
+        noun = self.noun or f"{self.parameters[0].name} of {self.name}"
+        if np.isinf(self.neutral):
+            return f"no {noun} below {low}" if low else ""
+        if low and high:
+            return f"{noun} from {low} to {high}"
+        return f"{noun} {f'below {high}' if high else f'above {low}'}" if low or high else ""
 
     def excess(self, strength: float, context: Context) -> float:
         """How far a strength is from where the effect vanishes, in units of what is negligible; infinite where nothing

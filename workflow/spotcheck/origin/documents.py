@@ -20,6 +20,8 @@ from spotcheck.schema import read_schema
 NAMES = ("name", "effect")
 # A word of a path that says nothing to a person.
 SILENT = ("parameters",)
+# Keys whose numbers have the unit that stands beside them.
+MEASURED = ("value", "low", "high")
 # Keys whose numbers are the errors of others.
 ERRORS = ("stderr", "error", "stated_stderr")
 # A description of a key of the data sheet: words, and the unit in brackets.
@@ -73,7 +75,7 @@ def _cell(around: Any, key: Any, outer: Schema, own: Schema, variable: str) -> C
     # Of an object {value, stderr} the schema speaks as a whole.
     told = outer | own if key == "value" else own
     error = told.get("error", "stderr" if key == "value" else "")
-    unit = told.get("unit") or (beside.get("unit") if error or key == "value" else None)
+    unit = told.get("unit") or (beside.get("unit") if error or key in MEASURED else None)
     return Cell(around[key], beside.get(error), str(unit or "1"), str(told.get("description", "")), variable, "", {})
 
 

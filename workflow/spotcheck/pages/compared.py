@@ -242,8 +242,7 @@ def _said_of(name: str, verdict: dict[str, Any] | None) -> str:
             return f"{text}, or {list_text(rivals)}" if rivals else text
     for own in verdict["limits"]:
         if own["effect"] == name:
-            size = value_text(own["value"], None, own["unit"])
-            return own["why"] if own["value"] is None else f"{own['why']}; {own['parameter']} below {size} (95 %)"
+            return f"{own['why']}; {own['words']} (95 %)" if own["words"] else own["why"]
     why = [own["why"] for own in verdict["not_assessed"] if own["effect"] in (name, "all")]
     return f"not assessed: {why[0]}" if why else "not named"
 

@@ -8,8 +8,9 @@ from scipy import stats
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.detect import Detection
 from spotcheck.discrepancy.conclude.judgement import NOTHING, TOO_SMALL, Gap, Judgement, Levels, Limit, untested
-from spotcheck.discrepancy.conclude.limits import ONE_SIDED
+from spotcheck.discrepancy.conclude.limits import NOT_FOUND, UNTOLD
 from spotcheck.discrepancy.conclude.places import Where
+from spotcheck.discrepancy.conclude.reach import ONE_SIDED, TWO_SIDED
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.evidence.parts import SMALLEST, Part, smallest_of
 from spotcheck.discrepancy.observe.flats import FEWEST, Series, hidden, series_of
@@ -118,14 +119,19 @@ def limits(series: Series, after: LevelFit, found: Sequence[Found], effects: Seq
     """How large every effect that was not found may be beside those that were, and why it was not found."""
     rivals, out = {name: one.own.effect.name for one in found for name in one.rivals}, []
     for effect in (e for e in effects if e.name not in search.names_of(after)):
-        own, value, why = effect.parameters[0], None, "not found"
+        own, low, high, why = effect.parameters[0], np.nan, np.nan, NOT_FOUND
+        signs = effect.signs(series.context)
         if effect.name in rivals:
             why = f"does as well in the place of {rivals[effect.name]}"
         elif np.isfinite(effect.neutral):
             fit = search.in_place(series, after, effect)
             error = search.errors_of(series, fit)[search.strength_at(fit, len(fit.model.present) - 1)]
-            value = float(effect.neutral + abs(fit.model.present[-1].values[0] - effect.neutral) + ONE_SIDED * error)
+            value = fit.model.present[-1].values[0]
+            low = value - TWO_SIDED * error if len(signs) > 1 else np.nan
+            high = max(value, effect.neutral) + (TWO_SIDED if len(signs) > 1 else ONE_SIDED) * error
             if after.deviance - fit.deviance >= criteria.GAIN.value:
                 why = "levels do not agree about it" if search.matters(series, fit) else TOO_SMALL
-        out.append(Limit(effect.name, own.name, value, own.unit, why))
+        else:
+            why = UNTOLD
+        out.append(Limit(effect.name, own.name, own.unit, why, float(low), float(high)))
     return out

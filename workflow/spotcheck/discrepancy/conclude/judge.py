@@ -75,7 +75,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
         unexplained=unexplained(at_last),
         gap=compared.gap,
         shift=_shift(declared, laws.told, seen, setting, wide) if lawful else NOTHING,
-        limits=limits_of(outcome, laws.told, design, usable, context),
+        limits=limits_of(outcome, laws.told, design, [e for e in usable if e.name not in every], context),
         where=places_of(detection.parts),
         off=unexplained(at_first).size,
         rest=rest,

@@ -46,14 +46,18 @@ class Light(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """What is not known of an effect that was not found: how large its strength may still be (95 %; None: not told), in
-    its unit, and why it was not found (`TIED_WITH_SHAPE` among others)."""
+    """What is not known of an effect that was not found: its strength with the unit, and why it was not found
+    (`TIED_WITH_SHAPE` among others); the least and the greatest that it may still be (95 %; NaN: an end that is not
+    told); and how many times as many frames would halve that, or else why no number of them would (`more`)."""
 
     effect: str
     parameter: str
-    value: float | None
     unit: str
     why: str
+    low: float = np.nan
+    high: float = np.nan
+    times: float = np.nan
+    more: str = ""
 
 
 class Gap(NamedTuple):

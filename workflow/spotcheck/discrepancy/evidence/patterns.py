@@ -42,13 +42,15 @@ class Places(NamedTuple):
 
 
 class Variance(NamedTuple):
-    """Variance of a pattern and its standard error, what −2 ln L gains with it, and Q over so many cells."""
+    """Variance of a pattern and its standard error, what −2 ln L gains with it, Q over so many cells, and as how many
+    equal squares it is told."""
 
     value: float
     error: float
     gain: float
     q: float
     cells: int
+    freedom: float
 
     @property
     def sure(self) -> bool:
@@ -65,18 +67,22 @@ class Pattern(NamedTuple):
     told: Variance
 
 
-def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], context: Context) -> Iterator[Pattern]:
-    """What sums over frames (`gathered`) tell of effects that scatter pixels or rows, beside a fit without them."""
-    kinds = {(e.scatter.of, e.scatter.shared): e for e in effects if e.scatter and e.scatter.of in ("field", "row")}
+def variances_of(sites: Sequence[Site], rows: Places) -> dict[tuple[str, str], Variance | None]:
+    """Of what is shared (see `Scatter`) its variance, whether there is any or not; None where too little tells it."""
     sensor = of_sensor(sites)
     known = sensor.value if sensor is not None else 0.0
-    found = {
+    return {
         ("field", "sensor"): sensor,
         ("field", "site"): variance_of(shared(sites), known, neighbours(sites[0].grain / sites[0].step)),
         ("row", "frame"): variance_of(rows),
     }
+
+
+def patterns_of(sites: Sequence[Site], rows: Places, effects: Sequence[Effect], context: Context) -> Iterator[Pattern]:
+    """What sums over frames (`gathered`) tell of effects that scatter pixels or rows, beside a fit without them."""
+    kinds = {(e.scatter.of, e.scatter.shared): e for e in effects if e.scatter and e.scatter.of in ("field", "row")}
     alone = len(sites) == 1 and sites[0].single
-    for kind, told in found.items():
+    for kind, told in variances_of(sites, rows).items():
         if kind in kinds and told is not None and told.sure:
             effect, root = kinds[kind], float(np.sqrt(told.value))
             if alone and kind == ("field", "site") and root < criteria.FIELD_ALONE.value:
@@ -131,7 +137,8 @@ def _rows(lines, design: Design) -> Places:
     rest = pull - np.where(count > 1, part * common, 0.0)
     left = weight * (1 - part)
     good = left > 0
-    return Places((rest**2 - left)[good], (weight * left)[good], np.ones(good.sum()), (2 * left**2)[good],
+    # What the n frames of a condition leave beside each other is alike: their squares tell as much as those of n − 1.
+    return Places((rest**2 - left)[good], (weight * left)[good], np.ones(good.sum()), (2 * left * weight)[good],
                   which[good] % CELLS, which[good])  # fmt: skip
 
 
@@ -179,4 +186,5 @@ def variance_of(places: Places, known: float = 0.0, together: float = 1.0) -> Va
     gain = float(np.sum((1 + excess / weight) * x / (1 + x) - np.log1p(x))) / inflated
     by_cell, noise = np.bincount(places.cell, rest, CELLS), np.bincount(places.cell, spread, CELLS) * inflated
     told = noise > 1e-4 * noise.max()
-    return Variance(value, error, gain, float(np.sum(by_cell[told] ** 2 / noise[told])), int(told.sum()))
+    return Variance(value, error, gain, float(np.sum(by_cell[told] ** 2 / noise[told])), int(told.sum()),
+                    total**2 / float(((light * unit) ** 2).sum()) / inflated)  # fmt: skip

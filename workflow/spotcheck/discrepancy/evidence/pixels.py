@@ -25,7 +25,7 @@ from spotcheck.discrepancy.nuisance.fit import (
 from spotcheck.discrepancy.nuisance.parameters import changes_of, nudged_of
 from spotcheck.discrepancy.nuisance.taken import lacking, variances_of
 from spotcheck.discrepancy.nuisance.threads import shared
-from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, deviance_of, told
+from spotcheck.discrepancy.observe.pixels import Expectation, Expected, Frame, Model, Told, deviance_of, told
 from spotcheck.model.light_shape import LightShape
 
 # Cells in which an effect has to speak alike: azimuths, and the radius [σ] that parts near from far.
@@ -162,38 +162,67 @@ class Field(NamedTuple):
     alike_squared: float
 
 
-def by_cell(frames: Sequence[Frame], fitted: Fitted, other: Model, own: Score, fields: Sequence[Field] = ()):
-    """Score and information [frame, cell] of a change, in 8 azimuths, near and far from the spot's centre; and of the
+class ByCell(NamedTuple):
+    """Score and information of a change [frame, cell], in 8 azimuths, near and far from the spot's centre; and of the
     score's variance what pixels bring each for itself, and what by fields that neighbours share."""
-    ready, few = Ready(frames, fitted, [other]), NUMBERS * len(frames)
+
+    score: np.ndarray
+    information: np.ndarray
+    alone: np.ndarray
+    together: np.ndarray
+
+
+def by_cell(
+    frames: Sequence[Frame],
+    fitted: Fitted,
+    others: Sequence[Model],
+    scores: Sequence[Score],
+    fields: Sequence[Field] = (),
+) -> list[ByCell]:
+    """The changes to other models by their cells, of their `scores` on all frames."""
+    ready = Ready(frames, fitted, others)
 
     def part(which: np.ndarray) -> list[np.ndarray]:
-        out = np.zeros((4, len(frames), CELLS))
+        out = np.zeros((len(others), 4, len(frames), CELLS))
         for k in which:
             seen, tells = ready.of(frames[k], k)
-            after = ready.others[0].of(frames[k], k, seen)
-            slopes = ready.plain.by_numbers(frames[k], k, seen)
-            made_up = ready.made_up(own.shape, k, seen)
-            made_up = made_up + np.tensordot(own.others[NUMBERS * k : NUMBERS * (k + 1)], slopes, 1)
-            mean = after.mean - seen.mean - tells.slope * made_up
-            variance = after.variance - seen.variance - tells.growth * made_up
-            for size, change in zip(own.others[few:], changes_of(frames[k], k, seen, ready.nudged), strict=True):
-                mean, variance = mean - size * change[0], variance - size * change[1]
-            cell = cells_of(seen.u, seen.v).ravel()
-            by_mean, by_variance = mean**2 * tells.sure, variance**2 * tells.sure_variance
-            together = np.zeros_like(by_mean)
-            left = np.ones_like(by_mean), np.ones_like(by_mean)
-            for field in fields:
-                # The part of a reading's variance that the field has.
-                has = np.clip((field.contrast * seen.slope * seen.spot) ** 2 * tells.sure, 0.0, 1.0)
-                together += by_mean * has * field.alike + by_variance * has**2 * field.alike_squared
-                left = left[0] - has, left[1] - has**2
-            alone = by_mean * np.maximum(left[0], 0.0) + by_variance * np.maximum(left[1], 0.0)
-            told_here = mean * tells.mean + variance * tells.variance, by_mean + by_variance, alone, together
-            out[:, k] = [np.bincount(cell, part.ravel(), CELLS) for part in told_here]
-        return [*out]
+            slopes, cell = ready.plain.by_numbers(frames[k], k, seen), cells_of(seen.u, seen.v).ravel()
+            free = changes_of(frames[k], k, seen, ready.nudged)
+            for to, other, own in zip(out[:, :, k], ready.others, scores, strict=True):
+                after = other.of(frames[k], k, seen)
+                mean, variance = _left(ready, own, k, (after.mean - seen.mean, after.variance - seen.variance),
+                                       seen, tells, slopes, free)  # fmt: skip
+                told_here = _told_by(mean, variance, seen, tells, fields)
+                to[:] = [np.bincount(cell, one.ravel(), CELLS) for one in told_here]
+        return [out]
 
-    return shared(part, len(frames))
+    (out,) = shared(part, len(frames))
+    return [ByCell(*own) for own in out]
+
+
+def _left(ready: Ready, own: Score, k: int, change, seen: Expected, tells: Told, slopes, free):
+    """What is left of a change of mean and variance [row, column] beside all that makes up for it."""
+    few = NUMBERS * len(ready.fitted.model.numbers.x)
+    made_up = ready.made_up(own.shape, k, seen)
+    made_up = made_up + np.tensordot(own.others[NUMBERS * k : NUMBERS * (k + 1)], slopes, 1)
+    mean, variance = change[0] - tells.slope * made_up, change[1] - tells.growth * made_up
+    for size, one in zip(own.others[few:], free, strict=True):
+        mean, variance = mean - size * one[0], variance - size * one[1]
+    return mean, variance
+
+
+def _told_by(mean, variance, seen: Expected, tells: Told, fields: Sequence[Field]):
+    """Score, information, and both parts of the score's variance [row, column] of a change."""
+    by_mean, by_variance = mean**2 * tells.sure, variance**2 * tells.sure_variance
+    together = np.zeros_like(by_mean)
+    left = np.ones_like(by_mean), np.ones_like(by_mean)
+    for field in fields:
+        # The part of a reading's variance that the field has.
+        has = np.clip((field.contrast * seen.slope * seen.spot) ** 2 * tells.sure, 0.0, 1.0)
+        together += by_mean * has * field.alike + by_variance * has**2 * field.alike_squared
+        left = left[0] - has, left[1] - has**2
+    alone = by_mean * np.maximum(left[0], 0.0) + by_variance * np.maximum(left[1], 0.0)
+    return mean * tells.mean + variance * tells.variance, by_mean + by_variance, alone, together
 
 
 def cells_of(u: np.ndarray, v: np.ndarray, radii: Sequence[float] | np.ndarray = (RADIUS,)) -> np.ndarray:

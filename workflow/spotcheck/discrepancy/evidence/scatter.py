@@ -31,7 +31,8 @@ class Trial(NamedTuple):
 
     - `present`: the effect, its best form and values; `error` of its strength, in its unit.
     - `z`: of the strength against the neutral one, by Student's t with `freedom` degrees of freedom, where the sum of
-      an effect's several parameters counts by Fisher's F; of a scatter the root of its gain.
+      an effect's several parameters counts by Fisher's F; of a scatter the root of its gain, and `freedom` the steps
+      between frames that tell it.
     - `gain`: what it gains in −2 ln L, scatter of the frames being free with and without it; of a scatter, against none
       of it, the worst frames left out (by chance half χ²₁, half 0).
     - `alone`: −2 ln L of the model with it where no scatter that is itself an effect is there, but its own: for rivals.
@@ -51,11 +52,12 @@ class Trial(NamedTuple):
 
 
 class Variance(NamedTuple):
-    """A variance, its standard error, and the gain in −2 ln L against 0."""
+    """A variance, its standard error, the gain in −2 ln L against 0, and the steps between frames that tell it."""
 
     variance: float
     error: float
     gain: float
+    steps: int
 
 
 def scatters_of(numbers: FrameNumbers, design: Design, effects: Iterable[Effect]) -> Iterator[Trial]:
@@ -74,7 +76,7 @@ def scatters_of(numbers: FrameNumbers, design: Design, effects: Iterable[Effect]
             # Where a variance is less than its error, that of the root of one as large as its error.
             error = fitted.error / (2 * np.sqrt(max(fitted.variance, fitted.error)))
             present = Present(effect, effect.forms[0], (float(np.sqrt(fitted.variance)),))
-            yield Trial(present, float(error), float(np.sqrt(gain)), np.inf, gain, np.nan)
+            yield Trial(present, float(error), float(np.sqrt(gain)), fitted.steps, gain, np.nan)
 
 
 def narrowed(part: float, axes: int) -> float:
@@ -102,7 +104,8 @@ def scatter_of(
     ]
     best = min(found, key=lambda own: own.deviance)
     without = mixed.estimated(known, scatter, none, rest, np.zeros(1), restricted=False).deviance
-    return Variance(float(best.tau[0]), float(best.information[0, 0] ** -0.5), max(without - best.deviance, 0.0))
+    return Variance(float(best.tau[0]), float(best.information[0, 0] ** -0.5), max(without - best.deviance, 0.0),
+                    len(rest))  # fmt: skip
 
 
 def kept_of(numbers: FrameNumbers, design: Design, axes: tuple[int, ...], variance: float) -> np.ndarray:

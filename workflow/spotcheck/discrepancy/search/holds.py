@@ -14,7 +14,7 @@ import numpy as np
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.grain import neighbours
 from spotcheck.discrepancy.evidence.patterns import gathered, patterns_of
-from spotcheck.discrepancy.evidence.pixels import Field, Ready, by_cell, screen
+from spotcheck.discrepancy.evidence.pixels import ByCell, Field, Ready, by_cell, screen
 from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.parameters import nudged
 from spotcheck.discrepancy.observe.design import Design
@@ -82,7 +82,25 @@ def holding_of(frames: Sequence[Frame], design: Design, fitted: Fitted, effect: 
         beside = _without(fitted, fitted.free.index(strength))
         moved, step = nudged(fitted.model, strength)
     (own,) = screen(frames, beside, [moved])
-    score, information, alone, together = by_cell(frames, beside, moved, own, fields_of(fitted.model, frames[0].step))
+    (cells,) = by_cell(frames, beside, [moved], [own], fields_of(fitted.model, frames[0].step))
+    told = agreement_of(cells, design)
+    error = told.wider * abs(step) / np.sqrt(max(own.information, 1e-300))
+    neutral = fitted.model.present[effect].effect.neutral
+    wald = ((value - neutral) / error) ** 2 if np.isfinite(neutral) else np.inf
+    return Holding(told.q, told.cells, float(wald), float(error), told.wider)
+
+
+class Agreement(NamedTuple):
+    """Q of a change over so many cells, and by which factor errors are larger than pixels alone say."""
+
+    q: float
+    cells: int
+    wider: float
+
+
+def agreement_of(cells: ByCell, design: Design) -> Agreement:
+    """Whether cells ask for the same size of a change: those of the frames of a group are summed."""
+    score, information, alone, together = cells
     parts, group = np.unique(groups_of(design), return_inverse=True)
     u, i, v = (np.zeros((len(parts), score.shape[1])) for _ in range(3))
     for to, of in ((u, score), (i, information), (v, alone + together)):
@@ -95,10 +113,7 @@ def holding_of(frames: Sequence[Frame], design: Design, fitted: Fitted, effect: 
     # All exposures of a site have the same field.
     sites = [np.sqrt(together[design.site == site].sum(axis=1)).sum() ** 2 for site in np.unique(design.site)]
     wider = float(np.sqrt((alone.sum() + np.sum(sites)) / information.sum()))
-    error = wider * abs(step) / np.sqrt(max(own.information, 1e-300))
-    neutral = fitted.model.present[effect].effect.neutral
-    wald = ((value - neutral) / error) ** 2 if np.isfinite(neutral) else np.inf
-    return Holding(q, int(told.sum()), float(wald), float(error), wider)
+    return Agreement(q, int(told.sum()), wider)
 
 
 def _without(fitted: Fitted, at: int) -> Fitted:

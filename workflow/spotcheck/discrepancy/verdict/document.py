@@ -1,4 +1,4 @@
-"""verdict.json, version 2: what is concluded of a set of frames, as numbers and words that a program reads."""
+"""verdict.json, version 3: what is concluded of a set of frames, as numbers and words that a program reads."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,17 +7,18 @@ import numpy as np
 
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.detect import Detection
-from spotcheck.discrepancy.conclude.judgement import Gap, Judgement, Levels, Light
+from spotcheck.discrepancy.conclude.judgement import Gap, Judgement, Levels, Light, Limit
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.evidence.parts import SMALLEST
 from spotcheck.discrepancy.nuisance.sheet import Against
 from spotcheck.discrepancy.search.forward import Found
 from spotcheck.discrepancy.search.holds import Holding
+from spotcheck.discrepancy.verdict.words import limit_text
 from spotcheck.model.effect import COMPONENTS, Place, Present
-from spotcheck.model.effects import built_in
+from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.model.sensor import ROUNDING_VARIANCE
 
-VERSION = 2
+VERSION = 3
 # What a learned shape is called among effects, whatever a run's vocabulary is.
 LIGHT = next(effect.name for effect in built_in().values() if effect.place is Place.SHAPE)
 # Units of the sheet's numbers.
@@ -227,15 +228,34 @@ def sheet_row(own: Against) -> dict[str, Any]:
 
 def limit_rows(judgement: Judgement) -> list[dict[str, Any]]:
     """What is not known of effects that are not named."""
-    rows = [own._asdict() | {"value": number(own.value)} for own in judgement.limits]
+    rows = [limit_row(own, judgement) for own in judgement.limits]
     known = {own.effect for own in judgement.limits}
     for own in judgement.found:
         effect = own.own.effect
         if effect.name in judgement.beyond and effect.name not in known:
             strength = effect.parameters[0]
-            rows.append({"effect": effect.name, "parameter": strength.name, "value": None, "unit": strength.unit,
-                         "why": NOT_FORETOLD})  # fmt: skip
+            rows.append(limit_row(Limit(effect.name, strength.name, strength.unit, NOT_FORETOLD), judgement))
     return rows
+
+
+def limit_row(own: Limit, judgement: Judgement) -> dict[str, Any]:
+    """What an effect that is not named may still be, and how many frames more, of all conditions alike, would halve
+    that."""
+    effect = vocabulary().get(own.effect)
+    ends = [limit_text(end, own.unit) if np.isfinite(end) else "" for end in (own.low, own.high)]
+    spots = len(judgement.fits.shots) if judgement.fits else 0
+    halved = np.isfinite(own.times) and spots
+    return {
+        "effect": own.effect,
+        "parameter": own.parameter,
+        "low": number(own.low),
+        "high": number(own.high),
+        "unit": own.unit,
+        "words": effect.size_text(*ends) if effect else "",
+        "why": own.why,
+        "frames": int(np.ceil((own.times - 1) * spots)) if halved else None,
+        "more": own.more,
+    }
 
 
 def shift_row(judgement: Judgement, k: int) -> dict[str, Any]:

@@ -296,8 +296,12 @@ def _as_fitted(document: dict[str, Any]) -> str:
 
 
 def _not_proven(document: dict[str, Any]) -> str:
-    known = any(own["value"] is not None for own in document["limits"])
-    return "That does not prove the model: how large each effect could still be stands under limits." if known else ""
+    known = any(own["words"] for own in document["limits"])
+    return (
+        "That does not prove the model: how large each effect could still be, `spotcheck limits` tells."
+        if known
+        else ""
+    )
 
 
 def _joined(*parts: str) -> str:

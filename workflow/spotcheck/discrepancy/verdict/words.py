@@ -92,6 +92,22 @@ def probability_text(p: float) -> str:
     return f"p = {p:.2g}" if p >= SMALL_P else "p < 0.0001"
 
 
+def limit_text(value: float, unit: str) -> str:
+    """An end of what a strength may still be, to two digits: no limit is known better."""
+    return value_text(float(f"{value:.1e}"), None, unit)
+
+
+def limits_text(document: Mapping[str, Any]) -> list[str]:
+    """A line of a verdict for each effect that it does not name: how large it could still be, and the frames that would
+    halve that; those that have no limit last."""
+    lines = []
+    for own in sorted(document["limits"], key=lambda own: not own["words"]):
+        first = f"{own['words']} (95 %)" if own["words"] else own["why"]
+        frames = f"{own['frames']:,} more frames would halve that" if own["frames"] else own["more"]
+        lines.append(f"{own['effect']}: {'; '.join(filter(None, (first, frames)))}")
+    return lines
+
+
 def list_text(words: Sequence[str], mark: str = "") -> str:
     """`a`, `a and b`, `a, b and c`; with a mark joined by it."""
     if mark or len(words) < 2:

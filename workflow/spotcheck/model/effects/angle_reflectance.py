@@ -14,6 +14,7 @@ EFFECT = Effect(
     number=10,
     name="angle_reflectance",
     sentence="the spot's brightness, not its shape, follows the fibre angle",
+    noun="change of brightness with the fibre angle",
     place=Place.BRIGHTNESS,
     parameters=(
         Parameter("d", "1", 0.0, 0.95),

@@ -17,6 +17,7 @@ EFFECT = Effect(
     number=5,
     name="background_gradient",
     sentence="a pedestal of light rises across the frame",
+    noun="slope of a pedestal",
     place=Place.PEDESTAL,
     parameters=(
         Parameter("slope", "DN per 100 px", 0.0, lambda c: 0.3 * c.full_scale_dn),

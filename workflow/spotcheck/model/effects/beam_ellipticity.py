@@ -15,6 +15,7 @@ EFFECT = Effect(
     number=9,
     name="beam_ellipticity",
     sentence="the spot is an ellipse that keeps its direction on the camera",
+    noun="ratio of axes that stay on the camera",
     place=Place.METRIC,
     parameters=(
         Parameter("ratio", "1", 1.0, 4.0),

@@ -7,6 +7,7 @@ EFFECT = Effect(
     name="beam_profile",
     sentence="the light is not the declared shape: another static one, the same in every frame up to place, width and"
     " brightness",
+    noun="light elsewhere than declared",
     place=Place.SHAPE,
     parameters=(
         # The part of the light that lies elsewhere than declared, and the azimuthal order that has most of it.

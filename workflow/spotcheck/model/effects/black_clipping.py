@@ -13,6 +13,7 @@ EFFECT = Effect(
     number=3,
     name="black_clipping",
     sentence="the converter's zero lies above true black: the faint border of the spot is lost",
+    noun="signal lost at black",
     place=Place.DIGITAL,
     parameters=(Parameter("threshold", "DN", 0.0, lambda c: 0.5 * c.peak_dn + 40.0),),
     starts=lambda c: [(1.0,), (4.0,), (0.6,), (0.03 * c.peak_dn,)],

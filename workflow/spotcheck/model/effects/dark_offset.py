@@ -14,6 +14,7 @@ EFFECT = Effect(
     number=4,
     name="dark_offset",
     sentence="a uniform pedestal lies under the frame: ambient light, or a higher black level",
+    noun="uniform pedestal",
     place=Place.PEDESTAL,
     parameters=(Parameter("level", "DN", 0.0, lambda c: 0.5 * c.full_scale_dn),),
     starts=lambda c: [(1.0,)],

@@ -14,6 +14,7 @@ EFFECT = Effect(
     number=18,
     name="excess_read_noise",
     sentence="the sensor's signal-independent noise is larger than stated",
+    noun="read noise",
     place=Place.NOISE,
     parameters=(Parameter("total", "e-", lambda c: c.read_noise_e, lambda c: 1000 * (c.read_noise_e + 1)),),
     starts=lambda c: [(1.05 * c.read_noise_e + 0.1,)],

@@ -24,6 +24,7 @@ EFFECT = Effect(
     number=8,
     name="fibre_anisotropy",
     sentence="the spot is an ellipse whose long axis turns with the fibres",
+    noun="ratio of axes that turn with the fibres",
     place=Place.METRIC,
     parameters=(
         Parameter("ratio", "1", 1.0, 4.0),

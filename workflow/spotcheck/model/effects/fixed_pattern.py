@@ -14,6 +14,7 @@ EFFECT = Effect(
     number=22,
     name="fixed_pattern",
     sentence="pixels differ in gain, or are hot, alike in every frame",
+    noun="scatter of pixels' gains",
     place=Place.SCATTER,
     parameters=(
         Parameter("prnu", "1", 0.0, 1.0),

@@ -14,6 +14,7 @@ EFFECT = Effect(
     number=16,
     name="ghost_reflection",
     sentence="a faint displaced copy of the spot lies beside it",
+    noun="brightness of a ghost",
     place=Place.ADDED,
     parameters=(
         Parameter("fraction", "1", 0.0, 0.9),

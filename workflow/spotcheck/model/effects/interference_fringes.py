@@ -20,6 +20,7 @@ EFFECT = Effect(
     number=15,
     name="interference_fringes",
     sentence="parallel stripes modulate the spot",
+    noun="depth of stripes",
     place=Place.MODULATION,
     parameters=(
         Parameter("d", "1", 0.0, 1.0),

@@ -21,6 +21,7 @@ EFFECT = Effect(
     number=20,
     name="laser_drift",
     sentence="the brightness runs steadily with the order of acquisition",
+    noun="drift of brightness",
     place=Place.BRIGHTNESS,
     parameters=(Parameter("total", "1", -0.95, 5.0), Parameter("rate", "1", -5.0, 20.0, inner=True)),
     starts=lambda c: [(0.02, 2.0)],

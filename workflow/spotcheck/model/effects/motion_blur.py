@@ -24,6 +24,7 @@ EFFECT = Effect(
     number=14,
     name="motion_blur",
     sentence="the spot moves during the exposure and is smeared",
+    noun="speed of the spot",
     place=Place.BLUR,
     parameters=(
         Parameter("speed", "px/s", 0.0, lambda c: 100 * c.sigma_px / c.shortest_s),

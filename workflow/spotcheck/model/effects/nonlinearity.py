@@ -13,6 +13,7 @@ EFFECT = Effect(
     number=2,
     name="nonlinearity",
     sentence="the sensor's response bends below saturation",
+    noun="bend of the response",
     place=Place.RESPONSE,
     parameters=(Parameter("q", "1", -0.6, 0.45),),
     starts=lambda c: [(0.02,)],

@@ -14,6 +14,7 @@ EFFECT = Effect(
     number=11,
     name="photon_budget",
     sentence="the light grows with exposure by another power than the model's",
+    noun="excess power of the exposure in the light",
     place=Place.BRIGHTNESS,
     parameters=(Parameter("q", "1", -2.0, 2.0),),
     starts=lambda c: [(0.02,)],

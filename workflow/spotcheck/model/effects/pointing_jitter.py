@@ -12,6 +12,7 @@ EFFECT = Effect(
     number=21,
     name="pointing_jitter",
     sentence="the spot's centre scatters between the exposures of a site",
+    noun="scatter of the centre",
     place=Place.SCATTER,
     parameters=(Parameter("rms", "px", 0.0, lambda c: c.crop_px / 4),),
     starts=lambda c: [(0.2,)],

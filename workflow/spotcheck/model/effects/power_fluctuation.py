@@ -12,6 +12,7 @@ EFFECT = Effect(
     number=19,
     name="power_fluctuation",
     sentence="the brightness scatters from frame to frame without order",
+    noun="scatter of brightness",
     place=Place.SCATTER,
     parameters=(Parameter("rms", "1", 0.0, 2.0),),
     starts=lambda c: [(0.02,)],

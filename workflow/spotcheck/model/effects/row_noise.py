@@ -12,6 +12,7 @@ EFFECT = Effect(
     number=23,
     name="row_noise",
     sentence="whole rows scatter together, anew in every frame",
+    noun="scatter of rows",
     place=Place.SCATTER,
     parameters=(Parameter("rms", "DN", 0.0, lambda c: 0.2 * c.full_scale_dn),),
     starts=lambda c: [(0.2,)],

@@ -57,6 +57,7 @@ EFFECT = Effect(
     number=1,
     name="saturation",
     sentence="the signal stops at a level, below the converter's full scale",
+    noun="clip",
     place=Place.WELL,
     parameters=(
         Parameter("level", "DN", lambda c: 0.02 * c.peak_dn, lambda c: 3 * c.full_scale_dn),

@@ -21,6 +21,7 @@ EFFECT = Effect(
     number=7,
     name="scatter_halo",
     sentence="a broad faint halo of scattered light surrounds the spot",
+    noun="light in a halo",
     place=Place.ADDED,
     parameters=(
         Parameter("fraction", "1", 0.0, 0.6),

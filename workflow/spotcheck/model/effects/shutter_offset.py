@@ -12,6 +12,7 @@ EFFECT = Effect(
     number=12,
     name="shutter_offset",
     sentence="the true exposure is the nominal one plus a constant",
+    noun="offset of the exposure",
     place=Place.EXPOSURE,
     parameters=(Parameter("offset", "s", lambda c: -0.5 * c.shortest_s, lambda c: 0.5 * c.shortest_s),),
     starts=lambda c: [(0.02 * c.shortest_s,)],

@@ -30,6 +30,7 @@ EFFECT = Effect(
     number=17,
     name="speckle",
     sentence="a granular field modulates the spot, new at each site",
+    noun="contrast of grain",
     place=Place.SCATTER,
     parameters=(
         Parameter("contrast", "1", 0.0, 1.0),

@@ -17,6 +17,7 @@ EFFECT = Effect(
     number=13,
     name="spread_law",
     sentence="the width follows a power of the exposure instead of p1 ln t + p2",
+    noun="power of the exposure in the width",
     place=Place.WIDTH,
     parameters=(Parameter("exponent", "1", -1.5, 1.5),),
     starts=lambda c: [(c.exponent,)],

@@ -14,6 +14,7 @@ EFFECT = Effect(
     number=6,
     name="super_gaussian",
     sentence="the spot's flanks are steeper (n > 1) or flatter (n < 1) than a Gaussian's",
+    noun="exponent of the flanks",
     place=Place.PROFILE,
     parameters=(Parameter("n", "1", 0.3, 5.0),),
     starts=lambda c: [(1.02,)],

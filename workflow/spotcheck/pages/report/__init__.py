@@ -36,6 +36,7 @@ def write(dataset: Dataset, results: Path, path: Path) -> None:
     verdict = _read(results / "verdict.json")
     cite = Cited(results)
     content = {"cite": cite} | _first(dataset, files, verdict) | _details(dataset, results, files, verdict, cite)
+    content["aside"] = _aside(dataset, results)
     content["shown"] = _shown(dataset, results, files, added=verdict is not None and was_added(verdict))
     if content["shown"] is not None:
         content |= _about(content["shown"])
@@ -70,6 +71,14 @@ def _shown(dataset: Dataset, results: Path, files: dict[str, xr.Dataset], *, add
     with store.read(results / "crops.nc") as crops, store.read(results / "views.nc") as views:
         twice = [] if added else [str(name) for name in views if str(name).startswith("extended")]
         return frames_of(dataset, Files(files["frames"], crops, files["fits"], views.drop_vars(twice)))
+
+
+def _aside(dataset: Dataset, results: Path) -> list[str]:
+    """Sentences on spot frames that were set aside, or that stand out."""
+    if not dataset.spots:
+        return []
+    with store.read(results / "crops.nc") as crops:
+        return store.remarks_of(crops)
 
 
 def _about(shown: Frames) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from spotcheck.dataset import Dataset
 from spotcheck.discrepancy.verdict.words import (
     condition_text,
     digits_of,
+    limit_text,
     number_text,
     over_noise_text,
     percent_text,
@@ -293,15 +294,12 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
     limits = [
         (
             own["effect"],
-            "" if own["value"] is None else own["parameter"],
-            "–"
-            if own["value"] is None
-            else cite(
-                value_text(own["value"], None, own["unit"]), f"verdict.limits.{own['effect']}.{own['parameter']}"
-            ),
+            known[own["effect"]].sentence if own["effect"] in known else "",
+            cite.within(own["words"] or "–", _ends(own)),
+            f"{own['frames']:,}" if own["frames"] else own["more"] or "–",
             own["why"],
         )
-        for own in verdict["limits"]
+        for own in sorted(verdict["limits"], key=lambda own: not own["words"])
     ]
     return {
         "status": verdict["status"].replace("_", " "),
@@ -322,6 +320,12 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
         "not_assessed": [(own["effect"], own["why"]) for own in verdict["not_assessed"]],
         "vocabulary": verdict.get("vocabulary"),
     }
+
+
+def _ends(own: dict[str, Any]) -> dict[str, str]:
+    """The texts of a limit's ends and their keys."""
+    key = f"verdict.limits.{own['effect']}.{own['parameter']}"
+    return {limit_text(own[end], own["unit"]): f"{key}.{end}" for end in ("low", "high") if own[end] is not None}
 
 
 def _before(own: dict[str, Any]) -> str:
