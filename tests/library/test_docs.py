@@ -17,7 +17,7 @@ from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import CONDITION
 from spotcheck.estimate.levels import PHOTONS
 from spotcheck.frames import read
-from spotcheck.manifest import DATE, REQUIRED_COLUMNS
+from spotcheck.manifest import DATE, KEEP, REQUIRED_COLUMNS
 from spotcheck.metrics import Metric
 from spotcheck.model.effects import vocabulary
 from spotcheck.schema import read_schema
@@ -105,7 +105,7 @@ def test_check_readme_tells_and_mends(tmp_path, monkeypatch):
 def test_columns_of_the_manifest():
     """Those that are required, those that some stage knows, and the rest."""
     rows = table(section(CONTRACT, "## manifest.csv"), "column")
-    assert [code(row[0]) for row in rows] == [*REQUIRED_COLUMNS, "page", PHOTONS, CONDITION, DATE, "any other"]
+    assert [code(row[0]) for row in rows] == [*REQUIRED_COLUMNS, "page", PHOTONS, CONDITION, DATE, KEEP, "any other"]
 
 
 def instrument_keys() -> dict[str, dict]:
