@@ -197,6 +197,7 @@ MISTAKES = {
     "a required column is missing": manifest("frames/a.tif,spot,0,1e-4", header=HEADER.removesuffix(",repeat")),
     "an unknown kind": manifest(GOOD.replace("spot", "sopt")),
     "a unit in a number": manifest(GOOD.replace("1e-4", "0.1ms")),
+    "a word in `keep`": manifest(f"{GOOD},1", header=f"{HEADER},keep"),
     "two rows for one frame": manifest(GOOD, GOOD),
     "a gap in a column": manifest(GOOD, "frames/b.tif,spot,0,,1"),
     "a file that is not there": beside(GOOD),
