@@ -17,7 +17,7 @@ from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import CONDITION
 from spotcheck.estimate.levels import PHOTONS
 from spotcheck.frames import read
-from spotcheck.manifest import DATE, REQUIRED_COLUMNS
+from spotcheck.manifest import DATE, KEEP, REQUIRED_COLUMNS
 from spotcheck.metrics import Metric
 from spotcheck.model.effects import vocabulary
 from spotcheck.schema import read_schema
@@ -105,7 +105,7 @@ def test_check_readme_tells_and_mends(tmp_path, monkeypatch):
 def test_columns_of_the_manifest():
     """Those that are required, those that some stage knows, and the rest."""
     rows = table(section(CONTRACT, "## manifest.csv"), "column")
-    assert [code(row[0]) for row in rows] == [*REQUIRED_COLUMNS, "page", PHOTONS, CONDITION, DATE, "any other"]
+    assert [code(row[0]) for row in rows] == [*REQUIRED_COLUMNS, "page", PHOTONS, CONDITION, DATE, KEEP, "any other"]
 
 
 def instrument_keys() -> dict[str, dict]:
@@ -197,6 +197,7 @@ MISTAKES = {
     "a required column is missing": manifest("frames/a.tif,spot,0,1e-4", header=HEADER.removesuffix(",repeat")),
     "an unknown kind": manifest(GOOD.replace("spot", "sopt")),
     "a unit in a number": manifest(GOOD.replace("1e-4", "0.1ms")),
+    "a word in `keep`": manifest(f"{GOOD},1", header=f"{HEADER},keep"),
     "two rows for one frame": manifest(GOOD, GOOD),
     "a gap in a column": manifest(GOOD, "frames/b.tif,spot,0,,1"),
     "a file that is not there": beside(GOOD),

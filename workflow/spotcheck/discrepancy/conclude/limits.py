@@ -56,6 +56,8 @@ def _limit(effect: Effect, reach: Reach | None, tied: bool) -> Limit:
     if tied or reach is None:
         untold = NO_SHAPE if effect.place is Place.SHAPE else NO_SIZE if effect.place is Place.WIDTH else UNTOLD
         return Limit(effect.name, own.name, own.unit, TIED_WITH_SHAPE if tied else untold)
+    if np.isnan(reach.low) and np.isnan(reach.high):
+        return Limit(effect.name, own.name, own.unit, UNTOLD)
     more = (
         BRIGHTER
         if np.isnan(reach.times)
@@ -73,14 +75,12 @@ def of_law(own: Trial, context: Context) -> Reach:
     effect = own.present.effect
     both = len(effect.signs(context)) > 1
     away = own.error * float(stats.t.isf(BEYOND / (1 + both), own.freedom))
-    low, high = effect.bounds(context)[0]
+    ends = own.value - away, max(own.value, effect.neutral) + away
+    # What reaches the end of what an effect may be is not told.
+    lowest, highest = effect.bounds(context)[0]
+    low, high = ends[0] if both and ends[0] > lowest else np.nan, ends[1] if ends[1] < highest else np.nan
     there = abs(own.z) > THERE
-    return Reach(
-        max(own.value - away, low) if both else np.nan,
-        min(max(own.value, effect.neutral) + away, high),
-        np.inf if there else 4.0,
-        there,
-    )
+    return Reach(float(low), float(high), np.inf if there else 4.0, there)
 
 
 def of_scatter(own: Trial) -> Reach:

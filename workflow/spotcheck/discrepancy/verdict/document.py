@@ -242,7 +242,8 @@ def limit_row(own: Limit, judgement: Judgement) -> dict[str, Any]:
     """What an effect that is not named may still be, and how many frames more, of all conditions alike, would halve
     that."""
     effect = vocabulary().get(own.effect)
-    ends = [limit_text(end, own.unit) if np.isfinite(end) else "" for end in (own.low, own.high)]
+    neutral = effect.neutral if effect else 0.0
+    ends = [limit_text(end, own.unit, neutral) if np.isfinite(end) else "" for end in (own.low, own.high)]
     spots = len(judgement.fits.shots) if judgement.fits else 0
     halved = np.isfinite(own.times) and spots
     return {

@@ -92,9 +92,12 @@ def probability_text(p: float) -> str:
     return f"p = {p:.2g}" if p >= SMALL_P else "p < 0.0001"
 
 
-def limit_text(value: float, unit: str) -> str:
-    """An end of what a strength may still be, to two digits: no limit is known better."""
-    return value_text(float(f"{value:.1e}"), None, unit)
+def limit_text(value: float, unit: str, neutral: float) -> str:
+    """An end of what a strength may still be, to two digits of its distance from where the effect vanishes: no limit is
+    known better. Where it vanishes nowhere or at infinity, as it is."""
+    away = abs(value - neutral)
+    digits = 1 - int(np.floor(np.log10(away))) if 0 < away < np.inf else 15
+    return value_text(round(value, digits), None, unit)
 
 
 def limits_text(document: Mapping[str, Any]) -> list[str]:

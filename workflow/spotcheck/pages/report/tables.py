@@ -295,7 +295,9 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
         (
             own["effect"],
             known[own["effect"]].sentence if own["effect"] in known else "",
-            cite.within(own["words"] or "–", _ends(own)),
+            cite.within(
+                own["words"] or "–", _ends(own, known[own["effect"]].neutral if own["effect"] in known else 0.0)
+            ),
             f"{own['frames']:,}" if own["frames"] else own["more"] or "–",
             own["why"],
         )
@@ -322,10 +324,11 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
     }
 
 
-def _ends(own: dict[str, Any]) -> dict[str, str]:
+def _ends(own: dict[str, Any], neutral: float) -> dict[str, str]:
     """The texts of a limit's ends and their keys."""
     key = f"verdict.limits.{own['effect']}.{own['parameter']}"
-    return {limit_text(own[end], own["unit"]): f"{key}.{end}" for end in ("low", "high") if own[end] is not None}
+    ends = [end for end in ("low", "high") if own[end] is not None]
+    return {limit_text(own[end], own["unit"], neutral): f"{key}.{end}" for end in ends}
 
 
 def _before(own: dict[str, Any]) -> str:
