@@ -20,6 +20,7 @@ ROOMS = {
     "pages": "report and tables as HTML, page of effects",
     "paper": "the paper's numbers beside ours",
     "origin": "where a number comes from",
+    "adoption": "results as an instrument file",
     "estimate": "fits, p1 and p2, bounds, sensor, caustic",
     "metrics": "metrics of one crop, PSNR",
     "pairs": "measured beside simulated",
