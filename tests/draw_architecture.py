@@ -66,7 +66,8 @@ class Stage(NamedTuple):
 STAGES = (
     Stage("ingest", "frames.nc", 1, 0),
     Stage("crop", "crops.nc", 2, 0, ("ingest",)),
-    Stage("fit", "fits.nc", 3, 0, ("crop", "sensor")),
+    Stage("maps", "maps.nc", 2, 2, ("ingest",)),
+    Stage("fit", "fits.nc", 3, 0, ("crop", "sensor", "maps")),
     Stage("calibrate", "calibration.nc", 4, 0, ("fit",)),
     Stage("simulate", "simulated.nc", 5, 0, ("calibrate",)),
     Stage("fit_simulated", "simulated/*.nc", 6, 0, ("simulate",)),

@@ -105,7 +105,9 @@ def spots(base, instrument):
 
 
 def test_from_flats_to_a_dataset_of_spots(judged, tmp_path, capsys):
-    """What flats tell is written, and a dataset of spots that is based on the file uses it with its errors. The camera's numbers, which the flats were drawn with, lie within 4.5 errors of what is used (false alarm 7e-6)."""
+    """What flats tell is written, and a dataset of spots that is based on the file uses it with its errors.
+
+    The camera's numbers, which the flats were drawn with, lie within 4.5 errors of what is used (false alarm 7e-6)."""
     main(["adopt", str(judged), "--to", str(tmp_path / "cameras" / "camera.yaml")])
     assert "sensor.gain_dn_per_e" in capsys.readouterr().out
     data = spots(tmp_path / "spots", "{based_on: ../cameras/camera.yaml, crop_px: 48}")

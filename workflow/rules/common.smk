@@ -155,6 +155,12 @@ def transfer_file(wildcards):
     return f"{results_folder(wildcards)}/transfer.nc" if has_flats(DATASETS[wildcards.dataset]) else []
 
 
+def maps_file(wildcards):
+    """Maps of the sensor's pixels, where the dataset has darks."""
+    found = DATASETS[wildcards.dataset]
+    return f"{results_folder(wildcards)}/maps.nc" if any(frame.kind == "dark" for frame in found.frames) else []
+
+
 def results(wildcards):
     """The files that pictures, tables, notebooks and the report are made from."""
     found = DATASETS[wildcards.dataset]

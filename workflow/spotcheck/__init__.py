@@ -13,6 +13,7 @@ __all__ = [
     "Characterisation",
     "Dataset",
     "InputError",
+    "PixelMaps",
     "SensorModel",
     "SpotBounds",
     "SpotFits",
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from spotcheck.estimate.spotfit import fit_spots
     from spotcheck.frames import read as read_image
     from spotcheck.judging import judge_dataset
+    from spotcheck.model.pixel_maps import PixelMaps
     from spotcheck.model.sensor import SensorModel
 
     __version__: str
@@ -50,6 +52,7 @@ else:
         "Characterisation": "estimate.characterise.Characterisation",
         "Dataset": "dataset.Dataset",
         "InputError": "errors.InputError",
+        "PixelMaps": "model.pixel_maps.PixelMaps",
         "SensorModel": "model.sensor.SensorModel",
         "SpotBounds": "estimate.spot_bounds.SpotBounds",
         "SpotFits": "estimate.fitted.SpotFits",

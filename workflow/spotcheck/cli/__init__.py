@@ -21,6 +21,7 @@ COMMANDS = {
     "crop": "crop every spot and reduce the frame around it",
     "transfer": "characterise the sensor by flats and darks (EMVA 1288)",
     "sensor": "settle the sensor: data sheet where it speaks, frames where they allow",
+    "maps": "map offsets and gains of the sensor's pixels by its darks and flats",
     "fit": "fit a 2D Gaussian to every crop",
     "calibrate": "p1, p2 and the peak from fits and frames",
     "simulate": "the paper's model at the calibrated parameters, or an extended one, as a dataset folder",
