@@ -21,6 +21,7 @@ ROOMS = {
     "paper": "the paper's numbers beside ours",
     "origin": "where a number comes from",
     "adoption": "results as an instrument file",
+    "correction": "frames in electrons",
     "estimate": "fits, p1 and p2, bounds, sensor, caustic",
     "metrics": "metrics of one crop, PSNR",
     "pairs": "measured beside simulated",

@@ -20,7 +20,7 @@ FLOORS = {
     1: ("frames", "formats", "spotfinding", "clip", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "pairs", "simulation", "design"),
-    4: ("figures", "discrepancy", "comparison", "views", "pages", "paper", "origin", "adoption"),
+    4: ("figures", "discrepancy", "comparison", "views", "pages", "paper", "origin", "adoption", "correction"),
     5: ("cli",),
     # Runs the subcommands one after another, as the workflow does.
     6: ("judging",),

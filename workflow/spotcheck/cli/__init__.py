@@ -41,6 +41,7 @@ COMMANDS = {
     "compare": "one page of several datasets: what changed beyond its errors, and trends",
     "new-dataset": "write a commented manifest and instrument file to fill in",
     "adopt": "write what results say of the instrument into an instrument file, value by value",
+    "correct": "write frames in electrons of the light, linear and with their variance",
     "explain": "say where a number of the results comes from: file, variable, rule and inputs",
     "where": "say where the results of a dataset lie",
 }
