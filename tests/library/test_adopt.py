@@ -1,18 +1,22 @@
 """What was learned of an instrument, written into a file that another dataset uses."""
 
+import json
+
 import numpy as np
 import pytest
 import tifffile
+import xarray as xr
 
 from spotcheck import store
 from spotcheck.adoption.bad import bad_in
 from spotcheck.adoption.chosen import choices_of
 from spotcheck.adoption.learned import Learned, learned_of
+from spotcheck.adoption.written import write
 from spotcheck.cli import main, run
 from spotcheck.clip import end_of, top_of
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import fit_crops
-from spotcheck.estimate.sensor import SHEET, stderr_of
+from spotcheck.estimate.sensor import SHEET, SOURCES, stderr_of
 from spotcheck.instrument import BadPixels, Instrument, Sensor, read_instrument
 from spotcheck.judging import judge_dataset
 from spotcheck.model.effect import Place, Present
@@ -155,6 +159,52 @@ def test_the_file_is_that_of_the_instrument(judged, shelf, tmp_path):
     assert made.given == learned | {"sensor.bit_depth"} | {
         f"sensor.{name}_stderr" for name in ("gain_dn_per_e", "read_noise_e", "black_level_dn")
     }
+
+
+def named(name, form, *rivals, **parameters):
+    """An effect of a verdict: value, error and unit of each parameter."""
+    told = {key: dict(zip(("value", "stderr", "unit"), own, strict=True)) for key, own in parameters.items()}
+    return {"name": name, "form": form, "candidates": [name, *rivals], "parameters": told}
+
+
+def test_effects_and_light_of_a_verdict(tmp_path):
+    """An effect goes in with its error carried over, in the sensor's numbers that were learned beside it; a rival, a
+    form without a key and lights of several poses stay out with the reason; one light is copied beside the file."""
+    effects = [
+        named("saturation", "sharp", level=(440.0, 2.2, "DN")),
+        named("excess_read_noise", "", "row_noise", total=(17.0, 0.4, "e-")),
+        named("dark_offset", "light", level=(3.0, 0.1, "DN")),
+    ]
+    sheet = {"name": "gain_dn_per_e", "unit": "DN/e-", "found": 0.22, "stderr": 0.001, "contradicts": True}
+    verdict = {"effects": effects, "sheet": [sheet], "light": {"words": "6 % of its power lies elsewhere"}}
+    results, given = tmp_path / "results", Instrument(sensor=Sensor(gain_dn_per_e=0.11), given=frozenset())
+    results.mkdir()
+    (results / "verdict.json").write_text(json.dumps(verdict), encoding="utf-8")
+    sensor = xr.Dataset({name: ((), value) for name, value in SENSOR._asdict().items()})
+    for name in SENSOR._fields:
+        sensor[name].attrs.update(units="1", long_name=name, infinite="none is")
+        for part in ("by", "by_stderr"):
+            sensor[f"{name}_{part}"] = ("source", [np.nan] * 3, {"units": "1", "long_name": name})
+    sensor["source"] = ("source", list(SOURCES), {"units": "1", "long_name": "source"})
+    store.write(sensor.assign_attrs(title="t", dataset="d"), results / "sensor.nc", code="c")
+    shape = LightShape(0.25, np.zeros((6, 6)))
+    for count in (2, 1):
+        written_light([shape] * count, results / "light.nc", title="t", dataset="d", code="c")
+        learned, left = learned_of(results, given)
+        own = {one.key: one for one in learned}
+        assert (own["sensor.gain_dn_per_e"].value, own["sensor.full_well_e"].value) == (0.22, pytest.approx(2000))
+        assert own["sensor.full_well_e"].stderr == pytest.approx(2.2 / 0.22)
+        why = {one.what: one.why for one in left}
+        assert why["excess_read_noise"] == "it may as well be row_noise"
+        assert why["dark_offset"] == "no key of an instrument file holds it"
+        assert ("light" in why) == (count == 2) and ("light.profile" in own) == (count == 1)
+    choices = choices_of(learned, given)
+    assert all(one.taken for one in choices)
+    write(tmp_path / "camera.yaml", choices, left, given, results)
+    made = read_instrument(tmp_path / "camera.yaml")
+    assert made.light.profile == str(tmp_path / "camera-light.nc")
+    assert (made.sensor.full_well_e, made.sensor.gain_dn_per_e_stderr) == (2000, 0.001)
+    assert "excess_read_noise" in (tmp_path / "camera.yaml").read_text(encoding="utf-8")
 
 
 def test_pixels_that_frame_after_frame_leaves_out_are_bad(tmp_path):
