@@ -79,6 +79,15 @@ FLATS, SPOTS = "flats and darks (sensor.nc)", "spots (sensor.nc)"
         ("black_level_dn", 20.2, 0.1, FLATS, False, True, "known better than the sheet states"),
         ("black_level_dn", 20.2, 0.9, FLATS, False, False, "agrees with the sheet within 0.2 errors"),
         ("dark_current_e_per_s", 70.0, 9.0, SPOTS, False, True, "the sheet does not say"),
+        (
+            "quantum_efficiency",
+            1.2,
+            0.1,
+            FLATS,
+            False,
+            False,
+            "key sensor.quantum_efficiency is 1.2; it must be at most 1",
+        ),
     ],
 )
 def test_what_a_sheet_states_gives_way(key, value, stderr, origin, overrules, taken, why):

@@ -14,6 +14,7 @@ from spotcheck.adoption.learned import Learned
 from spotcheck.discrepancy.criteria import STATED
 from spotcheck.estimate.sensor import SPOTS
 from spotcheck.instrument import SECTIONS, Instrument
+from spotcheck.schema import breach_of
 
 
 class Choice(NamedTuple):
@@ -41,6 +42,8 @@ def _choice(own: Learned, given: Instrument) -> Choice:
     holder = getattr(given, section)
     stated = getattr(holder, name) if own.key in given.given else None
     stated_stderr = float(getattr(holder, f"{name}_stderr", 0.0)) if stated is not None else 0.0
+    if breach := breach_of({section: {name: own.value}}, "instrument"):
+        return Choice(own, stated, stated_stderr, False, breach)
     return Choice(own, stated, stated_stderr, *_weighed(own, stated, stated_stderr))
 
 

@@ -5,6 +5,7 @@ from what fits left out, and effects from the verdict by what they say of themse
 """
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ from spotcheck.model.effect import Place, Present
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.light_file import LIGHT, read_lights
 from spotcheck.model.sensor import SensorModel
+from spotcheck.schema import read_schema
 
 # Steps of the derivative by which errors of an effect become those of a key, in its standard errors.
 STEP = 1e-3
@@ -171,10 +173,16 @@ def _keys(present: Present, errors: Sequence[float], camera: SensorModel) -> Ite
             then = present._replace(values=tuple(near)).adopted(camera).get(key, np.nan)
             moved.append((then - value) / STEP if error else 0.0)
         stderr = float(np.hypot.reduce(moved)) or np.nan
-        unit = QUANTITIES[key.partition(".")[2]][0]
         # A converter stops at a whole number.
         own = round(value) if key == "sensor.full_scale_dn" else value
-        yield Learned(key, own, stderr, unit, f"{present.effect.name} (verdict.json)", True)
+        yield Learned(key, own, stderr, _unit(key), f"{present.effect.name} (verdict.json)", True)
+
+
+def _unit(key: str) -> str:
+    """Unit of a key, which stands in what the schema says of it."""
+    section, _, name = key.partition(".")
+    found = re.search(r"\[(.+?)\]", read_schema("instrument")["properties"][section]["properties"][name]["description"])
+    return found[1] if found else "1"
 
 
 def _by_light(results: Path, verdict: Mapping[str, Any]) -> Learned | Left | None:
