@@ -36,12 +36,11 @@ class ByMaps:
 
     def put(self, fits: xr.Dataset, maps: SensorMaps) -> list[str]:
         """Add what was noted to fits.nc; the sentence that says it."""
-        names = np.array(list(PARAMETERS), object)
-        fits["parameter"] = ("parameter", names, {"units": "1", "long_name": "parameter of the spot"})
         text = "chi-square per degree of freedom of the likelihood that takes all pixels for alike"
         fits["chi2_without_maps"] = (self._dims, self._chi2, {"units": "1", "long_name": text})
-        text = "by how many of its standard errors the maps of pixels move a parameter"
-        fits["moved_by_maps"] = ((*self._dims, "parameter"), self._moved, {"units": "1", "long_name": text})
+        for k, name in enumerate(PARAMETERS):
+            text = f"by how many of its standard errors the maps of pixels move {name}"
+            fits[f"{name}_moved"] = (self._dims, self._moved[..., k], {"units": "1", "long_name": text})
         chosen = list(fits["centring"].values).index("light")
         chi2, after = self._chi2[..., chosen], self._after[..., chosen]
         found, known = int(np.count_nonzero(np.isfinite(after))), np.isfinite(chi2) & np.isfinite(after)

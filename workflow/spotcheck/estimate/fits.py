@@ -51,7 +51,7 @@ def fit_crops(
 
     `top_hat` is the plateau of the light, `integrated` whether a pixel reads the mean of the light over it. Without a
     sensor model there is no likelihood; the attribute `preferred` says which fit to use. With `maps` of the sensor's
-    pixels, which enter the likelihood, `chi2_without_maps` and `moved_by_maps` say what they changed.
+    pixels, which enter the likelihood, `chi2_without_maps` and `amplitude_moved` and the like say what they changed.
     """
     dims = (*store.grid_dims(crops), "centring", "fit")
     shape = (*(crops.sizes[d] for d in dims[:-1]), len(FITS))
