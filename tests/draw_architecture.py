@@ -21,6 +21,8 @@ ROOMS = {
     "pages": "report and tables as HTML, page of effects",
     "paper": "the paper's numbers beside ours",
     "origin": "where a number comes from",
+    "adoption": "results as an instrument file",
+    "correction": "frames in electrons",
     "estimate": "fits, p1 and p2, bounds, sensor, caustic",
     "metrics": "metrics of one crop, PSNR",
     "pairs": "measured beside simulated",
@@ -69,7 +71,8 @@ class Stage(NamedTuple):
 STAGES = (
     Stage("ingest", "frames.nc", 1, 0),
     Stage("crop", "crops.nc", 2, 0, ("ingest",)),
-    Stage("fit", "fits.nc", 3, 0, ("crop", "sensor")),
+    Stage("maps", "maps.nc", 2, 2, ("ingest",)),
+    Stage("fit", "fits.nc", 3, 0, ("crop", "sensor", "maps")),
     Stage("calibrate", "calibration.nc", 4, 0, ("fit",)),
     Stage("simulate", "simulated.nc", 5, 0, ("calibrate",)),
     Stage("fit_simulated", "simulated/*.nc", 6, 0, ("simulate",)),

@@ -20,7 +20,10 @@ FLOORS = {
     1: ("frames", "formats", "labels", "survey", "spotfinding", "clip", "siblings", "crops", "optics", "template"),
     2: ("model",),
     3: ("estimate", "metrics", "pairs", "simulation", "design"),
-    4: ("first_look", "figures", "discrepancy", "comparison", "views", "pages", "paper", "origin"),
+    4: (
+        *("first_look", "figures", "discrepancy", "comparison", "views", "pages", "paper", "origin"),
+        *("adoption", "correction"),
+    ),
     5: ("cli",),
     # Runs the subcommands one after another, as the workflow does.
     6: ("judging",),

@@ -63,6 +63,11 @@ FAULTS = {
     "unit": (changed('"a", "1"', '"a", ""'), ["the unit of a is ''", "1 for none"]),
     "bounds": (changed("0.0, 1.0", "1.0, 0.0"), ["a goes from 1 to 0", "lowest must be below"]),
     "bounds that raise": (changed("0.0, 1.0", "0.0, lambda c: c.size"), ["bounds raise AttributeError", "Context"]),
+    "adopts that raises": (more("adopts=lambda sensor: {}"), ["adopts raises TypeError", "give values of sensor.key"]),
+    "adopts another key": (
+        more('adopts=lambda sensor, a: {"sensor.bits": a}'),
+        ["adopts names sensor.bits", "no key of instrument.yaml"],
+    ),
     "inner strength": (changed("0.0, 1.0", "0.0, 1.0, True"), ["a is inner", "must be the strength"]),
     "form twice": (more('forms=("a", "a")'), ["forms is ('a', 'a')"]),
     "needs as a word": (more('needs=("sun")'), ["needs is 'sun'", "'exposure', "]),

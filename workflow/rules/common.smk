@@ -100,9 +100,10 @@ def manifest(wildcards):
 
 
 def instrument(wildcards):
-    """Its data sheet, if there is one, and the profile of the light and the mask of bad pixels that it names."""
+    """Its data sheet, if there is one, and the files that it names: a shared one, the light's profile, a mask."""
     path, found = Path(dataset_folder(wildcards), "instrument.yaml"), DATASETS[wildcards.dataset].instrument
-    return [str(own) for own in (path, found.light.profile, found.bad_pixels.mask) if own and Path(own).exists()]
+    named = (path, found.based_on, found.light.profile, found.bad_pixels.mask)
+    return [str(own) for own in named if own and Path(own).exists()]
 
 
 def frames(wildcards):
@@ -152,6 +153,12 @@ def results_folder(wildcards):
 def transfer_file(wildcards):
     """The sensor's characterisation, where the dataset has flats or darks."""
     return f"{results_folder(wildcards)}/transfer.nc" if has_flats(DATASETS[wildcards.dataset]) else []
+
+
+def maps_file(wildcards):
+    """Maps of the sensor's pixels, where the dataset has darks."""
+    found = DATASETS[wildcards.dataset]
+    return f"{results_folder(wildcards)}/maps.nc" if any(frame.kind == "dark" for frame in found.frames) else []
 
 
 def results(wildcards):

@@ -40,6 +40,8 @@ use rule fit as fit_simulated with:
         instrument,
         crops=rules.crop_simulated.output,
         sensor=rules.sensor.output,
+        # Frames are simulated of a sensor whose pixels are alike.
+        maps=[],
     output:
         f"{OUT}/simulated/fits.nc",
     log:

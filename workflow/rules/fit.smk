@@ -4,6 +4,7 @@ rule fit:
         instrument,
         crops=rules.crop.output,
         sensor=rules.sensor.output,
+        maps=maps_file,
     output:
         f"{OUT}/fits.nc",
     log:
@@ -20,5 +21,5 @@ rule fit:
     message:
         "Fitting every crop of {wildcards.dataset}"
     shell:
-        "spotcheck fit {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q} --output {output:q}"
-        " 2>&1 | tee {log:q}"
+        "spotcheck fit {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q} --maps {input.maps:q}"
+        " --output {output:q} 2>&1 | tee {log:q}"

@@ -14,6 +14,7 @@ __all__ = [
     "Dataset",
     "InputError",
     "Look",
+    "PixelMaps",
     "SensorModel",
     "SpotBounds",
     "SpotFits",
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from spotcheck.first_look.looking import Look, look
     from spotcheck.frames import read as read_image
     from spotcheck.judging import judge_dataset
+    from spotcheck.model.pixel_maps import PixelMaps
     from spotcheck.model.sensor import SensorModel
 
     __version__: str
@@ -54,6 +56,7 @@ else:
         "Dataset": "dataset.Dataset",
         "InputError": "errors.InputError",
         "Look": "first_look.looking.Look",
+        "PixelMaps": "model.pixel_maps.PixelMaps",
         "SensorModel": "model.sensor.SensorModel",
         "SpotBounds": "estimate.spot_bounds.SpotBounds",
         "SpotFits": "estimate.fitted.SpotFits",

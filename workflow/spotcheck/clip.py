@@ -66,13 +66,16 @@ def step_of(bits: int) -> int:
 
 
 def end_of(tops: Sequence[Top], instrument: Instrument, container_bits: int) -> End:
-    """Where the readings of all frames of a dataset stop: at the largest number of the converter where its depth is
-    given, or at a plateau just below that; else at the plateau of its brightest frames; else at the largest number of
-    the container."""
+    """Where the readings of all frames of a dataset stop: where instrument.yaml says so; at the largest number of the
+    converter where its depth is given, or at a plateau just below that; else at the plateau of its brightest frames;
+    else at the largest number of the container."""
     declared, depth = full_scale(instrument, container_bits), instrument.sensor.bit_depth
     bits = int(np.bitwise_or.reduce([own.bits for own in tops])) if tops else 0
     remarks = _on_alignment(tops, bits, instrument)
     highest = max((own.highest for own in tops), default=0)
+    if (stated := instrument.sensor.full_scale_dn) is not None:
+        above = f"instrument.yaml: sensor.full_scale_dn is {stated}, but frames read up to {highest} DN; correct it"
+        return End(stated, "instrument.yaml", (*remarks, above) if highest > stated else remarks)
     lowest = min((own.lowest for own in tops), default=0)
     stopped = [own for own in tops if own.highest == highest and own.stops(lowest)]
     if not stopped or highest == declared:

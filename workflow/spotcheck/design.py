@@ -102,7 +102,7 @@ def data_sheet(instrument: Instrument) -> SensorModel:
         own.dark_current_e_per_s,
         np.inf if own.full_well_e is None else own.full_well_e,
         own.black_level_dn,
-        2.0**own.bit_depth - 1,
+        own.full_scale_dn or 2.0**own.bit_depth - 1,
         own.quantum_efficiency,
     )
 

@@ -43,6 +43,7 @@ class Sensor:
 
     pixel_pitch_m: float | None = None
     bit_depth: int | None = None
+    full_scale_dn: int | None = None
     gain_dn_per_e: float | None = None
     read_noise_e: float | None = None
     dark_current_e_per_s: float = 0.0
@@ -113,8 +114,9 @@ class BadPixels:
 
 @dataclass(frozen=True)
 class Instrument:
-    """The content of instrument.yaml with its defaults."""
+    """The content of instrument.yaml with its defaults; `based_on`, once read, is an absolute path."""
 
+    based_on: str | None = None
     name: str | None = None
     order_known: bool = True
     conditions: tuple[str, ...] = ()
@@ -155,16 +157,18 @@ def read_instrument(path: Path) -> Instrument:
     """Instrument of `path`; all defaults when the file does not exist. Raises `InputError`."""
     if not path.exists() and not path.is_symlink():
         return Instrument()
-    content = read_keys(path)
-    # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
-    content = {k: ({} if v is None and k in SECTIONS else v) for k, v in content.items()}
-    if breach := breach_of(content, "instrument"):
-        raise InputError(f"{path.name}: {breach}{_in_another_unit(content, breach)}")
+    content = _content(path)
+    if "based_on" in content:
+        shared = _content(Path(content["based_on"]))
+        if "based_on" in shared:
+            raise InputError(
+                f"{path.name}: key based_on names {Path(content['based_on']).name}, which has such a key itself; one"
+                " file may stand below another, and no third"
+            )
+        content = shared | content | {k: shared.get(k, {}) | content.get(k, {}) for k in SECTIONS}
     given = {
         f"{name}.{key}" if key else name for name, own in content.items() for key in (own if name in SECTIONS else [""])
     }
-    _find(path, content, "light", "profile", "a light.nc")
-    _find(path, content, "bad_pixels", "mask", "an image")
     sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
     if sections["optics"].pixel_integration and sections["model"].top_hat:
         raise InputError(
@@ -207,6 +211,18 @@ def _of_colour(path: Path, sensor: Sensor, optics: Optics) -> Sensor:
     return replace(sensor, pixel_pitch_m=None if sensor.pixel_pitch_m is None else 2 * sensor.pixel_pitch_m)
 
 
+def _content(path: Path) -> dict[str, Any]:
+    """Keys of one file, with absolute paths of the files that it names. Raises `InputError`."""
+    # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
+    content = {k: ({} if v is None and k in SECTIONS else v) for k, v in read_keys(path).items()}
+    if breach := breach_of(content, "instrument"):
+        raise InputError(f"{path.name}: {breach}{_in_another_unit(content, breach)}")
+    _find(path, content, "", "based_on", "an instrument file")
+    _find(path, content, "light", "profile", "a light.nc")
+    _find(path, content, "bad_pixels", "mask", "an image")
+    return content
+
+
 def _in_another_unit(content: dict[str, Any], breach: str) -> str:
     """In which unit a number that is refused would be a usual one; "" where in none."""
     for key, usual in USUAL.items():
@@ -219,16 +235,16 @@ def _in_another_unit(content: dict[str, Any], breach: str) -> str:
 
 def _find(path: Path, content: dict[str, Any], section: str, key: str, wanted: str) -> None:
     """Put a file's own path in the place of that from the dataset's folder. Raises `InputError`."""
-    own = content.get(section, {})
+    own = content.get(section, {}) if section else content
     if key not in own:
         return
-    name = own[key]
+    name, place = own[key], f"{section}.{key}" if section else key
     if re.search("[{}\0]", name):
-        raise InputError(f"{path.name}: key {section}.{key} is {name!r}; it must be a path without braces")
+        raise InputError(f"{path.name}: key {place} is {name!r}; it must be a path without braces")
     file = path.parent / name
     if not name or not file.is_file():
         raise InputError(
-            f"{path.name}: key {section}.{key} names {name!r}, which is not there; it must be the path of {wanted},"
+            f"{path.name}: key {place} names {name!r}, which is not there; it must be the path of {wanted},"
             " relative to the dataset folder"
         )
     own[key] = str(file.resolve())
@@ -236,7 +252,7 @@ def _find(path: Path, content: dict[str, Any], section: str, key: str, wanted: s
 
 def _whole(section: dict[str, Any]) -> dict[str, Any]:
     """Whole numbers written as 240.0 as integers: the schema takes them for such, slices do not; lists as tuples."""
-    whole = ("crop_px", "bit_depth", "value_shift_bits", "columns", "rows", "pixels")
+    whole = ("crop_px", "bit_depth", "full_scale_dn", "value_shift_bits", "columns", "rows", "pixels")
     return {key: _integers(value) if key in whole else value for key, value in section.items()}
 
 

@@ -84,13 +84,13 @@ def _stages(dataset: Dataset, out: Path) -> Iterator[tuple[str, dict[str, Any]]]
     frames, crops, transfer, sensor = (out / f"{name}.nc" for name in ("frames", "crops", "transfer", "sensor"))
     verdict = out / "verdict.json"
     yield "ingest", {"output": frames}
-    if not dataset.spots:
-        yield "flats", {"frames": frames, "output": verdict}
-        return
     measured = {}
     if len(dataset.spots) < len(dataset.frames):
         yield "transfer", {"frames": frames, "output": transfer}
         measured = {"transfer": transfer}
+    if not dataset.spots:
+        yield "flats", {"frames": frames, "output": verdict}
+        return
     yield "crop", {"frames": frames, "output": crops}
     yield "sensor", {"crops": crops, "frames": frames, **measured, "output": sensor}
     seen = {"crops": crops, "sensor": sensor}

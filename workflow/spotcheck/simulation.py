@@ -289,7 +289,10 @@ def _simulated_instrument(dataset: Dataset, sensor: SensorModel) -> dict[str, An
     given = dataset.instrument
     pitch, depth = given.sensor.pixel_pitch_m, int(sensor.full_scale_dn).bit_length()
     own: dict[str, Any] = {} if pitch is None else {"pixel_pitch_m": pitch}
-    own |= {"bit_depth": depth} | {key: value for key, value in sensor._asdict().items() if key != "full_scale_dn"}
+    stop = {"full_scale_dn": int(sensor.full_scale_dn)} if sensor.full_scale_dn < 2**depth - 1 else {}
+    own |= (
+        {"bit_depth": depth} | stop | {key: value for key, value in sensor._asdict().items() if key != "full_scale_dn"}
+    )
     if not np.isfinite(sensor.full_well_e):
         del own["full_well_e"]
     sections = {"sensor": own}

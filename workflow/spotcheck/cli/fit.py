@@ -4,6 +4,7 @@ import argparse
 
 from spotcheck import dataset, provenance, store
 from spotcheck.estimate.fits import fit_crops, preferred, reasons_text
+from spotcheck.estimate.pixel_maps import maps_in
 from spotcheck.estimate.sensor import model_of
 
 
@@ -12,15 +13,21 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", help="folder of the dataset, whose instrument says what the spot is")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
+    parser.add_argument("--maps", nargs="*", default=[], help="maps.nc, where the dataset has darks")
     parser.add_argument("--output", required=True, help="fits.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:
     """Fit every crop."""
     given = dataset.load(args.dataset).instrument
+    maps = None
+    for path in args.maps:
+        with store.read(path) as found:
+            maps = maps_in(found)
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
-        fits = fit_crops(crops, model_of(sensor), given.model.top_hat, given.optics.pixel_integration)
-    store.write(fits, args.output, code=provenance.code_digest(__name__), inputs=[args.crops, args.sensor])
+        fits = fit_crops(crops, model_of(sensor), given.model.top_hat, given.optics.pixel_integration, maps)
+    inputs = [args.crops, args.sensor, *args.maps]
+    store.write(fits, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     there = (fits["status"] & store.flag("missing")) == 0
     for name in fits["fit"].values:
         own = fits["amplitude"].sel(fit=name)

@@ -8,9 +8,12 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.crops import cells, usable
+from spotcheck.estimate.by_maps import ByMaps
 from spotcheck.estimate.fitted import NAMES, PARAMETERS, SpotFits
 from spotcheck.estimate.odd_pixels import Odd, odd_pixels
+from spotcheck.estimate.pixel_maps import SensorMaps
 from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.model.pixel_maps import PixelMaps
 from spotcheck.model.sensor import SensorModel
 
 FITS = {
@@ -38,12 +41,17 @@ class Spot(NamedTuple):
 
 
 def fit_crops(
-    crops: xr.Dataset, sensor: SensorModel | None, top_hat: bool = False, integrated: bool = False
+    crops: xr.Dataset,
+    sensor: SensorModel | None,
+    top_hat: bool = False,
+    integrated: bool = False,
+    maps: SensorMaps | None = None,
 ) -> xr.Dataset:
     """Fits of both centrings: values, standard errors, χ² and status on the grid; centres in pixels of the sensor.
 
     `top_hat` is the plateau of the light, `integrated` whether a pixel reads the mean of the light over it. Without a
-    sensor model there is no likelihood; the attribute `preferred` says which fit to use.
+    sensor model there is no likelihood; the attribute `preferred` says which fit to use. With `maps` of the sensor's
+    pixels, which enter the likelihood, `chi2_without_maps` and `amplitude_moved` and the like say what they changed.
     """
     dims = (*store.grid_dims(crops), "centring", "fit")
     shape = (*(crops.sizes[d] for d in dims[:-1]), len(FITS))
@@ -53,12 +61,17 @@ def fit_crops(
     if sensor is None:
         status[..., 0] |= store.flag("no_noise")
     origin = {1: crops["left"].values, 2: crops["top"].values}
+    told = None if maps is None or sensor is None else ByMaps(crops, dims[:-1])
     for index in cells(crops, dims[:-1]):
         at = tuple(index.values())
         if not usable(crops["status"].values[at]):
             continue
         image = crops["image"].isel(index).values
-        own, odd = _both(image, sensor, top_hat, integrated)
+        part = None if told is None or maps is None else told.cut(maps, index)
+        own, odd = _both(image, sensor, top_hat, integrated, part)
+        if told is not None:
+            good = np.where(odd.mask, np.nan, image) if odd else image
+            told.compare(at, own[0], fit_spots(good, sensor, top_hat=top_hat, integrated=integrated))
         for k, fit in own.items():
             value[(*at, k)], stderr[(*at, k)] = fit.value, fit.stderr
             chi2[(*at, k)] = fit.chi2_reduced
@@ -85,9 +98,10 @@ def fit_crops(
     )
     ds["left_out"] = (dims, left_out, {"units": "1", "long_name": "pixels of the sensor that were left out, and why"})
     ds["status"] = (dims, status.astype("i4"), store.status_attributes())
+    remarks = told.put(ds, maps) if told is not None and maps is not None else []
     chosen = "least_squares" if sensor is None else "likelihood"
     ds = ds.assign_attrs(preferred=chosen, **{f"fit_{name}": text for name, text in FITS.items()})
-    return store.with_remarks(ds, _on_misfits(preferred(ds)["chi2_reduced"].values))
+    return store.with_remarks(ds, [*remarks, *_on_misfits(preferred(ds)["chi2_reduced"].values)])
 
 
 def _on_misfits(chi2: np.ndarray) -> list[str]:
@@ -119,13 +133,13 @@ def reasons_text(status: np.ndarray) -> str:
 
 
 def _both(
-    image: np.ndarray, sensor: SensorModel | None, top_hat: bool, integrated: bool
+    image: np.ndarray, sensor: SensorModel | None, top_hat: bool, integrated: bool, maps: PixelMaps | None
 ) -> tuple[dict[int, SpotFits], Odd | None]:
     """Fits of an image in the order of `FITS`, and the odd pixels that they leave out."""
     equal = partial(fit_spots, sensor=sensor, weighting="equal", integrated=integrated)
     if sensor is None:
         return {1: equal(image)}, None
-    likely = partial(fit_spots, sensor=sensor, top_hat=top_hat, integrated=integrated)
+    likely = partial(fit_spots, sensor=sensor, top_hat=top_hat, integrated=integrated, maps=maps)
     first = likely(image)
     excess = float(first.chi2_reduced) - 1
     noise = np.sqrt(2 / np.count_nonzero(np.isfinite(image)))

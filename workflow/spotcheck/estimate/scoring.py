@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from spotcheck.model.law import IMPROBABLE, faint_law
+from spotcheck.model.law import IMPROBABLE, FaintLaw, faint_law, fine_law
+from spotcheck.model.pixel_maps import PixelMaps
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 from spotcheck.model.spot import TOP_HAT_LEVEL
 
@@ -32,10 +33,22 @@ PLAIN = 0.02
 compiled = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
+class Maps(NamedTuple):
+    """Of an image's pixels: offset [DN] and gain [1], and what one is uncertain by: variances [e-²] and [1]; and the
+    law of a faint reading between whole numbers, of a sensor whose DN are finer (`fine_law`)."""
+
+    offsets: np.ndarray
+    gains: np.ndarray
+    offset_variance: float
+    gain_variance: float
+    fine: "Law"
+
+
 class Law(NamedTuple):
     """A sensor for the compiled code: gain [DN/e-], read variance and rounding variance [e-²], black level [DN], full
     scale [DN], full well [e-], and the faint table: P and ∂P/∂ν × step [level, reading], 1/I [e-²], mean [DN] and
-    variance [DN²] of each level."""
+    variance [DN²] of each level; and maps of the image's pixels. With maps it is another type to the compiler, so that
+    passes without them are as fast as if there were none."""
 
     gain: float
     read_variance: float
@@ -51,16 +64,26 @@ class Law(NamedTuple):
     inverse: np.ndarray
     mean: np.ndarray
     spread: np.ndarray
+    maps: Maps | None = None
 
 
-def law_of(sensor: SensorModel | None) -> Law:
-    """Tables of a sensor; without one, a placeholder that equal weights never look at."""
+def law_of(sensor: SensorModel | None, maps: PixelMaps | None = None) -> Law:
+    """Tables of a sensor, with the maps of an image's pixels; without a sensor a placeholder that equal weights never
+    look at."""
     if sensor is None:
-        empty = np.ones((2, 2))
-        return Law(1.0, 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, 1.0, 0.0, empty, empty, *(np.ones(2) for _ in range(3)))
-    table = faint_law(sensor)
+        table, column = np.ones((2, 2)), np.ones(2)
+        return Law(1.0, 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, 1.0, 0.0, table, table, column, column, column)
+    plain = _law_of(sensor, faint_law(sensor), ROUNDING_VARIANCE / sensor.gain_dn_per_e**2)
+    if maps is None:
+        return plain
+    offsets, gains = (np.ascontiguousarray(own, float) for own in (maps.offset_dn, maps.gain))
+    uncertain = (float(maps.offset_stderr_dn) / plain.gain) ** 2
+    fine = _law_of(*fine_law(sensor, uncertain), plain.rounding)
+    return plain._replace(maps=Maps(offsets, gains, uncertain, float(maps.gain_stderr) ** 2, fine))
+
+
+def _law_of(sensor: SensorModel, table: FaintLaw, rounding: float) -> Law:
     gain, read_variance = sensor.gain_dn_per_e, sensor.read_noise_e**2
-    rounding = ROUNDING_VARIANCE / gain**2
     likely = table.probability > IMPROBABLE
     information = np.sum(np.where(likely, table.slope**2 / np.where(likely, table.probability, 1.0), 0.0), axis=1)
     # Between levels 1/I is nearly straight: ν + σ² where nothing clips.
@@ -296,6 +319,65 @@ def _mixed(readings, electrons, law, weight, score):
 
 
 @compiled
+def _likely(readings, electrons, plain, row, maps, law, weight, score):
+    """Along a row by the sensor's law; whether there are maps is known to the compiler."""
+    if maps is None:
+        if plain:
+            return _plain(readings, electrons, law, weight, score)
+        return _mixed(readings, electrons, law, weight, score)
+    return _on_maps(readings, electrons, row, maps, law, weight, score)
+
+
+@compiled
+def _on_maps(readings, electrons, row, maps, law, weight, score):
+    """Along a row of pixels with offsets and gains of their own: as `_mixed` for mean electrons of gain times the light
+    above a black level that is the pixel's. What the maps are uncertain by is noise of the pixel.
+
+    # ASSUME: no reading is cut at black: darks that read 0 make no map.
+    """
+    total, used = 0.0, 0
+    for k in range(readings.size):
+        reading = float(readings[k])
+        if reading != reading:
+            weight[k] = score[k] = 0.0
+            continue
+        gain, offset = maps.gains[row, k], maps.offsets[row, k]
+        own = gain * electrons[k]
+        uneven = maps.gain_variance * own * own
+        if own < maps.fine.highest:
+            pull, information, chi2 = _faint_between((reading - law.black - offset) / law.gain, own, maps.fine)
+            share = 1 / (1 + uneven * information)
+            pull, information, chi2 = share * pull, share * information, share * chi2
+        else:
+            pull, information, chi2 = _bright(reading, own, _of_pixel(law, offset, maps.offset_variance + uneven))
+        score[k], weight[k] = gain * pull, gain * gain * information
+        if chi2 >= 0.0:
+            total += chi2
+            used += 1
+    return total, used
+
+
+@compiled
+def _of_pixel(law, offset, extra):
+    """The law of a pixel whose black level is higher by `offset` [DN], with more variance of read noise [e-²]."""
+    return Law(law.gain, law.read_variance + extra, law.rounding, law.black + offset, law.full_scale, law.full_well,
+               law.lowest, law.step, law.highest, law.probability, law.slope, law.inverse, law.mean, law.spread,
+               None)  # fmt: skip
+
+
+@compiled
+def _faint_between(signal, electrons, fine):
+    """As `_faint` for a signal [e-] that is no whole number of DN: the score is nearly straight between two of the fine
+    law's readings."""
+    reading = max(fine.gain * signal + fine.black, 0.0)
+    low = math.floor(reading)
+    before, information, _ = _faint(low, electrons, fine)
+    after, _, _ = _faint(low + 1.0, electrons, fine)
+    _, _, chi2 = _faint(reading, electrons, fine)
+    return before + (reading - low) * (after - before), information, chi2
+
+
+@compiled
 def _variances(readings, mean, electrons, law, weight, score):
     """Along a row the variance [DN²] of each reading, both clips and the rounding included; χ² and its pixels."""
     total, used = 0.0, 0
@@ -395,10 +477,9 @@ def _sums(image, theta, weighting, law, top_hat):
             chi2_row, used_row = _residuals(image[j], mean, weight, score)
         elif weighting == VARIANCE:
             chi2_row, used_row = _variances(image[j], mean, electrons, law, weight, score)
-        elif lowest >= law.highest and highest < plain_below:
-            chi2_row, used_row = _plain(image[j], electrons, law, weight, score)
         else:
-            chi2_row, used_row = _mixed(image[j], electrons, law, weight, score)
+            plain = lowest >= law.highest and highest < plain_below
+            chi2_row, used_row = _likely(image[j], electrons, plain, j, law.maps, law, weight, score)
         chi2 += chi2_row
         used += used_row
         if top_hat:

@@ -22,6 +22,7 @@ from spotcheck.estimate.search import (
 )
 from spotcheck.estimate.start import find_start
 from spotcheck.model import spot
+from spotcheck.model.pixel_maps import PixelMaps
 from spotcheck.model.sensor import SensorModel, checked
 from spotcheck.store import flag
 
@@ -56,6 +57,7 @@ def fit_spots(
     integrated: bool = False,
     fixed: Mapping[str, float] | None = None,
     circular: bool = False,
+    maps: PixelMaps | None = None,
 ) -> SpotFits:
     """Fit one elliptical Gaussian spot on a constant offset in each image, by maximum likelihood.
 
@@ -76,6 +78,8 @@ def fit_spots(
         the light before, to 2e-3/σ⁴ of the peak for a width of σ px.
     fixed : parameters by name that are held at a value, such as `{"offset": 40.0}`; their standard error is 0.
     circular : fit one width for both axes.
+    maps : offsets and gains of the images' pixels, which enter the likelihood of every reading with what they are
+        uncertain by; equal weights take all pixels for alike.
 
     Returns
     -------
@@ -114,11 +118,13 @@ def fit_spots(
     if weighting == "likelihood" and sensor is None:
         raise ValueError("sensor: the likelihood needs a gain and a read noise; without them use equal weights")
     design = _design(dict(fixed or {}), circular, top_hat, integrated)
-    law, shapes, outcomes = law_of(None if sensor is None else checked(sensor)), [], []
+    law, shapes, outcomes = law_of(None if sensor is None else checked(sensor), maps), [], []
     single = getattr(images, "ndim", None) == 2
     each: Iterable[np.ndarray] = [np.asanyarray(images)] if single else images
     for number, image in enumerate(each):
         pixels = _pixels(image, number)
+        if maps is not None:
+            pixels = _on_maps(pixels, maps, number)
         shapes.append(pixels.shape)
         outcomes.append(_search(pixels, law, WEIGHTINGS[weighting], sensor is not None, design))
     size = int(design.free.sum())
@@ -138,6 +144,13 @@ def _pixels(image: np.ndarray, number: int) -> np.ndarray:
     if pixels.ndim != 2:
         raise ValueError(f"images: number {number} has the shape {pixels.shape}; each must be [rows, columns]")
     return np.ascontiguousarray(pixels)
+
+
+def _on_maps(pixels: np.ndarray, maps: PixelMaps, number: int) -> np.ndarray:
+    """The image, NaN where the maps know nothing of a pixel."""
+    if pixels.shape != np.shape(maps.gain) or pixels.shape != np.shape(maps.offset_dn):
+        raise ValueError(f"maps: have the shape {np.shape(maps.gain)}, but image {number} has {pixels.shape}")
+    return np.where(np.isfinite(maps.offset_dn) & np.isfinite(maps.gain), pixels, np.nan)
 
 
 def _design(held: dict[str, float], circular: bool, top_hat: bool, integrated: bool) -> Design:

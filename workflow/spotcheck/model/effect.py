@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from spotcheck.model.sensor import SensorModel
+
 
 class Place(Enum):
     """Where an effect acts, in the order of the chain. After the view, every function gets its parameters by name."""
@@ -126,6 +128,12 @@ class Effect(NamedTuple):
     - `uniform`: as a pedestal it is alike over the whole frame.
     - `marks` that it leaves in readings by its nature (`MARKS`).
     - `flats`: why levels of flats and darks cannot show it; "" where they can.
+
+    What it says of the instrument:
+
+    - `adopts`: from a sensor (`SensorModel`) and its parameters by name, values of keys of instrument.yaml, such as
+      "sensor.read_noise_e", with which the baseline does what the effect does; {} for a form that no key describes.
+      None: no key describes any.
     """
 
     name: str
@@ -150,6 +158,7 @@ class Effect(NamedTuple):
     marks: tuple[str, ...] = ()
     flats: str = NO_SPOT
     noun: str = ""
+    adopts: Callable[..., Mapping[str, float]] | None = None
 
     @property
     def component(self) -> str:
@@ -208,5 +217,11 @@ class Present(NamedTuple):
     def apply(self, *arguments: Any) -> Any:
         """Call the effect's function with its parameters, and its form where there is a choice."""
         assert self.effect.function is not None
-        extra = {"form": self.form} if len(self.effect.forms) > 1 else {}
-        return self.effect.function(*arguments, **self.named(), **extra)
+        return self.effect.function(*arguments, **self.named(), **self._formed())
+
+    def adopted(self, sensor: SensorModel) -> Mapping[str, float]:
+        """Values of keys of instrument.yaml that say of a sensor what the effect says; {} where no key can."""
+        return self.effect.adopts(sensor, **self.named(), **self._formed()) if self.effect.adopts else {}
+
+    def _formed(self) -> dict[str, str]:
+        return {"form": self.form} if len(self.effect.forms) > 1 else {}

@@ -15,7 +15,8 @@ import numpy as np
 from spotcheck.errors import InputError
 from spotcheck.model import effect_trial
 from spotcheck.model.chain import Law
-from spotcheck.model.effect import COMPONENTS, MARKS, NEEDS, Context, Effect, Parameter, Place, Scatter
+from spotcheck.model.effect import COMPONENTS, MARKS, NEEDS, Context, Effect, Parameter, Place, Present, Scatter
+from spotcheck.schema import read_schema
 
 # What the function of an effect gets at each place, before its parameters by name.
 ARGUMENTS = {
@@ -99,6 +100,7 @@ def _faults(effect: Effect) -> Iterator[str]:
     yield from _of_words(effect)
     yield from _of_scatter(effect)
     yield from _of_functions(effect)
+    yield from _of_adopts(effect)
     yield from effect_trial.faults(effect, EXAMPLE)
 
 
@@ -194,6 +196,24 @@ def _of_functions(effect: Effect) -> Iterator[str]:
     for own in starts:
         if len(own) != len(effect.parameters) or not np.isfinite(own).all():
             yield f"starts gives {own}; each must hold a number for {', '.join(p.name for p in effect.parameters)}"
+
+
+def _of_adopts(effect: Effect) -> Iterator[str]:
+    """Keys of instrument.yaml that say the same."""
+    if effect.adopts is None:
+        return
+    keys = read_schema("instrument")["properties"]
+    for form in effect.forms:
+        for start in effect.starts(EXAMPLE):
+            try:
+                found = Present(effect, form, tuple(start)).adopted(effect_trial.SENSOR)
+                wrong = [key for key in found if key.partition(".")[2] not in keys[key.partition(".")[0]]["properties"]]
+            except Exception as error:
+                yield f"adopts raises {_said(error)}; it must be f(sensor, *, …) and give values of sensor.key"
+                return
+            if wrong:
+                yield f"adopts names {wrong[0]}, which is no key of instrument.yaml"
+                return
 
 
 def _is_tuple(own: Any) -> bool:

@@ -22,6 +22,8 @@ CLIP_REACH, FINE_DN = 6.0, 0.6
 LARGEST_TABLE_E = 2000.0
 # Levels a unit of read noise, or an electron where that is smaller: see the test of interpolation.
 LEVELS = 8
+# Parts of a DN between which a reading less an offset is told: a score is straight over one, even without noise.
+PARTS = 8
 # A reading less likely than this is treated by the normal law: its exact slope would be 0/0.
 IMPROBABLE = 1e-250
 
@@ -82,6 +84,35 @@ def faint_law(sensor: "SensorModel", step_e: float | None = None) -> FaintLaw:
     mean = probability @ readings
     variance = probability @ readings.astype(float) ** 2 - mean**2
     return FaintLaw(float(levels[0]), step, probability, slope, mean, np.maximum(variance, 0.0))
+
+
+@lru_cache(maxsize=8)
+def fine_law(sensor: "SensorModel", extra_e2: float) -> tuple["SensorModel", FaintLaw]:
+    """The law of a faint reading less an offset of its own that is no whole number: a sensor whose DN are `PARTS` times
+    as fine, and its table, for read noise with `extra_e2` [e-²] more of variance.
+
+    A pixel whose black level is higher by f reads y as often as another one reads y − f, were there such a number. So
+    tables for black levels that differ by 1/`PARTS` interleave. The black level is put where it cuts nothing.
+    """
+    noise = float(np.sqrt(sensor.read_noise_e**2 + extra_e2))
+    black = float(np.ceil(2 * CLIP_REACH * (sensor.gain_dn_per_e * noise + 1)))
+    common = sensor._replace(read_noise_e=noise, full_scale_dn=np.inf)
+    tables = [faint_law.__wrapped__(common._replace(black_level_dn=black + m / PARTS)) for m in range(PARTS)]
+    size = min(table.probability.shape[1] for table in tables) - 1
+    probability, slope = (
+        # Reading y of the table for f = m/PARTS stands at PARTS y − m; nothing reads as little as 0.
+        np.stack([getattr(table, name)[:, 1 : size + 1] for table in tables[::-1]], axis=2).reshape(
+            len(tables[0].mean), -1
+        )
+        / PARTS
+        for name in ("probability", "slope")
+    )
+    readings = PARTS * 1.0 - (PARTS - 1) + np.arange(probability.shape[1])
+    mean = probability @ readings
+    variance = probability @ readings**2 - mean**2
+    # As if the first reading were 0.
+    fine = common._replace(gain_dn_per_e=PARTS * sensor.gain_dn_per_e, black_level_dn=PARTS * black - readings[0])
+    return fine, FaintLaw(tables[0].lowest_e, tables[0].step_e, probability, slope, mean - readings[0], variance)
 
 
 def _poisson(counts: np.ndarray, mean: np.ndarray) -> np.ndarray:

@@ -74,7 +74,8 @@ with a file is said in one sentence before anything is computed.
    `negligible` how near to it a user would call it nothing;
    `starts` is where its fit begins.
 4. Say in `needs` what a design must vary for it to show, in `contains` which effects are a special case of it, and in
-   `always` whether a search tries it even where its starts promise nothing. `Effect` in
+   `always` whether a search tries it even where its starts promise nothing. Where keys of instrument.yaml can say the
+   same, as the read noise can, `adopts` gives their values, which `spotcheck adopt` writes. `Effect` in
    [model/effect.py](../spotcheck/model/effect.py) explains every field.
 
 This file is complete:

@@ -9,6 +9,12 @@ def lowest(*, threshold, form):
     return threshold
 
 
+def lowered(sensor, *, threshold, form):
+    """The black level that is left, as far as it stays above 0; no key describes a dead zone."""
+    left = sensor.black_level_dn - threshold
+    return {"sensor.black_level_dn": left} if form == "subtracted" and left >= 0 else {}
+
+
 EFFECT = Effect(
     number=3,
     name="black_clipping",
@@ -24,4 +30,5 @@ EFFECT = Effect(
     # Clipped noise is skewed and has tails of its own.
     marks=("skewness", "outliers"),
     flats="",
+    adopts=lowered,
 )

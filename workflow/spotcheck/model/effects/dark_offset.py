@@ -10,6 +10,11 @@ def pedestal(view, *, level, form):
     return np.broadcast_to(np.asarray(level, float), view.x0.shape)
 
 
+def raised(sensor, *, level, form):
+    """The black level that an electronic pedestal makes; light is no number of the sensor."""
+    return {"sensor.black_level_dn": sensor.black_level_dn + level} if form == "electronic" else {}
+
+
 EFFECT = Effect(
     number=4,
     name="dark_offset",
@@ -23,4 +28,5 @@ EFFECT = Effect(
     negligible=0.1,
     uniform=True,
     flats="",
+    adopts=raised,
 )

@@ -10,6 +10,11 @@ def noise(read_variance, *, total):
     return total * total + 0 * read_variance
 
 
+def stated(sensor, *, total):
+    """The read noise."""
+    return {"sensor.read_noise_e": total}
+
+
 EFFECT = Effect(
     number=18,
     name="excess_read_noise",
@@ -25,4 +30,5 @@ EFFECT = Effect(
     idle={"": ("total",)},
     always=True,
     flats="the noise of the darks is the measured one",
+    adopts=stated,
 )

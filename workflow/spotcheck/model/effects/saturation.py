@@ -53,6 +53,13 @@ def _clipped(mean, variance, level):
     return np.where(far, level, mean + sd * first), np.where(far, 0.0, sd * sd * np.maximum(second - first**2, 0.0))
 
 
+def ends(sensor, *, level, knee, form):
+    """The full well, or the reading at which the converter stops; no key describes a knee."""
+    if form == "sharp":
+        return {"sensor.full_well_e": level / sensor.gain_dn_per_e}
+    return {"sensor.full_scale_dn": sensor.black_level_dn + level} if form == "sharp with noise" else {}
+
+
 EFFECT = Effect(
     number=1,
     name="saturation",
@@ -73,4 +80,5 @@ EFFECT = Effect(
     # Clipped noise is skewed and has tails of its own, and readings gather at the code of the level.
     marks=("code", "skewness", "outliers"),
     flats="",
+    adopts=ends,
 )

@@ -1,0 +1,38 @@
+"""`spotcheck adopt`: what results say of the instrument, as an instrument file."""
+
+import argparse
+from pathlib import Path
+
+from spotcheck import dataset, store
+from spotcheck.adoption import written
+from spotcheck.adoption.chosen import choices_of
+from spotcheck.adoption.learned import learned_of
+from spotcheck.cli import vocabulary
+from spotcheck.errors import InputError
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("results", type=Path, help="results folder of a dataset, such as results/my-frames")
+    parser.add_argument(
+        "--to", type=Path, help="instrument file to write, which must be new; without it only the table"
+    )
+    vocabulary.arguments(parser)
+    parser.epilog = "Example: spotcheck adopt results/virtual-rig --to camera.yaml"
+
+
+def run(args: argparse.Namespace) -> None:
+    """Print what was learned of each key and what of it is taken, and write the file."""
+    vocabulary.choose(args)
+    folder = store.owner_of(args.results) if args.results.is_dir() else ""
+    if not folder:
+        raise InputError(f"{args.results}: holds no results of a dataset; name its folder, such as results/my-frames")
+    given = dataset.load(folder).instrument
+    learned, left = learned_of(args.results, given)
+    choices = choices_of(learned, given)
+    print(written.table(choices, left))
+    if args.to is None:
+        print("nothing is written: name a new instrument file with --to")
+        return
+    written.write(args.to, choices, left, given, args.results)
+    print(f"wrote {args.to}; a dataset uses it by `based_on:` and its path in instrument.yaml")

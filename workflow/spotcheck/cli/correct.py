@@ -1,0 +1,31 @@
+"""`spotcheck correct`: frames in electrons, with their variance."""
+
+import argparse
+from pathlib import Path
+
+from spotcheck import dataset
+from spotcheck.cli import vocabulary
+from spotcheck.correction.folder import known_in, write
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Define the arguments."""
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--results", type=Path, required=True, help="results folder that tells the sensor")
+    parser.add_argument("--output", type=Path, required=True, help="folder to write, new or empty")
+    vocabulary.arguments(parser)
+    parser.epilog = "Example: spotcheck correct mine --results results/mine --output corrected"
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write every frame corrected, and say by what."""
+    vocabulary.choose(args)
+    found, known = dataset.load(args.dataset), known_in(args.results)
+    count = write(found, known, args.output)
+    sensor, maps = known.sensor, known.maps
+    response = ", ".join(own.effect.name for own in known.present) or "straight"
+    mapped = "no maps of pixels" if maps is None else f"maps of offset{' and gain' if maps.gain else ''}"
+    print(f"{found.name}: {count} frames in electrons, in {args.output}")
+    print(
+        f"K {sensor.gain_dn_per_e:.4g} DN/e-, black level {sensor.black_level_dn:.4g} DN, {mapped}, response {response}"
+    )

@@ -1,0 +1,1 @@
+"""Corrected frames: electrons of the light in place of readings, with their variance."""

@@ -1,0 +1,167 @@
+"""A folder of corrected frames: float TIFF of two pages, electrons and their variance, and a manifest of them."""
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tifffile
+
+import spotcheck
+from spotcheck import frames, provenance, store
+from spotcheck.correction.electrons import Corrected, corrected, curve_of
+from spotcheck.dataset import Dataset
+from spotcheck.errors import InputError
+from spotcheck.estimate.pixel_maps import SensorMaps, maps_in
+from spotcheck.estimate.sensor import BY_FLATS, model_of
+from spotcheck.estimate.transfer_data import quantities_of
+from spotcheck.manifest import REQUIRED_COLUMNS, Frame
+from spotcheck.model.effect import Place, Present
+from spotcheck.model.effects import vocabulary
+from spotcheck.model.extended import needed, read_model, why_none
+from spotcheck.model.sensor import SensorModel
+from spotcheck.writing import whole
+
+# Files of results that a correction rests on.
+SOURCES = ("frames.nc", "transfer.nc", "sensor.nc", "maps.nc", "verdict.json", "model.yaml")
+COMMENTS = (
+    "# Corrected frames, by `spotcheck correct`. Page 0 of a file holds electrons of the light [e-], page 1 their",
+    "# variance [e-2], both 32-bit floats; NaN marks pixels that are bad or clipped. Black level, offsets of pixels,",
+    "# dark current and the bend of the response are taken off, gains of pixels divided by, as far as the results tell",
+    "# them: each file's description says which. source, source_page: the frame that was read. clipped_px: how many",
+    "# pixels are clipped.",
+)
+
+
+class Known(NamedTuple):
+    """What results tell of the sensor: its numbers, the verdict's effects on well and response, maps of its pixels, and
+    digests of the files."""
+
+    sensor: SensorModel
+    present: tuple[Present, ...]
+    maps: SensorMaps | None
+    digests: dict[str, str]
+
+
+def known_in(results: Path) -> Known:
+    """What a folder of results tells. Raises `InputError` where it tells no gain."""
+    sensor = _sensor(results)
+    if sensor is None:
+        raise InputError(f"{results}: tells no gain and read noise; correct by results that do, such as those of flats")
+    maps = None
+    if (results / "maps.nc").is_file():
+        with store.read(results / "maps.nc") as ds:
+            maps = maps_in(ds)
+    digests = {name: provenance.file_digest(results / name)[:16] for name in SOURCES if (results / name).is_file()}
+    return Known(sensor, tuple(_present(results)), maps, digests)
+
+
+def _sensor(results: Path) -> SensorModel | None:
+    """The sensor that results rest on; of flats and darks alone that of their photon transfer."""
+    if (results / "sensor.nc").is_file():
+        with store.read(results / "sensor.nc") as ds:
+            return model_of(ds)
+    if not (results / "transfer.nc").is_file():
+        return None
+    with store.read(results / "transfer.nc") as ds, store.read(results / "frames.nc") as table:
+        own, full_scale = quantities_of(ds), float(table["full_scale"])
+    gain, noise, current, black = (
+        own[BY_FLATS[name]].value
+        for name in ("gain_dn_per_e", "read_noise_e", "dark_current_e_per_s", "black_level_dn")
+    )
+    if not np.isfinite(gain + noise + black):
+        return None
+    return SensorModel(gain, noise, max(np.nan_to_num(current), 0.0), np.inf, black, full_scale)
+
+
+def _present(results: Path) -> list[Present]:
+    """Effects on well and response: those of model.yaml, which holds constants of a form too; of flats and darks alone
+    those of the verdict that lack none."""
+    model, verdict = results / "model.yaml", results / "verdict.json"
+    if model.is_file() and not why_none(model):
+        found = list(read_model(model).present)
+    elif verdict.is_file():
+        found = []
+        for own in json.loads(verdict.read_text(encoding="utf-8"))["effects"]:
+            if effect := vocabulary().get(own["name"]):
+                values = {name: one["value"] for name, one in own["parameters"].items()}
+                if all(p.name in values for p in needed(effect, own["form"])):
+                    found.append(
+                        Present(effect, own["form"], tuple(values.get(p.name, np.nan) for p in effect.parameters))
+                    )
+    else:
+        found = []
+    return [own for own in found if own.effect.place in (Place.WELL, Place.RESPONSE)]
+
+
+def write(dataset: Dataset, known: Known, folder: Path) -> int:
+    """Write every frame of a dataset corrected, frame by frame, and manifest.csv; returns their number.
+
+    Raises `InputError` where the folder holds something, or maps are those of frames of another size.
+    """
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError(f"{folder}: is not empty; name a new folder, nothing is overwritten")
+    curve, rows = curve_of(known.sensor, known.present), []
+    for frame in dataset.frames:
+        image = frames.read_good(dataset, frame).astype(float)
+        if known.maps is not None and known.maps.offset.values.shape != image.shape:
+            size = " × ".join(map(str, known.maps.offset.values.shape[::-1]))
+            raise InputError(
+                f"{frame.label}: has {image.shape[1]} × {image.shape[0]} px, but maps.nc of the results {size} px;"
+                " correct frames of the sensor's same part"
+            )
+        maps = None if known.maps is None else known.maps.at(frame.exposure_s)
+        own = corrected(image, known.sensor, curve, maps, frame.exposure_s)
+        name = _name(frame, dataset)
+        _write_frame(folder / name, own, _told(dataset, frame, known))
+        numbers = ("" if v is None else v for v in (frame.angle_deg, frame.exposure_s, frame.repeat))
+        rows.append([name, frame.kind, *numbers, *frame.extra.values(), frame.file, frame.page, own.clipped])
+    text = io.StringIO("\n".join(COMMENTS) + "\n")
+    text.seek(0, io.SEEK_END)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*REQUIRED_COLUMNS, *dataset.frames[0].extra, "source", "source_page", "clipped_px"])
+    writer.writerows(rows)
+    store.write_text(folder / "manifest.csv", text.getvalue())
+    return len(rows)
+
+
+def _name(frame: Frame, dataset: Dataset) -> str:
+    """Path of a corrected frame: that of its source; of a stack each page has a file."""
+    path = Path(frame.file)
+    several = any(own.file == frame.file and own.page != frame.page for own in dataset.frames)
+    same = any(
+        own.file != frame.file and Path(own.file).with_suffix("") == path.with_suffix("") for own in dataset.frames
+    )
+    stem = path.name.replace(".", "_") if same else path.stem
+    return path.with_name(f"{stem}_p{frame.page}.tif" if several else f"{stem}.tif").as_posix()
+
+
+def _told(dataset: Dataset, frame: Frame, known: Known) -> dict[str, Any]:
+    """What a file says of its making."""
+    maps = known.maps
+    return {
+        "made_by": f"spotcheck correct {spotcheck.__version__}",
+        "dataset": dataset.name,
+        "source": frame.file,
+        "source_page": frame.page,
+        "source_sha256": provenance.file_digest(dataset.folder / frame.file),
+        "pages": ["electrons of the light [e-]", "variance [e-2]"],
+        "nan": "bad or clipped",
+        "sensor": {key: value for key, value in known.sensor._asdict().items() if np.isfinite(value)},
+        "turned_round": {
+            own.effect.name: {"form": own.form} | {k: v for k, v in own.named().items() if np.isfinite(v)}
+            for own in known.present
+        },
+        "maps": [] if maps is None else ["offset", *(["gain"] if maps.gain is not None else [])],
+        "results": known.digests,
+    }
+
+
+def _write_frame(path: Path, own: Corrected, told: dict[str, Any]) -> None:
+    """A TIFF of two pages that appears whole, and equal for equal frames."""
+    with whole(path) as scratch, tifffile.TiffWriter(scratch) as tiff:
+        for page, said in ((own.electrons, json.dumps(told)), (own.variance, told["pages"][1])):
+            tiff.write(page.astype(np.float32), compression="zlib", photometric="minisblack", description=said,
+                       metadata=None, software="")  # fmt: skip
