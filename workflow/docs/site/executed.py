@@ -1,7 +1,7 @@
 """Pages whose code is run by the build; the pictures that it draws stand below it.
 
-A page says so by `executed: true` in its head. Its blocks of Python run one after another, in the repository's root, and
-share their names. tests/library/test_docs.py holds what they print to the blocks of text below them.
+A page says so by `executed: true` in its head. Its blocks of Python run one after another, in the repository's root,
+and share their names. tests/library/test_docs.py holds what they print to the blocks of text below them.
 """
 
 import contextlib

@@ -32,11 +32,14 @@ class Links(SphinxTransform):
 
     def apply(self, **kwargs) -> None:
         """Look at the links of one page."""
-        for link in [*self.document.findall(addnodes.download_reference), *self.document.findall(addnodes.pending_xref)]:
+        for link in [
+            *self.document.findall(addnodes.download_reference),
+            *self.document.findall(addnodes.pending_xref),
+        ]:
             target = Path(self.env.relfn2path(str(link["reftarget"]))[1])
             if link.get("refdomain") == "doc":
                 link["reftarget"] = INCLUDED.get(str(link["reftarget"]).removeprefix(f"{ROOT}/"), link["reftarget"])
-            elif target.is_dir() or isinstance(link, addnodes.download_reference) and target.suffix in LEXERS:
+            elif target.is_dir() or (isinstance(link, addnodes.download_reference) and target.suffix in LEXERS):
                 noted(self.app).add(target)
                 uri = relative_uri(self.app.builder.get_target_uri(self.env.docname), f"{page_of(target)}.html")
                 link.replace_self(nodes.reference("", "", *link.children, internal=True, refuri=uri))

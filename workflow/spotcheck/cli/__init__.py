@@ -43,6 +43,17 @@ COMMANDS = {
     "where": "say where the results of a dataset lie",
 }
 
+# What a person wants of them; main help lists them so.
+GROUPS = {
+    "your own data": ("new-dataset", "check"),
+    "questions about results": ("where", "explain", "compare"),
+    "stages of the workflow, in their order": (
+        *("ingest", "crop", "transfer", "sensor", "fit", "calibrate", "simulate", "metrics", "bounds", "precision"),
+        *("caustic", "judge", "flats", "views", "figures", "report"),
+    ),
+    "the paper, and pages of the documentation": ("paper", "equations", "chain", "effects"),
+}
+
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point. What the user can mend ends in one sentence and status 2."""
@@ -76,18 +87,41 @@ def main(argv: list[str] | None = None) -> None:
 
 def run(words: Sequence[str]) -> None:
     """Run the subcommand that the words of a command line name. Raises `InputError` for what the user can mend."""
-    parser = argparse.ArgumentParser(prog="spotcheck", description="How a camera sees a laser spot on a composite.")
+    args = parse(words)
+    args.run(args)
+
+
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """What the words of a command line say: the values of its arguments, and `run`, which takes them."""
+    parser = argparse.ArgumentParser(
+        prog="spotcheck",
+        usage="%(prog)s COMMAND …",
+        description="How a camera sees a laser spot, and what a model of it is missing.",
+        epilog=f"{_grouped()}\n\nspotcheck COMMAND --help shows an example.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action="version", version=f"spotcheck {spotcheck.__version__}")
-    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", help=argparse.SUPPRESS)
     asked = next((word for word in words if word in COMMANDS), None)
     for name, text in COMMANDS.items():
-        own = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        own = subparsers.add_parser(
+            name,
+            description=f"{text[0].upper()}{text[1:]}.",
+            # Examples keep their lines.
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         if name == asked:
             module = importlib.import_module(f"spotcheck.cli.{name.replace('-', '_')}")
             module.arguments(own)
             own.set_defaults(run=module.run)
-    args = parser.parse_args(words)
-    args.run(args)
+    return parser.parse_args(words)
+
+
+def _grouped() -> str:
+    """Every subcommand with its sentence, by what a person wants."""
+    return "\n\n".join(
+        "\n".join([f"{title}:", *(f"  {name:14}{COMMANDS[name]}" for name in names)]) for title, names in GROUPS.items()
+    )
 
 
 def _say(sentence: str) -> int:

@@ -18,9 +18,16 @@ from spotcheck.model import effects
 from spotcheck.model.extended import no_model, text_of
 from spotcheck.model.light_file import no_light, written_light
 
+EXAMPLE = """Example:
+  spotcheck judge my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
+      --pictures out/my-frames/discrepancy.nc --model out/my-frames/model.yaml --light out/my-frames/light.nc \\
+      --output out/my-frames/verdict.json
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")

@@ -5,9 +5,14 @@ from pathlib import Path
 
 from spotcheck import configuration, template
 
+EXAMPLE = """Example:
+  spotcheck new-dataset new-frames
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("folder", type=Path, help="folder to make; images already in its frames/ are listed")
 
 
