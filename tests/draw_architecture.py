@@ -47,6 +47,7 @@ ROOMS = {
     "configuration": "config.yaml, --config",
     "running": "one run at a time",
     "seen": "what changed",
+    "progress": "how far work is",
     "provenance": "digests",
 }
 

@@ -57,6 +57,7 @@ GROUPS = {
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point. What the user can mend ends in one sentence and status 2."""
+    from spotcheck import progress
     from spotcheck.errors import InputError
 
     # A terminal may know neither ° nor µ: then the sign's number is printed, not a traceback.
@@ -67,7 +68,8 @@ def main(argv: list[str] | None = None) -> None:
         # An end that was asked for takes with it what is half written.
         signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        run(sys.argv[1:] if argv is None else argv)
+        with progress.shown():
+            run(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
     except BrokenPipeError:
         # Who reads has seen enough (`| head`), and what is left to print has nowhere to go.

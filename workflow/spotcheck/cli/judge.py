@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import dataset, provenance, store
+from spotcheck import dataset, progress, provenance, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import open_set, tolerance_of
 from spotcheck.discrepancy.conclude.judge import judge
@@ -46,7 +46,8 @@ def run(args: argparse.Namespace) -> None:
     known = list(effects.vocabulary().values())
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
         ready = open_set(found, crops, sensor)
-        judgement = untested(ready) if isinstance(ready, str) else judge(ready.shots, ready.setting, known)
+        with progress.steps("judging"):
+            judgement = untested(ready) if isinstance(ready, str) else judge(ready.shots, ready.setting, known)
     light = judgement.light
     words = described(light, modes_of(light)) if light else ""
     if len(judgement.lights) > 1:
