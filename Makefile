@@ -32,13 +32,14 @@ $(READY): requirements.lock pyproject.toml workflow/rig/pyproject.toml
 
 # The documentation site, build/docs/index.html; a warning, such as a link that leads nowhere, is an error.
 docs: $(READY)
-	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -d build/docs-read -c workflow/docs/site workflow/docs build/docs
+	$(BIN)/python -m sphinx --quiet --fresh-env --fail-on-warning --keep-going -d build/docs-read -c workflow/docs/site workflow/docs build/docs
 
-# The wheel in an environment of its own, as a user installs it: without Snakemake, papermill and the rig it fits a spot and
-# characterises a sensor.
+# The sdist, and the wheel that is built from it, in an environment of its own, as a user installs it: without Snakemake,
+# papermill and the rig it fits a spot and characterises a sensor.
 wheel: $(READY)
 	rm -rf $(WHEEL)
 	$(BIN)/python -m build --outdir $(WHEEL)/dist .
+	$(BIN)/python -m twine check --strict $(WHEEL)/dist/*
 	$(PYTHON) -m venv $(WHEEL)/venv
 	$(WHEEL)/venv/bin/pip install --quiet $(WHEEL)/dist/*.whl
 	cd $(WHEEL) && venv/bin/python -I ../../tests/check_wheel.py

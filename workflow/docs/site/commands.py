@@ -1,5 +1,8 @@
 """The directive `commands`: every subcommand's help, as the command line prints it."""
 
+import io
+from contextlib import redirect_stdout, suppress
+
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
@@ -8,17 +11,34 @@ from spotcheck import cli
 
 
 class Commands(SphinxDirective):
-    """A section for each subcommand."""
+    """A section for each group of subcommands, and one in it for each of them."""
 
     def run(self) -> list[nodes.Node]:
         """Ask each subcommand for its help."""
         found: list[nodes.Node] = []
-        for name in cli.COMMANDS:
-            section = nodes.section(ids=[f"spotcheck-{name}"], names=[f"spotcheck {name}"])
-            section += nodes.title("", f"spotcheck {name}")
-            section += nodes.literal_block("", cli.parser_of(name).format_help(), language="none")
-            found.append(section)
+        for title, names in cli.GROUPS.items():
+            group = self.section(f"{title[0].upper()}{title[1:]}")
+            for name in names:
+                own = self.section(f"spotcheck {name}")
+                own += nodes.literal_block(text := help_of(name), text, language="none")
+                group += own
+            found.append(group)
         return found
+
+    def section(self, title: str) -> nodes.section:
+        """An empty section."""
+        out = nodes.section(names=[nodes.fully_normalize_name(title)])
+        out += nodes.title(title, title)
+        self.state.document.note_implicit_target(out, out)
+        return out
+
+
+def help_of(name: str) -> str:
+    """What `spotcheck NAME --help` prints."""
+    said = io.StringIO()
+    with redirect_stdout(said), suppress(SystemExit):
+        cli.parse([name, "--help"])
+    return said.getvalue()
 
 
 def setup(app: Sphinx) -> dict:

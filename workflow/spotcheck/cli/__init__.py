@@ -103,7 +103,7 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"spotcheck {spotcheck.__version__}")
-    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", help=argparse.SUPPRESS)
+    subparsers = parser.add_subparsers(dest="command", prog="spotcheck", required=True, help=argparse.SUPPRESS)
     asked = next((word for word in words if word in COMMANDS), None)
     for name, text in COMMANDS.items():
         own = subparsers.add_parser(
