@@ -120,6 +120,14 @@ def test_the_tutorial_runs(monkeypatch):
         matplotlib.pyplot.close("all")
 
 
+def test_the_reference_has_every_public_name():
+    """Each once."""
+    text = (DOCS / "reference.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\.\. auto\w+:: (\w+)", text, re.MULTILINE)) == sorted(
+        name for name in spotcheck.__all__ if name != "__version__"
+    )
+
+
 # The dataset contract.
 
 
