@@ -27,13 +27,15 @@ PARSED_ONLY = ("paper", "figures")
 
 
 def examples(name: str, capsys) -> list[list[str]]:
-    """Words after `spotcheck` of each example in a subcommand's help."""
+    """Words after `spotcheck` of each example in a subcommand's help; a remark stands behind # or three blanks."""
     with pytest.raises(SystemExit):
         cli.parse([name, "--help"])
-    _, found, text = capsys.readouterr().out.partition("\nExample")
-    assert found, f"{name}: its help has no example"
-    lines = text.replace("\\\n", " ").splitlines()
-    return [shlex.split(own, comments=True)[1:] for own in lines if own.strip().startswith("spotcheck ")]
+    found = re.split(r"^examples?:$", capsys.readouterr().out, maxsplit=1, flags=re.MULTILINE | re.IGNORECASE)
+    assert len(found) == 2, f"{name}: its help has no example"
+    lines = [line.strip() for line in re.sub(r"\\\n\s*", "", found[1]).splitlines()]
+    return [
+        shlex.split(re.split(r"\s{3,}", line)[0], comments=True)[1:] for line in lines if line.startswith("spotcheck ")
+    ]
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import io
 import re
+import time
 
 import pytest
 
@@ -75,6 +76,24 @@ def test_steps(said):
     assert "judging, search, 7 so far: " in stream.getvalue() and "about" in stream.getvalue()
     # What is done outside belongs to no steps.
     progress.nearer("nothing")
+
+
+@pytest.mark.parametrize(("stream", "every"), [(io.StringIO, "EVERY_S"), (Terminal, "BEAT_S")])
+def test_a_long_step_is_alive(said, monkeypatch, stream, every):
+    """It is shown again and again, though nothing is said of it, and no more once it is over."""
+    written = said(stream())
+    with progress.shown():
+        for name in ("EVERY_S", "BEAT_S"):
+            monkeypatch.setattr(progress, name, 0.01 if name == every else 3600.0)
+        with progress.steps("judging"):
+            progress.step("search", 0.0, 1.0)
+            before = time.monotonic()
+            while written.getvalue().count("search") < 5:
+                assert time.monotonic() < before + 10.0, "no beat within ten seconds"
+                time.sleep(0.01)
+    over = written.getvalue()
+    time.sleep(0.05)
+    assert written.getvalue() == over
 
 
 def test_short_work_is_not_worth_a_word(said, monkeypatch):

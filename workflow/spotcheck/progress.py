@@ -12,12 +12,14 @@ import sys
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from threading import Event, Thread
 from typing import Any, TextIO, TypeVar
 
 T = TypeVar("T")
 
-# Work is shown once it takes so long; then the bar is drawn, or a line written, every so often [s].
-AFTER_S, DRAWN_S, EVERY_S = 5.0, 0.2, 10.0
+# Work is shown once it takes so long; then the bar is drawn, or a line written, every so often, and a bar at which
+# nothing happens all the same [s].
+AFTER_S, DRAWN_S, EVERY_S, BEAT_S = 5.0, 0.2, 10.0, 1.0
 # How far a step without a known end moves on towards that of its share, each time that something is done.
 NEARER = 0.15
 
@@ -51,10 +53,14 @@ def steps(what: str) -> Iterator[None]:
         yield
         return
     with _bar("{percentage:.0f} %", "about ", total=1.0, desc=what) as bar:
-        token = _steps.set(_Steps(what, bar))
+        token, done = _steps.set(_Steps(what, bar)), Event()
+        beating = Thread(target=_beat, args=(bar, done, BEAT_S if sys.stderr.isatty() else EVERY_S), daemon=True)
+        beating.start()
         try:
             yield
         finally:
+            done.set()
+            beating.join()
             _steps.reset(token)
 
 
@@ -86,6 +92,13 @@ class _Steps:
     def _at(self, part: float, text: str) -> None:
         self.bar.set_description_str(f"{self.what}, {text}", refresh=False)
         self.bar.update(max(part - self.bar.n, 0.0))
+
+
+def _beat(bar: Any, done: Event, every_s: float) -> None:
+    """Show a bar again and again until it is done: a step alone may take minutes."""
+    while not done.wait(every_s):
+        if bar.format_dict["elapsed"] >= AFTER_S:
+            bar.refresh()
 
 
 class _Lines:
