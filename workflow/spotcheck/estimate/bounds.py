@@ -70,8 +70,9 @@ def bounds_of(
     ds["fine_exposure"] = ("fine_exposure", fine, {"units": "s", "long_name": "exposure time"})
     ds["photons"] = ("photons", photons, {"units": "1", "long_name": "photons on the brightest pixel"})
     middle = float(np.median(exposures))
-    asked = [(*s, t) for s, t in zip(states, fine, strict=True)] + [(n, reference[1], middle) for n in photons]
-    found = [peak_bounds(*own, sensor, side) for own in progress.over(asked, "computing bounds")]
+    asked = [(*s, float(t)) for s, t in zip(states, fine, strict=True)]
+    asked += [(float(n), reference[1], middle) for n in photons]
+    found = [peak_bounds(n, sigma, t, sensor, side) for n, sigma, t in progress.over(asked, "computing bounds")]
     over_exposure, over_photons = np.array(found[: len(fine)]), np.array(found[len(fine) :])
     for name, dim, values in (
         ("exposure", "fine_exposure", over_exposure),
