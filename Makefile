@@ -10,7 +10,7 @@ BENCH  := .venv-bench
 CHECK  := results/check
 WHEEL  := build/wheel
 
-.PHONY: all quick test wheel load load-kills load-hostile load-scale load-rules test-slurm newest licences lint check-numbers bench \
+.PHONY: all quick test docs wheel load load-kills load-hostile load-scale load-rules test-slurm newest licences lint check-numbers bench \
     validate validate-times validate-second validate-light validate-real snakemake-report lock lock-bench clean
 
 all: $(READY)
@@ -30,11 +30,16 @@ $(READY): requirements.lock pyproject.toml workflow/rig/pyproject.toml
 	$(BIN)/pip install --quiet --no-deps --no-build-isolation --editable . --editable workflow/rig
 	@touch $@
 
-# The wheel in an environment of its own, as a user installs it: without Snakemake, papermill and the rig it fits a spot and
-# characterises a sensor.
+# The documentation site, build/docs/index.html; a warning, such as a link that leads nowhere, is an error.
+docs: $(READY)
+	$(BIN)/python -m sphinx --quiet --fresh-env --fail-on-warning --keep-going -d build/docs-read -c workflow/docs/site workflow/docs build/docs
+
+# The sdist, and the wheel that is built from it, in an environment of its own, as a user installs it: without Snakemake,
+# papermill and the rig it fits a spot and characterises a sensor.
 wheel: $(READY)
 	rm -rf $(WHEEL)
 	$(BIN)/python -m build --outdir $(WHEEL)/dist .
+	$(BIN)/python -m twine check --strict $(WHEEL)/dist/*
 	$(PYTHON) -m venv $(WHEEL)/venv
 	$(WHEEL)/venv/bin/pip install --quiet $(WHEEL)/dist/*.whl
 	cd $(WHEEL) && venv/bin/python -I ../../tests/check_wheel.py

@@ -53,6 +53,7 @@ ROOMS = {
     "configuration": "config.yaml, --config",
     "running": "one run at a time",
     "seen": "what changed",
+    "progress": "how far work is",
     "provenance": "digests",
 }
 

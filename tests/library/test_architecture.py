@@ -15,7 +15,7 @@ WORKFLOW = ROOT / "workflow"
 FLOORS = {
     0: (
         *("errors", "text", "writing", "schema", "conditions", "plausible", "manifest", "instrument", "dataset"),
-        *("store", "provenance", "configuration", "running", "seen"),
+        *("store", "provenance", "configuration", "running", "seen", "progress"),
     ),
     1: ("frames", "formats", "labels", "survey", "spotfinding", "clip", "siblings", "crops", "optics", "template"),
     2: ("model",),

@@ -3,8 +3,10 @@
 import io
 import json
 import re
+from contextlib import redirect_stdout
 from pathlib import Path
 
+import matplotlib.pyplot
 import numpy as np
 import pytest
 import tifffile
@@ -96,6 +98,33 @@ def test_check_readme_tells_and_mends(tmp_path, monkeypatch):
         check_readme.main()
     assert page.read_text() == (
         "A <!-- scores.md: row -->2.5<!-- / --> b\n<!-- said: here -->\n> All is well.\n<!-- /said -->\n"
+    )
+
+
+def test_the_tutorial_runs(monkeypatch):
+    """Every block of code, in the folder of the repository; what it prints is the block below it. A number in the last
+    digit shown is far above what another processor changes."""
+    monkeypatch.chdir(ROOT)
+    matplotlib.use("agg")
+    text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```\n(?:\n```text\n(.*?)```)?", text, re.DOTALL)
+    assert len(blocks) == text.count("```python") > 3
+    names: dict = {}
+    try:
+        for code_of_block, wanted in blocks:
+            with redirect_stdout(said := io.StringIO()):
+                exec(code_of_block, names)
+            assert said.getvalue() == wanted, code_of_block
+        assert len(matplotlib.pyplot.get_fignums()) == 3
+    finally:
+        matplotlib.pyplot.close("all")
+
+
+def test_the_reference_has_every_public_name():
+    """Each once."""
+    text = (DOCS / "reference.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\.\. auto\w+:: (\w+)", text, re.MULTILINE)) == sorted(
+        name for name in spotcheck.__all__ if name != "__version__"
     )
 
 

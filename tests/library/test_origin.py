@@ -10,7 +10,6 @@ import pytest
 import xarray as xr
 
 from spotcheck import cli, dataset, origin, store
-from spotcheck.cli import explain
 from spotcheck.design import simulate_dataset
 from spotcheck.discrepancy.verdict.words import value_text
 from spotcheck.errors import InputError
@@ -329,18 +328,6 @@ def test_the_folder_of_results_is_found(results, monkeypatch, tmp_path, capsys):
         cli.run(["explain", "p1", "--results", str(tmp_path / "results" / "more")])
     with pytest.raises(InputError, match="no such folder"):
         cli.run(["explain", "p1", "--results", "nowhere"])
-
-
-def test_the_examples_of_the_help(results, capsys):
-    """They can be typed as they stand, where results have the names in them."""
-    with pytest.raises(SystemExit):
-        cli.run(["explain", "--help"])
-    assert explain.EXAMPLES.strip() in capsys.readouterr().out
-    for line in explain.EXAMPLES.splitlines()[1:]:
-        words = shlex.split(line.split("   ")[0] if line.count("   ") else line)
-        if "--results" in words:
-            words = words[: words.index("--results")]
-        cli.run([*words[1:], "--results", str(results)])
 
 
 @pytest.mark.skipif(not (DEFAULT / "verdict.json").exists(), reason="the default dataset was not run here")

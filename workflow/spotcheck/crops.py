@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from spotcheck import frames, seen, siblings, spotfinding, store
+from spotcheck import frames, progress, seen, siblings, spotfinding, store
 from spotcheck.clip import End, end_of, top_of
 from spotcheck.dataset import Dataset, check_files, unit_of
 from spotcheck.errors import InputError
@@ -50,7 +50,7 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
     looks, first, tops = dict[str, seen.Look](), dict[bytes, int](), []
-    for k, frame in enumerate(dataset.frames):
+    for k, frame in enumerate(progress.over(dataset.frames, "reading frames")):
         if frame.path not in looks:
             path = dataset.folder / frame.path
             looks[frame.path] = seen.look(path, before.get(str(path)))
@@ -169,7 +169,7 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
         seen.as_ingested(dataset, table),
     ):
         places, statuses, glances = [], [], []
-        for index, frame, pixels in frames.spots(dataset):
+        for index, frame, pixels in progress.over(frames.spots(dataset), "cropping spots", len(dataset.spots)):
             if (frame.file, frame.page) not in copied:
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
             again = store.flag("copy") if copied[frame.file, frame.page] else 0

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from spotcheck import metrics, store
+from spotcheck import metrics, progress, store
 from spotcheck.crops import cells, usable
 from spotcheck.errors import InputError
 from spotcheck.estimate.fits import preferred
@@ -28,7 +28,7 @@ def metrics_of_both(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
     values = {own.name: np.full(shape, np.nan) for own in PER_IMAGE}
     for s, source in enumerate(SOURCES):
         status = crops[source]["status"].values
-        for index in cells(crops[source], dims[1:]):
+        for index in progress.over(list(cells(crops[source], dims[1:])), f"metrics of {source} frames"):
             at = tuple(index.values())
             if usable(status[at]):
                 image = crops[source]["image"].isel(index).values

@@ -17,7 +17,7 @@ import tifffile
 import xarray as xr
 import yaml
 
-from spotcheck import spotfinding, store
+from spotcheck import progress, spotfinding, store
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
@@ -322,7 +322,7 @@ def _write(
         store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer,
         _stack(folder / STACK) as stack,
     ):
-        for own in drawn:
+        for own in progress.over(drawn, "simulating frames", len(dataset.spots)):
             stack.write(own.readings, compression="zlib", contiguous=False, metadata=None, software="")
             writer.put(own.place, own.values)
 

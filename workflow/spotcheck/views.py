@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck import simulation, store
+from spotcheck import progress, simulation, store
 from spotcheck.dataset import Dataset
 from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
 from spotcheck.discrepancy.observe.frames import Setting, whole
@@ -91,7 +91,7 @@ def fitted(frames: Sequence[Frame], start: Model, extended: Extended, sites: Seq
     lights = _lights(extended, sites)
     own = fit_numbers(frames, start._replace(present=extended.present, lights=lights))
     others = []
-    for left_out in extended.present:
+    for left_out in progress.over(extended.present, "fitting without each effect"):
         present = tuple(one for one in extended.present if one is not left_out)
         numbers = _numbers_without(frames, own.model, present, extended)
         shape = None if left_out.effect.place is Place.SHAPE else lights
@@ -211,7 +211,7 @@ def write(
             _simulated(dataset, files, sensor),
             *([] if frames is None else [_judged(dataset, frames, model)]),
         ):
-            for index, values in found:
+            for index, values in progress.over(found, "views of frames", len(dataset.spots)):
                 image = measured.isel(dict(zip(dims, index, strict=True))).values.astype(float)
                 for name in [name for name in MODELS if name in values]:
                     rms, over = rms_left(image, values[name], line)

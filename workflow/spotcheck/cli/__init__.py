@@ -49,9 +49,34 @@ COMMANDS = {
     "open": "open the page of a dataset or of results in the browser",
 }
 
+# What a person wants of them; main help lists them so.
+GROUPS = {
+    "a first look": ("look", "open"),
+    "your own data": ("new-dataset", "check", "adopt", "correct"),
+    "questions about results": ("where", "explain", "limits", "compare"),
+    "stages of the workflow, in their order": (
+        *(
+            "ingest",
+            "crop",
+            "transfer",
+            "sensor",
+            "maps",
+            "fit",
+            "calibrate",
+            "simulate",
+            "metrics",
+            "bounds",
+            "precision",
+        ),
+        *("caustic", "judge", "flats", "views", "figures", "report"),
+    ),
+    "the paper, and pages of the documentation": ("paper", "equations", "chain", "effects"),
+}
+
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point. What the user can mend ends in one sentence and status 2."""
+    from spotcheck import progress
     from spotcheck.errors import InputError
 
     # A terminal may know neither ° nor µ: then the sign's number is printed, not a traceback.
@@ -62,7 +87,8 @@ def main(argv: list[str] | None = None) -> None:
         # An end that was asked for takes with it what is half written.
         signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        run(sys.argv[1:] if argv is None else argv)
+        with progress.shown():
+            run(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
     except BrokenPipeError:
         # Who reads has seen enough (`| head`), and what is left to print has nowhere to go.
@@ -82,22 +108,42 @@ def main(argv: list[str] | None = None) -> None:
 
 def run(words: Sequence[str]) -> None:
     """Run the subcommand that the words of a command line name. Raises `InputError` for what the user can mend."""
+    args = parse(words)
+    args.run(args)
+
+
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """What the words of a command line say: the values of its arguments, and `run`, which takes them."""
     parser = argparse.ArgumentParser(
         prog="spotcheck",
-        description="How a camera sees a laser spot on a composite.",
-        epilog="New here? `spotcheck look IMAGE…` needs nothing but images. `spotcheck COMMAND --help` tells more.",
+        usage="%(prog)s COMMAND …",
+        description="How a camera sees a laser spot, and what a model of it is missing.",
+        epilog=f"{_grouped()}\n\nNew here? spotcheck look IMAGE… needs nothing but images.\n"
+        "spotcheck COMMAND --help shows an example.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"spotcheck {spotcheck.__version__}")
-    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    subparsers = parser.add_subparsers(dest="command", prog="spotcheck", required=True, help=argparse.SUPPRESS)
     asked = next((word for word in words if word in COMMANDS), None)
     for name, text in COMMANDS.items():
-        own = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        own = subparsers.add_parser(
+            name,
+            description=f"{text[0].upper()}{text[1:]}.",
+            # Examples keep their lines.
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         if name == asked:
             module = importlib.import_module(f"spotcheck.cli.{name.replace('-', '_')}")
             module.arguments(own)
             own.set_defaults(run=module.run)
-    args = parser.parse_args(words)
-    args.run(args)
+    return parser.parse_args(words)
+
+
+def _grouped() -> str:
+    """Every subcommand with its sentence, by what a person wants."""
+    return "\n\n".join(
+        "\n".join([f"{title}:", *(f"  {name:14}{COMMANDS[name]}" for name in names)]) for title, names in GROUPS.items()
+    )
 
 
 def _say(sentence: str) -> int:

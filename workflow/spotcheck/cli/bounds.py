@@ -8,9 +8,15 @@ from spotcheck import dataset, provenance, store
 from spotcheck.estimate.bounds import bounds_of
 from spotcheck.estimate.sensor import model_of
 
+EXAMPLE = """Example:
+  spotcheck bounds my-frames --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc \\
+      --output out/my-frames/bounds.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--calibration", required=True, help="calibration.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")

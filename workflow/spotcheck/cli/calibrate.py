@@ -6,9 +6,15 @@ from spotcheck import dataset, provenance, store
 from spotcheck.estimate.calibration import USED, calibrate
 from spotcheck.estimate.sensor import model_of
 
+EXAMPLE = """Example:
+  spotcheck calibrate my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
+      --sensor out/my-frames/sensor.nc --output out/my-frames/calibration.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--fits", required=True, help="fits.nc")

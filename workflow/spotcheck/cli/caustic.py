@@ -6,9 +6,14 @@ from spotcheck import dataset, provenance, store
 from spotcheck.estimate.caustic import beam_rows, caustic_of
 from spotcheck.estimate.plus_minus import plus_minus
 
+EXAMPLE = """Example:
+  spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/caustic.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--fits", required=True, help="fits.nc")
     parser.add_argument("--output", required=True, help="caustic.nc to write")

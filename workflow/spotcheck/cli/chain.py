@@ -7,9 +7,15 @@ from pathlib import Path
 from spotcheck.errors import InputError
 from spotcheck.figures import chain, style
 
+EXAMPLE = """Example:
+  snakemake --rulegraph > rules.dot
+  spotcheck chain rules.dot --output out/my-frames/chain/fig06
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dot", help="output of `snakemake --rulegraph`; - reads standard input")
     parser.add_argument("--output", required=True, help="path to write to, without .svg and .png")
 

@@ -8,9 +8,14 @@ from spotcheck.manifest import KINDS
 from spotcheck.model.baseline import of_instrument
 from spotcheck.plausible import remarks_on
 
+EXAMPLE = """Example:
+  spotcheck check my-frames
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
 
 

@@ -9,9 +9,14 @@ from spotcheck.comparison.table import compare
 from spotcheck.comparison.written import dataset_of
 from spotcheck.pages import compared
 
+EXAMPLE = """Example:
+  spotcheck compare out/my-frames out/my-flats --page comparison.html --output comparison.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument(
         "results", nargs="+", type=Path, help="results folders of two datasets or more, the first is the reference"
     )

@@ -5,9 +5,14 @@ from pathlib import Path
 
 from spotcheck import crops, dataset, provenance, store
 
+EXAMPLE = """Example:
+  spotcheck crop my-frames --frames out/my-frames/frames.nc --output out/my-frames/crops.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
     parser.add_argument("--output", required=True, help="crops.nc to write")

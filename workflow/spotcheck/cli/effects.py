@@ -6,9 +6,14 @@ from pathlib import Path
 from spotcheck.cli import vocabulary
 from spotcheck.pages import effects
 
+EXAMPLE = """Example:
+  spotcheck effects --output effects.md
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("--output", required=True, type=Path, help="effects.md to write")
     vocabulary.arguments(parser)
 

@@ -5,9 +5,14 @@ from pathlib import Path
 
 from spotcheck.pages import equations
 
+EXAMPLE = """Example:
+  spotcheck equations --symbols data/symbols.yaml --tests tests --output docs
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("--symbols", required=True, type=Path, help="symbols.yaml")
     parser.add_argument("--tests", required=True, type=Path, help="folder of the tests")
     parser.add_argument("--output", required=True, type=Path, help="folder for equations.html and symbols.html")

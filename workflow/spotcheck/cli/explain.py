@@ -9,17 +9,17 @@ from spotcheck.cli import COMMANDS
 from spotcheck.errors import InputError
 from spotcheck.origin import words
 
-EXAMPLES = """examples:
-  spotcheck explain p1 --results results/virtual-rig
-  spotcheck explain gap.closed
-  spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json
-  spotcheck explain                      lists all that can be asked for
+EXAMPLES = """Examples:
+  spotcheck explain p1 --results out/my-frames
+  spotcheck explain gap.closed --results out/my-frames
+  spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json --results out/my-frames
+  spotcheck explain --results out/my-frames      # lists all that can be asked for
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
-    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EXAMPLES
+    parser.epilog = EXAMPLES
     parser.add_argument("number", nargs="?", help="name of the number, long or short; none: list all")
     parser.add_argument("--results", type=Path, help="results folder of a dataset (default: the only one in results/)")
     parser.add_argument("--json", action="store_true", help="write JSON, for programs")

@@ -6,9 +6,14 @@ from pathlib import Path
 from spotcheck.figures.results import Results
 from spotcheck.figures.write import write_all
 
+EXAMPLE = """Example:
+  spotcheck figures --dataset my-frames --results out/my-frames --output out/my-frames/figures
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("--results", required=True, help="folder of the results of one dataset")
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--output", required=True, help="folder to write the figures to")

@@ -7,9 +7,14 @@ from spotcheck.estimate.fits import fit_crops, preferred, reasons_text
 from spotcheck.estimate.pixel_maps import maps_in
 from spotcheck.estimate.sensor import model_of
 
+EXAMPLE = """Example:
+  spotcheck fit my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc --output out/my-frames/fits.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="folder of the dataset, whose instrument says what the spot is")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")

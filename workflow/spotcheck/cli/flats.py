@@ -14,9 +14,14 @@ from spotcheck.estimate.levels import levels_of
 from spotcheck.estimate.photon_transfer import transfer_of
 from spotcheck.model import effects
 
+EXAMPLE = """Example:
+  spotcheck flats my-flats --frames out/my-flats/frames.nc --output out/my-flats/verdict.json
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
     parser.add_argument("--tolerance", default="{}", help="JSON: of_peak, alpha")

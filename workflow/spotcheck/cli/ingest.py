@@ -5,9 +5,14 @@ from pathlib import Path
 
 from spotcheck import crops, dataset, provenance, seen, store
 
+EXAMPLE = """Example:
+  spotcheck ingest my-frames --output out/my-frames/frames.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--output", required=True, help="frames.nc to write")
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck import dataset, provenance, store
+from spotcheck import dataset, progress, provenance, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import open_set, tolerance_of
 from spotcheck.discrepancy.conclude.judge import judge
@@ -18,9 +18,16 @@ from spotcheck.model import effects
 from spotcheck.model.extended import no_model, text_of
 from spotcheck.model.light_file import no_light, written_light
 
+EXAMPLE = """Example:
+  spotcheck judge my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
+      --pictures out/my-frames/discrepancy.nc --model out/my-frames/model.yaml --light out/my-frames/light.nc \\
+      --output out/my-frames/verdict.json
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
@@ -39,7 +46,8 @@ def run(args: argparse.Namespace) -> None:
     known = list(effects.vocabulary().values())
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
         ready = open_set(found, crops, sensor)
-        judgement = untested(ready) if isinstance(ready, str) else judge(ready.shots, ready.setting, known)
+        with progress.steps("judging"):
+            judgement = untested(ready) if isinstance(ready, str) else judge(ready.shots, ready.setting, known)
     light = judgement.light
     words = described(light, modes_of(light)) if light else ""
     if len(judgement.lights) > 1:

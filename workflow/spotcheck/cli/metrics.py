@@ -5,9 +5,16 @@ import argparse
 from spotcheck import provenance, store
 from spotcheck.pairs import metrics_of_both
 
+EXAMPLE = """Example:
+  spotcheck metrics --crops out/my-frames/crops.nc out/my-frames/simulated/crops.nc \\
+      --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc --sensor out/my-frames/sensor.nc \\
+      --output out/my-frames/metrics.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("--crops", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="crops.nc of both")
     parser.add_argument("--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both")
     parser.add_argument("--sensor", required=True, help="sensor.nc")

@@ -24,9 +24,14 @@ QUESTIONS = {
 # Files of other formats that a message lists.
 MOST_OTHERS = 5
 
+EXAMPLE = """Example:
+  spotcheck new-dataset new-frames
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("folder", type=Path, help="folder of images, or one to make")
     parser.add_argument(
         "--set",

@@ -9,9 +9,15 @@ from spotcheck.pages import numbers
 from spotcheck.paper import verdicts
 from spotcheck.paper.results import Results
 
+EXAMPLE = """Example:
+  spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig \\
+      --table numbers.csv --page numbers.html --summary numbers.md
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("numbers", type=Path, help="paper_numbers.yaml")
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")

@@ -8,9 +8,15 @@ from spotcheck import dataset, provenance, store
 from spotcheck.estimate.precision import precision_of
 from spotcheck.estimate.sensor import model_of
 
+EXAMPLE = """Example:
+  spotcheck precision my-frames --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc \\
+      --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc --output out/my-frames/precision.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both")
     parser.add_argument("--calibration", required=True, help="calibration.nc")

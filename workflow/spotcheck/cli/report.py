@@ -8,9 +8,14 @@ from spotcheck import dataset
 from spotcheck.cli import vocabulary
 from spotcheck.pages import report
 
+EXAMPLE = """Example:
+  spotcheck report --dataset my-frames --results out/my-frames --output out/my-frames/report.html
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
     parser.add_argument("--output", required=True, type=Path, help="page to write")

@@ -7,9 +7,15 @@ from spotcheck.estimate import sensor
 from spotcheck.estimate.same_site import pairs_along
 from spotcheck.estimate.transfer_data import quantities_of
 
+EXAMPLE = """Example:
+  spotcheck sensor my-frames --crops out/my-frames/crops.nc --frames out/my-frames/frames.nc \\
+      --output out/my-frames/sensor.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc of the dataset")
     parser.add_argument("--frames", required=True, help="frames.nc of the dataset")

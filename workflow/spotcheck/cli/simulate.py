@@ -11,9 +11,15 @@ from spotcheck.estimate.sensor import model_of
 from spotcheck.model.extended import read_model
 from spotcheck.model.light_file import LIGHT
 
+EXAMPLE = """Example:
+  spotcheck simulate my-frames --calibration out/my-frames/calibration.nc --fits out/my-frames/fits.nc \\
+      --sensor out/my-frames/sensor.nc --seed 1 --folder out/my-frames/simulated --output out/my-frames/simulated.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--calibration", help="calibration.nc; not with --model")
     parser.add_argument("--fits", help="fits.nc; not with --model")

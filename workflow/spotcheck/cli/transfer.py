@@ -9,9 +9,14 @@ from spotcheck.estimate.pattern import add_patterns
 from spotcheck.estimate.photon_transfer import transfer_of
 from spotcheck.estimate.transfer_data import dataset_of, quantities_of
 
+EXAMPLE = """Example:
+  spotcheck transfer my-flats --frames out/my-flats/frames.nc --output out/my-flats/transfer.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
     parser.add_argument("--output", required=True, help="transfer.nc to write")

@@ -9,9 +9,16 @@ from spotcheck.cli.judged import open_set
 from spotcheck.model.extended import read_model, why_none
 from spotcheck.model.light_file import LIGHT
 
+EXAMPLE = """Example:
+  spotcheck views my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
+      --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc --model out/my-frames/model.yaml \\
+      --output out/my-frames/views.nc
+"""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("dataset", help="dataset folder")
     for name in ("crops", "fits", "calibration", "sensor"):
         parser.add_argument(f"--{name}", required=True, help=f"{name}.nc")

@@ -12,8 +12,14 @@ PLACES = (
 )
 
 
+EXAMPLE = """Example:
+  spotcheck where out/my-frames
+"""
+
+
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
+    parser.epilog = EXAMPLE
     parser.add_argument("results", type=Path, help="results folder of a dataset")
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from spotcheck import progress
 from spotcheck.estimate import fisher
 from spotcheck.estimate.calibration import USED
 from spotcheck.instrument import Instrument
@@ -68,8 +69,11 @@ def bounds_of(
     )
     ds["fine_exposure"] = ("fine_exposure", fine, {"units": "s", "long_name": "exposure time"})
     ds["photons"] = ("photons", photons, {"units": "1", "long_name": "photons on the brightest pixel"})
-    over_exposure = np.array([peak_bounds(*s, t, sensor, side) for s, t in zip(states, fine, strict=True)])
-    over_photons = np.array([peak_bounds(n, reference[1], float(np.median(exposures)), sensor, side) for n in photons])
+    middle = float(np.median(exposures))
+    asked = [(*s, float(t)) for s, t in zip(states, fine, strict=True)]
+    asked += [(float(n), reference[1], middle) for n in photons]
+    found = [peak_bounds(n, sigma, t, sensor, side) for n, sigma, t in progress.over(asked, "computing bounds")]
+    over_exposure, over_photons = np.array(found[: len(fine)]), np.array(found[len(fine) :])
     for name, dim, values in (
         ("exposure", "fine_exposure", over_exposure),
         ("photons", "photons", over_photons),

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck import store
+from spotcheck import progress, store
 from spotcheck.crops import cells, usable
 from spotcheck.estimate.by_maps import ByMaps
 from spotcheck.estimate.fitted import NAMES, PARAMETERS, SpotFits
@@ -62,7 +62,7 @@ def fit_crops(
         status[..., 0] |= store.flag("no_noise")
     origin = {1: crops["left"].values, 2: crops["top"].values}
     told = None if maps is None or sensor is None else ByMaps(crops, dims[:-1])
-    for index in cells(crops, dims[:-1]):
+    for index in progress.over(list(cells(crops, dims[:-1])), "fitting spots"):
         at = tuple(index.values())
         if not usable(crops["status"].values[at]):
             continue

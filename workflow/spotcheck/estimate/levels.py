@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck import frames
+from spotcheck import frames, progress
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.manifest import PHOTONS, Frame
@@ -57,7 +57,8 @@ def levels_of(dataset: Dataset, full_scale_dn: float) -> list[Level]:
     ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
     ordered.sort(key=lambda key: key[0] != "dark")
     read = {key: (frames.read_good(dataset, own) for own in groups[key]) for key in ordered}
-    return with_common_drift([level_of(images, *key, full_scale_dn) for key, images in read.items()])
+    levels = progress.over(list(read.items()), "reading levels of flats and darks")
+    return with_common_drift([level_of(images, *key, full_scale_dn) for key, images in levels])
 
 
 def with_common_drift(levels: list[Level]) -> list[Level]:

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from spotcheck import store
+from spotcheck import progress, store
 from spotcheck.figures import every_figure, style
 from spotcheck.figures.entry import Entry
 from spotcheck.figures.results import Results, Unavailable
@@ -17,7 +17,7 @@ def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] | None 
     """
     drawn: list[dict[str, str | None]] = []
     skipped: list[dict[str, str | None]] = []
-    for entry in every_figure() if entries is None else entries:
+    for entry in progress.over(every_figure() if entries is None else entries, "drawing figures"):
         record: dict[str, str | None] = {"name": entry.name, "title": entry.title}
         try:
             for need in entry.needs:

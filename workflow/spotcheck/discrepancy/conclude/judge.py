@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from spotcheck import progress
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.advise import advise
 from spotcheck.discrepancy.conclude.detect import looked_at
@@ -38,6 +39,7 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     """Everything that is concluded of some frames; those that are kept unseen are opened last."""
     if not shots:
         return untested("there is no usable spot frame")
+    progress.step("fit of the declared model", 0.0, 0.05)
     own, out = parted(shots)
     searched, kept = [shots[k] for k in own], [shots[k] for k in out]
     seen = observed(searched, setting)
@@ -50,13 +52,17 @@ def judge(shots: Sequence[Shot], setting: Setting, effects: Sequence[Effect]) ->
     model = Model(setting.baseline, setting.sensor, (), seen.numbers, Sheet(setting.sensor, setting.stderr))
     # The sheet is declared with its errors.
     declared = fit(frames, model, PENALTY)
+    progress.step("search for effects", 0.05, 0.85)
     outcome = find(frames, design, model, usable, context)
+    progress.step("laws of exposure, angle and order", 0.85, 0.88)
     laws = search_laws(outcome.frames, design, outcome.after, setting.baseline, context.crop_px, usable, context)
+    progress.step("unseen frames", 0.88, 0.92)
     unseen_frames = observed(kept, setting) if kept else None
     unseen_frames = None if isinstance(unseen_frames, str) else unseen_frames
     compared = _compared(unseen_frames, seen, declared.model, outcome)
     every = {one.own.effect.name: one for one in (*outcome.found, *laws.found)}
     beyond = tuple(name for name, gain in compared.gains.items() if name in every and gain <= 0)
+    progress.step("what is left", 0.92, 1.0)
     at_first, detection = looked_at(frames, declared.model if any(setting.stderr) else model, design)
     at_last, rest = looked_at(outcome.frames, outcome.after, design)
     within = seen_of(outcome.frames, outcome.after.model)

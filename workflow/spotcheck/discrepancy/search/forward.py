@@ -5,6 +5,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from spotcheck import progress
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.codes import gathers
 from spotcheck.discrepancy.evidence.noise import Noisy, level_of, levels_of, noises_of
@@ -99,6 +100,7 @@ def grow(
     usable = [e for e in effects if not (told and any(e.moves_level(form) for form in e.forms))]
     sound, doubtful = now, 0
     for step in range(int(criteria.MOST.value)):
+        progress.nearer(f"{len(now.fitted.model.present)} so far")
         found = ranked(now.frames, design, now.fitted, usable, context)
         wanted = least(now) if found.candidates else 0.0
         tied = tied if step else found.tied

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck import progress
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.evidence.patterns import gathered
 from spotcheck.discrepancy.evidence.pixels import Ready
@@ -159,6 +160,7 @@ def begun(
 ) -> State:
     """A state beside a light that is learned, under the noise and the level of its dark pixels. Where each frame has a
     light of its own, stripes come first: a shape that may be as fine as they are is fitted beside them."""
+    progress.nearer("shape of the light")
     if not lonely(share):
         return quiet(State(tuple(frames), with_shape(frames, model, context, share=share)), level=True)[0]
     coarse, _ = quiet(State(tuple(frames), with_shape(frames, model, step=COARSE, share=share)), level=True)

@@ -1,0 +1,116 @@
+"""What is said of work that takes long: after some seconds, by lines or by a bar, and only where it is asked for."""
+
+import io
+import re
+import time
+
+import pytest
+
+from spotcheck import cli, progress
+
+
+class Terminal(io.StringIO):
+    """Standard error of a person."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def said(monkeypatch):
+    """Where progress is said; work counts as long from its start, and every change is told."""
+    monkeypatch.setattr(progress, "AFTER_S", -1.0)
+    for every in ("DRAWN_S", "EVERY_S"):
+        monkeypatch.setattr(progress, every, 0.0)
+
+    def on(stream: io.StringIO) -> io.StringIO:
+        monkeypatch.setattr("sys.stderr", stream)
+        return stream
+
+    return on
+
+
+def test_the_library_says_nothing(said):
+    """Unless it is asked to, and the items are the very object that was given."""
+    stream, items = said(io.StringIO()), [1, 2]
+    assert progress.over(items, "counting") is items
+    with progress.steps("judging"):
+        progress.step("first", 0.0, 0.5)
+        progress.nearer("one so far")
+    assert stream.getvalue() == ""
+
+
+def test_lines_without_a_terminal(said):
+    """One for each change, and no sign that moves a cursor."""
+    stream = said(io.StringIO())
+    with progress.shown():
+        assert list(progress.over(iter("abc"), "fitting spots", 3)) == ["a", "b", "c"]
+    lines = stream.getvalue().splitlines()
+    assert [line.split(",")[0] for line in lines[-3:]] == [f"fitting spots: {k} of 3" for k in (1, 2, 3)]
+    assert re.fullmatch(r"fitting spots: 3 of 3, \d\d:\d\d so far, \d\d:\d\d to go", lines[-1])
+    assert all(line.strip() for line in lines) and not re.search(r"[\r\x1b]", stream.getvalue())
+
+
+def test_a_bar_on_a_terminal(said):
+    """It is drawn anew on one line, and gone at the end."""
+    stream = said(Terminal())
+    with progress.shown():
+        list(progress.over(range(4), "fitting spots"))
+    drawn = stream.getvalue()
+    assert "4 of 4" in drawn and "\n" not in drawn
+    assert not drawn.split("\r")[-1].strip()
+
+
+def test_steps(said):
+    """Their names with their shares, which never go back, nor beyond the end of the step."""
+    stream = said(io.StringIO())
+    with progress.shown(), progress.steps("judging"):
+        progress.step("fit", 0.0, 0.1)
+        progress.step("search", 0.1, 0.8)
+        for k in range(40):
+            progress.nearer(f"{k} so far")
+        progress.step("again", 0.5, 0.8)
+        progress.step("rest", 0.8, 1.0)
+    shares = [int(own) for own in re.findall(r"(\d+) %", stream.getvalue())]
+    assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 80
+    assert "judging, search, 7 so far: " in stream.getvalue() and "about" in stream.getvalue()
+    # What is done outside belongs to no steps.
+    progress.nearer("nothing")
+
+
+@pytest.mark.parametrize(("stream", "every"), [(io.StringIO, "EVERY_S"), (Terminal, "BEAT_S")])
+def test_a_long_step_is_alive(said, monkeypatch, stream, every):
+    """It is shown again and again, though nothing is said of it, and no more once it is over."""
+    written = said(stream())
+    with progress.shown():
+        for name in ("EVERY_S", "BEAT_S"):
+            monkeypatch.setattr(progress, name, 0.01 if name == every else 3600.0)
+        with progress.steps("judging"):
+            progress.step("search", 0.0, 1.0)
+            before = time.monotonic()
+            while written.getvalue().count("search") < 5:
+                assert time.monotonic() < before + 10.0, "no beat within ten seconds"
+                time.sleep(0.01)
+    over = written.getvalue()
+    time.sleep(0.05)
+    assert written.getvalue() == over
+
+
+def test_short_work_is_not_worth_a_word(said, monkeypatch):
+    """What is done within seconds."""
+    monkeypatch.setattr(progress, "AFTER_S", 60.0)
+    stream = said(io.StringIO())
+    with progress.shown():
+        list(progress.over(range(100), "counting"))
+    assert stream.getvalue() == ""
+
+
+def test_the_command_line_asks_for_it(said, there, monkeypatch):
+    """And its results are the same as without."""
+    made = []
+    for asked in (True, False):
+        stream = said(io.StringIO())
+        (cli.main if asked else cli.run)(["ingest", "my-frames", "--output", "frames.nc"])
+        made.append((there / "frames.nc").read_bytes())
+        assert ("reading frames: 18 of 18" in stream.getvalue()) == asked
+    assert made[0] == made[1]

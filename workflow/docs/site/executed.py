@@ -1,0 +1,61 @@
+"""Pages whose code is run by the build (`executed_pages` of conf.py); the pictures that it draws stand below it.
+
+Blocks of Python run one after another, in the repository's root, and share their names. tests/library/test_docs.py
+holds what they print to the blocks of text below them.
+"""
+
+import contextlib
+import io
+import os
+from pathlib import Path
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.transforms import SphinxTransform
+
+ROOT = Path(__file__).parents[3]
+
+
+class Pictures(SphinxTransform):
+    """Runs a page's code and adds the figures that are open after a block."""
+
+    # Before Sphinx collects the images of a page.
+    default_priority = 200
+
+    def apply(self, **kwargs) -> None:
+        """Run the blocks of one page."""
+        if self.env.docname not in self.config.executed_pages:
+            return
+        import matplotlib
+
+        matplotlib.use("agg")
+        from matplotlib import pyplot
+
+        names: dict = {}
+        folder = Path(self.app.doctreedir) / "pictures"
+        folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.chdir(ROOT), contextlib.redirect_stdout(io.StringIO()):
+            blocks = [own for own in self.document.findall(nodes.literal_block) if own.get("language") == "python"]
+            for number, block in enumerate(blocks):
+                exec(compile(block.astext(), f"{self.env.docname}.md", "exec"), names)
+                for figure in map(pyplot.figure, pyplot.get_fignums()):
+                    path = folder / f"{self.env.docname}-{number}-{figure.number}.svg"
+                    figure.savefig(path, bbox_inches="tight", metadata={"Date": None})
+                    uri = "/" + os.path.relpath(path, self.env.srcdir)
+                    last = output_of(block) or block
+                    picture = nodes.image("", uri=uri, alt="What the code above draws", classes=["drawn"])
+                    last.parent.insert(last.parent.index(last) + 1, picture)
+                pyplot.close("all")
+
+
+def output_of(block: nodes.literal_block) -> nodes.literal_block | None:
+    """The block of text that follows a block of code: what it prints."""
+    after = block.next_node(descend=False, siblings=True)
+    return after if isinstance(after, nodes.literal_block) and after.get("language") == "text" else None
+
+
+def setup(app: Sphinx) -> dict:
+    """Register with Sphinx."""
+    app.add_config_value("executed_pages", [], "env")
+    app.add_transform(Pictures)
+    return {"version": "1", "parallel_read_safe": False}
