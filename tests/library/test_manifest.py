@@ -194,7 +194,7 @@ def test_copies_are_no_repeats(tmp_path, capsys):
 def test_many_copies_are_counted(tmp_path):
     """A remark that nobody reads says nothing."""
     found = loaded(tmp_path, [RAMP] * 9, "crop_px: 8")
-    assert len(store.remarks_of(crops.ingest(found))) == crops.MOST_COPIES + 1
+    assert len(store.remarks_of(crops.ingest(found))) == crops.MOST_NAMED + 1
     assert store.remarks_of(crops.ingest(found))[-1] == "3 more frames are copies"
 
 

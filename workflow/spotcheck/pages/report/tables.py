@@ -298,8 +298,8 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
             cite.within(
                 own["words"] or "–", _ends(own, known[own["effect"]].neutral if own["effect"] in known else 0.0)
             ),
-            f"{own['frames']:,}" if own["frames"] else own["more"] or "–",
-            own["why"],
+            f"{own['frames']:,}" if own["frames"] else "–",
+            "; ".join(filter(None, (own["why"], own["more"]))),
         )
         for own in sorted(verdict["limits"], key=lambda own: not own["words"])
     ]
