@@ -3,6 +3,7 @@
 import re
 import shlex
 import shutil
+import webbrowser
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ BEFORE = {
         " --output out/my-frames/simulated/fits.nc",
     ),
     "transfer": ("ingest my-flats --output out/my-flats/frames.nc",),
+    "maps": ("ingest my-flats --output out/my-flats/frames.nc",),
 }
 # `paper` wants the default dataset's results, which take minutes, and all figures take 15 s.
 PARSED_ONLY = ("paper", "figures")
@@ -49,8 +51,10 @@ def prepared(shelf, tmp_path, monkeypatch) -> Path:
     figures = tmp_path / "out" / "my-frames" / "figures"
     figures.mkdir(parents=True)
     (figures / "index.json").write_text('{"figures": [], "skipped": []}')
+    (figures.parent / ".dataset").write_text(str(tmp_path / "my-frames"))
     (tmp_path / "rules.dot").write_text('digraph {\n0[label = "fit"];\n1[label = "crop"];\n1 -> 0\n}\n')
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(webbrowser, "open", lambda page: True)
     before = effects.chosen()
     yield tmp_path
     effects.choose(before)

@@ -18,7 +18,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--to", type=Path, help="instrument file to write, which must be new; without it only the table"
     )
     vocabulary.arguments(parser)
-    parser.epilog = "Example: spotcheck adopt results/virtual-rig --to camera.yaml"
+    parser.epilog = "Example:\n  spotcheck adopt out/my-frames --to camera.yaml\n"
 
 
 def run(args: argparse.Namespace) -> None:

@@ -14,7 +14,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--results", type=Path, required=True, help="results folder that tells the sensor")
     parser.add_argument("--output", type=Path, required=True, help="folder to write, new or empty")
     vocabulary.arguments(parser)
-    parser.epilog = "Example: spotcheck correct mine --results results/mine --output corrected"
+    parser.epilog = "Example:\n  spotcheck correct my-frames --results out/my-frames --output corrected\n"
 
 
 def run(args: argparse.Namespace) -> None:

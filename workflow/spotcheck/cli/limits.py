@@ -8,15 +8,14 @@ from spotcheck.cli.explain import only_one
 from spotcheck.discrepancy.verdict.words import limits_text
 from spotcheck.errors import InputError
 
-EXAMPLES = """examples:
-  spotcheck limits --results results/virtual-rig
-  spotcheck limits                       of the only results there are
+EXAMPLE = """Example:
+  spotcheck limits --results out/my-frames
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
-    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EXAMPLES
+    parser.epilog = EXAMPLE
     parser.add_argument("--results", type=Path, help="results folder of a dataset (default: the only one in results/)")
 
 

@@ -2,10 +2,6 @@
 
 import argparse
 import json
-import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from spotcheck.errors import InputError
@@ -19,8 +15,6 @@ EXAMPLES = """Examples:
 With --wavelength-nm as well, positions along the beam give M²: those that names say, as z_176mm.tif does, or --z.
 """
 OUTPUT = "look"
-# What is said on standard error after so long [s].
-PATIENCE_S, COMPILED = 5.0, "still looking; on a new machine the spot fit is compiled first, which takes some 20 s"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,13 +50,12 @@ def run(args: argparse.Namespace) -> None:
     folder = args.output or (None if args.json else Path(OUTPUT))
     if args.output is None and folder is not None and folder.resolve() in folders_of(images_of(args.images)):
         raise InputError(f"{OUTPUT}: holds the images; name another folder for the page with --output")
-    with _patience():
-        found = look(
-            args.images,
-            z_m=args.z,
-            pixel_pitch_m=None if args.pixel_um is None else 1e-6 * args.pixel_um,
-            wavelength_m=None if args.wavelength_nm is None else 1e-9 * args.wavelength_nm,
-        )
+    found = look(
+        args.images,
+        z_m=args.z,
+        pixel_pitch_m=None if args.pixel_um is None else 1e-6 * args.pixel_um,
+        wavelength_m=None if args.wavelength_nm is None else 1e-9 * args.wavelength_nm,
+    )
     page = None if folder is None else found.write(folder)
     if args.json:
         print(json.dumps(found.to_dict() | {"page": None if page is None else str(page)}, indent=1, ensure_ascii=False))
@@ -71,18 +64,6 @@ def run(args: argparse.Namespace) -> None:
     if asked := _asked(found.wavelength_m, found.pixel_pitch_m, any(one.z_m is not None for one in found.images)):
         print(asked)
     print(f"\npage: {page}    (spotcheck open {page})")
-
-
-@contextmanager
-def _patience() -> Iterator[None]:
-    """Say why nothing is to be seen for so long."""
-    timer = threading.Timer(PATIENCE_S, lambda: print(COMPILED, file=sys.stderr))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def _asked(wavelength_m: float | None, pitch_m: float | None, scan: bool) -> str:

@@ -12,7 +12,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", help="dataset folder, with two darks or more")
     parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
     parser.add_argument("--output", required=True, help="maps.nc to write")
-    parser.epilog = "Example: spotcheck maps my-frames --frames frames.nc --output maps.nc"
+    parser.epilog = "Example:\n  spotcheck maps my-flats --frames out/my-flats/frames.nc --output maps.nc\n"
 
 
 def run(args: argparse.Namespace) -> None:

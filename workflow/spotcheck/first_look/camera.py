@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck import progress
 from spotcheck.clip import LEAST_PX, Top, top_of
 from spotcheck.estimate.by_spots import seen_by_spots
 from spotcheck.estimate.plus_minus import plus_minus
@@ -50,7 +51,7 @@ def camera_of(images: Sequence[Image]) -> Camera:
     stops = [end for image in images if np.isfinite(end := stop_of(image.read(), image.bits))]
     # One camera stops at one reading: a plateau that is lower is light's own.
     stop = max(stops, default=np.inf)
-    seen = seen_by_spots((image.read() for image in images), {}, None, stop)
+    seen = seen_by_spots((image.read() for image in progress.over(images, "looking at noise")), {}, None, stop)
     found = spots_in_electrons(seen)
     if not found:
         return Camera(None, None, UNKNOWN, seen.level_dn, stop)

@@ -7,6 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from spotcheck import progress
 from spotcheck.errors import InputError
 from spotcheck.first_look import plain, words
 from spotcheck.first_look.camera import Camera, camera_of
@@ -162,5 +163,5 @@ def _looked(images: Sequence[Image], positions: Sequence[float | None]) -> tuple
     for _, group in groupby(sorted(range(len(images)), key=camera), key=camera):
         own = list(group)
         cameras.append(camera_of([images[k] for k in own]))
-        seen |= {k: seen_on(images[k], cameras[-1], positions[k]) for k in own}
+        seen |= {k: seen_on(images[k], cameras[-1], positions[k]) for k in progress.over(own, "looking at spots")}
     return cameras, [seen[k] for k in range(len(images))]
