@@ -245,3 +245,16 @@ def test_nine_images_of_a_real_beam(tmp_path):
     for beam in (*moments.caustics.values(), *fits.caustics.values()):
         assert 0.495 < beam.waist_position < 0.77 and beam.m2_stderr > 0
     assert found.write(tmp_path).stat().st_size < 3e6
+
+
+@pytest.mark.parametrize("scale", [1 / 255, 1e-6])
+def test_readings_that_were_scaled(scale):
+    """Light of 0 to 1 as other programs write it: widths and their errors as of the same image in whole numbers, but
+    for rounding, whose 1/12 DN² is 4 % of the noise."""
+    y, x = np.mgrid[:120, :160]
+    light = np.random.default_rng(1).normal(200 * np.exp(-((x - 81.3) ** 2 + (y - 60) ** 2) / 200) + 20, 1.5)
+    own, scaled = (spotcheck.look(image).images[0] for image in (np.rint(light), scale * light))
+    for name in ("sigma_major", "sigma_minor"):
+        (width, error), (other, other_error) = own.fitted_to(name), scaled.fitted_to(name)
+        assert other_error == pytest.approx(error, rel=0.1) and abs(width - other) < error
+    assert scaled.moments.major == pytest.approx(own.moments.major, abs=own.moments.major_stderr)

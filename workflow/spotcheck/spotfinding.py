@@ -18,7 +18,7 @@ SPOT_OVER_NOISE = 6.0
 FIRM_OVER_NOISE = 7.0
 # Side of the first window in blocks: a block and its eight neighbours, and half a block each way for the spot's flank.
 WINDOW_BLOCKS = 4
-# Nor is anything fainter than this a spot: where rounding hides the noise, its estimate is 0.
+# Nor is anything fainter than this a spot of whole numbers: where rounding hides the noise, its estimate is 0.
 FAINTEST_DN = 2.5
 
 
@@ -57,16 +57,18 @@ def light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
     """
     pixels = _filled(pixels)
     square, firm = _firm(pixels)
-    background = float(np.median(pixels[::8, ::8]))
+    sample = pixels[::8, ::8]
+    background = float(np.median(sample))
     # Differences of neighbours see the noise alone, also where a black level of 0 cuts half of it away.
     noise = float(np.median(np.abs(pixels[::4, :-1:8].astype(float) - pixels[::4, 1::8]))) / 0.954
-    enough = max(SPOT_OVER_NOISE * noise, FAINTEST_DN)
+    faintest = FAINTEST_DN if np.array_equal(sample, np.rint(sample)) else 0.0
+    enough = max(SPOT_OVER_NOISE * noise, faintest)
     most = _centroid(pixels, _brightest_block(square), window_px, background, enough)
     row, column = map(int, np.unravel_index(np.argmax(firm), firm.shape))
     height = float(firm[row, column]) - background
     if most is not None and (most.contrast > enough or 2 * most.peak > height):
         return most.spot
-    if height <= max(FIRM_OVER_NOISE * noise, FAINTEST_DN):
+    if height <= max(FIRM_OVER_NOISE * noise, faintest):
         return Spot(pixels.shape[0] // 2, pixels.shape[1] // 2, False) if most is None else most.spot
     own = _centroid(pixels, (row, column), window_px, background, enough)
     return Spot(row, column, True) if own is None or 2 * own.peak < height else own.spot

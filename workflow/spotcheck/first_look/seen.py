@@ -144,7 +144,7 @@ def _window(pixels: np.ndarray, moments: Moments) -> tuple[int, int, np.ndarray]
 
 def _noise_by_residuals(window: np.ndarray) -> SensorModel | None:
     """A law of noise that grows with light by the residuals of a fit, for its errors alone; None where it does not
-    grow. Medians pass over hot pixels."""
+    grow, or is finer than whole numbers. Medians pass over hot pixels."""
     fit = fit_spots(window, weighting="equal")
     if fit.status != "ok":
         return None
@@ -157,7 +157,8 @@ def _noise_by_residuals(window: np.ndarray) -> SensorModel | None:
         return None
     floor = float(np.median(squared[dark]))
     gain = (float(np.median(squared[bright])) - floor) / float(np.mean(light[bright]))
-    if not gain > 0:
+    # Noise finer than a step of whole numbers is of readings that were scaled, which the law does not know.
+    if not gain > 0 or floor < ROUNDING_VARIANCE:
         return None
     return SensorModel(
         gain, float(np.sqrt(max(floor - ROUNDING_VARIANCE, 0.0))) / gain, black_level_dn=float(fit.offset)

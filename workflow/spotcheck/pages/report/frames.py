@@ -83,9 +83,9 @@ def frames_of(dataset: Dataset, files: Files) -> Frames:
         "frames": shown,
     }
     ranked_by = next(name for name in RANKED_BY if name in files.views)
-    contents["best"] = _best(shown, ranked_by)
+    best = contents["best"] = _best(shown, ranked_by)
     # Before and after, or the only model.
-    able = [name for name in PICTURED if name in shown[contents["best"]]["layers"]]
+    able = [name for name in PICTURED if name in shown[best]["layers"]]
     contents["pictured"] = able[: 2 if "extended" in able else 1]
     remark = f"Images are shown in blocks of {block} × {block} px, so that the page stays small." if block > 1 else ""
     # A frame of which nothing is left, for it could not be used, comes last.
