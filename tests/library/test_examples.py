@@ -47,11 +47,9 @@ def prepared(shelf, tmp_path, monkeypatch) -> Path:
         shutil.copytree(shelf / name, tmp_path / name)
     for name in ("data", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
-    # No figures, which the report would show.
-    figures = tmp_path / "out" / "my-frames" / "figures"
-    figures.mkdir(parents=True)
-    (figures / "index.json").write_text('{"figures": [], "skipped": []}')
-    (figures.parent / ".dataset").write_text(str(tmp_path / "my-frames"))
+    results = tmp_path / "out" / "my-frames"
+    results.mkdir(parents=True)
+    (results / ".dataset").write_text(str(tmp_path / "my-frames"))
     (tmp_path / "rules.dot").write_text('digraph {\n0[label = "fit"];\n1[label = "crop"];\n1 -> 0\n}\n')
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(webbrowser, "open", lambda page: True)

@@ -107,7 +107,7 @@ def _details(
     dataset: Dataset, results: Path, files: dict[str, xr.Dataset], verdict: dict[str, Any] | None, cite: Cited
 ) -> dict[str, Any]:
     """What the folds hold."""
-    index = _read(results / "figures" / "index.json")
+    index = _read(results / "figures" / "index.json") or {"figures": [], "skipped": []}
     stages = [(name, ds.attrs["skipped"]) for name, ds in files.items() if "skipped" in ds.attrs]
     if not dataset.spots:
         why = "the manifest names no frame of kind spot: crops, fits and all else that follows from them"
