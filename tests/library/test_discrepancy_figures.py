@@ -370,7 +370,7 @@ def test_the_report_shows_the_verdict(tmp_path):
         "<td>scatter_halo</td>",
         "98 %",
         "unseen repeats",
-        "p1 [px]",
+        "<td>p1</td>",
         "12 frames at an exposure of 1.8 ms",
         "<code>angle_reflectance</code>: fewer than three",
         "Where, strongest",
@@ -395,4 +395,4 @@ def test_the_report_of_what_was_not_assessed(tmp_path):
     write_verdict(verdict, tmp_path / "verdict.json")
     text = page(tmp_path)
     assert "no spot could be fitted" in text
-    assert "p1 [px]" not in text and "Where, strongest" not in text
+    assert "<td>p1</td>" not in text and "Where, strongest" not in text

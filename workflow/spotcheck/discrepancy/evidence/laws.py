@@ -104,7 +104,8 @@ def _law_trial(problem: Problem, effect: Effect, base: Account, full: Account, b
     tried = []
     for form in effect.forms:
         every = [(*base.present, Present(effect, form, tuple(own))) for own in effect.starts(problem.context)]
-        means = [mean_of(problem, own, base) for own in every]
+        # A law that was made right for the brightness without this effect is no start for it.
+        means = [mean_of(problem, own, start) for start in (None, base) for own in every]
         begun = starts_of(means, [base.found.tau, *beginnings(problem)])
         tried += [account(means[0], problem.components, restricted=False, start=own) for own in begun]
     best = min(tried, key=lambda own: own.deviance + criteria.PRICE.value * len(own.mean.free))

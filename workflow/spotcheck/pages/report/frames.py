@@ -34,12 +34,14 @@ PICTURED = ("declared", "extended", "simulated")
 
 class Frames(NamedTuple):
     """All that frames.js takes: what there is to show, each frame as text; rows of the table, the worst first, which
-    model they are ranked by, and what was thinned."""
+    model they are ranked by, in which of its numbers (`left`; `rms` where the noise is unknown), and what was
+    thinned."""
 
     contents: dict[str, Any]
     texts: list[str]
     rows: list[dict[str, Any]]
     ranked_by: str
+    ranked_in: str
     remark: str
 
 
@@ -88,9 +90,10 @@ def frames_of(dataset: Dataset, files: Files) -> Frames:
     able = [name for name in PICTURED if name in shown[best]["layers"]]
     contents["pictured"] = able[: 2 if "extended" in able else 1]
     remark = f"Images are shown in blocks of {block} × {block} px, so that the page stays small." if block > 1 else ""
+    ranked_in = "rms" if all(row["left"] is None for row in rows) else "left"
     # A frame of which nothing is left, for it could not be used, comes last.
-    rows.sort(key=lambda row: -np.inf if row["left"] is None else row["left"], reverse=True)
-    return Frames(contents, texts, rows, ranked_by, remark)
+    rows.sort(key=lambda row: -np.inf if row[ranked_in] is None else row[ranked_in], reverse=True)
+    return Frames(contents, texts, rows, ranked_by, ranked_in, remark)
 
 
 def _step(name: str, full_scale: float, block: int) -> float:
