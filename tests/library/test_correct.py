@@ -1,8 +1,10 @@
 """Corrected frames: electrons that were there, with the variance that is stated."""
 
 import csv
+import hashlib
 import json
 
+import h5py
 import numpy as np
 import pytest
 import tifffile
@@ -96,6 +98,27 @@ def test_a_folder_of_corrected_frames(flats, tmp_path):
             # Of noise in time alone: pixels of this camera are alike.
             assert np.var(electrons) == pytest.approx(variance.mean(), rel=0.05 + 5 * np.sqrt(2 / electrons.size))
         assert (tmp_path / "a" / row["file"]).read_bytes() == (tmp_path / "b" / row["file"]).read_bytes()
+
+
+def test_pages_of_a_stack_inside_a_file(flats, tmp_path):
+    """Of HDF5: a file for each page, told apart by its path inside, and the digest of the one file that there is."""
+    base = tmp_path / "stack"
+    (base / "frames").mkdir(parents=True)
+    with h5py.File(base / "frames" / "scan.h5", "w") as file:
+        for name in ("entry/data", "dark"):
+            file.create_dataset(name, data=np.full((2, 48, 64), 100, np.uint16))
+    names = [f"frames/scan.h5#{inside}" for inside in ("/entry/data", "/dark")]
+    rows = [f"{name},dark,,1e-3,{2 * k + page},{page}" for k, name in enumerate(names) for page in (0, 1)]
+    (base / "manifest.csv").write_text("\n".join(["file,kind,angle_deg,exposure_s,repeat,page", *rows]) + "\n")
+    run(["correct", str(base), "--results", str(flats[1]), "--output", str(tmp_path / "out")])
+    written = sorted((tmp_path / "out" / "frames").iterdir())
+    assert [path.name for path in written] == [
+        f"scan_{own}_p{page}.tif" for own in ("dark", "entry_data") for page in (0, 1)
+    ]
+    wanted = hashlib.sha256((base / "frames" / "scan.h5").read_bytes()).hexdigest()
+    for path in written:
+        with tifffile.TiffFile(path) as tiff:
+            assert json.loads(tiff.pages[0].description)["source_sha256"] == wanted
 
 
 def test_what_is_refused(flats, tmp_path):

@@ -3,6 +3,9 @@
 import csv
 import io
 import json
+from collections import Counter
+from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +20,7 @@ from spotcheck.errors import InputError
 from spotcheck.estimate.pixel_maps import SensorMaps, maps_in
 from spotcheck.estimate.sensor import BY_FLATS, model_of
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.manifest import REQUIRED_COLUMNS, Frame
+from spotcheck.manifest import REQUIRED_COLUMNS, Frame, parted
 from spotcheck.model.effect import Place, Present
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.extended import needed, read_model, why_none
@@ -104,7 +107,9 @@ def write(dataset: Dataset, known: Known, folder: Path) -> int:
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: is not empty; name a new folder, nothing is overwritten")
     curve, rows = curve_of(known.sensor, known.present), []
-    for frame in dataset.frames:
+    # Of a stack every page asks for the digest of the one file.
+    digest = cache(provenance.file_digest)
+    for frame, name in zip(dataset.frames, names_of(dataset.frames), strict=True):
         image = frames.read_good(dataset, frame).astype(float)
         if known.maps is not None and known.maps.offset.values.shape != image.shape:
             size = " × ".join(map(str, known.maps.offset.values.shape[::-1]))
@@ -114,8 +119,7 @@ def write(dataset: Dataset, known: Known, folder: Path) -> int:
             )
         maps = None if known.maps is None else known.maps.at(frame.exposure_s)
         own = corrected(image, known.sensor, curve, maps, frame.exposure_s)
-        name = _name(frame, dataset)
-        _write_frame(folder / name, own, _told(dataset, frame, known))
+        _write_frame(folder / name, own, _told(dataset, frame, known, digest(dataset.folder / frame.path)))
         numbers = ("" if v is None else v for v in (frame.angle_deg, frame.exposure_s, frame.repeat))
         rows.append([name, frame.kind, *numbers, *frame.extra.values(), frame.file, frame.page, own.clipped])
     text = io.StringIO("\n".join(COMMENTS) + "\n")
@@ -127,26 +131,30 @@ def write(dataset: Dataset, known: Known, folder: Path) -> int:
     return len(rows)
 
 
-def _name(frame: Frame, dataset: Dataset) -> str:
-    """Path of a corrected frame: that of its source; of a stack each page has a file."""
-    path = Path(frame.file)
-    several = any(own.file == frame.file and own.page != frame.page for own in dataset.frames)
-    same = any(
-        own.file != frame.file and Path(own.file).with_suffix("") == path.with_suffix("") for own in dataset.frames
-    )
-    stem = path.name.replace(".", "_") if same else path.stem
-    return path.with_name(f"{stem}_p{frame.page}.tif" if several else f"{stem}.tif").as_posix()
+def names_of(own: Sequence[Frame]) -> list[str]:
+    """Path of each corrected frame: that of its source, with the path inside an HDF5 file; of a stack each page has a
+    file."""
+    pages = Counter(frame.file for frame in own)
+    parts = {file: (Path(path), inside) for file in pages for path, inside in (parted(file),)}
+    alike = Counter((path.with_suffix(""), inside) for path, inside in parts.values())
+    names = []
+    for frame in own:
+        path, inside = parts[frame.file]
+        stem = path.name.replace(".", "_") if alike[path.with_suffix(""), inside] > 1 else path.stem
+        stem += inside.replace("/", "_") + (f"_p{frame.page}" if pages[frame.file] > 1 else "")
+        names.append(path.with_name(f"{stem}.tif").as_posix())
+    return names
 
 
-def _told(dataset: Dataset, frame: Frame, known: Known) -> dict[str, Any]:
-    """What a file says of its making."""
+def _told(dataset: Dataset, frame: Frame, known: Known, sha256: str) -> dict[str, Any]:
+    """What a file says of its making; `sha256` is that of its source."""
     maps = known.maps
     return {
         "made_by": f"spotcheck correct {spotcheck.__version__}",
         "dataset": dataset.name,
         "source": frame.file,
         "source_page": frame.page,
-        "source_sha256": provenance.file_digest(dataset.folder / frame.file),
+        "source_sha256": sha256,
         "pages": ["electrons of the light [e-]", "variance [e-2]"],
         "nan": "bad or clipped",
         "sensor": {key: value for key, value in known.sensor._asdict().items() if np.isfinite(value)},
