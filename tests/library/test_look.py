@@ -11,7 +11,7 @@ import tifffile
 import spotcheck
 from spotcheck.cli import COMMANDS, main
 from spotcheck.cli import open as opening
-from spotcheck.first_look.images import counted
+from spotcheck.labels.names import natural
 from spotcheck.model.sensor import SensorModel
 from tests.conftest import SHARED
 
@@ -103,7 +103,7 @@ def test_a_folder_gives_m2_by_the_names_of_its_files(scan):
 
 def test_positions_that_are_given_go_before_those_of_names(scan):
     """And there must be one for each."""
-    files = sorted(scan.iterdir(), key=lambda path: counted(path.name))
+    files = sorted(scan.iterdir(), key=lambda path: natural(path.name))
     found = spotcheck.look(files, z_m=[2 * z for z in POSITIONS])
     assert [one.z_m for one in found.images] == pytest.approx([2 * z for z in POSITIONS])
     assert found.beams == () and "M² needs the wavelength and the pixel pitch" in found.remarks
@@ -113,7 +113,7 @@ def test_positions_that_are_given_go_before_those_of_names(scan):
 
 def test_names_count_as_people_do():
     """2 before 10."""
-    assert sorted(["z10.tif", "z9.tif", "Z2.tif"], key=counted) == ["Z2.tif", "z9.tif", "z10.tif"]
+    assert sorted(["z10.tif", "z9.tif", "Z2.tif"], key=natural) == ["Z2.tif", "z9.tif", "z10.tif"]
 
 
 def test_stacks_arrays_and_what_is_none(tmp_path):

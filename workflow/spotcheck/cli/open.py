@@ -14,7 +14,6 @@ PAGES = ("report.html", "look.html", "comparison.html")
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Define the arguments."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = EXAMPLE
     parser.add_argument("place", type=Path, help="dataset folder, a folder of results, or a page")
     parser.add_argument("--results", type=Path, default=Path("results"), help="where results lie (default: results)")

@@ -1,6 +1,5 @@
 """The images of a first look: arrays, files or a folder, and what their files say beside the pixels."""
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +12,7 @@ from spotcheck.formats.colour import CHANNELS, NONE, Colour
 from spotcheck.formats.page import Page
 from spotcheck.labels.files import labels_of
 from spotcheck.labels.label import Label, settled, shown
+from spotcheck.labels.names import natural
 from spotcheck.manifest import IMAGE_SUFFIXES, parted
 
 # What of the labels a first look uses.
@@ -79,18 +79,13 @@ def common(images: Sequence[Image], what: str) -> tuple[float | None, str]:
     return float(said[0].value or 0.0), shown(said[0])
 
 
-def counted(name: str) -> list[tuple[int, str]]:
-    """What names are sorted by, so that z_9mm comes before z_10mm."""
-    return [(int(part), "") if part.isdecimal() else (-1, part.casefold()) for part in re.split(r"(\d+)", name)]
-
-
 def _in_folder(folder: Path) -> list[Path]:
     found = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
     if not found:
         below = next((p for p in sorted(folder.iterdir()) if p.is_dir() and p.name == "frames"), None)
         hint = f"; look at {below}" if below else "; name a folder with TIFF, PNG, PGM, HDF5 or .npy files"
         raise InputError(f"{folder}: holds no image{hint}")
-    return sorted(found, key=lambda path: counted(path.name))
+    return sorted(found, key=lambda path: natural(path.name))
 
 
 def _pages(path: Path) -> Iterator[Image]:

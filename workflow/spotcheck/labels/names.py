@@ -117,3 +117,11 @@ def _quantity(found: re.Match, where: str) -> Label | None:
     elif kind == "m" and unit.lower() == "nm" and LIGHT_M[0] <= number <= LIGHT_M[1]:
         column = "laser.wavelength_m"
     return Label(column, number, text.strip(" _-"), where) if column else None
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts names as people count, 2 before 10, whatever their capitals."""
+    return [
+        (int(part), "") if part.isdecimal() and len(part) < 20 else (-1, part.casefold())
+        for part in re.split(r"(\d+)", name)
+    ]

@@ -11,7 +11,7 @@ from spotcheck.formats.colour import NONE, Colour
 from spotcheck.labels import beside, units
 from spotcheck.labels.files import labels_of
 from spotcheck.labels.label import Label, agree, shown
-from spotcheck.labels.names import FILE, FOLDER
+from spotcheck.labels.names import FILE, FOLDER, natural
 from spotcheck.manifest import IMAGE_SUFFIXES, KINDS, parted
 from spotcheck.schema import breach_of
 
@@ -88,11 +88,6 @@ def _signed(shots: list[Shot]) -> tuple[Shot, ...]:
 
 def _hidden(path: Path) -> bool:
     return any(part.startswith(".") for part in path.parts)
-
-
-def natural(name: str) -> list[tuple[int, str]]:
-    """A key that sorts names as people count: 2 before 10."""
-    return [(int(part), "") if part.isdecimal() and len(part) < 20 else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 class Settled(NamedTuple):

@@ -58,16 +58,16 @@ def _limit(effect: Effect, reach: Reach | None, tied: bool) -> Limit:
         return Limit(effect.name, own.name, own.unit, TIED_WITH_SHAPE if tied else untold)
     if np.isnan(reach.low) and np.isnan(reach.high):
         return Limit(effect.name, own.name, own.unit, UNTOLD)
-    more = (
-        BRIGHTER
-        if np.isnan(reach.times)
-        else ALREADY
-        if reach.there
-        else SHARED_BY_ALL
-        if np.isinf(reach.times)
-        else ""
-    )
-    return Limit(effect.name, own.name, own.unit, NOT_FOUND, reach.low, reach.high, reach.times, more)
+    return Limit(effect.name, own.name, own.unit, NOT_FOUND, reach.low, reach.high, reach.times, _why_no_more(reach))
+
+
+def _why_no_more(reach: Reach) -> str:
+    """Why no number of frames would halve a limit; "" where one would."""
+    if np.isnan(reach.times):
+        return BRIGHTER
+    if reach.there:
+        return ALREADY
+    return SHARED_BY_ALL if np.isinf(reach.times) else ""
 
 
 def of_law(own: Trial, context: Context) -> Reach:
