@@ -226,8 +226,9 @@ def test_crops_say_what_is_set_aside_and_why(folder):
     ]
     manifest(folder, {7: "Yes", 8: "yes", 3: "no"})
     flags, remarks = cropped(folder)
-    assert flags == {"f3.tif": "dropped", "f8.tif": "black", "f9.tif": "saturated"}
+    assert flags == {"f3.tif": "dropped", "f9.tif": "saturated"}
     assert remarks[0] == "f3.tif is set aside as dropped: left out by hand (keep = no in manifest.csv)"
+    assert remarks[1] == "f8.tif is used by hand (keep = yes in manifest.csv) though black: no light above the noise"
 
 
 def test_keep_is_yes_no_or_blank(folder):

@@ -226,12 +226,14 @@ def _judged(
         statuses[own.spot] |= store.flag(own.flag)
     aside: dict[str, list[str]] = {}
     for k, frame in enumerate(dataset.spots):
-        if frame.keep:
-            statuses[k] &= ~store.BY_SIBLINGS
         flags = statuses[k, CENTRINGS.index("light")] & store.SET_ASIDE
-        if flags:
-            text = f"set aside as {store.status_names(flags)}: {why.get(k, store.reasons(flags))}"
-            aside.setdefault(text, []).append(frame.label)
+        if frame.keep:
+            statuses[k] &= ~store.TAKEN_BACK
+        if not flags:
+            continue
+        said = f"{store.status_names(flags)}: {why.get(k, store.reasons(flags))}"
+        manner = "used by hand (keep = yes in manifest.csv) though" if frame.keep else "set aside as"
+        aside.setdefault(f"{manner} {said}", []).append(frame.label)
     told = [f"{own[0]} is {text}" if len(own) == 1 else f"{len(own)} frames are {text} ({some_of(own)})"
             for text, own in aside.items()]  # fmt: skip
     return statuses, [*([remark] if remark else []), *told]

@@ -37,9 +37,9 @@ STATUS = {
     16384: ("double", "exposed twice, or two spots in one frame"),
     32768: ("dropped", "left out by hand (keep = no in manifest.csv)"),
 }
-# What a frame is by its siblings; `keep` in manifest.csv overrules that. A frame without light has nothing to be used.
-BY_SIBLINGS = 4096 | 8192 | 16384
-SET_ASIDE = 2 | 4 | 32768 | BY_SIBLINGS
+# What `keep` in manifest.csv overrules, and with what it says itself all that sets a frame aside.
+TAKEN_BACK = 2 | 4 | 4096 | 8192 | 16384
+SET_ASIDE = 32768 | TAKEN_BACK
 UNUSABLE = 1 | 256 | SET_ASIDE
 
 # HDF5 keeps chunks that were touched, and frames are touched once: a cache of some frames, so that memory does not grow
