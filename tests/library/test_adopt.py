@@ -1,6 +1,7 @@
 """What was learned of an instrument, written into a file that another dataset uses."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -154,6 +155,23 @@ def test_nothing_is_overwritten_or_made_up(judged, shelf, tmp_path, capsys):
     for base in (shelf / "my-flats", tmp_path / "nowhere"):
         with pytest.raises(InputError, match="holds no results of a dataset"):
             run(["adopt", str(base)])
+
+
+def test_flats_need_no_verdict(judged, tmp_path, capsys):
+    """What they measured is adopted as with one, and what is missing is said; results without a number are refused."""
+    bare = shutil.copytree(judged, tmp_path / "bare")
+    (bare / "verdict.json").unlink()
+    kept = {}
+    for results in (judged, bare):
+        run(["adopt", str(results)])
+        table = capsys.readouterr().out
+        kept[results] = [line for line in table.splitlines() if "(transfer.nc)" in line]
+    assert kept[bare] == kept[judged] != []
+    assert "there is no verdict yet" in table
+    for path in bare.glob("*.nc"):
+        path.unlink()
+    with pytest.raises(InputError, match="says nothing of the instrument; run the workflow on"):
+        run(["adopt", str(bare)])
 
 
 def test_the_file_is_that_of_the_instrument(judged, shelf, tmp_path):

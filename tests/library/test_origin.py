@@ -188,8 +188,13 @@ def test_what_the_data_sheet_states(results, tmp_path, capsys):
     cli.run(["explain", given.short, "--results", str(results)])
     assert "  by     whoever gave the dataset" in capsys.readouterr().out.splitlines()
     own = shutil.copytree(results, tmp_path / "own")
-    (tmp_path / "instrument.yaml").write_text("crop_px: many", encoding="utf-8")
     (own / ".dataset").write_text(str(tmp_path), encoding="utf-8")
+    (tmp_path / "camera.yaml").write_text("{sensor: {read_noise_e: 7}, crop_px: 60}", encoding="utf-8")
+    (tmp_path / "instrument.yaml").write_text("{based_on: camera.yaml, crop_px: 50}", encoding="utf-8")
+    shared, kept = (origin.of(own, f"instrument.{key}") for key in ("sensor.read_noise_e", "crop_px"))
+    assert (shared.value, kept.value, kept.method) == (7, 50, "")
+    assert shared.method == f"given by {tmp_path / 'camera.yaml'}, on which instrument.yaml is based"
+    (tmp_path / "instrument.yaml").write_text("crop_px: many", encoding="utf-8")
     assert origin.of(own, "p1") and "instrument.crop_px" not in origin.keys(own)
 
 

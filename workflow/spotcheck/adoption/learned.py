@@ -14,7 +14,6 @@ import numpy as np
 
 from spotcheck import store
 from spotcheck.adoption.bad import bad_in
-from spotcheck.errors import InputError
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.sensor import BY_FLATS, FLATS, NEVER_TAKEN, QUANTITIES, SPOTS, model_of
 from spotcheck.estimate.transfer_data import quantities_of
@@ -51,8 +50,7 @@ class Left(NamedTuple):
 
 
 def learned_of(results: Path, given: Instrument) -> tuple[list[Learned], list[Left]]:
-    """All that a folder of results says of its instrument, of each key the best source, and what no key takes. Raises
-    `InputError` where the folder holds no results."""
+    """All that a folder of results says of its instrument, of each key the best source, and what no key takes."""
     verdict, sensor = _verdict(results), _sensor(results)
     # What comes later knows better.
     found = {own.key: own for own in (*_by_end(results), *_by_numbers(results), *_by_sheet(verdict))}
@@ -72,12 +70,9 @@ def learned_of(results: Path, given: Instrument) -> tuple[list[Learned], list[Le
 
 
 def _verdict(results: Path) -> Mapping[str, Any]:
+    """The verdict; empty where there is none, as after `spotcheck transfer` alone."""
     path = results / "verdict.json"
-    if not path.is_file():
-        raise InputError(
-            f"{results}: holds no verdict.json; name the results folder of a dataset, such as results/mine"
-        )
-    return json.loads(path.read_text(encoding="utf-8"))
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
 def _sensor(results: Path) -> SensorModel | None:
@@ -143,7 +138,7 @@ def _by_effects(verdict: Mapping[str, Any], camera: SensorModel | None) -> tuple
     """Keys that the verdict's effects determine, and effects that no key holds."""
     found: list[Learned] = []
     left = []
-    for own in verdict["effects"]:
+    for own in verdict.get("effects", ()):
         effect = vocabulary().get(own["name"])
         if effect is None or effect.place is Place.SHAPE:
             continue

@@ -29,8 +29,12 @@ def run(args: argparse.Namespace) -> None:
         raise InputError(f"{args.results}: holds no results of a dataset; name its folder, such as results/my-frames")
     given = dataset.load(folder).instrument
     learned, left = learned_of(args.results, given)
+    if not learned and not left:
+        raise InputError(f"{args.results}: says nothing of the instrument; run the workflow on {folder} to its end")
     choices = choices_of(learned, given)
     print(written.table(choices, left))
+    if not (args.results / "verdict.json").is_file():
+        print("there is no verdict yet, so that effects and the light's shape are not among these")
     if args.to is None:
         print("nothing is written: name a new instrument file with --to")
         return
