@@ -258,3 +258,23 @@ def test_readings_that_were_scaled(scale):
         (width, error), (other, other_error) = own.fitted_to(name), scaled.fitted_to(name)
         assert other_error == pytest.approx(error, rel=0.1) and abs(width - other) < error
     assert scaled.moments.major == pytest.approx(own.moments.major, abs=own.moments.major_stderr)
+
+
+def test_a_broken_file_does_not_end_the_look_at_others(tmp_path):
+    """It is named with the reason, and what is printed fits a terminal; a name without a file is refused, and so are
+    positions by an order in which one is missing."""
+    image = drawn()
+    for name in ("a.tif", "b.tif"):
+        tifffile.imwrite(tmp_path / name, image)
+    (tmp_path / "cut.tif").write_bytes((tmp_path / "a.tif").read_bytes()[:-2000])
+    (tmp_path / "notes.png").write_text("spot at noon", encoding="utf-8")
+    found = spotcheck.look(tmp_path)
+    assert [one.name for one in found.images] == ["a.tif", "b.tif"]
+    assert [text.split(":")[:2] for text in found.remarks[:2]] == [["left out", " cut.tif"], ["left out", " notes.png"]]
+    assert max(map(len, str(found).splitlines())) <= 100
+    with pytest.raises(spotcheck.InputError, match=r"c\.tif: no such file"):
+        spotcheck.look([tmp_path / "a.tif", tmp_path / "c.tif"])
+    with pytest.raises(spotcheck.InputError, match=r"cut\.tif: .* without it the order of --z is in doubt"):
+        spotcheck.look(tmp_path, z_m=[0.1, 0.2, 0.3, 0.4])
+    with pytest.raises(spotcheck.InputError, match=r"notes\.png"):
+        spotcheck.look(tmp_path / "notes.png")

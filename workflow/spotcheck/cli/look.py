@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 from spotcheck.errors import InputError
-from spotcheck.first_look.images import folders_of, images_of
+from spotcheck.first_look.images import folder_of
 from spotcheck.first_look.looking import look
 
 EXAMPLES = """Examples:
@@ -48,7 +48,7 @@ def positions(text: str) -> list[float]:
 def run(args: argparse.Namespace) -> None:
     """Look, print, and write the page."""
     folder = args.output or (None if args.json else Path(OUTPUT))
-    if args.output is None and folder is not None and folder.resolve() in folders_of(images_of(args.images)):
+    if args.output is None and folder is not None and folder.resolve() in map(folder_of, map(Path, args.images)):
         raise InputError(f"{OUTPUT}: holds the images; name another folder for the page with --output")
     found = look(
         args.images,

@@ -45,30 +45,40 @@ class Image(NamedTuple):
         return float(label.value) if label is not None and label.value is not None else None
 
 
-def images_of(given: Given) -> list[Image]:
+def images_of(given: Given) -> tuple[list[Image], list[str]]:
     """The images that are given, in their order; those of a folder by their names, numbers in the order of counting.
 
-    Every page of a stack is an image. Raises `InputError`.
+    Every page of a stack is an image. Files that cannot be read beside others that can are left out, and a sentence
+    says why. Raises `InputError`.
     """
     if isinstance(given, str | Path) or getattr(given, "ndim", None) == 2:
         given = [given]  # type: ignore[list-item]
     out: list[Image] = []
+    refused: list[InputError] = []
     for number, own in enumerate(given):
         if isinstance(own, str | Path):
             path = Path(own)
-            found = _in_folder(path) if path.is_dir() else [path]
-            out += [image for file in found for image in _pages(file)]
+            for file in _in_folder(path) if path.is_dir() else [path]:
+                if not (name := Path(parted(file.as_posix())[0])).exists():
+                    raise InputError(f"{name}: no such file; name image files or a folder of them")
+                try:
+                    pages = list(_pages(file))
+                    # What is broken may show only where pixels are read.
+                    for image in pages:
+                        image.read()
+                    out += pages
+                except InputError as error:
+                    refused.append(error)
         else:
             out.append(_array(own, number))
     if not out:
-        raise InputError("images: none is given; name image files or a folder of them")
-    return out
+        raise refused[0] if refused else InputError("images: none is given; name image files or a folder of them")
+    return out, [str(error) for error in refused]
 
 
-def folders_of(images: Sequence[Image]) -> set[Path]:
-    """Folders that the images lie in."""
-    sources = (image.source for image in images if isinstance(image.source, Path))
-    return {Path(parted(source.as_posix())[0]).resolve().parent for source in sources}
+def folder_of(path: Path) -> Path:
+    """The folder that an image file lies in, or that is given itself."""
+    return (path if path.is_dir() else Path(parted(path.as_posix())[0]).parent).resolve()
 
 
 def common(images: Sequence[Image], what: str) -> tuple[float | None, str]:
@@ -92,8 +102,6 @@ def _pages(path: Path) -> Iterator[Image]:
     """Every page of every stack of a file that is an image of its own."""
     name, inside = parted(path.as_posix())
     file = Path(name)
-    if not file.exists():
-        raise InputError(f"{file}: no such file; name image files or a folder of them")
     for stack in [f"{file.name}#{inside}"] if inside else files.stacks(file, file.name):
         source, labels = file.parent / stack, labels_of(file, inside=parted(stack)[1])
         pages, colour = _coloured(source, stack)

@@ -93,7 +93,8 @@ def look(
     Raises
     ------
     InputError
-        A file that is no image, a folder without one, or a number of positions that is not that of the images.
+        No file is an image, or one is not and positions are given by the order; a folder without an image; or a
+        number of positions that is not that of the images.
 
     Examples
     --------
@@ -106,11 +107,11 @@ def look(
     >>> print(f"D4σ {width.major:.1f} ± {width.major_stderr:.1f} px, {width.minor:.1f} ± {width.minor_stderr:.1f} px")
     D4σ 27.6 ± 0.4 px, 20.2 ± 0.3 px
     """
-    given = images_of(images)
+    given, left_out = images_of(images)
     for name, value in (("pixel_pitch_m", pixel_pitch_m), ("wavelength_m", wavelength_m)):
         if value is not None and not 0 < value < 1:
             raise InputError(f"{name}: is {value:g}; it must be above 0 and below 1, in metres")
-    remarks = []
+    remarks = [f"left out: {why}" for why in left_out]
     if pixel_pitch_m is None:
         pixel_pitch_m, source = common(given, PITCH)
         remarks += [f"pixel pitch {1e6 * pixel_pitch_m:.4g} µm: {source}"] if pixel_pitch_m else []
@@ -120,7 +121,7 @@ def look(
     if coloured := [image for image in given if image.colour.channel]:
         taken = sorted({str(image.colour.channel) for image in coloured})
         remarks.append(f"images with red, green and blue: the channel that reads most is taken, {' or '.join(taken)}")
-    positions, said = _positions(given, None if z_m is None else list(z_m))
+    positions, said = _positions(given, None if z_m is None else list(z_m), left_out)
     remarks += said
     cameras, seen = _looked(given, positions)
     beams: list[Beam] = []
@@ -133,9 +134,14 @@ def look(
     return Look(tuple(seen), tuple(cameras), tuple(beams), pixel_pitch_m, wavelength_m, tuple(remarks))
 
 
-def _positions(images: Sequence[Image], z_m: Sequence[float] | None) -> tuple[list[float | None], list[str]]:
+def _positions(
+    images: Sequence[Image], z_m: Sequence[float] | None, left_out: Sequence[str]
+) -> tuple[list[float | None], list[str]]:
     """Position of each image [m], and where it is from where nobody gave it."""
     if z_m is not None:
+        if left_out:
+            # Whose position is whose is then up to the order, which nobody should guess.
+            raise InputError(f"{left_out[0]}; without it the order of --z is in doubt, so leave both out")
         if len(z_m) != len(images):
             raise InputError(
                 f"z: {len(z_m)} positions, but the number of images is {len(images)}; give one for each, in metres"

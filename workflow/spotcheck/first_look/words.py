@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -24,6 +25,9 @@ FELT = 1e-3
 MOST_NAMES = 9
 # White space between columns, width of a sheet's names, and the longest name in a table.
 GAP, NAME, LONGEST = "  ", 15, 28
+# Characters of a line at most, as terminals show them.
+ACROSS = 100
+DIRECTION = "long axis [°]"
 
 # An error below this part of its value is that of the computer's arithmetic.
 ARITHMETIC = 1e-9
@@ -46,7 +50,16 @@ def plus_minus(value: float, error: float, unit: str = "") -> str:
 def told(look: Look) -> str:
     """All of it as text."""
     one = len(look.images) == 1
-    parts = [sheet(look.images[0], look.pixel_pitch_m) if one else aligned(*table(look.images, look.pixel_pitch_m))]
+    if one:
+        parts = [sheet(look.images[0], look.pixel_pitch_m)]
+    else:
+        head, body = table(look.images, look.pixel_pitch_m)
+        widths = head.index(DIRECTION)
+        # All columns side by side are wider than a terminal.
+        parts = [
+            aligned(head[:widths], [row[:widths] for row in body]),
+            aligned([head[0], *head[widths:]], [[row[0], *row[widths:]] for row in body]),
+        ]
     for own in look.cameras:
         camera = [f"{name:<{NAME}} {text}" for name, text in own.lines()]
         if one:
@@ -56,7 +69,14 @@ def told(look: Look) -> str:
     parts.append([] if one else remarks_of(look.images))
     parts.append(beams(look))
     parts.append(list(look.remarks))
-    return "\n\n".join("\n".join(part) for part in parts if part)
+    return "\n\n".join("\n".join(map(wrapped, part)) for part in parts if part)
+
+
+def wrapped(line: str) -> str:
+    """A line that a terminal holds; what follows is set in, below the text where a name stands before it."""
+    inside = " " * (NAME + 1 if line[NAME : NAME + 1] == " " else 2)
+    return textwrap.fill(line, ACROSS, subsequent_indent=inside, break_long_words=False, break_on_hyphens=False,
+                         drop_whitespace=True, replace_whitespace=False) if len(line) > ACROSS else line  # fmt: skip
 
 
 def sheet(one: Seen, pitch: float | None) -> list[str]:
@@ -193,7 +213,7 @@ def table(images: Sequence[Seen], pitch: float | None) -> tuple[list[str], list[
     unit, factor = ("px", 1.0) if pitch is None else ("µm", 1e6 * pitch)
     with_z = any(one.z_m is not None for one in images)
     head = ["image", *(["z [mm]"] if with_z else []), f"D4σ long [{unit}]", "short", f"4σ of fit long [{unit}]",
-            "short", "long axis [°]", "peak [DN]", "χ²", "clipped [px]"]  # fmt: skip
+            "short", DIRECTION, "peak [DN]", "χ²", "clipped [px]"]  # fmt: skip
     body = []
     for one in images:
         row = [one.name if len(one.name) <= LONGEST else f"…{one.name[1 - LONGEST :]}"]
