@@ -107,6 +107,21 @@ def test_linear_flats_are_consistent(seed, lamp):
     assert {row["effect"] for row in own["not_assessed"]} == {e.name for e in vocabulary().values() if e.flats}
 
 
+def test_four_times_the_flats_halve_a_limit():
+    """As the verdict says: 60 frames tell it, 180 more halve it. The mean of eight pairs of sets, whose ratios
+    scatter by 0.37, is off by 0.4 once in 400 times."""
+    effect, ratios = [vocabulary()["nonlinearity"]], []
+    for seed in range(8):
+        rows = [
+            document(judge_flats(transfer_of(levels(seed, count=count), FULL), FULL, effect), "flats")["limits"][0]
+            for count in (30, 120)
+        ]
+        assert [(row["frames"], row["more"]) for row in rows] == [(180, ""), (720, "")]
+        few, many = (row["high"] - row["low"] for row in rows)
+        ratios.append(few / many)
+    assert abs(np.mean(ratios) - 2) < 0.4
+
+
 @pytest.mark.parametrize(
     ("changes", "name", "key", "true"),
     [

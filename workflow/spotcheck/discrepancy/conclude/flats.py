@@ -8,9 +8,9 @@ from scipy import stats
 from spotcheck.discrepancy import criteria
 from spotcheck.discrepancy.conclude.detect import Detection
 from spotcheck.discrepancy.conclude.judgement import NOTHING, TOO_SMALL, Gap, Judgement, Levels, Limit, untested
-from spotcheck.discrepancy.conclude.limits import NOT_FOUND, UNTOLD
+from spotcheck.discrepancy.conclude.limits import ALREADY, NOT_FOUND, UNTOLD
 from spotcheck.discrepancy.conclude.places import Where
-from spotcheck.discrepancy.conclude.reach import ONE_SIDED, TWO_SIDED
+from spotcheck.discrepancy.conclude.reach import ONE_SIDED, THERE, TWO_SIDED
 from spotcheck.discrepancy.conclude.unexplained import Unexplained
 from spotcheck.discrepancy.evidence.parts import SMALLEST, Part, smallest_of
 from spotcheck.discrepancy.observe.flats import FEWEST, Series, hidden, series_of
@@ -59,7 +59,9 @@ def judge_flats(transfer: Transfer, full_scale_dn: float, effects: Sequence[Effe
         off=max(off, 0.0) ** 0.5,
         rest=detected(series, after, own),
         not_assessed=tuple((e.name, hidden(e, series)) for e in effects if e not in usable),
-        levels=Levels(len(series.light), sensor.gain_dn_per_e, float(errors[1]), line.value, line.stderr, scatter),
+        levels=Levels(
+            len(series.light), series.frames, sensor.gain_dn_per_e, float(errors[1]), line.value, line.stderr, scatter
+        ),
         black_level_dn=sensor.black_level_dn,
     )
 
@@ -120,6 +122,7 @@ def limits(series: Series, after: LevelFit, found: Sequence[Found], effects: Seq
     rivals, out = {name: one.own.effect.name for one in found for name in one.rivals}, []
     for effect in (e for e in effects if e.name not in search.names_of(after)):
         own, low, high, why = effect.parameters[0], np.nan, np.nan, NOT_FOUND
+        times, more = np.nan, ""
         signs = effect.signs(series.context)
         if effect.name in rivals:
             why = f"does as well in the place of {rivals[effect.name]}"
@@ -129,9 +132,12 @@ def limits(series: Series, after: LevelFit, found: Sequence[Found], effects: Seq
             value = fit.model.present[-1].values[0]
             low = value - TWO_SIDED * error if len(signs) > 1 else np.nan
             high = max(value, effect.neutral) + (TWO_SIDED if len(signs) > 1 else ONE_SIDED) * error
+            # Errors fall with all frames; what is there is not made smaller by them.
+            there = abs(value - effect.neutral) > THERE * error
+            times, more = (np.nan, ALREADY) if there else (4.0, "")
             if after.deviance - fit.deviance >= criteria.GAIN.value:
                 why = "levels do not agree about it" if search.matters(series, fit) else TOO_SMALL
         else:
             why = UNTOLD
-        out.append(Limit(effect.name, own.name, own.unit, why, float(low), float(high)))
+        out.append(Limit(effect.name, own.name, own.unit, why, float(low), float(high), times, more))
     return out

@@ -128,11 +128,12 @@ class Fits(NamedTuple):
 
 
 class Levels(NamedTuple):
-    """What levels of flats tell beside effects: how many there are, K [DN/e-] with its error under all that was found,
-    and that of a straight line through the lower levels (EMVA 1288); and the scatter of light from level to level, as
-    a part of it, beyond what frames of one level say."""
+    """What levels of flats tell beside effects: how many there are, and of how many frames; K [DN/e-] with its error
+    under all that was found, and that of a straight line through the lower levels (EMVA 1288); and the scatter of light
+    from level to level, as a part of it, beyond what frames of one level say."""
 
     number: int
+    frames: int
     gain: float
     gain_error: float
     line: float

@@ -25,10 +25,12 @@ LEAST_E, LEAST_DN = 0.1, 1e-6
 
 
 class Series(NamedTuple):
-    """Levels in the order of their light (as a part of the largest): signal [DN] and excess of variance [DN²] over the
-    darks [2, level] with errors, which levels are kept unseen, whether their exposures tell, the chain's view, what
-    bounds of effects depend on, and the declared model: a straight line by what plain photon transfer says."""
+    """Levels in the order of their light (as a part of the largest): of how many frames all are; signal [DN] and excess
+    of variance [DN²] over the darks [2, level] with errors, which levels are kept unseen, whether their exposures tell,
+    the chain's view, what bounds of effects depend on, and the declared model: a straight line by what plain photon
+    transfer says."""
 
+    frames: int
     light: np.ndarray
     values: np.ndarray
     errors: np.ndarray
@@ -60,6 +62,7 @@ def series_of(found: Transfer, full_scale_dn: float) -> Series | None:
     baseline, base = Baseline(0.0, "linear", False, longest), Law(0.0, ENDLESS, float(signal.max()))
     sensor = SensorModel(gain, max(dark, LEAST_E), 0.0, np.inf, black, full_scale_dn)
     return Series(
+        frames=sum(found.flats[k].frames for k in kept),
         light=part,
         values=np.stack([signal, found.excess[kept]]),
         errors=np.stack([np.maximum([found.flats[k].mean_error for k in kept], LEAST_DN), found.excess_error[kept]]),

@@ -244,8 +244,7 @@ def limit_row(own: Limit, judgement: Judgement) -> dict[str, Any]:
     effect = vocabulary().get(own.effect)
     neutral = effect.neutral if effect else 0.0
     ends = [limit_text(end, own.unit, neutral) if np.isfinite(end) else "" for end in (own.low, own.high)]
-    spots = len(judgement.fits.shots) if judgement.fits else 0
-    halved = np.isfinite(own.times) and spots
+    frames = len(judgement.fits.shots) if judgement.fits else judgement.levels.frames if judgement.levels else 0
     return {
         "effect": own.effect,
         "parameter": own.parameter,
@@ -254,7 +253,7 @@ def limit_row(own: Limit, judgement: Judgement) -> dict[str, Any]:
         "unit": own.unit,
         "words": effect.size_text(*ends) if effect else "",
         "why": own.why,
-        "frames": int(np.ceil((own.times - 1) * spots)) if halved else None,
+        "frames": int(np.ceil((own.times - 1) * frames)) if frames and np.isfinite(own.times) else None,
         "more": own.more,
     }
 
