@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -74,9 +75,13 @@ def told(look: Look) -> str:
 
 def wrapped(line: str) -> str:
     """A line that a terminal holds; what follows is set in, below the text where a name stands before it."""
+    if len(line) <= ACROSS:
+        return line
     inside = " " * (NAME + 1 if line[NAME : NAME + 1] == " " else 2)
-    return textwrap.fill(line, ACROSS, subsequent_indent=inside, break_long_words=False, break_on_hyphens=False,
-                         drop_whitespace=True, replace_whitespace=False) if len(line) > ACROSS else line  # fmt: skip
+    # A number stays with its error and its unit.
+    whole = re.sub(r"(?<=[\d±]) (?=[\d±%µmD])", "\0", line)
+    return textwrap.fill(whole, ACROSS, subsequent_indent=inside, break_long_words=False,
+                         break_on_hyphens=False).replace("\0", " ")  # fmt: skip
 
 
 def sheet(one: Seen, pitch: float | None) -> list[str]:
