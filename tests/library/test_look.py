@@ -111,6 +111,44 @@ def test_positions_that_are_given_go_before_those_of_names(scan):
         spotcheck.look(files, z_m=[0.1, 0.2])
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--z", "1,two"], "argument --z: is 'two'; it must be a number in m, or with a unit as in 3 mm"),
+        (["--pixel-um", "3.75 s"], "argument --pixel-um: is '3.75 s'; it must be a number in µm, or with a unit"),
+        (["--pixel-um", "0"], "pixel pitch: is 0 m; it must be above 0 and below 1 m"),
+    ],
+)
+def test_lengths_that_are_none_are_refused(words, said, scan, capsys):
+    """With the option and the unit that were typed."""
+    with pytest.raises(SystemExit) as end:
+        main(["look", str(next(scan.iterdir())), *words])
+    assert end.value.code == 2 and said in capsys.readouterr().err
+
+
+def test_lengths_may_have_their_unit(scan, tmp_path, capsys):
+    """As people write them; metres that were meant as millimetres are remarked on."""
+    files = sorted(map(str, scan.iterdir()), key=natural)[:2]
+    main(["look", *files, "--json", "--z", "495mm,0.58", "--pixel-um", "3.75um", "--wavelength-nm", "0.633 µm"])
+    told = json.loads(capsys.readouterr().out)
+    assert [one["z_m"] for one in told["images"]] == [0.495, 0.58]
+    assert (told["pixel_pitch_m"], told["wavelength_m"]) == (3.75e-6, 6.33e-7)
+    assert {"pixel pitch 3.75 µm: as given", "wavelength 633 nm: as given"} <= set(told["remarks"])
+    far = spotcheck.look(files, z_m=[495, 580])
+    assert "z goes from 495 to 580 m, and no bench is that long: is it in mm?" in far.remarks
+
+
+def test_a_width_does_not_depend_on_the_other_images():
+    """Each image's noise grows from its own rim: under one sensor, images with more stray light beside it leave a fit
+    where it was, within a tenth of its error."""
+    alone = drawn(seed=5)
+    brighter = [drawn(seed=k, sensor=SENSOR._replace(black_level_dn=20.0 + 15 * k)) for k in (6, 7)]
+    (one,), (same, *_) = spotcheck.look(alone).images, spotcheck.look([alone, *brighter]).images
+    (width, error), (other, _) = one.fitted_to("sigma_major"), same.fitted_to("sigma_major")
+    assert abs(width - other) < 0.1 * error
+    assert spotcheck.look([alone, *brighter]).cameras[0].black_dn == pytest.approx(20, abs=1)
+
+
 def test_names_count_as_people_do():
     """2 before 10."""
     assert sorted(["z10.tif", "z9.tif", "Z2.tif"], key=natural) == ["Z2.tif", "z9.tif", "z10.tif"]

@@ -112,9 +112,13 @@ class BadPixels:
     pixels: tuple[tuple[int, int], ...] = ()
 
 
+DEFAULT = "default"
+
+
 @dataclass(frozen=True)
 class Instrument:
-    """The content of instrument.yaml with its defaults; `based_on`, once read, is an absolute path."""
+    """The content of instrument.yaml with its defaults; `based_on`, once read, is an absolute path. `given` are the
+    keys that have a value, `shared` those of them that only the file below has."""
 
     based_on: str | None = None
     name: str | None = None
@@ -129,10 +133,13 @@ class Instrument:
     light: Light = field(default_factory=Light)
     bad_pixels: BadPixels = field(default_factory=BadPixels)
     given: frozenset[str] = frozenset()
+    shared: frozenset[str] = frozenset()
 
     def source(self, key: str) -> str:
-        """Where the value of a key such as "sensor.gain_dn_per_e" comes from."""
-        return "instrument.yaml" if key in self.given else "default"
+        """Where the value of a key such as "sensor.gain_dn_per_e" comes from: `DEFAULT`, or the name of a file."""
+        if key in self.shared and self.based_on:
+            return f"{Path(self.based_on).name}, on which instrument.yaml is based"
+        return "instrument.yaml" if key in self.given else DEFAULT
 
     @property
     def laser_sigma_m(self) -> float | None:
@@ -158,6 +165,7 @@ def read_instrument(path: Path) -> Instrument:
     if not path.exists() and not path.is_symlink():
         return Instrument()
     content = _content(path)
+    own = _names(content)
     if "based_on" in content:
         shared = _content(Path(content["based_on"]))
         if "based_on" in shared:
@@ -166,9 +174,7 @@ def read_instrument(path: Path) -> Instrument:
                 " file may stand below another, and no third"
             )
         content = shared | content | {k: shared.get(k, {}) | content.get(k, {}) for k in SECTIONS}
-    given = {
-        f"{name}.{key}" if key else name for name, own in content.items() for key in (own if name in SECTIONS else [""])
-    }
+    given = _names(content)
     sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
     if sections["optics"].pixel_integration and sections["model"].top_hat:
         raise InputError(
@@ -186,7 +192,14 @@ def read_instrument(path: Path) -> Instrument:
             raise InputError(
                 f"{path.name}: key conditions names {condition!r}; it must be a word of letters, digits and underscores"
             )
-    return Instrument(**content, **sections, given=frozenset(given))
+    return Instrument(**content, **sections, given=given, shared=given - own)
+
+
+def _names(content: dict[str, Any]) -> frozenset[str]:
+    """Keys that have a value, those of sections as "sensor.bit_depth"."""
+    return frozenset(
+        f"{name}.{key}" if key else name for name, own in content.items() for key in (own if name in SECTIONS else [""])
+    )
 
 
 def _of_colour(path: Path, sensor: Sensor, optics: Optics) -> Sensor:

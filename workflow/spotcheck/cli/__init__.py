@@ -5,6 +5,7 @@ that is asked for is imported, because imports are most of a short job's time.
 """
 
 import argparse
+import difflib
 import importlib
 import io
 import os
@@ -113,7 +114,10 @@ def run(words: Sequence[str]) -> None:
 
 
 def parse(words: Sequence[str]) -> argparse.Namespace:
-    """What the words of a command line say: the values of its arguments, and `run`, which takes them."""
+    """What the words of a command line say: the values of its arguments, and `run`, which takes them. Raises
+    `InputError` for a subcommand that is none."""
+    from spotcheck.errors import InputError
+
     parser = argparse.ArgumentParser(
         prog="spotcheck",
         usage="%(prog)s COMMAND …",
@@ -136,6 +140,13 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
             module = importlib.import_module(f"spotcheck.cli.{name.replace('-', '_')}")
             module.arguments(own)
             own.set_defaults(run=module.run)
+    if not words:
+        parser.print_help()
+        parser.exit(2)
+    if asked is None and not words[0].startswith("-"):
+        near = difflib.get_close_matches(words[0], COMMANDS, 1)
+        meant = f"is it {near[0]}? " if near else ""
+        raise InputError(f"{words[0]}: is no subcommand; {meant}`spotcheck --help` lists them")
     return parser.parse_args(words)
 
 

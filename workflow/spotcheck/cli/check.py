@@ -1,6 +1,7 @@
 """`spotcheck check`: the contract, without decoding a pixel."""
 
 import argparse
+import shlex
 
 from spotcheck import configuration, dataset
 from spotcheck.crops import check_dataset
@@ -29,3 +30,6 @@ def run(args: argparse.Namespace) -> None:
     for remark in (*probe.remarks, *remarks_on(found), configuration.remark_on(args.dataset)):
         if remark:
             print(remark)
+    print(
+        f"next: snakemake --cores 2 --config dataset={shlex.quote(str(args.dataset))}    (in the repository's folder)"
+    )

@@ -2,11 +2,13 @@
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from spotcheck.errors import InputError
 from spotcheck.first_look.images import folder_of
 from spotcheck.first_look.looking import look
+from spotcheck.labels import units
 
 EXAMPLES = """Examples:
   spotcheck look my-frames/frames                # all images of a folder
@@ -27,10 +29,19 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--z",
         type=positions,
         metavar="Z,Z,…",
-        help="position of each image along the beam [m], in their order; --z=-0.1,0,0.1 where the first is below 0",
+        help="position of each image along the beam [m], or with a unit as in 176mm, in the order of the images;"
+        " --z=-0.1,0,0.1 where the first is below 0",
     )
-    parser.add_argument("--wavelength-nm", type=float, metavar="NM", help="wavelength [nm], for M²")
-    parser.add_argument("--pixel-um", type=float, metavar="UM", help="distance of two pixels [µm], for widths in µm")
+    parser.add_argument(
+        "--wavelength-nm", dest="wavelength_m", type=length("nm"), metavar="NM", help="wavelength [nm], for M²"
+    )
+    parser.add_argument(
+        "--pixel-um",
+        dest="pixel_pitch_m",
+        type=length("µm"),
+        metavar="UM",
+        help="distance of two pixels [µm], for widths in µm",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
     parser.add_argument(
         "--output", type=Path, metavar="FOLDER", help=f"folder for the page and its first picture (default: {OUTPUT})"
@@ -38,11 +49,21 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def positions(text: str) -> list[float]:
-    """Numbers between commas."""
-    try:
-        return [float(part) for part in text.split(",") if part.strip()]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"is {text!r}; it must be numbers between commas, in metres") from None
+    """Positions [m] between commas."""
+    return [length("m")(part) for part in text.split(",") if part.strip()]
+
+
+def length(unit: str) -> Callable[[str], float]:
+    """What reads a length [m], written with its unit or in `unit`."""
+
+    def read(text: str) -> float:
+        found = units.parted(text)
+        value = None if found is None else units.scaled(found[0], found[1] or unit, "m")
+        if value is None:
+            raise argparse.ArgumentTypeError(f"is {text!r}; it must be a number in {unit}, or with a unit as in 3 mm")
+        return value
+
+    return read
 
 
 def run(args: argparse.Namespace) -> None:
@@ -53,8 +74,8 @@ def run(args: argparse.Namespace) -> None:
     found = look(
         args.images,
         z_m=args.z,
-        pixel_pitch_m=None if args.pixel_um is None else 1e-6 * args.pixel_um,
-        wavelength_m=None if args.wavelength_nm is None else 1e-9 * args.wavelength_nm,
+        pixel_pitch_m=args.pixel_pitch_m,
+        wavelength_m=args.wavelength_m,
     )
     page = None if folder is None else found.write(folder)
     if args.json:

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from spotcheck.errors import InputError
+
 PLACES = (
     ("report.html", "everything on one page"),
     ("figures", "every figure as SVG and PNG"),
@@ -24,7 +26,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """List what is there to look at."""
+    """List what is there to look at. Raises `InputError` where there is nothing."""
+    if not any((args.results / name).exists() for name, _ in PLACES):
+        raise InputError(f"{args.results}: holds no results to look at; name those of a dataset, such as results/mine")
     print("\nWhere to look:")
     for name, text in PLACES:
         if (args.results / name).exists():

@@ -15,7 +15,7 @@ from spotcheck.estimate.consistent import SURELY, Told, black_too_high, in_numbe
 from spotcheck.estimate.noise_curve import ENDS
 from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.frames import Surround
-from spotcheck.instrument import Instrument
+from spotcheck.instrument import DEFAULT, Instrument
 from spotcheck.manifest import KINDS
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
@@ -143,7 +143,7 @@ def _by_sheet(instrument: Instrument) -> dict[str, dict[str, Found]]:
     found: dict[str, dict[str, Found]] = {name: {} for name in QUANTITIES}
     for name in QUANTITIES:
         own, source = getattr(instrument.sensor, name, None), instrument.source(f"sensor.{name}")
-        if source == "instrument.yaml" and own is not None:
+        if source != DEFAULT and own is not None:
             # An error of 0 says that none is stated.
             stderr = getattr(instrument.sensor, f"{name}_stderr", 0.0) or np.nan
             found[name][SHEET] = Found(float(own), stderr, source)
@@ -229,11 +229,15 @@ def _put_sources(ds: xr.Dataset, found: Mapping[str, Mapping[str, Found]]) -> No
 
 
 def _first(found: Mapping[str, Found], default: float | None) -> Found:
-    """What the best source that nothing contradicts says, else the default."""
+    """What the best source that nothing contradicts says, else the default; where there is one, and the chain needs a
+    number, what was contradicted comes before it."""
     for source in SOURCES:
         if source in found and not found[source].refused:
             return found[source]
-    return Found(np.nan if default is None else float(default), np.nan, "default")
+    if found and default is not None:
+        best = next(found[source] for source in SOURCES if source in found)
+        return best._replace(how=f"{best.how}, though frames contradict it: nothing else tells it")
+    return Found(np.nan if default is None else float(default), np.nan, DEFAULT)
 
 
 def _used(name: str, found: Mapping[str, Found], default: float | None, refused: str) -> Found:

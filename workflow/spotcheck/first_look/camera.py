@@ -1,13 +1,13 @@
 """What images of spots alone tell of the camera: gain, noise, black level, and where readings stop."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from spotcheck import progress
 from spotcheck.clip import LEAST_PX, Top, top_of
-from spotcheck.estimate.by_spots import seen_by_spots
+from spotcheck.estimate.by_spots import dark_level, seen_by_spots
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.sensor import Found, spots_in_electrons
 from spotcheck.first_look.images import Image
@@ -17,21 +17,24 @@ UNKNOWN = "no image shows noise that grows with its light"
 
 
 class Camera(NamedTuple):
-    """Gain [DN/e-] and read noise [e-], None where they are unknown, with the reason in `how`; black level [DN], which
-    stray light may have raised; and the reading [DN] at which images stop, infinite where none does."""
+    """Which images are its; gain [DN/e-] and read noise [e-], None where they are unknown, with the reason in `how`;
+    black level [DN], the lowest rim of all images, which stray light may have raised; and the reading [DN] at which
+    images stop, infinite where none does."""
 
+    images: tuple[str, ...]
     gain: Found | None
     noise: Found | None
     how: str
     black_dn: float
     stop_dn: float
 
-    @property
-    def sensor(self) -> SensorModel | None:
-        """The law of a reading; None where gain or noise is unknown."""
+    def sensor(self, pixels: np.ndarray) -> SensorModel | None:
+        """The law of a reading of an image, whose own rim is the level that its noise grows from: shot noise of stray
+        light is part of the read noise here. None where gain or noise is unknown."""
         if self.gain is None or self.noise is None:
             return None
-        return SensorModel(self.gain.value, self.noise.value, black_level_dn=self.black_dn, full_scale_dn=self.stop_dn)
+        black = dark_level(pixels)
+        return SensorModel(self.gain.value, self.noise.value, black_level_dn=black, full_scale_dn=self.stop_dn)
 
     def lines(self) -> list[tuple[str, str]]:
         """Name and text of each number."""
@@ -51,11 +54,19 @@ def camera_of(images: Sequence[Image]) -> Camera:
     stops = [end for image in images if np.isfinite(end := stop_of(image.read(), image.bits))]
     # One camera stops at one reading: a plateau that is lower is light's own.
     stop = max(stops, default=np.inf)
-    seen = seen_by_spots((image.read() for image in progress.over(images, "looking at noise")), {}, None, stop)
+    levels: list[float] = []
+
+    def each() -> Iterator[np.ndarray]:
+        for image in progress.over(images, "looking at noise"):
+            pixels = image.read()
+            levels.append(dark_level(pixels))
+            yield pixels
+
+    seen, names = seen_by_spots(each(), {}, None, stop), tuple(image.name for image in images)
     found = spots_in_electrons(seen)
     if not found:
-        return Camera(None, None, UNKNOWN, seen.level_dn, stop)
-    return Camera(found["gain_dn_per_e"], found["read_noise_e"], seen.how, seen.level_dn, stop)
+        return Camera(names, None, None, UNKNOWN, min(levels), stop)
+    return Camera(names, found["gain_dn_per_e"], found["read_noise_e"], seen.how, min(levels), stop)
 
 
 def stop_of(pixels: np.ndarray, bits: int | None) -> float:

@@ -15,6 +15,9 @@ from spotcheck.first_look.images import PITCH, WAVELENGTH, Given, Image, Z, comm
 from spotcheck.first_look.scan import Beam, beams_of
 from spotcheck.first_look.seen import Seen, seen_on
 
+# No scan along a beam is longer [m].
+LONGEST_M = 50.0
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Look:
@@ -108,21 +111,21 @@ def look(
     D4σ 27.6 ± 0.4 px, 20.2 ± 0.3 px
     """
     given, left_out = images_of(images)
-    for name, value in (("pixel_pitch_m", pixel_pitch_m), ("wavelength_m", wavelength_m)):
+    for name, value in (("pixel pitch", pixel_pitch_m), ("wavelength", wavelength_m)):
         if value is not None and not 0 < value < 1:
-            raise InputError(f"{name}: is {value:g}; it must be above 0 and below 1, in metres")
+            raise InputError(f"{name}: is {value:g} m; it must be above 0 and below 1 m")
     remarks = [f"left out: {why}" for why in left_out]
-    if pixel_pitch_m is None:
-        pixel_pitch_m, source = common(given, PITCH)
-        remarks += [f"pixel pitch {1e6 * pixel_pitch_m:.4g} µm: {source}"] if pixel_pitch_m else []
-    if wavelength_m is None:
-        wavelength_m, source = common(given, WAVELENGTH)
-        remarks += [f"wavelength {1e9 * wavelength_m:.5g} nm: {source}"] if wavelength_m else []
+    pixel_pitch_m, said = _known("pixel pitch", pixel_pitch_m, PITCH, given, 1e6, "µm")
+    wavelength_m, also = _known("wavelength", wavelength_m, WAVELENGTH, given, 1e9, "nm")
+    remarks += said + also
     if coloured := [image for image in given if image.colour.channel]:
         taken = sorted({str(image.colour.channel) for image in coloured})
         remarks.append(f"images with red, green and blue: the channel that reads most is taken, {' or '.join(taken)}")
     positions, said = _positions(given, None if z_m is None else list(z_m), left_out)
     remarks += said
+    known = [z for z in positions if z is not None]
+    if known and max(known) - min(known) > LONGEST_M:
+        remarks.append(f"z goes from {min(known):g} to {max(known):g} m, and no bench is that long: is it in mm?")
     cameras, seen = _looked(given, positions)
     beams: list[Beam] = []
     if any(z is not None for z in positions):
@@ -132,6 +135,16 @@ def look(
             names = (("wavelength", wavelength_m), ("pixel pitch", pixel_pitch_m))
             remarks.append(f"M² needs the {' and the '.join(name for name, value in names if not value)}")
     return Look(tuple(seen), tuple(cameras), tuple(beams), pixel_pitch_m, wavelength_m, tuple(remarks))
+
+
+def _known(
+    name: str, value: float | None, label: str, images: Sequence[Image], factor: float, unit: str
+) -> tuple[float | None, list[str]]:
+    """A length [m] as given, or as the files say, and a remark on where it is from; None where neither does."""
+    source = "as given"
+    if value is None:
+        value, source = common(images, label)
+    return value, [f"{name} {factor * value:.5g} {unit}: {source}"] if value else []
 
 
 def _positions(

@@ -46,7 +46,7 @@ def _image(one: Seen, pitch: float | None) -> dict[str, Any]:
         "name": one.name, "rows": one.rows, "columns": one.columns, "z_m": one.z_m,
         "second_moments": moments if math.isfinite(own.x) else None,
         "gaussian_fit": _fit(one, pitch),
-        "peak_dn": one.peak_dn, "clipped_px": one.clipped_px, "stop_dn": one.stop_dn,
+        "highest_dn": one.highest_dn, "clipped_px": one.clipped_px, "stop_dn": one.stop_dn,
         "d4sigma_widened_by_clip": one.widened, "misfit_of_peak": one.misfit, "left_out": one.left_out,
     }  # fmt: skip
 

@@ -51,7 +51,7 @@ class Seen(NamedTuple):
     moments : the spot by second moments.
     fit : the spot by its Gaussian fit; None where there is no spot. Errors are times √χ² where the residuals
         exceed the noise.
-    peak_dn : highest reading.
+    highest_dn : highest reading.
     clipped_px, stop_dn : pixels at the reading at which the camera stops, and that reading (infinite: none does).
     misfit : rms of the residuals within the 1/e² contour, in parts of the fitted peak.
     noise_known : whether the fit knows the camera's noise.
@@ -65,7 +65,7 @@ class Seen(NamedTuple):
     z_m: float | None
     moments: Moments
     fit: SpotFits | None
-    peak_dn: float
+    highest_dn: float
     clipped_px: int
     stop_dn: float
     misfit: float
@@ -99,15 +99,16 @@ def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
     left_out, fit, picture, misfit = "", None, None, np.nan
     if np.isfinite(moments.x):
         top, left, window = _window(pixels, moments)
-        noise = camera.sensor or _noise_by_residuals(np.where(window >= camera.stop_dn, np.nan, window))
+        sensor = camera.sensor(pixels)
+        noise = sensor or _noise_by_residuals(np.where(window >= camera.stop_dn, np.nan, window))
         if noise is not None and (odd := odd_pixels(window, noise)).mask.any():
             left_out = odd.sentence(left, top)
             window = np.where(odd.mask, np.nan, window)
             pixels = pixels.copy()
             pixels[top : top + window.shape[0], left : left + window.shape[1]] = window
             moments = second_moments(pixels)
-        if camera.sensor is not None:
-            fit = _with_misfit(fit_spots(window, camera.sensor))
+        if sensor is not None:
+            fit = _with_misfit(fit_spots(window, sensor))
         else:
             fit = fit_spots(np.where(window >= camera.stop_dn, np.nan, window), noise, weighting="equal")
             fit = replace(_with_misfit(fit), chi2_reduced=np.asarray(np.nan))
@@ -119,7 +120,7 @@ def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
     stop = camera.stop_dn if np.isfinite(camera.stop_dn) else stop_of(pixels, image.bits)
     return Seen(
         image.name, pixels.shape[0], pixels.shape[1], z_m, moments, fit, float(known.max()) if known.size else np.nan,
-        int(np.count_nonzero(known >= stop)), stop, misfit, camera.sensor is not None, left_out, picture,
+        int(np.count_nonzero(known >= stop)), stop, misfit, camera.gain is not None, left_out, picture,
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from spotcheck.estimate.beam_axes import ROUND_RATIO
 from spotcheck.estimate.plus_minus import plus_minus as exact_plus_minus
+from spotcheck.first_look.camera import Camera
 from spotcheck.first_look.scan import Beam
 from spotcheck.first_look.seen import Seen
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 BEYOND, PART = 3.0, 0.02
 # χ² per degree of freedom up to which residuals pass for noise, which itself is known to some percent.
 AS_NOISE = 1.1
+# χ² per degree of freedom from which the light's shape, not noise, sets what a fit finds: errors are doubled there.
+NO_GAUSSIAN = 4.0
 # The clip is told where it widens D4σ by more than this part.
 FELT = 1e-3
 # Images that a sentence names one by one.
@@ -62,7 +65,7 @@ def told(look: Look) -> str:
             aligned([head[0], *head[widths:]], [[row[0], *row[widths:]] for row in body]),
         ]
     for own in look.cameras:
-        camera = [f"{name:<{NAME}} {text}" for name, text in own.lines()]
+        camera = [f"{name:<{NAME}} {text}" for name, text in camera_rows(own, look.cameras)]
         if one:
             parts[0] += camera
         else:
@@ -77,11 +80,16 @@ def wrapped(line: str) -> str:
     """A line that a terminal holds; what follows is set in, below the text where a name stands before it."""
     if len(line) <= ACROSS:
         return line
-    inside = " " * (NAME + 1 if line[NAME : NAME + 1] == " " else 2)
+    inside = " " * (NAME + 1 if line[NAME - 1 : NAME + 1] == "  " else 2)
     # A number stays with its error and its unit.
     whole = re.sub(r"(?<=[\d±]) (?=[\d±%µmD])", "\0", line)
     return textwrap.fill(whole, ACROSS, subsequent_indent=inside, break_long_words=False,
                          break_on_hyphens=False).replace("\0", " ")  # fmt: skip
+
+
+def camera_rows(own: Camera, every: Sequence[Camera]) -> list[tuple[str, str]]:
+    """Name and text of what images tell of a camera, and of several which images are its."""
+    return [*([("camera of", listed(own.images))] if len(every) > 1 else []), *own.lines()]
 
 
 def sheet(one: Seen, pitch: float | None) -> list[str]:
@@ -102,7 +110,7 @@ def rows(one: Seen, pitch: float | None) -> list[tuple[str, str]]:
         ("centre", f"x {x}, y {y}"),
         ("Gaussian fit", f"4σ {_pair(fit_widths(one), pitch)}{_direction(*one.fitted_to('orientation'))}"),
         ("second moments", moments if own.measured else "no width: its error is as large as it is"),
-        ("peak", f"{peak} over {offset}; highest reading {one.peak_dn:.5g} DN"),
+        ("peak", f"{peak} over {offset}; highest reading {one.highest_dn:.5g} DN"),
         ("shape", "; ".join(shape(one))),
         ("clipped", f"{clip.value}; {clip.sentence}" if (clip := clipped(one)) else _unclipped(one)),
         *(("beware", _said(remark)) for remark in beware(one)),
@@ -128,14 +136,16 @@ def shape(one: Seen) -> list[str]:
     fit = one.fit
     if fit is None:
         return []
-    (major, major_error), (minor, minor_error) = fit_widths(one)
+    # ISO 11146-1 judges by second moments; without them the fit has to do.
+    by_moments = one.moments.measured
+    (major, major_error), (minor, minor_error) = moment_widths(one) if by_moments else fit_widths(one)
     ratio = minor / major
     error = ratio * math.hypot(minor_error / minor, major_error / major)
-    text = f"shorter over longer axis {plus_minus(ratio, error)}"
-    if not math.isfinite(fit.orientation_stderr):
+    text = f"shorter over longer {'D4σ' if by_moments else '4σ of the fit'} {plus_minus(ratio, error)}"
+    if not math.isfinite(one.moments.azimuth_stderr if by_moments else fit.orientation_stderr):
         out = [f"round within its noise ({text})"]
     elif ratio >= ROUND_RATIO:
-        out = [f"round by ISO 11146-1 ({text}, {ROUND_RATIO} or more)"]
+        out = [f"round{' by ISO 11146-1' if by_moments else ''} ({text}, {ROUND_RATIO} or more)"]
     else:
         out = [f"elliptical ({text})"]
     left = f"residuals of {100 * one.misfit:.2g} % of the peak"
@@ -156,7 +166,7 @@ def clipped(one: Seen) -> Remark | None:
 
 
 def _unclipped(one: Seen) -> str:
-    return f"nothing seen: the highest reading is {one.peak_dn:.5g} DN"
+    return f"nothing seen: the highest reading is {one.highest_dn:.5g} DN"
 
 
 def beware(one: Seen) -> list[Remark]:
@@ -164,6 +174,9 @@ def beware(one: Seen) -> list[Remark]:
     out, own = [], one.moments
     if one.fit is not None and not one.fitted:
         out.append(Remark("the fit is not to be trusted, as the image does not tell a width", str(one.fit.status)))
+    if one.fit is not None and one.noise_known and one.fit.chi2_reduced > NO_GAUSSIAN:
+        why = "no Gaussian, so that the fit's width depends on how it weighs pixels, by more than its error; χ²"
+        out.append(Remark(why, f"{one.fit.chi2_reduced:.3g}"))
     if own.measured and not own.whole:
         why = "D4σ is uncertain, as its area of integration reaches beyond the frame; part inside:"
         out.append(Remark(why, f"{100 * own.inside:.0f} %"))
@@ -218,7 +231,7 @@ def table(images: Sequence[Seen], pitch: float | None) -> tuple[list[str], list[
     unit, factor = ("px", 1.0) if pitch is None else ("µm", 1e6 * pitch)
     with_z = any(one.z_m is not None for one in images)
     head = ["image", *(["z [mm]"] if with_z else []), f"D4σ long [{unit}]", "short", f"4σ of fit long [{unit}]",
-            "short", DIRECTION, "peak [DN]", "χ²", "clipped [px]"]  # fmt: skip
+            "short", DIRECTION, "peak [DN]", "reduced χ²", "clipped [px]"]  # fmt: skip
     body = []
     for one in images:
         row = [one.name if len(one.name) <= LONGEST else f"…{one.name[1 - LONGEST :]}"]

@@ -14,7 +14,7 @@ from spotcheck.model.effects import built_in
 from spotcheck.origin.number import Entry
 from spotcheck.origin.tables import Cell
 from spotcheck.provenance import PACKAGE
-from spotcheck.schema import read_keys, read_schema
+from spotcheck.schema import read_schema
 
 # Keys by which the entries of a list are told apart.
 NAMES = ("name", "effect")
@@ -114,7 +114,6 @@ def of_paper(path: Path) -> Iterator[tuple[Entry, Cell]]:
 def of_sheet(path: Path) -> Iterator[tuple[Entry, Cell]]:
     """All numbers of a data sheet, given or by default. Raises `InputError` where it cannot be read."""
     sheet = read_instrument(path)
-    own_keys = {name: own or {} for name, own in read_keys(path).items()} if sheet.given else {}
     for key, told in _keys(read_schema("instrument")):
         section, _, name = key.rpartition(".")
         around = getattr(sheet, section) if section else sheet
@@ -124,7 +123,7 @@ def of_sheet(path: Path) -> Iterator[tuple[Entry, Cell]]:
         said = DESCRIBED.fullmatch(told["description"])
         assert said is not None, key
         how = "" if key in sheet.given else f"the default: {path.name} does not give it"
-        if key in sheet.given and name not in (own_keys.get(section, {}) if section else own_keys):
+        if key in sheet.shared:
             how = f"given by {sheet.based_on}, on which {path.name} is based"
         stderr = getattr(around, f"{name}_stderr", 0.0) or None
         own = Cell(float(value), stderr, said["unit"] or "1", said["words"], key, how, {})

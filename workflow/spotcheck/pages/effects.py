@@ -209,7 +209,7 @@ def _row(parameter: Parameter, neutral: float | None, least: float | Callable[[C
     if neutral is not None and not math.isnan(neutral):
         notes.append("vanishes at " + ("∞" if math.isinf(neutral) else _text(neutral)))
     if least:
-        notes.append(f"nothing within {bound(least)}")
+        notes.append(f"what is nearer than {bound(least)} counts as none")
     cells = (f"`{parameter.name}`", parameter.unit, bound(parameter.low), bound(parameter.high), "; ".join(notes))
     return "| " + " | ".join(cells) + " |"
 

@@ -47,7 +47,7 @@ def write(look: "Look", folder: Path) -> Path:
         head=head,
         body=body,
         beams=words.beams(look),
-        cameras=[own.lines() for own in look.cameras],
+        cameras=[words.camera_rows(own, look.cameras) for own in look.cameras],
         remarks=[*look.remarks, *([] if single else words.remarks_of(look.images))],
         scan=scan,
         spots=spots,
