@@ -152,6 +152,8 @@ def test_every_model_can_be_chosen(viewer, held):
         wanted = own.transpose(*dims, ...).values[index]
         if np.isfinite(wanted).any():
             shows(viewer, title, wanted, STEP)
+            told = f"noise σ by the {title}" in viewer.locator("#viewer-said").inner_text()
+            assert told == np.isfinite(float(views["noise_slope"]))
 
 
 def test_residuals_over_the_noise(viewer, held):

@@ -59,6 +59,20 @@ def test_paper_shows_all(page, scheme):
     assert sheet.min() < 80, "nothing is printed"
 
 
+def test_figures_fit_the_sheet_and_come_back(page):
+    """Whatever the window's width, and what was folded is folded again."""
+    page.evaluate("looks.visit()")
+    folded = page.locator("details:not([open])").count()
+    widths = "[...document.querySelectorAll('.js-plotly-plot .main-svg')].map((own) => own.clientWidth)"
+    before = page.evaluate(widths)
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    page.wait_for_function(f"Math.max(...{widths}) <= {PAPER}")
+    assert page.locator("details:not([open])").count() == 0
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.locator("details:not([open])").count() == folded
+    page.wait_for_function(f"Math.max(0, ...{widths}) == {max(before, default=0)}")
+
+
 def test_it_prints(page):
     """A PDF of more than one page."""
     assert page.pdf(format="A4").count(b"/Type /Page\n") > 1

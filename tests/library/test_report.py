@@ -9,13 +9,13 @@ import pytest
 
 from spotcheck.discrepancy.verdict.document import document
 from spotcheck.figures import style
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.sensor import SensorModel, noise_line
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report import packed, ranking, tables
 from spotcheck.pages.report.gap import gap_of
 from spotcheck.pages.report.ranking import Deviation
 from spotcheck.pages.report.spoken import numbers_in, spoken
-from spotcheck.views import noise_line, rms_left
+from spotcheck.views import rms_left
 from tests.library.conftest import ROOT
 from tests.library.judgements import JUDGEMENTS, WORDS
 

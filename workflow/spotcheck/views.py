@@ -25,13 +25,11 @@ from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.chain import Free, View
 from spotcheck.model.effect import Place, Present
 from spotcheck.model.extended import Extended, Site
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel, reading
+from spotcheck.model.sensor import NoiseLine, SensorModel, noise_line, reading
 
 # Readings are kept in steps of a power of two [DN], of which full scale has no more than this: the last number of 16
 # bits stands for NaN.
 MOST_STEPS = 65_000
-# A light [DN] that no sensor's end or rounding reaches: there the noise is a straight line in the mean.
-FAR_DN = 1e3
 MODELS = {
     "simulated": "the baseline simulated at p1, p2 and peak",
     "declared": "the declared model with the frame's own brightness, width and centre",
@@ -46,29 +44,7 @@ DEVIATIONS = {
 }
 
 
-class Line(NamedTuple):
-    """The sensor's noise: variance [DN²] of a reading of 0 DN, and its rise for each DN of mean [DN]. Where readings
-    stop their scatter vanishes, and a residual over that would say nothing: both ends are left out."""
-
-    at_zero: float
-    slope: float
-
-    def variance(self, mean: np.ndarray) -> np.ndarray:
-        """Variance [DN²] of readings of a mean [DN]; never less than rounding brings."""
-        return np.maximum(self.at_zero + self.slope * mean, ROUNDING_VARIANCE)
-
-
-def noise_line(sensor: SensorModel | None) -> Line:
-    """The noise of a sensor; NaN without one."""
-    if sensor is None:
-        return Line(np.nan, np.nan)
-    endless = sensor._replace(full_scale_dn=np.inf, full_well_e=np.inf, dark_current_e_per_s=0.0)
-    one, two = (float(reading(np.float64(light), 0.0, endless).variance) for light in (FAR_DN, 2 * FAR_DN))
-    slope = (two - one) / FAR_DN
-    return Line(one - slope * (FAR_DN + sensor.black_level_dn), slope)
-
-
-def rms_left(measured: np.ndarray, mean: np.ndarray, line: Line) -> tuple[float, float]:
+def rms_left(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
     """Rms of measured less mean readings [row, column], NaN where nothing was measured: in DN, and over the noise."""
     square = (measured - mean) ** 2
     if not np.isfinite(square).any():

@@ -178,7 +178,7 @@ def _verdict(verdict: dict[str, Any]) -> Named:
         name = Name(FOUND, f"{key} beside {beside}")
         yield name, _number(own["after"], own["stderr"], own["unit"], "fit to all frames", "baseline_shift")
     left = verdict["unexplained"]
-    yield Name(FOUND, "left unexplained, in peaks"), _number(left["size"], left["error"], "1", "noise", "unexplained")
+    yield Name(FOUND, "unexplained part of the peak"), _number(left["size"], left["error"], "1", "noise", "unexplained")
     if light := verdict["light"]:
         name = Name(FOUND, "light that is not where it is declared, as a part of all")
         yield name, _number(light["power"], light["stderr"], "1", "fit to all frames", "light")

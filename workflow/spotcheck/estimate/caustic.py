@@ -334,19 +334,25 @@ def beam_rows(ds: xr.Dataset) -> dict[str, xr.Dataset]:
 
 
 def _on_quality(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
-    """The sentence on axes whose M² is below 1 beyond its error: no beam is better than a Gaussian one."""
-    low = [
-        f"{name} {plus_minus(value, error)}"
-        for name, value, error in zip(AXES, ds["m2"].values, ds["m2_stderr"].values, strict=True)
-        if value + IMPOSSIBLE * error < 1
-    ]
-    if not low:
-        return []
-    return [
-        f"M² is below 1 ({', '.join(low)}), and no beam's is; it grows with sensor.pixel_pitch_m ({pitch:g}) squared"
-        f" and falls with laser.wavelength_m ({wavelength:g}) and with the unit of {CONDITION}: one of them is off,"
-        " or the camera sees an image of the beam and not the beam"
-    ]
+    """A sentence on axes whose M² is below 1: no beam is better than a Gaussian one. Far beyond its error a number that
+    M² rests on must be wrong."""
+
+    def below(errors: float) -> str:
+        rows = zip(AXES, ds["m2"].values, ds["m2_stderr"].values, strict=True)
+        return ", ".join(f"{name} {plus_minus(m2, error)}" for name, m2, error in rows if m2 + errors * error < 1)
+
+    if low := below(IMPOSSIBLE):
+        return [
+            f"M² is below 1 ({low}), and no beam's is; it grows with sensor.pixel_pitch_m ({pitch:g}) squared"
+            f" and falls with laser.wavelength_m ({wavelength:g}) and with the unit of {CONDITION}: one of them is off,"
+            " or the camera sees an image of the beam and not the beam"
+        ]
+    if low := below(1.0):
+        return [
+            f"M² is below 1 ({low}): fits pass over light beside the Gaussian, which M² after ISO 11146 counts, as"
+            " `spotcheck look` does"
+        ]
+    return []
 
 
 def _fill(ds: xr.Dataset, found: list[Hyperbola], wavelength: float, axes: Axes) -> None:

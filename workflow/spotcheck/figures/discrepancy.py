@@ -220,34 +220,36 @@ def _profiles(axes: list[Axes], ds: xr.Dataset, plan: Plan, stages: list[str]) -
 
 
 def gap(results: Results) -> style.Drawing:
-    """Mean squared standardised residual by angle and exposure, before and after, against the noise."""
+    """Rms of the standardised residuals of blocks by angle and exposure, before and after, against the noise."""
     ds = results.get("discrepancy")
     plan, stages = plan_of(ds), stages_in(ds)
-    floor, error = float(ds["gap_floor"]), plan.table(ds, "gap_stderr")
-    tables = {stage: plan.table(ds, f"gap_{stage}") for stage in stages}
+    square, error = float(ds["gap_floor"]), plan.table(ds, "gap_stderr")
+    floor, clear = square**0.5, np.sqrt(square + STANDS_OUT * error)
+    tables = {stage: np.sqrt(plan.table(ds, f"gap_{stage}")) for stage in stages}
     if not np.isfinite(tables["before"]).any():
         raise Unavailable("no condition has a residual")
     highest = max(float(np.nanmax(own)) for own in tables.values())
-    norm = LogNorm(floor * 0.9, max(highest, floor * 10) * 1.05)
+    norm = LogNorm(floor * 0.95, max(highest, floor * 4) * 1.05)
     figure = style.new(min(1.5 + 0.34 * len(plan.rows), 8.0))
     axes = figure.subplots(1, len(stages), squeeze=False, sharey=True)[0]
     for ax, stage in zip(axes, stages, strict=True):
-        _cells(ax, plan, tables[stage], floor + STANDS_OUT * error, norm)
+        _cells(ax, plan, tables[stage], clear, norm)
         ax.set_title({"before": "before", "after": "after"}[stage] if len(stages) > 1 else "declared model")
         if any(plan.columns):
             ax.set_xlabel(style.axis_name("exposure"))
     if any(plan.rows):
         axes[0].set_ylabel(" and ".join(style.axis_name(d) for d in plan.dims if d in ds.coords))
     bar = figure.colorbar(
-        ScalarMappable(norm, "magma_r"), ax=list(axes), aspect=20, label="mean squared\nresidual / noise"
+        ScalarMappable(norm, "magma_r"), ax=list(axes), aspect=20, label="rms of block\nresiduals / noise"
     )
     bar.ax.axhline(floor, color="white", linewidth=2.2)
     bar.ax.axhline(floor, color="black", linewidth=1.0)
-    scatter = float(np.nanmedian(error))
+    scatter = float(np.nanmedian(error)) / (2 * floor)
     caption = (
-        f"Mean square of what is left of block means, over the declared model's noise, on {ds.attrs['gap_on']}."
+        f"Root mean square of what is left of block means, over the declared model's noise, on {ds.attrs['gap_on']}."
         f" Noise alone leaves {floor:.3g} ± {scatter:.2g} (line on the colour bar); bold: more than"
-        f" {STANDS_OUT:.0f} standard deviations above."
+        f" {STANDS_OUT:.0f} standard deviations above. A block has less noise than a reading, so that what is left"
+        " stands out by more here than in the gap of the verdict."
     )
     if len(stages) == 1:
         caption += " Nothing was added to the model, so there is no after."

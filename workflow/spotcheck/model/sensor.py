@@ -17,6 +17,9 @@ from scipy.special import ndtr
 # Variance of rounding to whole DN (Section 4.1.1): σ_q² = 1/12 DN².
 ROUNDING_VARIANCE = 1 / 12
 
+# A light [DN] that no sensor's end or rounding reaches: there the noise is a straight line in the mean.
+FAR_DN = 1e3
+
 
 class SensorModel(NamedTuple):
     """A camera by the linear model of EMVA 1288: mean and variance of a reading, and random readings.
@@ -100,6 +103,28 @@ class SensorModel(NamedTuple):
         faint = electrons < table.highest_e
         mean, variance = (np.interp(electrons, table.levels, own) for own in (table.mean, table.variance))
         return np.where(faint, mean, bright.mean)[()], np.where(faint, variance, bright.variance)[()]
+
+
+class NoiseLine(NamedTuple):
+    """The sensor's noise: variance [DN²] of a reading of 0 DN, and its rise for each DN of mean [DN]. Where readings
+    stop their scatter vanishes, and a residual over that would say nothing: both ends are left out."""
+
+    at_zero: float
+    slope: float
+
+    def variance(self, mean: np.ndarray) -> np.ndarray:
+        """Variance [DN²] of readings of a mean [DN]; never less than rounding brings."""
+        return np.maximum(self.at_zero + self.slope * mean, ROUNDING_VARIANCE)
+
+
+def noise_line(sensor: SensorModel | None) -> NoiseLine:
+    """The noise of a sensor; NaN without one."""
+    if sensor is None:
+        return NoiseLine(np.nan, np.nan)
+    endless = sensor._replace(full_scale_dn=np.inf, full_well_e=np.inf, dark_current_e_per_s=0.0)
+    one, two = (float(reading(np.float64(light), 0.0, endless).variance) for light in (FAR_DN, 2 * FAR_DN))
+    slope = (two - one) / FAR_DN
+    return NoiseLine(one - slope * (FAR_DN + sensor.black_level_dn), slope)
 
 
 def checked(sensor: SensorModel) -> SensorModel:

@@ -29,9 +29,13 @@ function template() {
   };
 }
 
+// Width of a figure on paper [px]: A4 and Letter hold it between their margins. null on screen, where figures fill the page.
+const PAPER_PX = 660;
+let paper = null;
+
 /** Draws or redraws a figure in an element, in the page's colours. */
-function draw(element, data, layout) {
-  return Plotly.react(element, data, { ...layout, template: template() }, CONFIG);
+function draw(element, data, layout, config = {}) {
+  return Plotly.react(element, data, { ...layout, ...(paper && { width: paper }), template: template() }, { ...CONFIG, ...config });
 }
 
 /** The figure that stands as JSON behind an element; var(--name) in it is a colour of the page. */
@@ -86,8 +90,18 @@ drawInView(written, drawWritten);
 document.querySelectorAll("table.sortable th button").forEach((own) => own.addEventListener("click", () => sortBy(own)));
 addEventListener("hashchange", openTarget);
 document.querySelectorAll('a[href^="#"]').forEach((own) => own.addEventListener("click", () => setTimeout(openTarget)));
+
+let unfolded = [];
 addEventListener("beforeprint", () => {
-  document.querySelectorAll("details").forEach((own) => { own.open = true; });
+  paper = PAPER_PX;
+  unfolded = [...document.querySelectorAll("details:not([open])")];
+  unfolded.forEach((own) => { own.open = true; });
   written.forEach((own) => own.dataset.drawn || drawWritten(own));
+  document.querySelectorAll(".js-plotly-plot").forEach((own) => Plotly.relayout(own, { width: paper }));
+});
+addEventListener("afterprint", () => {
+  paper = null;
+  unfolded.forEach((own) => { own.open = false; });
+  document.querySelectorAll(".js-plotly-plot").forEach((own) => Plotly.relayout(own, { width: null, autosize: true }));
 });
 openTarget();

@@ -15,11 +15,12 @@ from spotcheck.discrepancy.nuisance.fit import Fitted
 from spotcheck.discrepancy.nuisance.numbers import expected_of
 from spotcheck.discrepancy.observe.design import Design
 from spotcheck.discrepancy.observe.pixels import Expected, Frame, Model, Numbers, deviance_of
+from spotcheck.model.sensor import noise_line
 
 
 class Distance(NamedTuple):
     """How far frames are from a model: −2 ln L but for constants, and mean squares of residuals in DN² and over the
-    noise of the declared model."""
+    noise of the declared model, its ends left out: of a reading that cannot move no residual is small."""
 
     deviance: float
     square_dn: float
@@ -38,7 +39,8 @@ def unseen(frames: Sequence[Frame], design: Design, numbers: Numbers, before: Mo
     final = after.model._replace(numbers=numbers)
     frames = with_waves(frames, design, final)
     first, last = (expected_of(frames, model) for model in (before._replace(numbers=numbers), final))
-    noise = [seen.variance for seen in first]
+    line = noise_line(before.sensor)
+    noise = [line.variance(seen.mean) for seen in first]
     # Where the found model has more noise than the declared one, or less, so have its frames.
     floor = sum(float(np.sum(seen.variance / own)) for seen, own in zip(last, noise, strict=True))
     floor /= sum(own.size for own in noise)

@@ -199,14 +199,20 @@ def by_condition(files: Mapping[str, xr.Dataset]) -> Curve | None:
     data = []
     for stage, source in (("before", "simulated"), ("after", "measured")):
         if f"gap_{stage}" in ds:
-            values = ds[f"gap_{stage}"].values.ravel()
+            values = np.sqrt(ds[f"gap_{stage}"].values.ravel())
             hover = f"{stage}: %{{y:.4~g}} at %{{x}}<extra></extra>"
             marker = {"symbol": "circle-open" if stage == "before" else "circle"}
             data.append(points(stage, names, values, None, source, marker=marker, hovertemplate=hover))
-    floor = np.full(len(names), float(ds["gap_floor"]))
+    floor = np.full(len(names), float(ds["gap_floor"]) ** 0.5)
     data.append(line("scatter alone", names, floor, dash="dot"))
-    caption = f"Mean square of block residuals over the sensor's noise, of each condition, on {ds.attrs['gap_on']}."
-    layout = {"xaxis": axis("", tickangle=-45, type="category"), "yaxis": axis("mean square over noise", type="log")}
+    caption = (
+        f"Rms of residuals over their noise, in means of blocks of pixels, of each condition, on {ds.attrs['gap_on']}."
+        " A block has less noise than a reading, so that what is left stands out by more here than in the gap above."
+    )
+    layout = {
+        "xaxis": axis("", tickangle=-45, type="category"),
+        "yaxis": axis("rms of block residuals / σ of their noise", type="log"),
+    }
     return Curve("curve-gap", "The gap by condition", figure(data, layout), caption, "missing-gap")
 
 

@@ -49,6 +49,12 @@ function residual(measured, model, overNoise) {
   return measured.map((value, i) => (value - model[i]) / (overNoise ? noise(model[i]) : 1));
 }
 
+/** The root mean square of the finite numbers; null where the noise is unknown. */
+function rmsOf(values) {
+  const known = values.filter(Number.isFinite);
+  return known.length ? Math.sqrt(known.reduce((sum, own) => sum + own * own, 0) / known.length) : null;
+}
+
 /** The value below which a part of the finite numbers lie. */
 function quantile(values, part) {
   const known = values.filter(Number.isFinite).sort();
@@ -142,6 +148,14 @@ function around(frame, widths) {
   return { x: [x - half, x + half], y: [y + half, y - half] };
 }
 
+// Widths [px] below which panels stand below each other, and below which all of them do not stand side by side.
+const NARROW = 500, MEDIUM = 900;
+
+/** The width of an element [px], on paper that of paper. */
+function widthOf(element) {
+  return paper ?? element.clientWidth;
+}
+
 // The picture of the first screen.
 
 const FIRST_WIDTHS = 3;
@@ -151,19 +165,20 @@ async function drawFirst(element) {
   const models = INDEX.pictured;
   const left = models.map((name) => residual(all.measured, all[name], false));
   const reading = readingScale([all.measured, ...models.map((name) => all[name])], false), rest = residualScale(left, false);
-  const narrow = element.clientWidth < 700;
+  const wide = widthOf(element), narrow = wide < NARROW;
   const titles = models.length > 1 ? { declared: "model before", extended: "model after" } : { declared: "model", simulated: "simulation" };
   const panels = [
     imagePanel(frame, "measured", all.measured, reading),
     ...models.map((name) => imagePanel(frame, titles[name], all[name], reading)),
     ...models.map((name, k) => imagePanel(frame, `${narrow ? "left by" : "measured −"} ${titles[name]}`, left[k], rest)),
   ];
-  const columns = narrow ? 2 : panels.length;
-  element.style.height = narrow ? `${Math.ceil(panels.length / 2) * (element.clientWidth / 2 + 20)}px` : "";
-  const figure = figureOf(panels, columns, { ...around(frame, FIRST_WIDTHS), linked: true, width: element.clientWidth, gapX: narrow ? 0.06 : 0.012, gapY: 0.12, bars: !narrow });
+  const columns = narrow ? 2 : wide < MEDIUM ? 3 : panels.length, side = (wide - (narrow ? 0 : 120)) / columns;
+  element.style.height = wide < MEDIUM ? `${Math.ceil(panels.length / columns) * (side + 20) + (narrow ? 0 : 60)}px` : "";
+  const figure = figureOf(panels, columns, { ...around(frame, FIRST_WIDTHS), linked: true, width: wide, gapX: narrow ? 0.06 : 0.012, gapY: 0.12, bars: !narrow });
   element.dataset.drawn = "yes";
   element.dataset.frame = number;
-  await draw(element, figure.data, figure.layout);
+  // Buttons would lie on the titles, and a double click goes back without them.
+  await draw(element, figure.data, figure.layout, { displayModeBar: false });
 }
 
 // One frame at a time.
@@ -207,30 +222,38 @@ async function drawViewer() {
   const names = ["first", "second"].map(read).filter((name) => all[name]);
   const left = names.map((name) => residual(all.measured, all[name], overNoise));
   const reading = readingScale([all.measured, ...names.map((name) => all[name])], log), rest = residualScale(left, overNoise);
-  const narrow = viewer.clientWidth < 700;
+  const wide = widthOf(viewer), narrow = wide < NARROW;
   const images = [imagePanel(frame, "measured", all.measured, reading), ...names.map((name) => imagePanel(frame, INDEX.names[name], all[name], reading))];
   const rests = names.map((name, k) => imagePanel(frame, `${narrow ? "left by" : "measured −"} ${INDEX.names[name]}`, left[k], rest));
   const profile = (along) => profilePanel(frame, all, names, along, log);
   const panels = narrow ? [...images, ...rests, profile("x"), profile("y")] : [...images, [profile("x"), profile("y")], ...rests];
-  const rowCount = Math.ceil(panels.length / (narrow ? 1 : 3)), side = narrow ? viewer.clientWidth - 140 : (viewer.clientWidth - 190) / 3;
+  const rowCount = Math.ceil(panels.length / (narrow ? 1 : 3)), side = narrow ? wide - 140 : (wide - 190) / 3;
   viewer.style.height = `${rowCount * (Math.max(side, 120) + 62) + 60}px`;
-  const look = { linked: true, ticks: "all", width: viewer.clientWidth, gapX: 0.045, gapY: (narrow ? 66 : 72) / viewer.offsetHeight, legend: true };
+  const look = { linked: true, ticks: "all", width: wide, gapX: 0.045, gapY: (narrow ? 66 : 72) / viewer.offsetHeight, legend: true };
   const figure = figureOf(panels, narrow ? 1 : 3, { ...look, ...around(frame, Number(read("zoom"))) });
   figure.layout.legend = { orientation: "h", x: 0, y: 0, yanchor: "bottom", yref: "container" };
   figure.layout.margin.b = 64;
   viewer.dataset.drawn = "yes";
   viewer.dataset.frame = shownFrame;
-  document.getElementById("viewer-said").replaceChildren(...saidOf(frame, names));
+  const rms = Object.fromEntries(names.map((name) => [name, rmsOf(residual(all.measured, all[name], true))]));
+  document.getElementById("viewer-said").replaceChildren(...saidOf(frame, names, rms));
   await draw(viewer, figure.data, figure.layout);
 }
 
-/** What is said of a frame, as words and marked numbers. */
-function saidOf(frame, names) {
-  const left = Object.entries(frame.left).filter(([name, value]) => value !== null && names.includes(name));
-  const said = left.flatMap(([name, value], k) =>
-    [k ? ", " : " Left, rms: ", marked(value, `views.${name}_left[frame=${frame.file}]`), ` by the ${INDEX.names[name]}`]);
+/** What is said of a frame, as words and marked numbers; `rms` are those of the models that are drawn. */
+function saidOf(frame, names, rms) {
+  const left = names.filter((name) => frame.left[name] != null || rms[name] != null);
+  const said = left.flatMap((name, k) => {
+    const told = frame.left[name] != null ? marked(frame.left[name], `views.${name}_left[frame=${frame.file}]`) : noiseText(rms[name]);
+    return [k ? ", " : " Left, rms: ", told, ` by the ${INDEX.names[name]}`];
+  });
   return [`${frame.label} (${frame.file}).`, ...said, left.length ? "." : "",
     frame.why ? ` Why: ${frame.why}.` : "", names.length ? "" : " No model could be evaluated for this frame."];
+}
+
+/** A number in units of the noise. */
+function noiseText(value) {
+  return `${Number(value.toPrecision(3))} noise σ`;
 }
 
 /** A number in units of the noise that says where it comes from, as those of cited.py do. */
@@ -239,7 +262,7 @@ function marked(value, key) {
   own.className = "from";
   own.dataset.key = key;
   own.title = `views.nc: ${key.split(/[.[]/)[1]}; explain: spotcheck explain '${key}'`;
-  own.textContent = `${Number(value.toPrecision(3))} noise σ`;
+  own.textContent = noiseText(value);
   return own;
 }
 
@@ -264,9 +287,10 @@ if (INDEX) {
     if (axis) showFrame(chosenFrame(axis)); else drawViewer();
   });
   document.querySelectorAll("tr[data-frame]").forEach((row) => row.addEventListener("click", () => openFrame(row)));
-  const narrow = matchMedia("(max-width: 730px)");
-  narrow.addEventListener("change", () => {
-    for (const [own, again] of [[viewer, drawViewer], [document.getElementById("first-picture"), () => drawFirst(document.getElementById("first-picture"))]])
-      if (own.dataset.drawn) again();
-  });
+  const first = document.getElementById("first-picture");
+  // A frame that is shown is unpacked: it is drawn before the sheet is laid out.
+  const anew = () => [[viewer, drawViewer], [first, () => drawFirst(first)]].forEach(([own, again]) => own.dataset.drawn && again());
+  for (const end of [NARROW, MEDIUM]) matchMedia(`(max-width: ${end + 30}px)`).addEventListener("change", anew);
+  addEventListener("beforeprint", anew);
+  addEventListener("afterprint", anew);
 }

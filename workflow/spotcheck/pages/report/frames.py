@@ -12,9 +12,10 @@ from spotcheck.estimate.fits import preferred
 from spotcheck.figures import series
 from spotcheck.figures.style import axis_name
 from spotcheck.manifest import Frame
+from spotcheck.model.sensor import NoiseLine
 from spotcheck.pages.report.packed import Layer, block_of, packed, step_of, thinned
 from spotcheck.pages.report.ranking import deviations_of, deviations_text, flags_text, place_text, usual_of
-from spotcheck.views import MODELS, Line
+from spotcheck.views import MODELS
 
 # Frames that are packed to see how large all will be.
 SAMPLE = 8
@@ -183,7 +184,7 @@ def _row(
     known = [name for name in RANKED_BY if shown["left"].get(name) is not None]
     model = next((name for name in RANKED_BY if name in images), None)
     if model is not None and "measured" in images:
-        mean, line = images[model], Line(float(views["noise_at_zero"]), float(views["noise_slope"]))
+        mean, line = images[model], NoiseLine(float(views["noise_at_zero"]), float(views["noise_slope"]))
         text = place_text(images["measured"] - mean, line.variance(mean), shown["spot"])
         why += [text] if text else []
     numbers = {

@@ -2,11 +2,14 @@
 
 from typing import Any, NamedTuple
 
+from spotcheck.discrepancy.conclude.limits import ALREADY
 from spotcheck.discrepancy.verdict.sentence import effect_text, either_text
 from spotcheck.discrepancy.verdict.words import condition_text, list_text, percent_text, probability_text, value_text
 
 # A p-value below which a person speaks of certainty: once in ten thousand.
 CERTAIN = 1e-4
+# Effects that what stays unexplained is said to look like, at most.
+MOST_LIKE = 3
 # Of flats, in place of what is said of spots.
 SPOT, FLATS = "The measured spot is", "The measured levels are"
 MODEL, LINEAR = "the model says", "a linear sensor gives"
@@ -110,9 +113,12 @@ def measure_next(verdict: dict[str, Any]) -> str:
         shows = f"; it shows most in {verdict['where'][0]['words']}" if verdict["where"] else ""
         return f"No measurement can be advised, for no known effect predicts one{shows}."
     if status == "named_more_remains" and left is not None:
+        seen = [own["effect"] for own in verdict["limits"] if own["more"] == ALREADY][:MOST_LIKE]
+        like = (
+            f"it looks like {list_text(seen)}, but not in all frames alike" if seen else "it looks like no known effect"
+        )
         return (
-            f"What is named needs no further measurement; {percent_text(left)} of the peak stays unexplained, and no"
-            " known effect says where to look."
+            f"What is named needs no further measurement; {percent_text(left)} of the peak stays unexplained: {like}."
         )
     if status == "consistent":
         return "Nothing more is needed; further frames would only tighten the limits on what does not show."
