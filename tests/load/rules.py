@@ -1,4 +1,5 @@
-"""Memory and time of each rule beside what it asks of a cluster: `python -m tests.load.rules [--repeats 10,100]`.
+"""Memory and time of each rule beside what it asks of a cluster, and how large the page becomes:
+`python -m tests.load.rules [--repeats 10,167]`.
 
 Datasets of more and more frames run through the whole workflow; Snakemake measures each job and says what its rule
 asked for.
@@ -31,20 +32,28 @@ class Job(NamedTuple):
 def main() -> None:
     """Measure and write the rows."""
     parser = argparse.ArgumentParser(prog="python -m tests.load.rules", description=__doc__)
-    parser.add_argument("--repeats", default="10,100", help="repeats of the six frames of the sets (default 10,100)")
+    parser.add_argument("--repeats", default="10,167", help="repeats of the six frames of the sets (default 10,167)")
     repeats = [int(number) for number in parser.parse_args().repeats.split(",")]
     with tempfile.TemporaryDirectory(prefix="rules-") as base:
-        measured = [jobs_of(small_rig_dataset(Path(base, f"set{count}"), repeats=count)) for count in repeats]
-    write("rules", rows([EACH * count for count in repeats], measured))
+        folders = [small_rig_dataset(Path(base, f"set{count}"), repeats=count) for count in repeats]
+        measured = [jobs_of(folder) for folder in folders]
+        pages = [(results_of(folder) / "report.html").stat().st_size for folder in folders]
+    frames = [EACH * count for count in repeats]
+    write("rules", [*rows(frames, measured), page_row(frames, pages)])
 
 
 def jobs_of(folder: Path) -> dict[str, Job]:
     """The jobs of a whole run on a dataset, by rule. RuntimeError with its last lines where it fails."""
-    results = folder.with_name("results")
+    results = results_of(folder).parent
     run = snakemake("--benchmark-extended", config={"dataset": folder, "results": results})
     if run.returncode:
         raise RuntimeError(f"the run on {folder.name} failed:\n" + "\n".join(run.stderr.splitlines()[-30:]))
-    return {path.stem: job_of(path) for path in sorted((results / folder.name / "benchmarks").glob("*.tsv"))}
+    return {path.stem: job_of(path) for path in sorted((results_of(folder) / "benchmarks").glob("*.tsv"))}
+
+
+def results_of(folder: Path) -> Path:
+    """Where the results of a dataset lie."""
+    return folder.with_name("results") / folder.name
 
 
 def job_of(path: Path) -> Job:
@@ -70,6 +79,12 @@ def rows(frames: Sequence[int], measured: Sequence[dict[str, Job]]) -> list[Row]
         what = f"{rule}, {', '.join(f'{count:,}' for count in frames)} frames"
         out.append(Row(what, len(own), f"{said}{'; MORE than asked' if over else ''}"))
     return out
+
+
+def page_row(frames: Sequence[int], sizes: Sequence[int]) -> Row:
+    """A row on the page of each set, by its size [byte]."""
+    what = f"report.html, {', '.join(f'{count:,}' for count in frames)} frames"
+    return Row(what, len(sizes), f"{', '.join(f'{size / 1e6:.1f}' for size in sizes)} MB")
 
 
 if __name__ == "__main__":
