@@ -272,6 +272,7 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
                 (key, cite(value_text(p["value"], p["stderr"], p["unit"]), f"verdict.effects.{own['name']}.{key}"))
                 for key, p in own["parameters"].items()
             ],
+            "none": f"{neutral:g}" if np.isfinite(neutral := known[own["name"]].neutral) else "",
             "gain": cite(number_text(own["evidence"]["gain"]), f"verdict.effects.{own['name']}.evidence.gain"),
             "z": cite(number_text(own["evidence"]["z"]), f"verdict.effects.{own['name']}.evidence.z"),
             # A learned shape is told by all frames together, and by no cells.
