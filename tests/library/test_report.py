@@ -60,6 +60,19 @@ def test_how_sure_has_its_number():
     assert "in 32 % of such measurements (p = 0.32)" in spoken(verdict_of("agreed")).sure
 
 
+def test_flats_say_their_gain_first():
+    """By the straight line, and with what was added where anything was; each with the key of its number."""
+    plain, bent = (verdict_of(name) for name in ("agreed", "one"))
+    for own in (plain, bent):
+        own["levels"] = {
+            "straight_line": {"value": 0.28, "stderr": 0.0014},
+            "gain_dn_per_e": {"value": 0.2908, "stderr": 6e-4},
+        }
+    assert spoken(plain).sure.endswith("; K is 0.2800 ± 0.0014 DN/e− by a straight line (EMVA 1288).")
+    assert "(EMVA 1288), 0.2908 ± 0.0006 DN/e− with what was added." in spoken(bent).sure
+    assert numbers_in(bent)["0.2908 ± 0.0006 DN/e−"] == "verdict.levels.gain_dn_per_e"
+
+
 def test_the_gap_is_shown_where_there_is_one():
     found = gap_of(verdict_of("one"))
     assert found is not None

@@ -25,7 +25,8 @@ class Spoken(NamedTuple):
 
 def spoken(verdict: dict[str, Any]) -> Spoken:
     """The sentences of a verdict, whatever its status."""
-    return Spoken(headline(verdict), sure(verdict), measure_next(verdict))
+    certain, gain = sure(verdict), gain_of(verdict)
+    return Spoken(headline(verdict), f"{certain[:-1]}; {gain}." if certain and gain else certain, measure_next(verdict))
 
 
 def numbers_in(verdict: dict[str, Any]) -> dict[str, str]:
@@ -38,6 +39,8 @@ def numbers_in(verdict: dict[str, Any]) -> dict[str, str]:
             # A whole number without a unit may be a count in the sentence, and is no value that it tells.
             if not text.isdigit():
                 found[text] = f"verdict.effects.{own['name']}.{name}"
+    for name in ("straight_line", "gain_dn_per_e") if "levels" in verdict else ():
+        found[_in_dn(verdict["levels"][name])] = f"verdict.levels.{name}"
     for name, own in verdict["baseline_shift"].items():
         if own["after"] is not None:
             found[value_text(own["after"], own["stderr"], own["unit"])] = f"verdict.baseline_shift.{name}.after"
@@ -93,6 +96,19 @@ def sure(verdict: dict[str, Any]) -> str:
         return f"{chance}, and no other known effect does as well."
     what = "what was added closes" if len(verdict["effects"]) > 1 else "it closes"
     return f"{chance}, and {what} {percent_text(min(closed, 1.0))} of the gap on {verdict['gap']['on']}."
+
+
+def gain_of(verdict: dict[str, Any]) -> str:
+    """What flats tell of the gain; "" of spots."""
+    if "levels" not in verdict:
+        return ""
+    line, found = (_in_dn(verdict["levels"][name]) for name in ("straight_line", "gain_dn_per_e"))
+    beside = f", {found} with what was added" if verdict["effects"] else ""
+    return f"K is {line} by a straight line (EMVA 1288){beside}"
+
+
+def _in_dn(own: dict[str, Any]) -> str:
+    return value_text(own["value"], own["stderr"], "DN/e-")
 
 
 def measure_next(verdict: dict[str, Any]) -> str:
