@@ -293,9 +293,9 @@ def test_the_room_imports_no_file_beside_the_rooms():
 
 LIMITS = {
     "smear": (Limit("smear", "fraction", "1", "not found", high=0.000444, times=4.0),
-              "light smeared along columns below 0.00044", 54, ""),
+              "light smeared along columns below 0.044 %", 54, ""),
     "bend": (Limit("nonlinearity", "q", "1", "not found", low=-0.0123, high=0.004, times=np.inf, more="no"),
-             "bend of the response from −0.012 to 0.004", None, "no"),
+             "bend of the response from −1.2 % to 0.4 %", None, "no"),
     "clip": (Limit("saturation", "level", "DN", "not found", low=930.0), "no clip below 930 DN", None, ""),
     "untold": (Limit("speckle", "contrast", "1", "these frames do not tell"), "", None, ""),
 }  # fmt: skip

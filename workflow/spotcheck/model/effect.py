@@ -104,7 +104,8 @@ class Effect(NamedTuple):
     What it is:
 
     - `name`, a word; `sentence`, what a person is told, from a small letter on and without a full stop; `noun`, what
-      its strength is the size of, as in "no clip below 930 DN"; without one its parameter's name.
+      its strength is the size of, as in "no clip below 930 DN"; without one its parameter's name. `part`: that is a
+      part of something, and is said in per cent.
     - `place` in the chain; `function`, as the place says (none at `Place.SHAPE`, whose parameters only describe).
     - `parameters`, the strength first. A verdict reports those that are not `inner`, with their units; of an effect
       that scatters, as many as its component tells (`COMPONENTS`).
@@ -158,6 +159,7 @@ class Effect(NamedTuple):
     marks: tuple[str, ...] = ()
     flats: str = NO_SPOT
     noun: str = ""
+    part: bool = False
     adopts: Callable[..., Mapping[str, float]] | None = None
 
     @property

@@ -242,8 +242,7 @@ def limit_row(own: Limit, judgement: Judgement) -> dict[str, Any]:
     """What an effect that is not named may still be, and how many frames more, of all conditions alike, would halve
     that."""
     effect = vocabulary().get(own.effect)
-    neutral = effect.neutral if effect else 0.0
-    ends = [limit_text(end, own.unit, neutral) if np.isfinite(end) else "" for end in (own.low, own.high)]
+    ends = [limit_text(end, own.unit, effect) if np.isfinite(end) else "" for end in (own.low, own.high)]
     frames = len(judgement.fits.shots) if judgement.fits else judgement.levels.frames if judgement.levels else 0
     return {
         "effect": own.effect,

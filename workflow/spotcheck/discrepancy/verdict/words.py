@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from spotcheck.model.effect import Effect
+
 UNITS = {"1": "", "deg": "°", "degree": "°", "pixel": "px"}
 # Units that are told with a prefix, as exposures and beams span powers of ten.
 WITH_PREFIX = ("s", "m", "rad", "W")
@@ -92,9 +94,12 @@ def probability_text(p: float) -> str:
     return f"p = {p:.2g}" if p >= SMALL_P else "p < 0.0001"
 
 
-def limit_text(value: float, unit: str, neutral: float) -> str:
+def limit_text(value: float, unit: str, effect: Effect | None) -> str:
     """An end of what a strength may still be, to two digits of its distance from where the effect vanishes: no limit is
-    known better. Where it vanishes nowhere or at infinity, as it is."""
+    known better. Where it vanishes nowhere or at infinity, as it is. A part is said in per cent."""
+    neutral = effect.neutral if effect else 0.0
+    if effect and effect.part:
+        value, neutral, unit = 100 * value, 100 * neutral, "%"
     away = abs(value - neutral)
     digits = 1 - int(np.floor(np.log10(away))) if 0 < away < np.inf else 15
     return value_text(round(value, digits), None, unit)

@@ -15,6 +15,7 @@ EFFECT = Effect(
     name="angle_reflectance",
     sentence="the spot's brightness, not its shape, follows the fibre angle",
     noun="change of brightness with the fibre angle",
+    part=True,
     place=Place.BRIGHTNESS,
     parameters=(
         Parameter("d", "1", 0.0, 0.95),

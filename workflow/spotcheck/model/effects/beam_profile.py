@@ -8,6 +8,7 @@ EFFECT = Effect(
     sentence="the light is not the declared shape: another static one, the same in every frame up to place, width and"
     " brightness",
     noun="light elsewhere than declared",
+    part=True,
     place=Place.SHAPE,
     parameters=(
         # The part of the light that lies elsewhere than declared, and the azimuthal order that has most of it.

@@ -15,6 +15,7 @@ EFFECT = Effect(
     name="fixed_pattern",
     sentence="pixels differ in gain, or are hot, alike in every frame",
     noun="scatter of pixels' gains",
+    part=True,
     place=Place.SCATTER,
     parameters=(
         Parameter("prnu", "1", 0.0, 1.0),

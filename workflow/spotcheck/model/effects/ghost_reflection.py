@@ -15,6 +15,7 @@ EFFECT = Effect(
     name="ghost_reflection",
     sentence="a faint displaced copy of the spot lies beside it",
     noun="brightness of a ghost",
+    part=True,
     place=Place.ADDED,
     parameters=(
         Parameter("fraction", "1", 0.0, 0.9),

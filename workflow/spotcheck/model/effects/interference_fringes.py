@@ -21,6 +21,7 @@ EFFECT = Effect(
     name="interference_fringes",
     sentence="parallel stripes modulate the spot",
     noun="depth of stripes",
+    part=True,
     place=Place.MODULATION,
     parameters=(
         Parameter("d", "1", 0.0, 1.0),

@@ -22,6 +22,7 @@ EFFECT = Effect(
     name="laser_drift",
     sentence="the brightness runs steadily with the order of acquisition",
     noun="drift of brightness",
+    part=True,
     place=Place.BRIGHTNESS,
     parameters=(Parameter("total", "1", -0.95, 5.0), Parameter("rate", "1", -5.0, 20.0, inner=True)),
     starts=lambda c: [(0.02, 2.0)],

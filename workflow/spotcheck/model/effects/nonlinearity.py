@@ -14,6 +14,7 @@ EFFECT = Effect(
     name="nonlinearity",
     sentence="the sensor's response bends below saturation",
     noun="bend of the response",
+    part=True,
     place=Place.RESPONSE,
     parameters=(Parameter("q", "1", -0.6, 0.45),),
     starts=lambda c: [(0.02,)],

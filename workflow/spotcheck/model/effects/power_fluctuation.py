@@ -13,6 +13,7 @@ EFFECT = Effect(
     name="power_fluctuation",
     sentence="the brightness scatters from frame to frame without order",
     noun="scatter of brightness",
+    part=True,
     place=Place.SCATTER,
     parameters=(Parameter("rms", "1", 0.0, 2.0),),
     starts=lambda c: [(0.02,)],

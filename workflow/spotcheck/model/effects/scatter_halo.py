@@ -22,6 +22,7 @@ EFFECT = Effect(
     name="scatter_halo",
     sentence="a broad faint halo of scattered light surrounds the spot",
     noun="light in a halo",
+    part=True,
     place=Place.ADDED,
     parameters=(
         Parameter("fraction", "1", 0.0, 0.6),

@@ -19,6 +19,7 @@ EFFECT = Effect(
     name="smear",
     sentence="light of each column is spread over its rows",
     noun="light smeared along columns",
+    part=True,
     place=Place.CHARGE,
     parameters=(Parameter("fraction", "1", 0.0, 5.0),),
     starts=lambda c: [(0.005,)],

@@ -28,6 +28,7 @@ from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.estimate.transfer_data import quantities_of
+from spotcheck.model.effect import Effect
 from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report.frames import label_of
@@ -296,9 +297,7 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
         (
             own["effect"],
             known[own["effect"]].sentence if own["effect"] in known else "",
-            cite.within(
-                own["words"] or "–", _ends(own, known[own["effect"]].neutral if own["effect"] in known else 0.0)
-            ),
+            cite.within(own["words"] or "–", _ends(own, known.get(own["effect"]))),
             f"{own['frames']:,}" if own["frames"] else "–",
             "; ".join(filter(None, (own["why"], own["more"]))),
         )
@@ -325,11 +324,11 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
     }
 
 
-def _ends(own: dict[str, Any], neutral: float) -> dict[str, str]:
+def _ends(own: dict[str, Any], effect: Effect | None) -> dict[str, str]:
     """The texts of a limit's ends and their keys."""
     key = f"verdict.limits.{own['effect']}.{own['parameter']}"
     ends = [end for end in ("low", "high") if own[end] is not None]
-    return {limit_text(own[end], own["unit"], neutral): f"{key}.{end}" for end in ends}
+    return {limit_text(own[end], own["unit"], effect): f"{key}.{end}" for end in ends}
 
 
 def _before(own: dict[str, Any]) -> str:
