@@ -49,7 +49,7 @@ function residual(measured, model, overNoise) {
   return measured.map((value, i) => (value - model[i]) / (overNoise ? noise(model[i]) : 1));
 }
 
-/** The root mean square of the finite numbers; null where the noise is unknown. */
+/** The root mean square of the finite numbers; null where there are none. */
 function rmsOf(values) {
   const known = values.filter(Number.isFinite);
   return known.length ? Math.sqrt(known.reduce((sum, own) => sum + own * own, 0) / known.length) : null;
@@ -235,7 +235,8 @@ async function drawViewer() {
   figure.layout.margin.b = 64;
   viewer.dataset.drawn = "yes";
   viewer.dataset.frame = shownFrame;
-  const rms = Object.fromEntries(names.map((name) => [name, rmsOf(residual(all.measured, all[name], true))]));
+  const known = INDEX.noise[1] !== null;
+  const rms = Object.fromEntries(names.map((name) => [name, known ? rmsOf(residual(all.measured, all[name], true)) : null]));
   document.getElementById("viewer-said").replaceChildren(...saidOf(frame, names, rms));
   await draw(viewer, figure.data, figure.layout);
 }
