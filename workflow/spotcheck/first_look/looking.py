@@ -120,7 +120,8 @@ def look(
     remarks += said + also
     if coloured := [image for image in given if image.colour.channel]:
         taken = sorted({str(image.colour.channel) for image in coloured})
-        remarks.append(f"images with red, green and blue: the channel that reads most is taken, {' or '.join(taken)}")
+        which = " or ".join(taken)
+        remarks.append(f"images with red, green and blue: one channel is taken, {which}; of unequal ones the brightest")
     positions, said = _positions(given, None if z_m is None else list(z_m), left_out)
     remarks += said
     known = [z for z in positions if z is not None]

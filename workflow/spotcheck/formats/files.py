@@ -90,7 +90,10 @@ def _reader(path: Path, name: str) -> tuple[str, Format | None]:
     for signature, kind in OTHERS:
         if start.startswith(signature):
             raise InputError(f"{name}: is {kind} by its first bytes, which is not read; save it as TIFF, PNG or PGM")
-    raise InputError(f"{name}: cannot be read as an image, perhaps cut short; copy the file again")
+    raise InputError(
+        f"{name}: cannot be read as an image: by its first bytes it is none of TIFF, PNG, PGM, HDF5, netCDF-4 and .npy, or"
+        " it is cut short; copy the file again"
+    )
 
 
 def _said(error: Exception, name: str, kind: str) -> Exception:
