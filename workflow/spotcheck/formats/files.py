@@ -91,8 +91,8 @@ def _reader(path: Path, name: str) -> tuple[str, Format | None]:
         if start.startswith(signature):
             raise InputError(f"{name}: is {kind} by its first bytes, which is not read; save it as TIFF, PNG or PGM")
     raise InputError(
-        f"{name}: cannot be read as an image: by its first bytes it is none of TIFF, PNG, PGM, HDF5, netCDF-4 and .npy, or"
-        " it is cut short; copy the file again"
+        f"{name}: cannot be read as an image: by its first bytes it is none of TIFF, PNG, PGM, HDF5, netCDF-4 and .npy,"
+        " or it is cut short; copy the file again"
     )
 
 
