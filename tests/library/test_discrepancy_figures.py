@@ -386,7 +386,7 @@ def test_the_report_tells_limits(tmp_path):
     verdict = document(judged(unexplained=left(0.0), detection=detected(0.32)), "small")
     verdict["sentence"] = sentence(verdict)
     write_verdict(verdict, tmp_path / "verdict.json")
-    assert "light smeared along columns below 0.0004" in page(tmp_path)
+    assert "light smeared along columns below 0.04 %" in page(tmp_path)
 
 
 def test_the_report_of_what_was_not_assessed(tmp_path):
