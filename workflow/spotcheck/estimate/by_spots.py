@@ -34,14 +34,15 @@ FINE, GATHER, FLANK, ALIKE = 0.04, 4.0, (0.25, 0.6), 0.05
 
 class BySpots(NamedTuple):
     """Gain and noise floor and how they came about (None, ""); the level over black [DN] at which frames stop with its
-    standard error (None); the variance [DN²] of a pixel there, by pairs of frames (NaN); and the level [DN] over which
-    light was counted: black, or what the rims of frames read."""
+    standard error (None); the variance [DN²] of a pixel there, by pairs of frames (NaN); the level [DN] over which
+    light was counted: black, or what the rims of frames read; and the lowest of these rims [DN]."""
 
     gain: Gain | None
     how: str
     stop: tuple[float, float] | None
     variance_at_stop: float
     level_dn: float
+    lowest_dn: float
 
     @property
     def collapses(self) -> bool:
@@ -85,7 +86,8 @@ def seen_by_spots(
         curve = curve_of(tally, level)
         ways[f"differences of {_counted(number, 'pair')} of {of_what}"] = curve._replace(level=curve.level - level)
     gains = {how: own for how, curve in ways.items() if (own := gain_from_curve(curve, 0.0)) is not None}
-    end = common_stop(stops), float(stopped[1] / stopped[0]) if stopped[0] else np.nan, level
+    lowest = min(levels, default=level)
+    end = common_stop(stops), float(stopped[1] / stopped[0]) if stopped[0] else np.nan, level, lowest
     if not gains:
         return BySpots(None, "", *end)
     how = min(gains, key=lambda own: gains[own].gain_stderr / gains[own].gain)

@@ -1,6 +1,6 @@
 """What images of spots alone tell of the camera: gain, noise, black level, and where readings stop."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,19 +54,12 @@ def camera_of(images: Sequence[Image]) -> Camera:
     stops = [end for image in images if np.isfinite(end := stop_of(image.read(), image.bits))]
     # One camera stops at one reading: a plateau that is lower is light's own.
     stop = max(stops, default=np.inf)
-    levels: list[float] = []
-
-    def each() -> Iterator[np.ndarray]:
-        for image in progress.over(images, "looking at noise"):
-            pixels = image.read()
-            levels.append(dark_level(pixels))
-            yield pixels
-
-    seen, names = seen_by_spots(each(), {}, None, stop), tuple(image.name for image in images)
+    seen = seen_by_spots((image.read() for image in progress.over(images, "looking at noise")), {}, None, stop)
+    names = tuple(image.name for image in images)
     found = spots_in_electrons(seen)
     if not found:
-        return Camera(names, None, None, UNKNOWN, min(levels), stop)
-    return Camera(names, found["gain_dn_per_e"], found["read_noise_e"], seen.how, min(levels), stop)
+        return Camera(names, None, None, UNKNOWN, seen.lowest_dn, stop)
+    return Camera(names, found["gain_dn_per_e"], found["read_noise_e"], seen.how, seen.lowest_dn, stop)
 
 
 def stop_of(pixels: np.ndarray, bits: int | None) -> float:

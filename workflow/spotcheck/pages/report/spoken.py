@@ -131,7 +131,9 @@ def measure_next(verdict: dict[str, Any]) -> str:
     if status == "named_more_remains" and left is not None:
         seen = [own["effect"] for own in verdict["limits"] if own["more"] == ALREADY][:MOST_LIKE]
         like = (
-            f"it looks like {list_text(seen)}, but not in all frames alike" if seen else "it looks like no known effect"
+            f"it looks like {list_text(seen)}, none of which could be named"
+            if seen
+            else "it looks like no known effect"
         )
         return (
             f"What is named needs no further measurement; {percent_text(left)} of the peak stays unexplained: {like}."
