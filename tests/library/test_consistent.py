@@ -130,9 +130,13 @@ def test_a_data_sheet_against_flats_and_readings(tmp_path, sensor, words, unknow
 
 
 def test_what_a_contradicted_key_leaves(tmp_path):
-    """A black level above what frames read gives way to the darks'; a full well below it to none."""
+    """A black level above what frames read gives way to the darks', and where nothing else tells it stays under its own
+    name; a full well below it gives way to none."""
     ds = settled(tmp_path / "a", "black_level_dn: 130")
     assert float(ds["black_level_dn"]) == 50 and float(ds["black_level_dn_by"].sel(source="data sheet")) == 130
+    alone = settled(tmp_path / "alone", "black_level_dn: 130, black_level_dn_stderr: 2", measured={})
+    how = "instrument.yaml, though frames contradict it: nothing else tells it"
+    assert (float(alone["black_level_dn"]), alone["black_level_dn"].attrs["source"]) == (130, how)
     ds = settled(tmp_path / "b", "full_well_e: 900")
     assert np.isinf(float(ds["full_well_e"])) and "full_well_e is 900" in ds["full_well_e"].attrs["source"]
 
