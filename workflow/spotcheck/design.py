@@ -104,6 +104,7 @@ def data_sheet(instrument: Instrument) -> SensorModel:
         own.black_level_dn,
         own.full_scale_dn or 2.0**own.bit_depth - 1,
         own.quantum_efficiency,
+        own.response_bend,
     )
 
 

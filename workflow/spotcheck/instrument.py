@@ -50,6 +50,7 @@ class Sensor:
     quantum_efficiency: float = 1.0
     full_well_e: float | None = None
     black_level_dn: float = 0.0
+    response_bend: float = 0.0
     value_shift_bits: int = 0
     gain_dn_per_e_stderr: float = 0.0
     read_noise_e_stderr: float = 0.0

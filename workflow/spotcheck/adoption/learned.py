@@ -26,6 +26,8 @@ from spotcheck.schema import read_schema
 
 # Steps of the derivative by which errors of an effect become those of a key, in its standard errors.
 STEP = 1e-3
+# Numbers of the dark that are proportional to 1/K; and of light, which hang on how the response bends.
+IN_ELECTRONS, OF_A_LINE = ("read_noise_e", "dark_current_e_per_s"), ("quantum_efficiency",)
 NO_KEY = "no key of an instrument file holds it"
 
 
@@ -57,10 +59,14 @@ def learned_of(results: Path, given: Instrument) -> tuple[list[Learned], list[Le
     camera = _camera(found, sensor, verdict)
     effects, left = _by_effects(verdict, camera)
     found |= {own.key: own for own in effects}
-    if left and verdict.get("levels"):
+    if verdict.get("levels") and (effects or left):
         gain = verdict["levels"]["gain_dn_per_e"]
-        why = f"it holds beside {' and '.join(own.what for own in left)}, and no key holds that"
-        left.append(Left("gain", number(_of(gain, "value"), _of(gain, "stderr"), "DN/e-"), why))
+        if left:
+            why = f"it holds beside {' and '.join(own.what for own in left)}, and no key holds that"
+            left.append(Left("gain", number(_of(gain, "value"), _of(gain, "stderr"), "DN/e-"), why))
+        else:
+            found |= {own.key: own for own in _beside(found, _of(gain, "value"), _of(gain, "stderr"))}
+            left += [_of_a_line(found.pop(f"sensor.{name}")) for name in OF_A_LINE if f"sensor.{name}" in found]
     for own in (_by_light(results, verdict), _by_pixels(results, given, sensor)):
         if isinstance(own, Learned):
             found[own.key] = own
@@ -171,6 +177,25 @@ def _keys(present: Present, errors: Sequence[float], camera: SensorModel) -> Ite
         # A converter stops at a whole number.
         own = round(value) if key == "sensor.full_scale_dn" else value
         yield Learned(key, own, stderr, _unit(key), f"{present.effect.name} (verdict.json)", True)
+
+
+def _beside(found: Mapping[str, Learned], gain: float, stderr: float) -> Iterator[Learned]:
+    """The gain that levels of flats have beside the effects that were found, and what hangs on it: electrons are DN over
+    the gain."""
+    key = "sensor.gain_dn_per_e"
+    if key not in found:
+        return
+    ratio = found[key].value / gain
+    yield found[key]._replace(value=gain, stderr=stderr, origin=f"{FLATS}, beside what else was found (verdict.json)")
+    for name in IN_ELECTRONS:
+        if own := found.get(f"sensor.{name}"):
+            yield own._replace(value=own.value * ratio, stderr=own.stderr * ratio, origin=f"{own.origin}, by that gain")
+
+
+def _of_a_line(own: Learned) -> Left:
+    """What photon transfer says of light as if the response were straight."""
+    why = "it is of a straight response; flats with the new instrument file tell it"
+    return Left(own.key, number(own.value, own.stderr, own.unit), why)
 
 
 def _unit(key: str) -> str:

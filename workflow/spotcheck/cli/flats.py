@@ -10,7 +10,7 @@ from spotcheck.discrepancy.conclude.flats import judge_flats
 from spotcheck.discrepancy.verdict.document import document
 from spotcheck.discrepancy.verdict.sentence import sentence
 from spotcheck.discrepancy.verdict.written import write_verdict
-from spotcheck.estimate.levels import levels_of
+from spotcheck.estimate.levels import levels_of, straightening
 from spotcheck.estimate.photon_transfer import transfer_of
 from spotcheck.model import effects
 
@@ -36,7 +36,8 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.frames) as table, seen.as_ingested(found, table):
         full_scale, found = float(table["full_scale"]), without_copies(found, table)
         transfer = transfer_of(levels_of(found, full_scale), full_scale)
-    judgement = judge_flats(transfer, full_scale, list(effects.vocabulary().values()))
+        end = straightening(found, full_scale).straight().full_scale_dn
+    judgement = judge_flats(transfer, end, list(effects.vocabulary().values()))
     verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak)
     verdict |= vocabulary.described()
     verdict["sentence"] = sentence(verdict)

@@ -4,7 +4,7 @@ import argparse
 
 from spotcheck import dataset, provenance, seen, store
 from spotcheck.crops import without_copies
-from spotcheck.estimate.levels import levels_of
+from spotcheck.estimate.levels import levels_of, on_response
 from spotcheck.estimate.pattern import add_patterns
 from spotcheck.estimate.photon_transfer import transfer_of
 from spotcheck.estimate.transfer_data import dataset_of, quantities_of
@@ -28,7 +28,9 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.frames) as table, seen.as_ingested(found, table):
         full_scale, found = float(table["full_scale"]), without_copies(found, table)
         transfer = transfer_of(levels_of(found, full_scale), full_scale)
+        transfer.remarks.extend(on_response(found))
         measured = add_patterns(dataset_of(transfer, found.title, found.name), found, transfer)
+        measured.attrs["response_bend"] = found.instrument.sensor.response_bend
     store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     for own in quantities_of(measured).values():
         print(own)

@@ -12,6 +12,7 @@ import numpy as np
 
 from spotcheck.model.effect import Place, Present
 from spotcheck.model.pixel_maps import PixelMaps
+from spotcheck.model.response import bent
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 
 # Points of the curve between light and signal, and how far beyond full scale it goes.
@@ -50,6 +51,8 @@ def curve_of(sensor: SensorModel, present: Sequence[Present]) -> Curve:
     for own in wells:
         mean, variance = own.apply(mean, variance, read)
     well = np.gradient(mean, light)
+    if sensor.curvature:
+        mean, variance = bent(mean, variance + read, sensor.curvature)
     for own in present:
         if own.effect.place is Place.RESPONSE:
             mean, variance = own.apply(mean, variance + read, sensor.full_scale_dn)

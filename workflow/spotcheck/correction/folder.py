@@ -69,14 +69,15 @@ def _sensor(results: Path) -> SensorModel | None:
     if not (results / "transfer.nc").is_file():
         return None
     with store.read(results / "transfer.nc") as ds, store.read(results / "frames.nc") as table:
-        own, full_scale = quantities_of(ds), float(table["full_scale"])
+        own, full_scale, bend = quantities_of(ds), float(table["full_scale"]), float(ds.attrs["response_bend"])
     gain, noise, current, black = (
         own[BY_FLATS[name]].value
         for name in ("gain_dn_per_e", "read_noise_e", "dark_current_e_per_s", "black_level_dn")
     )
     if not np.isfinite(gain + noise + black):
         return None
-    return SensorModel(gain, noise, max(np.nan_to_num(current), 0.0), np.inf, black, full_scale)
+    current = max(np.nan_to_num(current), 0.0)
+    return SensorModel(gain, noise, current, np.inf, black, full_scale, response_bend=bend)
 
 
 def _present(results: Path) -> list[Present]:

@@ -13,7 +13,7 @@ from spotcheck import store
 from spotcheck.crops import ingest, without_copies
 from spotcheck.dataset import load
 from spotcheck.errors import InputError
-from spotcheck.estimate.levels import Level, level_of, levels_of, with_common_drift
+from spotcheck.estimate.levels import Level, level_of, levels_of, on_response, with_common_drift
 from spotcheck.estimate.photon_transfer import Quantity, Transfer, transfer_of
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.transfer_data import dataset_of, quantities_in
@@ -173,7 +173,7 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
     table = ingest(dataset)
     full_scale = float(table["full_scale"])
     found = transfer_of(levels_of(without_copies(dataset, table), full_scale), full_scale)
-    found.remarks.extend(store.remarks_of(table))
+    found.remarks.extend([*on_response(dataset), *store.remarks_of(table)])
     return Characterisation(found, dataset.title, dataset.name)
 
 

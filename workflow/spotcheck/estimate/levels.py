@@ -13,6 +13,7 @@ from spotcheck import frames, progress
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.manifest import PHOTONS, Frame
+from spotcheck.model.sensor import SensorModel
 
 # A level of which this part of the pixels reads full scale is saturated.
 FULL = 0.5
@@ -48,7 +49,8 @@ class Level(NamedTuple):
 
 
 def levels_of(dataset: Dataset, full_scale_dn: float) -> list[Level]:
-    """All levels of a dataset, darks first, by exposure and light; readings end at `full_scale_dn`."""
+    """All levels of a dataset, darks first, by exposure and light; readings end at `full_scale_dn`. What the data sheet
+    says of the response is turned round."""
     groups: dict[tuple[str, float, float], list[Frame]] = {}
     for frame in dataset.frames:
         if frame.kind in ("flat", "dark"):
@@ -56,9 +58,26 @@ def levels_of(dataset: Dataset, full_scale_dn: float) -> list[Level]:
             groups.setdefault((frame.kind, exposure, photons_of(frame)), []).append(frame)
     ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
     ordered.sort(key=lambda key: key[0] != "dark")
-    read = {key: (frames.read_good(dataset, own) for own in groups[key]) for key in ordered}
+    sensor = straightening(dataset, full_scale_dn)
+    read = {key: (sensor.straightened(frames.read_good(dataset, own)) for own in groups[key]) for key in ordered}
     levels = progress.over(list(read.items()), "reading levels of flats and darks")
-    return with_common_drift([level_of(images, *key, full_scale_dn) for key, images in levels])
+    return with_common_drift([level_of(images, *key, sensor.straight().full_scale_dn) for key, images in levels])
+
+
+def straightening(dataset: Dataset, full_scale_dn: float) -> SensorModel:
+    """A sensor that turns round what the data sheet says of the response. It bends what lies above black, which a dark
+    frame shows where the sheet does not say it."""
+    own = dataset.instrument.sensor
+    black, dark = own.black_level_dn, next((frame for frame in dataset.frames if frame.kind == "dark"), None)
+    if own.response_bend and dark is not None and "sensor.black_level_dn" not in dataset.instrument.given:
+        black = float(np.nanmean(frames.read_good(dataset, dark)))
+    return SensorModel(1.0, 0.0, black_level_dn=black, full_scale_dn=full_scale_dn, response_bend=own.response_bend)
+
+
+def on_response(dataset: Dataset) -> list[str]:
+    """A remark on a response that the data sheet says to bend."""
+    bend, source = dataset.instrument.sensor.response_bend, dataset.instrument.source("sensor.response_bend")
+    return [f"the bend of the response, {bend:g} by {source}, is turned round before anything else"] if bend else []
 
 
 def with_common_drift(levels: list[Level]) -> list[Level]:

@@ -119,7 +119,7 @@ def _evaluate(frames, baseline: Baseline, sensor: SensorModel, shared: np.ndarra
         x, y = local[frame.site] - (frame.left, frame.top)
         dark = sensor.black_level_dn + sensor.gain_dn_per_e * sensor.dark_current_e_per_s * frame.exposure_s
         theta = np.array([amplitude, x, y, curvature, 0.0, curvature, dark])
-        image = np.ascontiguousarray(frame.pixels(), dtype=float)
+        image = np.ascontiguousarray(sensor.straightened(frame.pixels()), dtype=float)
         own, matrix, own_chi2, used = one_pass(image, theta, LIKELIHOOD, law, baseline.top_hat)
         slopes = jacobian(spot, shared).T
         # From (amplitude, x0, y0, a, b, c, offset) to (p1, p2, peak) and (x0, y0): the law moves a and c alike.

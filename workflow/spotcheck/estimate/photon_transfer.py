@@ -212,7 +212,7 @@ class Range(NamedTuple):
 def light_of(flats: Sequence[Level]) -> np.ndarray:
     """Light of every flat: photons where all have them, else the exposure [s]."""
     photons = np.array([own.photons for own in flats])
-    return photons if (photons > 0).all() else np.array([own.exposure_s for own in flats])
+    return photons if np.isfinite(photons).all() and photons.any() else np.array([own.exposure_s for own in flats])
 
 
 def by_range(found: Transfer) -> list[Range]:

@@ -69,10 +69,11 @@ class Law(NamedTuple):
 
 def law_of(sensor: SensorModel | None, maps: PixelMaps | None = None) -> Law:
     """Tables of a sensor, with the maps of an image's pixels; without a sensor a placeholder that equal weights never
-    look at."""
+    look at. They are those of `SensorModel.straight`, of readings that are `straightened`."""
     if sensor is None:
         table, column = np.ones((2, 2)), np.ones(2)
         return Law(1.0, 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, 1.0, 0.0, table, table, column, column, column)
+    sensor = sensor.straight()
     plain = _law_of(sensor, faint_law(sensor), ROUNDING_VARIANCE / sensor.gain_dn_per_e**2)
     if maps is None:
         return plain

@@ -27,6 +27,7 @@ QUANTITIES = {
     "full_well_e": ("e-", "full well"),
     "black_level_dn": ("DN", "reading without light"),
     "full_scale_dn": ("DN", "largest reading of the converter"),
+    "response_bend": ("1", "bend of the response"),
 }
 
 # A dark frame holds light that reads more than the darkest by this part of full scale; less does not matter.
@@ -115,7 +116,8 @@ def resolve(
     if too_high:
         found["black_level_dn"][SHEET] = found["black_level_dn"][SHEET]._replace(refused=too_high.sentence)
     black = _first(found["black_level_dn"], None).value
-    seen = seen_by_spots(crops, pairs or {}, None if np.isnan(black) else black, end.reading)
+    known = None if np.isnan(black) else black
+    seen = seen_by_spots(crops, pairs or {}, known, end.reading, given.sensor.response_bend)
     _add_spots(found, seen, np.isnan(black), given.model.top_hat)
     against += in_sources(*(_told(found, source) for source in SOURCES))
     gain, level = (

@@ -69,7 +69,8 @@ def fit_spots(
     ----------
     images : one image [rows, columns] in DN, or several, of one size or of many. Pixels that are NaN or masked are left
         out. A single image gives a single spot: plain numbers in place of arrays.
-    sensor : gain, read noise, black level and full scale; dark current is part of the fitted offset.
+    sensor : gain, read noise, black level, full scale and bend of the response; dark current is part of the fitted
+        offset.
     weighting : "likelihood", or "equal" for unweighted least squares, with the errors that the sensor's noise causes.
         It does without a sensor: errors are then those of white noise as large as the residuals, which is too small
         where light brings shot noise (by a factor of two to three for a bright spot), and χ² is NaN.
@@ -123,6 +124,8 @@ def fit_spots(
     each: Iterable[np.ndarray] = [np.asanyarray(images)] if single else images
     for number, image in enumerate(each):
         pixels = _pixels(image, number)
+        if sensor is not None:
+            pixels = sensor.straightened(pixels)
         if maps is not None:
             pixels = _on_maps(pixels, maps, number)
         shapes.append(pixels.shape)

@@ -1,9 +1,9 @@
 """The whole chain with effects, in the order that the dataset contract fixes: mean and variance of readings at points.
 
 Light: shape → top hat → motion blur → + halo, ghost → × fringes → + pedestal. Sensor: shot noise with dark current →
-+ smear → well → + read noise → K → non-linearity → + black level → + row noise → black clipping → rounding, both clips.
-Random fields (pixel gains, brightness and centre of a frame, fine speckle) have no mean of their own; coarse speckle
-has one behind whatever bends.
++ smear → well → + read noise → K → bend of the response → + black level → + row noise → black clipping → rounding, both
+clips. Random fields (pixel gains, brightness and centre of a frame, fine speckle) have no mean of their own; coarse
+speckle has one behind whatever bends.
 """
 
 from collections.abc import Sequence
@@ -19,6 +19,7 @@ from spotcheck.model import spot
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.converter import convert
 from spotcheck.model.effect import Context, Effect, Place, Present
+from spotcheck.model.response import bent
 from spotcheck.model.sensor import SensorModel, clipped_normal
 
 
@@ -396,6 +397,9 @@ def behind_charge(mean, variance, third, view: View, present: Sequence[Present],
         else:
             mean, variance = own.apply(mean, variance, read)
     variance = variance + read
+    if sensor.curvature:
+        mean, variance = bent(mean, variance, sensor.curvature)
+        stops = [bent(stop, 0.0, sensor.curvature)[0] for stop in stops]
     for own in _at(present, Place.RESPONSE):
         mean, variance = own.apply(mean, variance, sensor.full_scale_dn)
         stops = [own.apply(stop, 0.0, sensor.full_scale_dn)[0] for stop in stops]

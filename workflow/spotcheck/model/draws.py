@@ -16,6 +16,7 @@ from numba import njit
 from scipy.stats import poisson
 
 from spotcheck.model.law import FAINT_E, faint_law
+from spotcheck.model.response import top_of
 
 if TYPE_CHECKING:
     from spotcheck.model.sensor import SensorModel
@@ -143,7 +144,7 @@ def _faint(electrons, uniform, level, keep, other, width, out, late):
 @compiled
 def _bright(electrons, uniform, level, rest, late, sensor, tables, rng, out):
     """Readings one by one: a count from the digits of the mean, then the chain."""
-    gain, noise, well, black, full_scale = sensor
+    gain, noise, well, black, full_scale, curvature, highest = sensor
     keep, other, start, size, first = tables
     for k in late:
         number, chance, table, above = 0, uniform[k], level[k], int(electrons[k]) >> DIGIT_BITS
@@ -166,7 +167,8 @@ def _bright(electrons, uniform, level, rest, late, sensor, tables, rng, out):
             table, chance = digit + (above & (BASE - 1)), rng.random()
             above >>= DIGIT_BITS
             digit += BASE
-        reading = np.rint(gain * (min(float(number), well) + noise * rng.standard_normal()) + black)
+        signal = min(gain * (min(float(number), well) + noise * rng.standard_normal()), highest)
+        reading = np.rint(signal - curvature * signal * signal + black)
         out[k] = int(min(max(reading, 0.0), full_scale))
 
 
@@ -189,9 +191,8 @@ def draw_readings(
     """Fill `out` [pixels, uint16] with random readings [DN] under `light_dn` [pixels, DN] and `dark_e` mean dark
     electrons; light below 0 counts as none."""
     # Forty standard deviations above the lower of well and full scale every reading is clipped.
-    top = min(
-        sensor.full_well_e, max(min(sensor.full_scale_dn, 65535) - sensor.black_level_dn, 0) / sensor.gain_dn_per_e
-    )
+    end = min(sensor.straight().full_scale_dn, float(sensor.straightened(65535.0)))
+    top = min(sensor.full_well_e, max(end - sensor.black_level_dn, 0) / sensor.gain_dn_per_e)
     ceiling = top + 40 * np.sqrt(top + sensor.read_noise_e**2) + 1600
     brightest = min(max(float(light_dn.max(initial=0.0)), 0.0) / sensor.gain_dn_per_e + dark_e, ceiling)
     digits = int(np.ceil(np.log(max(brightest, BASE) + 1) / np.log(BASE)))
@@ -202,5 +203,7 @@ def draw_readings(
         float(sensor.full_well_e),
         float(sensor.black_level_dn),
         float(min(sensor.full_scale_dn, 65535)),
+        float(sensor.curvature),
+        float(top_of(sensor.curvature)),
     )
     _fill(light_dn, float(dark_e), float(ceiling), chain, reading_tables(sensor), count_tables(digits), rng, out)

@@ -14,6 +14,7 @@ import numpy as np
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law, View, light, true_exposure
 from spotcheck.model.effect import Effect, Place, Present
+from spotcheck.model.response import bent
 from spotcheck.model.sensor import SensorModel
 
 # More electrons than any converter reads; beyond, Poisson draws overflow.
@@ -92,6 +93,8 @@ def _read(
     for own in at(Place.WELL):
         if own.form.endswith("with noise"):
             signal = own.apply(signal, 0.0, 0.0)[0]
+    if sensor.curvature:
+        signal = bent(signal, 0.0, sensor.curvature)[0]
     for own in at(Place.RESPONSE):
         signal = own.apply(signal, 0.0, sensor.full_scale_dn)[0]
     signal = signal + sensor.black_level_dn + rows_dn

@@ -1,5 +1,7 @@
 """The law of one reading: P(y | ν) for ν mean electrons, exact where light is faint or its noise below a DN.
 
+# ASSUME: light that is faint is far from where a response bends.
+
 Faint light is tabulated: there the reading is skewed, clipped at black, or rounded
 more coarsely than its noise. Above the table a reading is normal, to well within its noise, and its rounding counts as
 1/12 DN² of variance. Fit, Fisher information and random draws all follow from this one table.

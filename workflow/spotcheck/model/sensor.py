@@ -1,9 +1,9 @@
 """From light to readings: photons → electrons → DN, with mean *and* variance (EMVA 1288 linear model; Eqs. 15, 16,
 23–25).
 
-Order of the chain: Poisson electrons (light and dark current) → full well → read noise → gain K → black level → one
-rounding to nearest → 0 … full scale. `light_dn` is always K times the photo-electrons: the signal that a linear sensor
-without noise would add to its black level.
+Order of the chain: Poisson electrons (light and dark current) → full well → read noise → gain K → bend of the response
+→ black level → one rounding to nearest → 0 … full scale. `light_dn` is always K times the photo-electrons: the signal
+that a linear sensor without noise would add to its black level.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
+
+from spotcheck.model.response import bent, straightened
 
 # Variance of rounding to whole DN (Section 4.1.1): σ_q² = 1/12 DN².
 ROUNDING_VARIANCE = 1 / 12
@@ -26,7 +28,8 @@ class SensorModel(NamedTuple):
 
     Light is given as the mean number of photons that fall on each pixel during the exposure. They become electrons with
     the quantum efficiency, dark current adds its own, both are Poisson; then come full well, read noise, gain, black
-    level, one rounding to whole DN, and a converter that ends at 0 and at full scale.
+    level, one rounding to whole DN, and a converter that ends at 0 and at full scale. Beyond the linear model, the
+    response may bend.
 
     Parameters
     ----------
@@ -37,6 +40,7 @@ class SensorModel(NamedTuple):
     black_level_dn : reading without light and without electrons [DN].
     full_scale_dn : largest reading [DN], 1023 for 10 bit.
     quantum_efficiency : electrons per photon; with the default 1, photons are electrons.
+    response_bend : how much the response bends [1]: a signal y above black is read as y − q y²/full scale.
 
     Examples
     --------
@@ -58,6 +62,29 @@ class SensorModel(NamedTuple):
     black_level_dn: float = 0.0
     full_scale_dn: float = np.inf
     quantum_efficiency: float = 1.0
+    response_bend: float = 0.0
+
+    @property
+    def curvature(self) -> float:
+        """Curvature of the response [1/DN]."""
+        return self.response_bend / self.full_scale_dn
+
+    def straight(self) -> SensorModel:
+        """The sensor that would read `straightened` readings: the same, but with a response that does not bend."""
+        if not self.curvature:
+            return self
+        return self._replace(response_bend=0.0, full_scale_dn=float(self.straightened(self.full_scale_dn)))
+
+    def straightened(self, readings: ArrayLike) -> np.ndarray:
+        """Readings [DN] with the bend of the response turned round; NaN stays NaN.
+
+        Noise of the signal is bent with it, so what is left is the law of a straight sensor, but for the rounding: it
+        happens behind the bend, and counts as if it did not.
+        """
+        if not self.curvature:
+            return np.asarray(readings)
+        signal = np.asarray(readings, dtype=float) - self.black_level_dn
+        return self.black_level_dn + straightened(signal, self.curvature)
 
     def mean(self, photons: ArrayLike, *, exposure_s: float = 0.0) -> np.ndarray:
         """Mean reading [DN] of each pixel, both clips included, in the shape of `photons`.
@@ -121,6 +148,7 @@ def noise_line(sensor: SensorModel | None) -> NoiseLine:
     """The noise of a sensor; NaN without one."""
     if sensor is None:
         return NoiseLine(np.nan, np.nan)
+    # The bend goes with full scale: the line is that of a straight response.
     endless = sensor._replace(full_scale_dn=np.inf, full_well_e=np.inf, dark_current_e_per_s=0.0)
     one, two = (float(reading(np.float64(light), 0.0, endless).variance) for light in (FAR_DN, 2 * FAR_DN))
     slope = (two - one) / FAR_DN
@@ -168,12 +196,16 @@ def reading(light_dn, exposure_s: float, sensor: SensorModel) -> Reading:
     gain = sensor.gain_dn_per_e
     electrons = light_dn / gain + sensor.dark_current_e_per_s * exposure_s
     well = clipped_normal(electrons, electrons, 1.0, -np.inf, sensor.full_well_e, rounding=0.0)
-    mean = gain * well.mean + sensor.black_level_dn
-    noise = gain**2 * (well.variance + sensor.read_noise_e**2)
+    signal, noise = gain * well.mean, gain**2 * (well.variance + sensor.read_noise_e**2)
+    slope: np.ndarray | float = 1.0
+    if sensor.curvature:
+        slope = np.maximum(1 - 2 * sensor.curvature * signal, 0.0)
+        signal, noise = bent(signal, noise, sensor.curvature)
+    mean = signal + sensor.black_level_dn
     # Below the well a DN of mean brings K DN² of variance. Near it the variance falls again, which is left out: there
     # the converter's own clip is far away.
     out = clipped_normal(mean, noise, gain, 0.0, sensor.full_scale_dn, rounding=ROUNDING_VARIANCE)
-    return Reading(out.mean, out.variance, out.response * well.response)
+    return Reading(out.mean, out.variance, out.response * slope * well.response)
 
 
 def clipped_normal(mean, variance, variance_slope, low: float, high: float, rounding: float) -> Reading:

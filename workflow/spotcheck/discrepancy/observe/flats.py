@@ -47,7 +47,7 @@ def series_of(found: Transfer, full_scale_dn: float) -> Series | None:
     if np.isnan(found.quantities["gain"].value):
         return None
     light = light_of(found.flats)
-    good = np.array([own.at_full <= MOST_CLIPPED for own in found.flats], bool) & (found.signal > 0)
+    good = np.array([own.at_full <= MOST_CLIPPED for own in found.flats], bool) & (found.signal > 0) & (light > 0)
     kept = np.flatnonzero(good)[np.argsort(light[good], kind="stable")]
     light = light[kept]
     if len(kept) < FEWEST or not np.isfinite(light).all() or np.ptp(light) == 0:

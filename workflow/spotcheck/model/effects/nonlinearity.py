@@ -1,12 +1,18 @@
 """Non-linearity: the response bends below saturation."""
 
+from spotcheck.model import response
 from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.sensor import SensorModel
 
 
 def bend(mean, variance, full_scale, *, q):
     """Mean and variance [DN] of y − q y²/full scale, y without black level; q > 0 bends down."""
-    slope = 1 - 2 * q * mean / full_scale
-    return mean - q * (mean * mean + variance) / full_scale, slope * slope * variance
+    return response.bent(mean, variance, q / full_scale)
+
+
+def further(sensor: SensorModel, *, q):
+    """The bend of the response by the data sheet, and what comes on top: to first order they add up."""
+    return {"sensor.response_bend": sensor.response_bend + q}
 
 
 EFFECT = Effect(
@@ -23,4 +29,5 @@ EFFECT = Effect(
     # What bends skews the noise.
     marks=("skewness",),
     flats="",
+    adopts=further,
 )
