@@ -46,7 +46,9 @@ def test_lines_without_a_terminal(said):
     with progress.shown():
         assert list(progress.over(iter("abc"), "fitting spots", 3)) == ["a", "b", "c"]
     lines = stream.getvalue().splitlines()
-    assert [line.split(",")[0] for line in lines[-3:]] == [f"fitting spots: {k} of 3" for k in (1, 2, 3)]
+    # A beat may say the same once more.
+    told = list(dict.fromkeys(line.split(",")[0] for line in lines))
+    assert told[-3:] == [f"fitting spots: {k} of 3" for k in (1, 2, 3)]
     assert re.fullmatch(r"fitting spots: 3 of 3, \d\d:\d\d so far, \d\d:\d\d to go", lines[-1])
     assert all(line.strip() for line in lines) and not re.search(r"[\r\x1b]", stream.getvalue())
 
@@ -89,6 +91,11 @@ def test_a_long_step_is_alive(said, monkeypatch, stream, every):
             progress.step("search", 0.0, 1.0)
             before = time.monotonic()
             while written.getvalue().count("search") < 5:
+                assert time.monotonic() < before + 10.0, "no beat within ten seconds"
+                time.sleep(0.01)
+        for _ in progress.over(range(2), "fitting spots"):
+            before = time.monotonic()
+            while len(re.findall(r"fitting spots: [^f]*0 of 2", written.getvalue())) < 5:
                 assert time.monotonic() < before + 10.0, "no beat within ten seconds"
                 time.sleep(0.01)
     over = written.getvalue()

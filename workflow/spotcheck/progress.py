@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from threading import Event, Thread
+from time import time
 from typing import Any, TextIO, TypeVar
 
 T = TypeVar("T")
@@ -42,7 +43,13 @@ def over(items: Collection[T] | Iterable[T], what: str, count: int | None = None
     if not _asked.get():
         return items
     total = len(items) if isinstance(items, Collection) else count
-    return _bar("{n_fmt} of {total_fmt}", "", iterable=items, total=total, desc=what)
+    return _each(_bar("{n_fmt} of {total_fmt}", "", iterable=items, total=total, desc=what))
+
+
+def _each(bar: Any) -> Iterator[Any]:
+    """The items of a bar that is shown even while the first of them is not done."""
+    with _beating(bar):
+        yield from bar
 
 
 @contextmanager
@@ -53,14 +60,11 @@ def steps(what: str) -> Iterator[None]:
         yield
         return
     with _bar("{percentage:.0f} %", "about ", total=1.0, desc=what) as bar:
-        token, done = _steps.set(_Steps(what, bar)), Event()
-        beating = Thread(target=_beat, args=(bar, done, BEAT_S if sys.stderr.isatty() else EVERY_S), daemon=True)
-        beating.start()
+        token = _steps.set(_Steps(what, bar))
         try:
-            yield
+            with _beating(bar):
+                yield
         finally:
-            done.set()
-            beating.join()
             _steps.reset(token)
 
 
@@ -94,11 +98,23 @@ class _Steps:
         self.bar.update(max(part - self.bar.n, 0.0))
 
 
-def _beat(bar: Any, done: Event, every_s: float) -> None:
-    """Show a bar again and again until it is done: a step alone may take minutes."""
-    while not done.wait(every_s):
-        if bar.format_dict["elapsed"] >= AFTER_S:
-            bar.refresh()
+@contextmanager
+def _beating(bar: Any) -> Iterator[None]:
+    """Show a bar again and again while nothing happens: a step, or code that is compiled first, may take minutes."""
+    done, every_s = Event(), BEAT_S if sys.stderr.isatty() else EVERY_S
+
+    def beat() -> None:
+        while not done.wait(every_s):
+            if bar.format_dict["elapsed"] >= AFTER_S and time() - bar.last_print_t >= every_s:
+                bar.refresh()
+
+    beating = Thread(target=beat, daemon=True)
+    beating.start()
+    try:
+        yield
+    finally:
+        done.set()
+        beating.join()
 
 
 class _Lines:
