@@ -91,6 +91,14 @@ def test_effects_of_the_noise(name):
     assert truth < np.median(ends) < 3 * truth
 
 
+def test_less_noise_than_stated_leaves_room_for_more():
+    """Where darks show less than the sheet says, a limit is beyond what it says all the same, by what they are sure to."""
+    frames, fit, design = fitted(0, spread=0.0, read=0.9 * NOISE)
+    outcome, effect = Outcome(tuple(frames), fit, fit, (), ()), vocabulary()["excess_read_noise"]
+    (own,) = limits_of(outcome, Laws(None, (), ()), design, [effect], CONTEXT)
+    assert CONTEXT.read_noise_e < own.high < 1.1 * CONTEXT.read_noise_e
+
+
 LAWS = {"photon_budget": (0.003,), "shutter_offset": (4e-7,)}
 SETS = 40
 

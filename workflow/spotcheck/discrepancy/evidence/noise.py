@@ -51,10 +51,12 @@ def noises_of(
     out = []
     for effect in effects:
         if effect.place is Place.NOISE:
-            strength, more = (strength_of(effect, stated_e, whole.read_noise_e + d, context) for d in (0.0, error))
-            own = Present(effect, effect.forms[0], (strength,))
+            own = Present(effect, effect.forms[0], (strength_of(effect, stated_e, whole.read_noise_e, context),))
+            # Where darks show less noise than the effect can make, its error is that at the end of what it can.
+            made_e = float(np.sqrt(own.apply(stated_e**2)))
+            more = strength_of(effect, stated_e, made_e + error, context)
             gain = ((whole.read_noise_e - stated_e) / error) ** 2
-            out.append(Noisy(own, abs(more - strength), gain, q, told))
+            out.append(Noisy(own, abs(more - own.values[0]), gain, q, told))
     return out
 
 
