@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from spotcheck.labels import names, words
+from spotcheck.labels import beside, names, words
 from spotcheck.labels.files import labels_of
 from spotcheck.labels.label import Label, settled
 from spotcheck.labels.words import of_key
@@ -162,6 +162,44 @@ def test_files_beside(tmp_path):
     assert said(labels_of(tmp_path / "a.pgm")) == wanted
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<?xml version="1.0"?><Frame><ExposureTime unit="ms">0.1</ExposureTime><Stage z="3 mm"/></Frame>',
+        '<a><Property name="Exposure" value="100 us"/><Property key="z" value="3 mm"/></a>',
+        '<m:Info xmlns:m="urn:m"><m:Exposure_us>100</m:Exposure_us><m:Z_mm>3</m:Z_mm></m:Info>',
+    ],
+)
+def test_xml_beside(tmp_path, text):
+    """An element's text, an attribute, and elements that have their key as one."""
+    (tmp_path / "a.pgm").write_bytes(b"P5 1 1 255\n0")
+    (tmp_path / "a.xml").write_text(text)
+    assert said(labels_of(tmp_path / "a.pgm")) == {"exposure_s": 1e-4, "z_m": 3e-3}
+
+
+@pytest.mark.parametrize(("mark", "name"), [(",", "log.csv"), (";", "list.CSV"), ("\t", "log.tsv")])
+def test_a_table_of_the_folder(tmp_path, mark, name):
+    """A row for each image, by its name or its path; of a stack for each page. Another's rows and a table without names
+    say nothing, nor does the manifest."""
+    rows = [
+        ["File name", "Exposure (ms)", "z [mm]", "note"],
+        ["data\\a.tif", "0.1", "3", ""],
+        ["b.tif", "0.2", "4", "x"],
+    ]
+    rows += [["c.tif", "0.3", str(k), ""] for k in range(3)]
+    (tmp_path / name).write_text("# by hand\n" + "\n".join(mark.join(row) for row in rows) + "\n")
+    (tmp_path / "other.csv").write_text("x,exposure\na.tif,9 s\n")
+    (tmp_path / "manifest.csv").write_text("file,exposure_s\na.tif,9\n")
+    for image in ("a.tif", "c.tif", "d.tif"):
+        tifffile.imwrite(
+            tmp_path / image, STACK[0] if image != "c.tif" else STACK, photometric="minisblack", metadata=None
+        )
+    assert said(labels_of(tmp_path / "a.tif")) == {"exposure_s": 1e-4, "z_m": 3e-3}
+    assert said(labels_of(tmp_path / "d.tif")) == {}
+    found = labels_of(tmp_path / "c.tif")
+    assert [settled(found, page)[0]["z_m"].value for page in range(3)] == pytest.approx([0.0, 1e-3, 2e-3])
+
+
 def test_the_list_of_an_emva_measurement(tmp_path):
     """Exposures in ns and photons a pixel, for the images of that name in the folder below."""
     (tmp_path / "EMVA1288_Data.txt").write_text(
@@ -199,6 +237,9 @@ HOSTILE = {
     "a.txt": "a=" + "x " * 400_000 + "y\n" + "Exposure=" + " " * 100_000 + "1\n",
     "a.json": "[" * 100_000,
     "a.yaml": "a: &a [*a]",
+    "a.xml": '<!DOCTYPE l [<!ENTITY a "Exposure = 1 s">]><Exposure>&a;</Exposure>',
+    "a.pgm.xml": "<a>" * 100_000,
+    "log.csv": "file,exposure\n" + '"' * 500_000,
 }
 
 
@@ -210,6 +251,7 @@ def test_hostile_texts_end_soon(tmp_path, name):
     before = time.process_time()
     assert said(labels_of(tmp_path / "a.pgm")) == {}
     assert time.process_time() - before < 5
+    assert not beside.lists_in(tmp_path)
 
 
 PIECES = st.sampled_from(

@@ -1,4 +1,5 @@
-"""Texts beside an image: a file of its own name, and the list of an EMVA 1288 measurement."""
+"""Texts beside an image: a file of its own name, a table of a folder's images, and the list of an EMVA 1288
+measurement."""
 
 import re
 from collections.abc import Iterator
@@ -7,11 +8,11 @@ from pathlib import Path, PureWindowsPath
 
 from spotcheck import schema
 from spotcheck.errors import InputError
-from spotcheck.labels import words
+from spotcheck.labels import tables, words
 from spotcheck.labels.label import Label
 from spotcheck.text import read_text
 
-ENDINGS = (".txt", ".json", ".yaml", ".yml")
+ENDINGS = (".txt", ".json", ".yaml", ".yml", ".xml")
 # Lines of the list of an EMVA 1288 reference data set: n with bits, columns and rows; b (bright) or d (dark) with
 # exposure [ns] and photons a pixel, then i with a path for each of its images.
 _LISTS = tuple(re.compile(rf"(?m)^{line}") for line in (r"n\s+\d+\s+\d+\s+\d+", r"[bd]\s+\d", r"i\s+\S"))
@@ -24,14 +25,15 @@ def files_of(path: Path) -> list[Path]:
 
 
 def lists_in(folder: Path) -> list[Path]:
-    """Lists of an EMVA 1288 measurement in a folder."""
+    """Tables and lists that speak of the images of a folder."""
     return list(_lists_in(folder, folder.stat().st_mtime_ns))
 
 
 @lru_cache(maxsize=64)
 def _lists_in(folder: Path, _changed_ns: int) -> tuple[Path, ...]:
     """Looked up once for all images of a folder."""
-    return tuple(sorted(own for own in folder.glob("*.txt") if own.is_file() and _listed(own, *_stamps(own))))
+    may_be = (own for own in folder.iterdir() if own.suffix.lower() == ".txt" or tables.may_be(own))
+    return tuple(sorted(own for own in may_be if own.is_file() and _listed(own, *_stamps(own))))
 
 
 def labels_of(path: Path) -> Iterator[Label]:
@@ -56,11 +58,13 @@ def _stamps(path: Path) -> tuple[int, int]:
 
 @lru_cache(maxsize=32)
 def _listed(path: Path, size: int, _changed_ns: int) -> dict[str, tuple[Label, ...]]:
-    """Labels by an image's name; empty where the file is no such list."""
+    """Labels by an image's name; empty where the file is no such table or list."""
     try:
         text = read_text(path) if size <= words.LONGEST_TEXT else ""
     except InputError:
         return {}
+    if tables.may_be(path):
+        return tables.labels_in(text, path.name)
     if not all(line.search(text) for line in _LISTS):
         return {}
     found: dict[str, tuple[Label, ...]] = {}

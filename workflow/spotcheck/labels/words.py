@@ -1,10 +1,11 @@
-"""Texts of the kind `key = value` or JSON, as cameras and programs put them into tags and beside images."""
+"""Texts of the kind `key = value`, JSON or XML, as cameras and programs put them into tags and beside images."""
 
 import json
 import re
 from collections.abc import Iterable, Iterator
 from datetime import datetime
 from typing import Any
+from xml.etree import ElementTree
 
 from spotcheck.labels import units
 from spotcheck.labels.label import Label
@@ -46,6 +47,8 @@ LAYOUT = (
     *("imagej", "images", "slices", "frames", "channels", "hyperstack", "mode", "loop", "min", "max", "axes", "shape"),
     *("unit", "spacing", "finterval", "fps", "labels", "ranges", "luts", "ij", "c0", "c1", "cf", "vunit", "software"),
 )
+# Attributes of XML that name what an element says.
+NAMED = ("name", "key", "id")
 _LINE = re.compile(r"([^\W\d][^=:]{0,59})[=:](.+)")
 # A unit at the end of a key: Exposure-ms, exposure_s, ZPositionUm, Exposure (ms).
 _KEY_UNIT = re.compile(
@@ -55,13 +58,19 @@ _DATE = re.compile(r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)(?:[T ](\d\d:\d\d(?::\d\d(?:
 
 
 def labels_in(text: str, where: str, page: int | None = None) -> Iterator[Label]:
-    """Labels of a text: JSON, else a line or a part between semicolons for each key."""
+    """Labels of a text: JSON, XML, else a line or a part between semicolons for each key."""
     text = text[:LONGEST_TEXT]
     if text.lstrip()[:1] in ("{", "["):
         try:
             yield from of_keys(flat(json.loads(text)), where, page)
             return
         except (ValueError, RecursionError):
+            pass
+    if text.lstrip()[:1] == "<" and "<!DOCTYPE" not in text and "<!ENTITY" not in text:
+        try:
+            yield from of_keys(_of_xml(ElementTree.fromstring(text.strip())), where, page)
+            return
+        except ElementTree.ParseError:
             pass
     parts = (part.strip("\0# \t\r") for part in re.split(r"[\n\r;]", text))
     pairs = ((found[1].strip(), found[2].strip()) for part in parts if (found := _LINE.fullmatch(part)))
@@ -79,6 +88,21 @@ def flat(content: Any) -> Iterator[tuple[str, Any]]:
             waiting += [(key, own) for own in value[:MOST_KEYS] if isinstance(own, dict)]
         elif value is not None:
             yield key, value
+
+
+def _of_xml(root: ElementTree.Element) -> Iterator[tuple[str, Any]]:
+    """Keys and values: an element's name and text, its attributes, and `<Property name="Exposure" value="10 ms"/>`."""
+    for element in root.iter():
+        if not isinstance(element.tag, str):
+            continue
+        said = {name.rpartition("}")[2].lower(): value for name, value in element.items()}
+        name = next((said.pop(key) for key in NAMED if key in said), element.tag.rpartition("}")[2])
+        text = (element.text or "").strip() or said.pop("value", "")
+        # <Exposure unit="ms">10</Exposure>
+        unit = said.pop("unit", said.pop("units", ""))
+        if text:
+            yield name, f"{text} {unit}".strip()
+        yield from said.items()
 
 
 def of_keys(pairs: Iterable[tuple[str, Any]], where: str, page: int | None = None) -> Iterator[Label]:
