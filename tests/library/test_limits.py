@@ -92,7 +92,7 @@ def test_effects_of_the_noise(name):
 
 
 def test_less_noise_than_stated_leaves_room_for_more():
-    """Where darks show less than the sheet says, a limit is all the same beyond what it says, by the error of the darks."""
+    """Where darks show less than the sheet says, a limit is still beyond what it says, by the error of the darks."""
     frames, fit, design = fitted(0, spread=0.0, read=0.9 * NOISE)
     outcome, effect = Outcome(tuple(frames), fit, fit, (), ()), vocabulary()["excess_read_noise"]
     (own,) = limits_of(outcome, Laws(None, (), ()), design, [effect], CONTEXT)

@@ -180,8 +180,7 @@ def _keys(present: Present, errors: Sequence[float], camera: SensorModel) -> Ite
 
 
 def _beside(found: Mapping[str, Learned], gain: float, stderr: float) -> Iterator[Learned]:
-    """The gain that levels of flats have beside the effects that were found, and numbers in electrons, which are DN over
-    it."""
+    """The gain that levels of flats have beside the effects that were found, and what is in electrons: DN over it."""
     key = "sensor.gain_dn_per_e"
     if key not in found:
         return
