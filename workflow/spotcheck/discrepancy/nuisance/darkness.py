@@ -14,7 +14,7 @@ from scipy.special import gammaln, ndtr, xlogy
 from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, scatters
 from spotcheck.model.chain import View, true_exposure
 from spotcheck.model.effect import Place, Present
-from spotcheck.model.sensor import ROUNDING_VARIANCE
+from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel, clipped_normal
 
 # Pixels are dark beyond so many σ_g of the spot's centre: a Gaussian of 1000 DN adds 1e-5 DN there.
 BEYOND = 6.0
@@ -30,6 +30,9 @@ THIRD, SINGULAR = 10, 1e12
 LEAST_DN = 0.03
 # Fewest dark pixels; steps of the fit, the longest [DN, and 1 in ln noise], and the change in errors that ends it.
 FEWEST, STEPS, LONGEST, ENOUGH = 100, 80, 0.5, 1e-4
+# Black cuts a signal's noise up to so many of it, points of the curve that says how, and the least of a signal's change
+# that shows in means.
+CUT, CURVE, LEAST_SLOPE = 5.0, 401, 0.1
 # Fewest blocks that tell a level, and how well it is known at best where readings are rounded [DN].
 FEWEST_BLOCKS, ROUNDED_DN = 8, 0.02
 
@@ -109,26 +112,43 @@ def with_levels(frames: Sequence[Frame], model: Model) -> Model:
 def _around(frames: Sequence[Frame], model: Model, ready: Expectation) -> Darkness | None:
     """The black level from means of blocks far from the spot, where the pixels do not reach so far; noise is not told.
 
-    # ASSUME: noise is not so fine that rounding moves a block's mean: at 0.3 DN it does by 0.05 DN at most.
+    # ASSUME: the read noise is the model's, where black cuts it; nor is it so fine that rounding moves a block's mean: at
+    # 0.3 DN it does by 0.05 DN at most.
     """
-    levels = []
+    levels, slopes = [], []
     for k, frame in enumerate(frames):
         if frame.around is None:
             continue
         own = ready.numbers_of(k)
         distance = np.hypot(frame.around.x - own.x, frame.around.y - own.y).ravel() / np.exp(own.log_width.item())
-        electrons = model.sensor.dark_current_e_per_s * true_exposure(frame.view, model.present)
-        offset = offset_of(frame.view, model.present) + model.level(k)
-        offset = offset + model.sensor.gain_dn_per_e * float(np.mean(electrons))
-        levels.append(frame.around.mean[distance > BEYOND] - offset)
+        electrons = model.sensor.dark_current_e_per_s * float(np.mean(true_exposure(frame.view, model.present)))
+        offset = offset_of(frame.view, model.present) + model.level(k) + model.sensor.gain_dn_per_e * electrons
+        signal, slope = _above_black(frame.around.mean[distance > BEYOND], electrons, model.sensor)
+        levels.append(signal - offset)
+        slopes.append(slope)
     blocks = np.concatenate(levels) if levels else np.zeros(0)
-    if blocks.size < FEWEST_BLOCKS:
+    # Where black hides nearly all noise a mean says that the level is low, and no more.
+    if blocks.size < FEWEST_BLOCKS or np.median(np.concatenate(slopes)) < LEAST_SLOPE:
         return None
     # A speck of light or a gradient in a few blocks is none of the level.
     level = float(np.median(blocks))
     spread = 1.4826 * float(np.median(np.abs(blocks - level)))
     error = float(np.hypot(1.2533 * spread / np.sqrt(blocks.size), ROUNDED_DN))
     return Darkness(level, error, model.sensor.read_noise_e, np.inf, 0.0, blocks.size)
+
+
+def _above_black(means: np.ndarray, electrons: float, sensor: SensorModel) -> tuple[np.ndarray, np.ndarray]:
+    """Signals [DN] whose readings have these means [DN], and d mean/d signal: black cuts the noise of a low signal, so
+    that it reads more than it is."""
+    gain = sensor.gain_dn_per_e
+    variance = gain**2 * (electrons + sensor.read_noise_e**2)
+    signal = np.linspace(-CUT * variance**0.5, CUT * variance**0.5, CURVE)
+    curve = clipped_normal(signal, variance, 0.0, 0.0, np.inf, rounding=ROUNDING_VARIANCE)
+    low = means < curve.mean[-1]
+    return (
+        np.where(low, np.interp(means, curve.mean, signal), means),
+        np.where(low, np.interp(means, curve.mean, curve.response), 1.0),
+    )
 
 
 def _electrons(ready: Expectation, frame: Frame, k: int) -> np.ndarray:
