@@ -112,8 +112,8 @@ def with_levels(frames: Sequence[Frame], model: Model) -> Model:
 def _around(frames: Sequence[Frame], model: Model, ready: Expectation) -> Darkness | None:
     """The black level from means of blocks far from the spot, where the pixels do not reach so far; noise is not told.
 
-    # ASSUME: the read noise is the model's, where black cuts it; nor is it so fine that rounding moves a block's mean: at
-    # 0.3 DN it does by 0.05 DN at most.
+    # ASSUME: the read noise is the model's, where black cuts it; nor is it so fine that rounding moves a block's mean:
+    # at 0.3 DN it does by 0.05 DN at most.
     """
     levels, slopes = [], []
     for k, frame in enumerate(frames):
