@@ -51,11 +51,12 @@ def curve_of(sensor: SensorModel, present: Sequence[Present]) -> Curve:
     for own in wells:
         mean, variance = own.apply(mean, variance, read)
     well = np.gradient(mean, light)
+    variance = variance + read
     if sensor.curvature:
-        mean, variance = bent(mean, variance + read, sensor.curvature)
+        mean, variance = bent(mean, variance, sensor.curvature)
     for own in present:
         if own.effect.place is Place.RESPONSE:
-            mean, variance = own.apply(mean, variance + read, sensor.full_scale_dn)
+            mean, variance = own.apply(mean, variance, sensor.full_scale_dn)
     slope = np.gradient(mean, light)
     margin = NOISES * float(np.sqrt(read + ROUNDING_VARIANCE))
     ends = [sensor.full_scale_dn - sensor.black_level_dn]
