@@ -140,7 +140,7 @@ REFUSED = {
     "a claim": (lambda f: claiming(f, (10**6, 10**6)), "claims 1000000 × 1000000 px"),
     "many pages": (lambda f: claiming(f, (10**9, 20, 32)), "claims 1000000000 pages"),
     "floats in HDF5": (lambda f: h5(f, STACK / 2, "d"), "holds no frames of 8 or 16 bits"),
-    "named floats": (lambda f: inside(h5(f, STACK / 2, "d"), "/d"), "holds float64 pixels"),
+    "named floats": (lambda f: inside(h5(f, STACK / 2, "d"), "/d"), "holds floating-point pixels"),
     "cut HDF5": (lambda f: cut(h5(f, STACK)), "cannot be read as HDF5 .*truncated"),
     "nothing there": (lambda f: inside(h5(f, STACK), "/x"), "has nothing at /x; it holds frames in /entry/data"),
     "a group": (lambda f: inside(h5(f, STACK), "/entry"), "/entry is a group; name one of /entry/data"),

@@ -4,6 +4,7 @@ import json
 import webbrowser
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import tifffile
@@ -11,6 +12,7 @@ import tifffile
 import spotcheck
 from spotcheck.cli import COMMANDS, main
 from spotcheck.cli import open as opening
+from spotcheck.formats import files
 from spotcheck.labels.names import natural
 from spotcheck.model.sensor import SensorModel
 from tests.conftest import SHARED
@@ -72,6 +74,27 @@ def test_a_clipped_image_says_what_that_does():
     excess = one.moments.major / one.widened
     assert off(excess, one.moments.major_stderr, 80) < 4 and one.widened > 1.02
     assert f"{one.clipped_px} px at 1023 DN" in repr(found)
+
+
+@pytest.mark.parametrize("kind", ["TIFF", "big-endian TIFF", ".npy", "HDF5"])
+def test_a_mean_of_frames_is_an_image_and_no_frame(kind, tmp_path):
+    """Floating-point numbers below zero too, which a look takes from a file as from an array; no reading is one."""
+    mean = np.mean([drawn(seed=seed) for seed in range(4)], axis=0).astype(np.float32) - 22
+    path = tmp_path / {".npy": "a.npy", "HDF5": "a.h5"}.get(kind, "a.tif")
+    if kind == ".npy":
+        np.save(path, mean)
+    elif kind == "HDF5":
+        with h5py.File(path, "w") as file:
+            file["mean"] = mean
+    else:
+        tifffile.imwrite(path, mean, byteorder=">" if kind.startswith("big") else "<")
+    given = f"{path}#/mean" if kind == "HDF5" else path
+    (one,), (array,) = spotcheck.look(given).images, spotcheck.look(mean).images
+    assert (one.fit.sigma_major, one.moments.major) == (array.fit.sigma_major, array.moments.major)
+    assert off(one.fit.sigma_major, one.fit.sigma_major_stderr, 20) < 4
+    for ask in (files.pages, lambda *own: files.pixels(own[0], 0, own[1])):
+        with pytest.raises(spotcheck.InputError, match="floating-point pixels, such as a mean of frames; it"):
+            ask(Path(given), "a")
 
 
 def test_without_a_gain_errors_still_hold():

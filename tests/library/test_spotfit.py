@@ -137,6 +137,19 @@ def test_dark_pixels_that_count_electrons(read_noise, gain):
         assert np.sqrt((pulls[:, 6] ** 2).mean()) < 4
 
 
+@pytest.mark.parametrize("count", [4, 10])
+def test_means_of_frames(count):
+    """Readings between whole numbers, most of them where the spot is dark: standard pulls of 200 fits, each converged.
+    Rounding of each frame counts in full (1/12 DN²) and shrinks by averaging: errors may be 2 % too large."""
+    sensor = SENSOR._replace(gain_dn_per_e=SENSOR.gain_dn_per_e / count, read_noise_e=SENSOR.read_noise_e * count**0.5)
+    rng = np.random.default_rng(count)
+    value = [*TRUTH[:6], SENSOR.black_level_dn]
+    images = [np.mean([frame_of(value, rng, rows=90, columns=90) for _ in range(count)], axis=0) for _ in range(200)]
+    fits = fit_spots(images, sensor)
+    assert (fits.status == "ok").all()
+    assert_standard(pulls_of(fits, value), allowance=0.02)
+
+
 @pytest.mark.parametrize("sensor", [SENSOR, QUIET, None], ids=["paper", "quiet", "none"])
 def test_equal_weights_are_the_reference(sensor):
     """Least squares as `slow_spotfit` has it: value, error and χ², from bright to faint."""

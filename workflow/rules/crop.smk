@@ -2,7 +2,7 @@ rule crop:
     input:
         manifest,
         instrument,
-        frames,
+        # Stands for the frames, whose digests it holds: Snakemake looks at every input of every job that waits.
         table=rules.ingest.output,
     output:
         f"{OUT}/crops.nc",

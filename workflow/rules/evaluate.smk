@@ -19,7 +19,6 @@ use rule ingest as ingest_simulated with:
 use rule crop as crop_simulated with:
     input:
         rules.simulate.output.contract,
-        rules.simulate.output.frames,
         table=rules.ingest_simulated.output,
     output:
         f"{OUT}/simulated/crops.nc",

@@ -11,12 +11,16 @@ NEIGHBOURS = 2
 
 
 def skipped_codes(frames: Sequence[np.ndarray]) -> tuple[int, ...]:
-    """Codes that no pixel reads although their neighbours are read often.
+    """Codes that no pixel reads although their neighbours are read often; none where numbers are no codes, such as a
+    mean of frames.
 
     # ASSUME: light varies smoothly, so that codes next to each other are read about as often. A run of skipped codes
     # above 0 is black clipping, and not told here.
     """
-    codes = np.concatenate([frame[np.isfinite(frame)].astype(int) for frame in frames])
+    readings = np.concatenate([frame[np.isfinite(frame)] for frame in frames])
+    codes = readings.astype(int)
+    if np.any(codes != readings) or codes.min(initial=0) < 0:
+        return ()
     count = np.bincount(codes, minlength=1).astype(float)
     read = np.flatnonzero(count)
     if len(read) < 2 * NEIGHBOURS + 1:

@@ -68,7 +68,8 @@ def fit_spots(
     Parameters
     ----------
     images : one image [rows, columns] in DN, or several, of one size or of many. Pixels that are NaN or masked are left
-        out. A single image gives a single spot: plain numbers in place of arrays.
+        out. Readings need not be whole: a mean of n frames has their gain over n and their read noise times √n. A
+        single image gives a single spot: plain numbers in place of arrays.
     sensor : gain, read noise, black level, full scale and bend of the response; dark current is part of the fitted
         offset.
     weighting : "likelihood", or "equal" for unweighted least squares, with the errors that the sensor's noise causes.
@@ -120,16 +121,21 @@ def fit_spots(
         raise ValueError("sensor: the likelihood needs a gain and a read noise; without them use equal weights")
     design = _design(dict(fixed or {}), circular, top_hat, integrated)
     law, shapes, outcomes = law_of(None if sensor is None else checked(sensor), maps), [], []
+    between: dict[tuple[int, ...], Law] = {}
     single = getattr(images, "ndim", None) == 2
     each: Iterable[np.ndarray] = [np.asanyarray(images)] if single else images
     for number, image in enumerate(each):
-        pixels = _pixels(image, number)
+        pixels, own = _pixels(image, number), law
+        if weighting == "likelihood" and maps is None and not np.array_equal(pixels, np.rint(pixels), equal_nan=True):
+            if pixels.shape not in between:
+                between[pixels.shape] = _law_between(sensor, pixels.shape)
+            own = between[pixels.shape]
         if sensor is not None:
             pixels = sensor.straightened(pixels)
         if maps is not None:
             pixels = _on_maps(pixels, maps, number)
         shapes.append(pixels.shape)
-        outcomes.append(_search(pixels, law, WEIGHTINGS[weighting], sensor is not None, design))
+        outcomes.append(_search(pixels, own, WEIGHTINGS[weighting], sensor is not None, design))
     size = int(design.free.sum())
     points, covariance, chi2 = (
         np.array([outcome[k] for outcome in outcomes]).reshape(len(outcomes), *shape)
@@ -147,6 +153,11 @@ def _pixels(image: np.ndarray, number: int) -> np.ndarray:
     if pixels.ndim != 2:
         raise ValueError(f"images: number {number} has the shape {pixels.shape}; each must be [rows, columns]")
     return np.ascontiguousarray(pixels)
+
+
+def _law_between(sensor: SensorModel | None, shape: tuple[int, ...]) -> Law:
+    """The law of readings between whole numbers: that of pixels whose offsets are known to be such."""
+    return law_of(sensor, PixelMaps(np.zeros(shape), np.ones(shape)))
 
 
 def _on_maps(pixels: np.ndarray, maps: PixelMaps, number: int) -> np.ndarray:

@@ -36,7 +36,7 @@ class Image(NamedTuple):
     def read(self) -> np.ndarray:
         """Pixels [rows, columns] in DN, NaN where masked."""
         if isinstance(self.source, Path):
-            return files.pixels(self.source, self.page, self.name, self.colour).astype(float)
+            return files.pixels(self.source, self.page, self.name, self.colour, readings=False).astype(float)
         return np.ma.filled(np.ma.asanyarray(self.source).astype(float), np.nan)
 
     def says(self, what: str) -> float | None:
@@ -108,20 +108,20 @@ def _pages(path: Path) -> Iterator[Image]:
         own = [(number, page) for number, page in enumerate(pages) if not page.preview]
         for number, page in own:
             name = stack if len(own) == 1 else f"{stack} page {number}"
-            yield Image(name, source, page.shape, number, page.bits, settled(labels, number)[0], colour)
+            yield Image(name, source, page.shape, number, page.bits or None, settled(labels, number)[0], colour)
 
 
 def _coloured(path: Path, name: str) -> tuple[list[Page], Colour]:
     """Pages of a stack, and of one with red, green and blue the channel that reads most: a laser lights one of them."""
     try:
-        return files.pages(path, name), NONE
+        return files.pages(path, name, readings=False), NONE
     except InputError as refused:
         try:
-            pages = files.pages(path, name, Colour(CHANNELS[0]))
+            pages = files.pages(path, name, Colour(CHANNELS[0]), readings=False)
         except InputError:
             raise refused from None
-    most = max(CHANNELS, key=lambda channel: int(files.pixels(path, 0, name, Colour(channel)).sum(dtype=np.uint64)))
-    return pages, Colour(most)
+    light = {own: files.pixels(path, 0, name, Colour(own), readings=False).sum(dtype=float) for own in CHANNELS}
+    return pages, Colour(max(light, key=light.__getitem__))
 
 
 def _array(pixels: np.ndarray, number: int) -> Image:

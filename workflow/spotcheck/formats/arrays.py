@@ -17,10 +17,16 @@ def are_readings(dtype: np.dtype) -> bool:
     return dtype.kind == "u" and dtype.itemsize <= 2
 
 
+def bits_of(dtype: np.dtype) -> int:
+    """Bits of a stored pixel, 0 for a floating-point number. Raises `Refused` for numbers of any other kind."""
+    if not are_readings(dtype) and not (dtype.kind == "f" and dtype.itemsize in (4, 8)):
+        raise Refused(f"holds {dtype} pixels; {ONE_CHANNEL}")
+    return 8 * dtype.itemsize if are_readings(dtype) else 0
+
+
 def pages_of(shape: tuple[int, ...], dtype: np.dtype) -> list[Page]:
     """Pages of an array. Raises `Refused`."""
-    if not are_readings(dtype):
-        raise Refused(f"holds {dtype} pixels; {ONE_CHANNEL}")
+    bits = bits_of(dtype)
     colours = RGB if len(shape) > 2 and shape[-1] == COLOURS else GREY
     inner = shape[:-1] if colours else shape
     if len(inner) < 2:
@@ -32,7 +38,7 @@ def pages_of(shape: tuple[int, ...], dtype: np.dtype) -> list[Page]:
         raise Refused("has no pages; copy the file again")
     if count > MOST_PAGES:
         raise Refused(f"claims {count} pages, more than {MOST_PAGES}; copy the file again")
-    return [Page((rows, columns), 8 * dtype.itemsize, colours=colours)] * count
+    return [Page((rows, columns), bits, colours=colours)] * count
 
 
 def place_of(page: int, shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from spotcheck.errors import InputError
 from spotcheck.formats import colour, hdf5, npy, pgm, png, tiff
 from spotcheck.formats.colour import Colour
-from spotcheck.formats.page import Page, Refused
+from spotcheck.formats.page import ONE_CHANNEL, Page, Refused
 from spotcheck.manifest import parted
 
 
@@ -19,7 +19,7 @@ class Format(Protocol):
         """Every page of a file."""
 
     def read(self, path: Path, page: int) -> np.ndarray:
-        """Pixels of a page, [rows, columns] or [rows, columns, colours], uint8 or uint16 in native byte order."""
+        """Pixels of a page, [rows, columns] or [rows, columns, colours], in native byte order."""
 
 
 # First bytes, the format's name, and what reads it.
@@ -44,25 +44,30 @@ OTHERS = (
 )
 
 
-def pages(path: Path, name: str, taken: Colour = colour.NONE) -> list[Page]:
+def pages(path: Path, name: str, taken: Colour = colour.NONE, *, readings: bool = True) -> list[Page]:
     """What the headers of a file say of the plane of a colour that is taken of every page. A path into an HDF5 file
-    follows its name behind #. Raises `InputError`, which calls the file by `name`."""
+    follows its name behind #. Raises `InputError`, which calls the file by `name`; also for floating-point numbers,
+    which no converter reads, unless `readings` is False."""
     file, inside = parted(path.as_posix())
     kind, reader = _reader(Path(file), name)
     try:
         found = hdf5.pages(Path(file), inside) if reader is None else reader.pages(Path(file))
+        if readings:
+            _check_readings(any(not page.bits and not page.preview for page in found))
         return [colour.plane_of(page, taken) for page in found]
     except Exception as error:
         raise _said(error, name, kind) from None
 
 
-def pixels(path: Path, page: int, name: str, taken: Colour = colour.NONE) -> np.ndarray:
-    """Pixels [rows, columns] of a page, uint8 or uint16, as they are stored, of the plane of a colour that is taken.
-    Raises `InputError`."""
+def pixels(path: Path, page: int, name: str, taken: Colour = colour.NONE, *, readings: bool = True) -> np.ndarray:
+    """Pixels [rows, columns] of a page, as they are stored, of the plane of a colour that is taken. Raises
+    `InputError` as `pages` does."""
     file, inside = parted(path.as_posix())
     kind, reader = _reader(Path(file), name)
     try:
         found = hdf5.read(Path(file), page, inside) if reader is None else reader.read(Path(file), page)
+        if readings:
+            _check_readings(found.dtype.kind == "f")
         return colour.plane(found, taken)
     except Exception as error:
         raise _said(error, name, kind) from None
@@ -76,6 +81,12 @@ def stacks(path: Path, name: str) -> list[str]:
         return [name] if reader is not None else [f"{name}#{inside}" for inside in hdf5.stacks(path)]
     except Exception as error:
         raise _said(error, name, kind) from None
+
+
+def _check_readings(is_floating: bool) -> None:
+    """Raise `Refused` for floating-point numbers."""
+    if is_floating:
+        raise Refused(f"holds floating-point pixels, such as a mean of frames; {ONE_CHANNEL}")
 
 
 def _reader(path: Path, name: str) -> tuple[str, Format | None]:

@@ -28,7 +28,7 @@ def pages(path: Path, inside: str = "") -> list[Page]:
 
 
 def read(path: Path, page: int, inside: str = "") -> np.ndarray:
-    """Pixels of a page, [rows, columns] or [rows, columns, colours], as uint8 or uint16. Raises `Refused`."""
+    """Pixels of a page, [rows, columns] or [rows, columns, colours]. Raises `Refused`."""
     (shape, dtype), content = _ask({"what": "read", "path": str(path.absolute()), "inside": inside, "page": page})
     return np.frombuffer(content, dtype).reshape(shape)
 

@@ -46,7 +46,7 @@ def pages(path: Path) -> list[Page]:
 
 
 def read(path: Path, page: int) -> np.ndarray:
-    """Pixels of a page, [rows, columns] or [rows, columns, colours], as uint8 or uint16. Raises as `header` does."""
+    """Pixels of a page, [rows, columns] or [rows, columns, colours]. Raises as `header` does."""
     pages(path)
     found = header(path)
     order: Literal["F", "C"] = "F" if found.fortran else "C"

@@ -16,8 +16,8 @@ GREY, RGB, CFA = "", "RGB", "CFA"
 
 
 class Page(NamedTuple):
-    """One page: rows and columns [px], bits of a stored pixel, whether it is but a preview of another, and its colours:
-    none, `RGB`, `CFA` or the letters of its filters such as `RGGB`."""
+    """One page: rows and columns [px], bits of a stored pixel (0: a floating-point number), whether it is but a
+    preview of another, and its colours: none, `RGB`, `CFA` or the letters of its filters such as `RGGB`."""
 
     shape: tuple[int, int]
     bits: int

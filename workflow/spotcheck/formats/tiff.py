@@ -48,6 +48,8 @@ CODESTREAM, CODESTREAM_BYTES = b"\xff\x4f\xff\x51", 1024
 TURNED = {1: (1, 1), 2: (1, -1), 3: (-1, -1), 4: (-1, 1)}
 # Tags by which equal steps of a stored value are no equal steps of a reading.
 BENT = ("GrayResponseCurve", "TransferFunction", "LinearizationTable")
+# Numbers of a pixel that are decoded.
+READ = (np.uint8, np.uint16, np.float32, np.float64)
 # Kinds of NewSubfileType (TIFF 6.0, section 8): 1 a reduced copy of another page, 4 a mask.
 REDUCED_OR_MASK = 1 | 4
 
@@ -65,7 +67,7 @@ def pages(path: Path) -> list[Page]:
 
 
 def read(path: Path, page: int) -> np.ndarray:
-    """Pixels of a page, [rows, columns] or [rows, columns, colours], as uint8 or uint16. Raises as `pages` does."""
+    """Pixels of a page, [rows, columns] or [rows, columns, colours]. Raises as `pages` does."""
     starts, length = _directories(path)
     with _opened(path) as tiff:
         directory = _directory(tiff, starts, page if len(starts) > 1 else 0)
@@ -189,11 +191,14 @@ def _page_of(page: tifffile.TiffPage, length: int) -> Page:
         raise Refused(f"has {page.samplesperpixel} channels (SamplesPerPixel); {ONE_CHANNEL}")
     if len(page.shape) != (3 if colours == RGB else 2):
         raise Refused(f"has {len(page.shape)} dimensions (ImageDepth, PhotometricInterpretation); {ONE_CHANNEL}")
-    if page.dtype not in (np.uint8, np.uint16) or page.bitspersample < 8:
+    if page.dtype not in READ or page.bitspersample < 8:
         kind = f"{page.bitspersample} bit" if page.dtype is None else str(page.dtype)
         raise Refused(f"holds {kind} pixels (SampleFormat, BitsPerSample {page.bitspersample}); {ONE_CHANNEL}")
+    is_floating = page.dtype.kind == "f"
     if page.photometric not in (0, 1) and not colours:
         raise Refused(f"PhotometricInterpretation is {_named(page.photometric)}; it must be MinIsBlack or MinIsWhite")
+    if is_floating and page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
+        raise Refused("PhotometricInterpretation is MinIsWhite, and floating-point numbers have no white to count from")
     if page.fillorder != 1:
         raise Refused(f"FillOrder is {page.fillorder}; it must be 1, the highest bit first")
     if (turn := _tag(page, "Orientation", 1)) not in TURNED:
@@ -209,7 +214,7 @@ def _page_of(page: tifffile.TiffPage, length: int) -> Page:
     check_size(rows, columns)
     check_size(1, math.prod(page.chunks))
     _check_parts(page, length)
-    return Page((rows, columns), page.bitspersample, colours=colours)
+    return Page((rows, columns), 0 if is_floating else page.bitspersample, colours=colours)
 
 
 def _colours(page: tifffile.TiffPage) -> str:
