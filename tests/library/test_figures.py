@@ -14,7 +14,7 @@ import xarray as xr
 from spotcheck import figures
 from spotcheck.cli import main
 from spotcheck.errors import InputError
-from spotcheck.estimate.plus_minus import plus_minus
+from spotcheck.estimate.plus_minus import plus_minus, two_digits
 from spotcheck.figures import chain, every_figure, series, style
 from spotcheck.figures.entry import Category
 from spotcheck.figures.results import Results, Unavailable
@@ -262,7 +262,7 @@ def test_prefix_makes_the_smallest_value_at_least_one(values, unit, expected):
 
 
 def test_numbers_in_sentences():
-    assert [style.power(v) for v in (0, 360, 0.05, 2.5e-16, 2.65e14)] == [
+    assert [two_digits(v) for v in (0, 360, 0.05, 2.5e-16, 2.65e14)] == [
         "0",
         "360",
         "0.05",

@@ -12,6 +12,7 @@ from spotcheck.estimate.by_maps import ByMaps
 from spotcheck.estimate.fitted import NAMES, PARAMETERS, SpotFits
 from spotcheck.estimate.odd_pixels import Odd, odd_pixels
 from spotcheck.estimate.pixel_maps import SensorMaps
+from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.pixel_maps import PixelMaps
 from spotcheck.model.sensor import SensorModel
@@ -120,8 +121,8 @@ def _on_misfits(chi2: np.ndarray) -> list[str]:
         ),
     ):
         if own.size:
-            middle = float(np.median(own))
-            out.append(f"{own.size} of {known.size} fits have a χ² per degree of freedom of about {middle:.2g}: {why}")
+            middle = two_digits(float(np.median(own)))
+            out.append(f"{own.size} of {known.size} fits have a χ² per degree of freedom of about {middle}: {why}")
     return out
 
 

@@ -1,4 +1,4 @@
-"""A measured number as a person writes it: to the digits that its standard error leaves."""
+"""A number as a person writes it: to the digits that its standard error leaves, or to two."""
 
 import math
 
@@ -23,3 +23,11 @@ def plus_minus(value: float, error: float, unit: str = "") -> str:
         return f"{value:.{digits}f} ± {error:.{digits}f}{tail}"
     kept = max(0, digits + math.floor(math.log10(abs(value)))) if value else 1
     return f"{value:.{kept}e} ± {error:.1e}{tail}"
+
+
+def two_digits(value: float) -> str:
+    """A number in a sentence: `360`, `0.05`, `2.5 · 10⁻¹⁶`."""
+    if value == 0 or 1e-2 <= abs(value) < 1e4:
+        return f"{float(f'{value:.2g}'):g}"
+    digits, exponent = f"{value:.1e}".split("e")
+    return f"{digits} · 10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"

@@ -9,6 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from spotcheck.discrepancy.verdict.words import percent_text, value_text
+from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.figures import style
 from spotcheck.figures.discrepancy import COLOUR_ENDS, plan_of, stages_in
 from spotcheck.figures.entry import VERDICT, Category, Entry
@@ -113,7 +114,7 @@ def _profile(ax: Axes, found: Example) -> None:
 
 def _caption(found: Example, verdict: dict[str, Any], end: float) -> str:
     out = [f"Spot{f' at {found.name}' if found.name else ''}: mean over its frames, in blocks of {found.side:g} px."]
-    out.append(f"Residuals are on one scale, which ends at ±{style.power(end)} DN.")
+    out.append(f"Residuals are on one scale, which ends at ±{two_digits(end)} DN.")
     out.append(f"Verdict: {verdict['status'].replace('_', ' ')}.")
     effects, gap = [_effect(own) for own in verdict["effects"]], verdict["gap"]
     if effects:

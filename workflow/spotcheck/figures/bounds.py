@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.figures import style
 from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results, Unavailable
@@ -71,7 +72,7 @@ def _draw(
     style.legend_above(figure, handles, [NAMES[str(name)] for name in ds["law"].values], 3)
     laws = "; ".join(f"{LOOKS[str(n)][2]}: {ds.attrs[f'law_{n}']}" for n in ds["law"].values)
     fixed = "along the calibrated p1 and p2" if over == "exposure" else "at the width of the middle exposure"
-    (low, high), (narrow, wide) = ((style.power(v) for v in pair) for pair in ranges)
+    (low, high), (narrow, wide) = ((two_digits(v) for v in pair) for pair in ranges)
     caption = (
         f"Smallest variance that an unbiased estimate of one frame can have, {fixed}: photons on the brightest pixel"
         f" (left) and width σ_g on the sensor (right). Grey bars: the dataset's {marked}. {laws}. In electrons the left"

@@ -10,6 +10,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.figures import series, style
 from spotcheck.figures.entry import VERDICT, Category, Entry
 from spotcheck.figures.results import Results, Unavailable
@@ -98,8 +99,8 @@ def residuals(results: Results) -> style.Drawing:
     caption = (
         "Measured less model, mean over the frames that were searched"
         f"{', some of the conditions' if left_out else ''}; blocks of {_block(ds)} px. Red: brighter than the model."
-        f" One scale for all panels, its colours ending at ±{end:.2g} DN. Circles: 1 σ_g and 2 σ_g. Beneath: mean over"
-        " rings around the spot's centre and over all conditions of an exposure, with its standard error."
+        f" One scale for all panels, its colours ending at ±{two_digits(end)} DN. Circles: 1 σ_g and 2 σ_g. Beneath:"
+        " mean over rings around the spot's centre and over all conditions of an exposure, with its standard error."
     )
     if len(stages) == 1:
         caption += " Nothing was added to the model, so there is no after."
@@ -285,7 +286,7 @@ def _cells(ax: Axes, plan: Plan, values: np.ndarray, clear: np.ndarray, norm: Lo
 
 
 def _digits(value: float) -> str:
-    return f"{value:.2f}" if value < 10 else f"{value:.1f}" if value < 100 else style.power(value)
+    return f"{value:.2f}" if value < 10 else f"{value:.1f}" if value < 100 else two_digits(value)
 
 
 FIGURES = (

@@ -8,6 +8,7 @@ from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from spotcheck.discrepancy.criteria import GAIN
+from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.figures import style
 from spotcheck.figures.discrepancy import Plan, chosen, plan_of
 from spotcheck.figures.entry import VERDICT, Category, Entry
@@ -47,7 +48,7 @@ def where(results: Results) -> style.Drawing:
     bar = top.colorbar(ScalarMappable(norm, style.DIVERGING_MAP), ax=list(axes.ravel()), aspect=22, label="z")
     ticks = [limit, *(10.0**n for n in range(1, 5) if 2 * limit < 10.0**n <= largest)]
     both = [*(-t for t in reversed(ticks)), 0, *ticks]
-    bar.set_ticks(both, labels=[style.power(abs(t)) if t >= 0 else f"−{style.power(-t)}" for t in both])
+    bar.set_ticks(both, labels=[two_digits(abs(t)) if t >= 0 else f"−{two_digits(-t)}" for t in both])
     bar.ax.minorticks_off()
     count = _parts(bottom, ds, limit)
     known = int(np.isfinite(radial).sum() + np.isfinite(azimuthal).sum())
@@ -57,7 +58,7 @@ def where(results: Results) -> style.Drawing:
         if any(plan.rows)
         else ""
     )
-    percent = style.power(100 * float(ds.attrs["alpha"]))
+    percent = two_digits(100 * float(ds.attrs["alpha"]))
     caption = (
         "Above: z of the mean residual by distance from the spot's centre, and below it of its strongest azimuthal"
         f" order (1 one-sided, 2 twofold, …); columns: exposure.{rows} Dots and orders stand where |z| > {limit:.2g},"

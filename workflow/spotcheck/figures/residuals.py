@@ -9,6 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Ellipse
 
 from spotcheck import store
+from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.figures import series, style
 from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.frames_of import Spot, residual_frames
@@ -105,7 +106,8 @@ def images(results: Results) -> style.Drawing:
         "Measured less simulated frame: the simulated mean image placed on the measured fitted centre, light-centred"
         f" crops, averaged over {frames} frame{'s' if max(counts) > 1 else ''} a panel ({sum(counts)} in all). Red:"
         " brighter than the model; blue: fainter. One scale for all"
-        f" panels, its colours ending at ±{end:.3g} DN. Ellipses: 1 σ (solid) and 2 σ (dashed) of the fitted Gaussian."
+        f" panels, its colours ending at ±{two_digits(end)} DN. Ellipses: 1 σ (solid) and 2 σ (dashed) of the fitted"
+        " Gaussian."
     )
     return style.Drawing(figure, caption)
 

@@ -134,14 +134,6 @@ def number(value: float, unit: str) -> str:
     return f"{value:.4g}{'' if unit in ('', '°') else ' '}{unit}"
 
 
-def power(value: float) -> str:
-    """A number in a sentence, with two digits: `360`, `2.5 · 10⁻¹⁶`."""
-    if value == 0 or 1e-2 <= abs(value) < 1e4:
-        return f"{float(f'{value:.2g}'):g}"
-    digits, exponent = f"{value:.1e}".split("e")
-    return f"{digits} · 10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
-
-
 def tens(largest: float) -> tuple[float, str]:
     """Divisor and text for large plain numbers: (1e6, "10⁶ ") for millions, (1, "") below 10 000."""
     if not np.isfinite(largest) or abs(largest) < 1e4:

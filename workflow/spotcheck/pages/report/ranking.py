@@ -8,6 +8,7 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.discrepancy.verdict.words import percent_text
+from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.pages.report.packed import thinned
 
 # A deviation from the law of all frames is worth a word above this part of it, or this many px, and this many of its
@@ -71,7 +72,7 @@ def place_text(residual: np.ndarray, variance: np.ndarray, centre: tuple[float, 
     if not abs(excess) >= STANDS_OUT * float(noise[row, column]):
         return ""
     right, down = (block * (at + 0.5) - 0.5 - middle for at, middle in zip((column, row), centre, strict=True))
-    return f"most is left {_direction(right, down, block)}: {'+' if excess > 0 else '−'}{abs(excess):.2g} DN"
+    return f"most is left {_direction(right, down, block)}: {'+' if excess > 0 else '−'}{two_digits(abs(excess))} DN"
 
 
 def _direction(right: float, down: float, block: int) -> str:
