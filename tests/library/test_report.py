@@ -169,7 +169,7 @@ def test_the_place_where_most_is_left():
     assert ranking.place_text(noise, variance, (23.5, 23.5)) == ""
     noise[10:12, 40:42] = 50.0
     said = ranking.place_text(noise, variance, (23.5, 23.5))
-    assert said == "most is left 17 px to the right and 13 px above the centre: +50 DN"
+    assert said == "most remains 17 px to the right and 13 px above the centre: +50 DN"
 
 
 def test_what_is_left_is_in_units_of_the_noise():

@@ -72,7 +72,7 @@ def place_text(residual: np.ndarray, variance: np.ndarray, centre: tuple[float, 
     if not abs(excess) >= STANDS_OUT * float(noise[row, column]):
         return ""
     right, down = (block * (at + 0.5) - 0.5 - middle for at, middle in zip((column, row), centre, strict=True))
-    return f"most is left {_direction(right, down, block)}: {'+' if excess > 0 else '−'}{two_digits(abs(excess))} DN"
+    return f"most remains {_direction(right, down, block)}: {'+' if excess > 0 else '−'}{two_digits(abs(excess))} DN"
 
 
 def _direction(right: float, down: float, block: int) -> str:
