@@ -103,6 +103,20 @@ def test_a_long_step_is_alive(said, monkeypatch, stream, every):
     assert written.getvalue() == over
 
 
+def test_time_to_go_runs_down(said, monkeypatch):
+    """While a step lasts, by how long those before took: 10 s for a tenth leave 90 s. It is never more than it was, and
+    unknown once it has passed."""
+    clock = [0.0]
+    monkeypatch.setattr("tqdm.std.time", lambda: clock[0])
+    with progress._bar("{percentage:.0f} %", "about ", total=1.0, desc="judging") as bar:
+        told = []
+        for clock[0], done in ((10.0, 0.1), (40.0, 0.0), (99.0, 0.0), (130.0, 0.0), (140.0, 0.7)):
+            bar.update(done)
+            told.append(bar.format_dict["to_go"])
+    assert told == ["about 01:30 to go", "about 01:00 to go", "about 00:01 to go", "time to go unknown",
+                    "about 00:35 to go"]  # fmt: skip
+
+
 def test_short_work_is_not_worth_a_word(said, monkeypatch):
     """What is done within seconds."""
     monkeypatch.setattr(progress, "AFTER_S", 60.0)

@@ -137,14 +137,32 @@ def _bar(counted: str, about: str, **options: Any) -> Any:
     """A bar of tqdm, or its numbers as lines; gone when the work is done."""
     from tqdm import tqdm
 
+    class Meter(tqdm):
+        """A bar whose time to go is that of its last step, and runs down until the next one is done."""
+
+        counted_n, counted_s = 0.0, 0.0
+
+        @property
+        def format_dict(self) -> dict[str, Any]:
+            """What a bar is formatted with, and `to_go`."""
+            found: dict[str, Any] = super().format_dict
+            done, elapsed, total = float(found["n"]), float(found["elapsed"]), float(found["total"] or 0.0)
+            if done != self.counted_n:
+                self.counted_n, self.counted_s = done, elapsed
+            left = (
+                self.counted_s * (total / done - 1) - (elapsed - self.counted_s) if 0 < done < total else done - total
+            )
+            to_go = f"{about}{tqdm.format_interval(left)} to go" if left >= 0 else "time to go unknown"
+            return found | {"to_go": to_go}
+
     # Its thread would look after bars that stand still; it also stands in the way of processes that fork.
     tqdm.monitor_interval = 0
     terminal = sys.stderr.isatty()
     meter = "{bar} " if terminal else ""
-    return tqdm(
+    return Meter(
         **options,
         file=sys.stderr if terminal else _Lines(sys.stderr),
-        bar_format=f"{{desc}}: {meter}{counted}, {{elapsed}} so far, {about}{{remaining}} to go",
+        bar_format=f"{{desc}}: {meter}{counted}, {{elapsed}} so far, {{to_go}}",
         delay=AFTER_S,
         mininterval=DRAWN_S if terminal else EVERY_S,
         miniters=0,
