@@ -149,9 +149,8 @@ def _bar(counted: str, about: str, **options: Any) -> Any:
             done, elapsed, total = float(found["n"]), float(found["elapsed"]), float(found["total"] or 0.0)
             if done != self.counted_n:
                 self.counted_n, self.counted_s = done, elapsed
-            left = (
-                self.counted_s * (total / done - 1) - (elapsed - self.counted_s) if 0 < done < total else done - total
-            )
+            # Below 0: nothing is done yet, or the step lasts longer than those before let expect.
+            left = self.counted_s * total / done - elapsed if 0 < done < total else done - total
             to_go = f"{about}{tqdm.format_interval(left)} to go" if left >= 0 else "time to go unknown"
             return found | {"to_go": to_go}
 
