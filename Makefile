@@ -53,7 +53,7 @@ load-kills: $(READY)
 	$(LOAD_PAGE)
 
 load-hostile: $(READY)
-	$(BIN)/python -m tests.load.hostile --inputs 20000
+	$(BIN)/python -m tests.load.hostile --inputs 15000
 	$(LOAD_PAGE)
 
 load-scale: $(READY)

@@ -129,7 +129,7 @@ def test_value_above_the_bit_depth(tmp_path):
 
 
 REFUSED = {
-    "float": (RAMP.astype(np.float32), "float32"),
+    "float": (RAMP.astype(np.float32), "floating-point"),
     "signed": (RAMP.astype(np.int16), "int16"),
     "32 bit": (RAMP.astype(np.uint32), "uint32"),
 }

@@ -97,6 +97,23 @@ def test_a_mean_of_frames_is_an_image_and_no_frame(kind, tmp_path):
             ask(Path(given), "a")
 
 
+@pytest.mark.parametrize("factor", [1 / 4095, 1e9])
+def test_numbers_in_any_unit_tell_the_same(factor):
+    """As parts of the brightest pixel, less a background, or as large numbers. Rounding to another step makes gain and
+    noise a little others, which moves a fit by less than a quarter of its errors, and errors by a twentieth."""
+    image = drawn().astype(float)
+    found, scaled = spotcheck.look(image), spotcheck.look(factor * (image - 21.3))
+    (own,), (other,) = found.images, scaled.images
+    for name, times in (("sigma_major", 1.0), ("x_centre", 1.0), ("amplitude", factor)):
+        value, error = (getattr(own.fit, key) * times for key in (name, f"{name}_stderr"))
+        assert getattr(other.fit, name) == pytest.approx(value, abs=0.25 * error)
+        assert getattr(other.fit, f"{name}_stderr") == pytest.approx(error, rel=0.05)
+    assert other.highest_dn == pytest.approx(factor * (own.highest_dn - 21.3))
+    gain = found.cameras[0].gain
+    assert scaled.cameras[0].gain.value == pytest.approx(factor * gain.value, abs=factor * gain.stderr)
+    assert "a Gaussian within its noise" in repr(scaled)
+
+
 def test_without_a_gain_errors_still_hold():
     """A spot too small for its noise to tell the gain: the errors of 60 fits are those of their scatter. The scatter of
     60 has an error of 9 %, and 4 of those are allowed: chance exceeds them once in 16,000."""

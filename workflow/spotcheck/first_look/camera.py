@@ -14,12 +14,18 @@ from spotcheck.first_look.images import Image
 from spotcheck.model.sensor import SensorModel
 
 UNKNOWN = "no image shows noise that grows with its light"
+# Noise of numbers that no converter wrote, in steps that they are rounded to, which then add 2 % to its variance at
+# most; and noise [DN] above which whole numbers are no single readings, but sums.
+LEAST_STEPS, MOST_DN = 2.0, 1000.0
+# Median step between neighbours over the noise of a normal law, √2 · 0.6745; and the noise of an image without any, as
+# part of its range.
+NORMAL_STEP, NOISELESS = 0.954, 1e-5
 
 
 class Camera(NamedTuple):
     """Which images are its; gain [DN/e-] and read noise [e-], None where they are unknown, with the reason in `how`;
-    black level [DN], the lowest rim of all images, which stray light may have raised; and the reading [DN] at which
-    images stop, infinite where none does."""
+    black level [DN], the lowest rim of all images, which stray light may have raised; the reading [DN] at which images
+    stop, infinite where none does; and the step [DN] that its law rounds to."""
 
     images: tuple[str, ...]
     gain: Found | None
@@ -27,14 +33,16 @@ class Camera(NamedTuple):
     how: str
     black_dn: float
     stop_dn: float
+    step_dn: float = 1.0
 
     def sensor(self, pixels: np.ndarray) -> SensorModel | None:
-        """The law of a reading of an image, whose own rim is the level that its noise grows from: shot noise of stray
-        light is part of the read noise here. None where gain or noise is unknown."""
+        """The law of a reading of an image in steps, whose own rim is the level that its noise grows from: shot noise
+        of stray light is part of the read noise here. None where gain or noise is unknown."""
         if self.gain is None or self.noise is None:
             return None
         black = dark_level(pixels)
-        return SensorModel(self.gain.value, self.noise.value, black_level_dn=black, full_scale_dn=self.stop_dn)
+        gain, black, stop = (own / self.step_dn for own in (self.gain.value, black, self.stop_dn))
+        return SensorModel(gain, self.noise.value, black_level_dn=black, full_scale_dn=stop)
 
     def lines(self) -> list[tuple[str, str]]:
         """Name and text of each number."""
@@ -54,12 +62,36 @@ def camera_of(images: Sequence[Image]) -> Camera:
     stops = [end for image in images if np.isfinite(end := stop_of(image.read(), image.bits))]
     # One camera stops at one reading: a plateau that is lower is light's own.
     stop = max(stops, default=np.inf)
-    seen = seen_by_spots((image.read() for image in progress.over(images, "looking at noise")), {}, None, stop)
-    names = tuple(image.name for image in images)
+    step = _rounded_to(images)
+    read = (image.read() / step for image in progress.over(images, "looking at noise"))
+    seen = seen_by_spots(read, {}, None, stop / step)
+    names, lowest = tuple(image.name for image in images), step * seen.lowest_dn
     found = spots_in_electrons(seen)
     if not found:
-        return Camera(names, None, None, UNKNOWN, seen.lowest_dn, stop)
-    return Camera(names, found["gain_dn_per_e"], found["read_noise_e"], seen.how, seen.lowest_dn, stop)
+        return Camera(names, None, None, UNKNOWN, lowest, stop, step)
+    gain = found["gain_dn_per_e"]
+    gain = gain._replace(value=step * gain.value, stderr=step * gain.stderr)
+    return Camera(names, gain, found["read_noise_e"], seen.how, lowest, stop, step)
+
+
+def _rounded_to(images: Sequence[Image]) -> float:
+    """The step [DN] that the law of a reading rounds to: 1, or of numbers that no converter wrote, such as a mean of
+    frames or parts of the brightest pixel, a power of ten that is small against their noise."""
+    if any(image.bits is not None for image in images):
+        return 1.0
+    noise, whole = zip(*(_noise_of(image.read()) for image in images), strict=True)
+    typical = float(np.median(noise))
+    if not typical or (all(whole) and typical < MOST_DN):
+        return 1.0
+    return float(10.0 ** np.floor(np.log10(typical / LEAST_STEPS)))
+
+
+def _noise_of(pixels: np.ndarray) -> tuple[float, bool]:
+    """Noise of an image from pixel to pixel [DN], or a small part of its range where that is larger; and whether its
+    numbers are whole."""
+    known, steps = pixels[np.isfinite(pixels)], np.abs(np.diff(pixels, axis=1))
+    typical = float(np.nanmedian(steps)) / NORMAL_STEP if np.isfinite(steps).any() else 0.0
+    return max(typical, NOISELESS * float(np.ptp(known))), bool(np.all(known == np.rint(known)))
 
 
 def stop_of(pixels: np.ndarray, bits: int | None) -> float:

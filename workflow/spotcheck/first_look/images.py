@@ -34,10 +34,18 @@ class Image(NamedTuple):
     colour: Colour = NONE
 
     def read(self) -> np.ndarray:
-        """Pixels [rows, columns] in DN, NaN where masked."""
+        """Pixels [rows, columns] in DN, NaN where masked or infinite. Raises `InputError` where all of them are."""
         if isinstance(self.source, Path):
-            return files.pixels(self.source, self.page, self.name, self.colour, readings=False).astype(float)
-        return np.ma.filled(np.ma.asanyarray(self.source).astype(float), np.nan)
+            stored = files.pixels(self.source, self.page, self.name, self.colour, readings=False)
+        else:
+            stored = self.source
+        # A broken file may hold numbers that signal.
+        with np.errstate(invalid="ignore"):
+            pixels = np.ma.filled(np.ma.asanyarray(stored).astype(float), np.nan)
+        known = np.isfinite(pixels)
+        if not known.any():
+            raise InputError(f"{self.name}: has no pixel that was measured; leave it out")
+        return np.where(known, pixels, np.nan)
 
     def says(self, what: str) -> float | None:
         """What the file says of a quantity, by the name of its label."""
@@ -71,6 +79,7 @@ def images_of(given: Given) -> tuple[list[Image], list[str]]:
                     refused.append(error)
         else:
             out.append(_array(own, number))
+            out[-1].read()
     if not out:
         raise refused[0] if refused else InputError("images: none is given; name image files or a folder of them")
     return out, [str(error) for error in refused]
@@ -131,7 +140,5 @@ def _array(pixels: np.ndarray, number: int) -> Image:
             f"images: number {number} has the shape {array.shape} and the type {array.dtype}; each must be numbers"
             " [rows, columns]"
         )
-    if not np.isfinite(np.ma.filled(array.astype(float), np.nan)).any():
-        raise InputError(f"images: number {number} has no pixel that was measured; leave it out")
     bits = 8 * array.dtype.itemsize if array.dtype.kind == "u" else None
     return Image(f"image {number}", array, array.shape, 0, bits)

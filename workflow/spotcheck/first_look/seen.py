@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.stats import chi2
 
-from spotcheck.estimate.fitted import SpotFits
+from spotcheck.estimate.fitted import NAMES, SpotFits
 from spotcheck.estimate.moments import AREA, Moments, second_moments
 from spotcheck.estimate.odd_pixels import odd_pixels
 from spotcheck.estimate.spotfit import fit_spots
@@ -22,6 +22,8 @@ HALF = 0.6 * AREA
 PICTURE, POINTS = 240, 241
 # Light above and below these parts of the peak is compared where the camera's noise is unknown, and pixels that takes.
 BRIGHT, DARK, FEWEST = 0.3, 0.02, 30
+# Variance that grows with light by less than this part does not: errors are then 5 % off.
+GROWN = 0.1
 
 
 class Profile(NamedTuple):
@@ -100,18 +102,20 @@ def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
     if np.isfinite(moments.x):
         top, left, window = _window(pixels, moments)
         sensor = camera.sensor(pixels)
-        noise = sensor or _noise_by_residuals(np.where(window >= camera.stop_dn, np.nan, window))
-        if noise is not None and (odd := odd_pixels(window, noise)).mask.any():
+        step = camera.step_dn
+        noise = sensor or _noise_by_residuals(np.where(window >= camera.stop_dn, np.nan, window) / step)
+        if noise is not None and (odd := odd_pixels(window / step, noise)).mask.any():
             left_out = odd.sentence(left, top)
             window = np.where(odd.mask, np.nan, window)
             pixels = pixels.copy()
             pixels[top : top + window.shape[0], left : left + window.shape[1]] = window
             moments = second_moments(pixels)
         if sensor is not None:
-            fit = _with_misfit(fit_spots(window, sensor))
+            fit = _with_misfit(fit_spots(window / step, sensor))
         else:
-            fit = fit_spots(np.where(window >= camera.stop_dn, np.nan, window), noise, weighting="equal")
+            fit = fit_spots(np.where(window >= camera.stop_dn, np.nan, window) / step, noise, weighting="equal")
             fit = replace(_with_misfit(fit), chi2_reduced=np.asarray(np.nan))
+        fit = _in_dn(fit, step)
         if fit.status != "not_converged":
             picture, misfit = _picture(window, fit, top, left), _misfit(window, fit, camera.stop_dn)
             fit.value[1] += left
@@ -157,10 +161,11 @@ def _noise_by_residuals(window: np.ndarray) -> SensorModel | None:
     if min(np.count_nonzero(bright), np.count_nonzero(dark)) < FEWEST:
         return None
     floor = float(np.median(squared[dark]))
-    gain = (float(np.median(squared[bright])) - floor) / float(np.mean(light[bright]))
-    # Noise finer than a step of whole numbers is of readings that were scaled, which the law does not know.
-    if not gain > 0 or floor < ROUNDING_VARIANCE:
+    grown = float(np.median(squared[bright])) - floor
+    # Rounding hides noise that is finer.
+    if grown < GROWN * floor or floor < ROUNDING_VARIANCE:
         return None
+    gain = grown / float(np.mean(light[bright]))
     return SensorModel(
         gain, float(np.sqrt(max(floor - ROUNDING_VARIANCE, 0.0))) / gain, black_level_dn=float(fit.offset)
     )
@@ -170,6 +175,13 @@ def _with_misfit(fit: SpotFits) -> SpotFits:
     """A fit whose errors hold what its residuals exceed the noise by."""
     more = np.sqrt(max(float(np.nan_to_num(fit.chi2_reduced, nan=1.0)), 1.0))
     return SpotFits(fit.value.copy(), fit.stderr * more, fit.covariance * more**2, fit.chi2_reduced, fit.flags)
+
+
+def _in_dn(fit: SpotFits, step_dn: float) -> SpotFits:
+    """A fit of readings in steps as one in DN."""
+    factor = np.where(np.isin(NAMES, ("amplitude", "offset")), step_dn, 1.0)
+    covariance = fit.covariance * np.outer(factor[:7], factor[:7])
+    return SpotFits(fit.value * factor, fit.stderr * factor, covariance, fit.chi2_reduced, fit.flags)
 
 
 def _model(fit: SpotFits, y: np.ndarray, x: np.ndarray) -> np.ndarray:

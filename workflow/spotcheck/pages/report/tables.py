@@ -52,7 +52,7 @@ def facts_of(table: xr.Dataset) -> dict[str, Any]:
     """What frames.nc says of all frames together."""
     kinds, counts = np.unique(table["kind"].values.astype(str), return_counts=True)
     return {
-        "kinds": ", ".join(f"{n} {kind}" for kind, n in zip(kinds, counts, strict=True)),
+        "kinds": ", ".join(f"{n:,} {kind}" for kind, n in zip(kinds, counts, strict=True)),
         "shape": f"{int(table['columns'])} × {int(table['rows'])} px",
         "bits": int(table["container_bits"]),
         "full_scale": int(table["full_scale"]),
