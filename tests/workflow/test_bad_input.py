@@ -54,7 +54,7 @@ CASES = {
         lambda f: rewrite(f, lambda p: np.stack([p] * 3, -1)),
         ["a0_r0_t0.0001.tif", "red, green and blue", "sensor.channel"],
     ),
-    "float": (lambda f: rewrite(f, lambda p: p.astype("f4")), ["a0_r0_t0.0001.tif", "float32", "unsigned"]),
+    "float": (lambda f: rewrite(f, lambda p: p.astype("f4")), ["a0_r0_t0.0001.tif", "floating-point", "unsigned"]),
     "signed": (lambda f: rewrite(f, lambda p: p.astype("i2")), ["a0_r0_t0.0001.tif", "int16", "unsigned"]),
     "above bit depth": (
         lambda f: rewrite(f, lambda p: np.where(p == p.max(), 5000, p).astype("u2")),

@@ -124,7 +124,9 @@ def second_moments(image: np.ndarray) -> Moments:
         if found is None:
             return NONE._replace(x=start.x, y=start.y)
         part = 1.0 if step < LATER else 0.5
-        change = float(np.abs(found.covariance - ellipse.covariance).max() / np.trace(ellipse.covariance)) / 2
+        # A single pixel above all others has no extent.
+        extent = max(float(np.trace(ellipse.covariance)), np.finfo(float).tiny)
+        change = float(np.abs(found.covariance - ellipse.covariance).max()) / extent / 2
         ellipse = _Ellipse(
             ellipse.x + part * (found.x - ellipse.x),
             ellipse.y + part * (found.y - ellipse.y),
