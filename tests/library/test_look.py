@@ -97,6 +97,21 @@ def test_a_mean_of_frames_is_an_image_and_no_frame(kind, tmp_path):
             ask(Path(given), "a")
 
 
+def test_errors_of_a_light_that_is_no_gaussian():
+    """Which width a Gaussian has that is fitted to a spot with a halo depends on the weights, and its error says by how
+    much; of a spot without one it is that of the noise."""
+    y, x = np.indices((200, 220))
+    square = ((x - 110.3) / 16) ** 2 + ((y - 99.1) / 12) ** 2
+    errors = []
+    for halo in (0.0, 0.1):
+        image = SENSOR.draw(9000 * (np.exp(-square / 2) + halo * np.exp(-square / 12)), rng=3)
+        (one,) = spotcheck.look(image).images
+        apart = abs(spotcheck.fit_spots(image, weighting="equal").sigma_major - one.fit.sigma_major)
+        errors.append(one.fit.sigma_major_stderr)
+        assert apart < (1 if halo else 5) * errors[-1]
+    assert errors[1] > 20 * errors[0]
+
+
 @pytest.mark.parametrize("factor", [1 / 4095, 1e9])
 def test_numbers_in_any_unit_tell_the_same(factor):
     """As parts of the brightest pixel, less a background, or as large numbers. Rounding to another step makes gain and

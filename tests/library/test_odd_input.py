@@ -76,6 +76,14 @@ def test_more_bits_than_the_frames_hold(tmp_path, text):
         crops.check_dataset(ds)
 
 
+def test_a_wrong_key_is_named_with_its_file(tmp_path):
+    """The shared sheet, where the dataset's own has no such key."""
+    (tmp_path / "camera.yaml").write_text("sensor: {bit_depth: 12}", encoding="utf-8")
+    ds = loaded(tmp_path / "own", [np.zeros((40, 40), np.uint8)], "{crop_px: 24, based_on: ../camera.yaml}")
+    with pytest.raises(InputError, match=r"^camera\.yaml: sensor\.bit_depth .* but the frames hold 8"):
+        crops.check_dataset(ds)
+
+
 def test_values_that_are_not_left_aligned(tmp_path):
     """A shift that would drop bits which are set."""
     ds = loaded(tmp_path, [np.full((40, 40), 5, np.uint16)], "crop_px: 24\nsensor: {value_shift_bits: 4}")

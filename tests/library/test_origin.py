@@ -278,6 +278,24 @@ def test_explained_to_a_program(results, capsys):
     assert [own["name"] for own in told["inputs"][0]["inputs"]] == ["frames.nc"]
 
 
+def test_a_shared_sheet_is_among_the_inputs(tmp_path, capsys):
+    """It lies outside the dataset; a change of it is seen."""
+    folder, out = flats(tmp_path / "flats"), tmp_path / "results" / "flats"
+    shared = tmp_path / "camera.yaml"
+    shared.write_text("sensor: {dark_current_e_per_s: 70}", encoding="utf-8")
+    (folder / "instrument.yaml").write_text("based_on: ../camera.yaml", encoding="utf-8")
+    store.claim(out, folder)
+    cli.run(["ingest", str(folder), "--output", str(out / "frames.nc")])
+    cli.run(["transfer", str(folder), "--frames", str(out / "frames.nc"), "--output", str(out / "transfer.nc")])
+    for text, remark in (("", ""), ("# edited", "has changed since")):
+        shared.write_text(f"sensor: {{dark_current_e_per_s: 70}}{text}", encoding="utf-8")
+        capsys.readouterr()
+        cli.run(["explain", "gain", "--results", str(out), "--json"])
+        (table,) = json.loads(capsys.readouterr().out)["inputs"]
+        (own,) = (own for own in table["inputs"] if own["name"] == "camera.yaml")
+        assert own["remark"] == remark
+
+
 def test_a_sensor_by_flats(tmp_path):
     """Each quantity of the standard in its own unit, as transfer.nc holds it; and the verdict by the rule for flats."""
     out = tmp_path / "results"

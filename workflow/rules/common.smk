@@ -102,8 +102,7 @@ def manifest(wildcards):
 def instrument(wildcards):
     """Its data sheet, if there is one, and the files that it names: a shared one, the light's profile, a mask."""
     path, found = Path(dataset_folder(wildcards), "instrument.yaml"), DATASETS[wildcards.dataset].instrument
-    named = (path, found.based_on, found.light.profile, found.bad_pixels.mask)
-    return [str(own) for own in named if own and Path(own).exists()]
+    return [str(own) for own in (path, *found.files) if own.exists()]
 
 
 def frames(wildcards):

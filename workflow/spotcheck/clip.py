@@ -74,7 +74,8 @@ def end_of(tops: Sequence[Top], instrument: Instrument, container_bits: int) -> 
     remarks = _on_alignment(tops, bits, instrument)
     highest = max((own.highest for own in tops), default=0)
     if (stated := instrument.sensor.full_scale_dn) is not None:
-        above = f"instrument.yaml: sensor.full_scale_dn is {stated}, but frames read up to {highest} DN; correct it"
+        file = instrument.file_of("sensor.full_scale_dn")
+        above = f"{file}: sensor.full_scale_dn is {stated}, but frames read up to {highest} DN; correct it"
         return End(stated, "instrument.yaml", (*remarks, above) if highest > stated else remarks)
     lowest = min((own.lowest for own in tops), default=0)
     stopped = [own for own in tops if own.highest == highest and own.stops(lowest)]
@@ -95,7 +96,8 @@ def end_of(tops: Sequence[Top], instrument: Instrument, container_bits: int) -> 
         missing = f"instrument.yaml: sensor.bit_depth is missing, and {seen}, which is taken for full scale"
         remarks += (f"{missing}; {f'{right} would say so' if whole else 'give it'}",)
         return End(highest, f"where {frames} (sensor.bit_depth is missing)", remarks)
-    what = f"instrument.yaml: sensor.bit_depth is {depth}, whose largest reading is {declared} DN, but {seen}"
+    file = instrument.file_of("sensor.bit_depth")
+    what = f"{file}: sensor.bit_depth is {depth}, whose largest reading is {declared} DN, but {seen}"
     ask = f"{right} would be right" if whole else "fits take them as whole, and the verdict looks for saturation"
     return End(declared, "bits of the converter", (*remarks, f"{what}; {ask}"))
 

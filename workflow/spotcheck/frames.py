@@ -98,7 +98,7 @@ def probe_all(dataset: Dataset) -> Probe:
     sensor = dataset.instrument.sensor
     if (sensor.bit_depth or 1) + sensor.value_shift_bits > first.bits:
         raise InputError(
-            f"instrument.yaml: sensor.bit_depth and value_shift_bits ask for"
+            f"{dataset.instrument.file_of('sensor.bit_depth')}: sensor.bit_depth and value_shift_bits ask for"
             f" {(sensor.bit_depth or 1) + sensor.value_shift_bits} bits, but the frames hold {first.bits};"
             f" together they must not exceed that"
         )

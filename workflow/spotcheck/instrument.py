@@ -143,6 +143,16 @@ class Instrument:
         return "instrument.yaml" if key in self.given else DEFAULT
 
     @property
+    def files(self) -> list[Path]:
+        """Files that it names and that are there: the shared sheet, the light's profile, the mask of bad pixels."""
+        named = (self.based_on, self.light.profile, self.bad_pixels.mask)
+        return [path for own in named if own and (path := Path(own)).exists()]
+
+    def file_of(self, key: str) -> str:
+        """Name of the file in which a key is, or would have to be."""
+        return Path(self.based_on).name if key in self.shared and self.based_on else "instrument.yaml"
+
+    @property
     def laser_sigma_m(self) -> float | None:
         """σ_la [m], the mean of both FWHM over 2√(2 ln 2); None when a width is missing."""
         if self.laser.fwhm_x_m is None or self.laser.fwhm_y_m is None:

@@ -70,7 +70,7 @@ def _on_the_sheet(dataset: Dataset) -> Iterator[str]:
     for key, usual in USUAL.items():
         section, _, name = key.partition(".")
         if key in instrument.given:
-            yield remark(f"instrument.yaml: {key}", getattr(getattr(instrument, section), name), usual)
+            yield remark(f"{instrument.file_of(key)}: {key}", getattr(getattr(instrument, section), name), usual)
     focal, distance = instrument.optics.focal_length_m, instrument.optics.working_distance_m
     if focal is not None and distance is not None and distance <= focal:
         yield (

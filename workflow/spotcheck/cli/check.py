@@ -2,6 +2,7 @@
 
 import argparse
 import shlex
+from importlib.util import find_spec
 
 from spotcheck import configuration, dataset
 from spotcheck.crops import check_dataset
@@ -30,6 +31,7 @@ def run(args: argparse.Namespace) -> None:
     for remark in (*probe.remarks, *remarks_on(found), configuration.remark_on(args.dataset)):
         if remark:
             print(remark)
-    print(
-        f"next: snakemake --cores 2 --config dataset={shlex.quote(str(args.dataset))}    (in the repository's folder)"
-    )
+    named = shlex.quote(str(found.folder.resolve()))
+    print(f"next, in the repository's folder: snakemake --cores 2 --config dataset={named} results=out")
+    if find_spec("snakemake") is None:
+        print("That needs Snakemake, which is not installed here: pip install '.[workflow]' in the repository's folder")

@@ -59,6 +59,8 @@ def run(args: argparse.Namespace) -> None:
     if rows is None:
         if found.others:
             print(f"{folder}: holds no image that is read, but {', '.join(found.others[:MOST_OTHERS])}")
+        elif folder.is_dir():
+            print(f"{folder}: holds no image")
         template.write(folder)
     else:
         print(*told(str(folder), found, rows), sep="\n")

@@ -11,6 +11,7 @@ import numpy as np
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.levels import Level
 from spotcheck.estimate.plus_minus import plus_minus
+from spotcheck.instrument import Instrument
 
 # Darks that last this many times as long as the longest frame they serve hold dark current that it has not: more than
 # half of theirs.
@@ -121,7 +122,14 @@ def differ(sheet: Told, other: Told, factor: float) -> bool:
     return high - low > SURELY * error and high > factor * low
 
 
-def in_sources(sheet: Mapping[str, Told], flats: Mapping[str, Told], spots: Mapping[str, Told]) -> list[Contradiction]:
+def _stated(instrument: Instrument, name: str, value: float) -> str:
+    """What a key of the sensor says, and in which file."""
+    return f"{instrument.file_of(f'sensor.{name}')}: sensor.{name} is {value:g}"
+
+
+def in_sources(
+    instrument: Instrument, sheet: Mapping[str, Told], flats: Mapping[str, Told], spots: Mapping[str, Told]
+) -> list[Contradiction]:
     """Keys of the data sheet that flats and darks, or else spots, contradict. Spots may be wrong themselves: what they
     contradict stands."""
     out = []
@@ -136,7 +144,7 @@ def in_sources(sheet: Mapping[str, Told], flats: Mapping[str, Told], spots: Mapp
             continue
         right = _right(name, own, other, gain)
         why = (
-            f"instrument.yaml: sensor.{name} is {own.value:g}, but {source}"
+            f"{_stated(instrument, name, own.value)}, but {source}"
             f" {plus_minus(other.value, np.nan_to_num(other.stderr))}{right}"
         )
         out.append(Contradiction(why, (name,) if name in flats and name in SPOILED else ()))
@@ -152,12 +160,12 @@ def _right(name: str, own: Told, other: Told, gain: Told | None) -> str:
     return ""
 
 
-def black_too_high(sheet: Told | None, darkest_dn: float) -> Contradiction | None:
+def black_too_high(instrument: Instrument, sheet: Told | None, darkest_dn: float) -> Contradiction | None:
     """Whether frames read less than the black level of the data sheet: light only adds."""
     if sheet is None or not sheet.value > darkest_dn + BELOW_BLACK_DN + SURELY * np.nan_to_num(sheet.stderr):
         return None
     return Contradiction(
-        f"instrument.yaml: sensor.black_level_dn is {sheet.value:g}, but a frame reads {darkest_dn:.4g} DN in most of"
+        f"{_stated(instrument, 'black_level_dn', sheet.value)}, but a frame reads {darkest_dn:.4g} DN in most of"
         " its pixels, and light only adds; it must be what the sensor reads without light",
         ("black_level_dn",),
     )
@@ -166,14 +174,15 @@ def black_too_high(sheet: Told | None, darkest_dn: float) -> Contradiction | Non
 def in_numbers(dataset: Dataset, gain: float, black: Told, end_dn: float, highest_dn: float) -> list[Contradiction]:
     """What the keys of the data sheet contradict in each other, and in the highest reading [DN] (NaN: not known), at
     the gain and the black level that the chain runs on."""
-    given, out = dataset.instrument.sensor, list[Contradiction]()
+    sheet, out = dataset.instrument, list[Contradiction]()
+    given = sheet.sensor
     if not np.isfinite(gain):
         return out
     if given.full_well_e is not None:
         well_dn = black.value + gain * given.full_well_e
         if highest_dn > well_dn + BELOW_BLACK_DN + SURELY * gain * np.sqrt(given.full_well_e):
             why = (
-                f"instrument.yaml: sensor.full_well_e is {given.full_well_e:g}, which is {well_dn:.4g} DN at a gain of"
+                f"{_stated(sheet, 'full_well_e', given.full_well_e)}, which is {well_dn:.4g} DN at a gain of"
                 f" {gain:.4g} DN/e-, but frames read up to {highest_dn:g} DN; the well must be at least"
                 f" {(highest_dn - black.value) / gain:.5g} e-"
             )
@@ -181,7 +190,7 @@ def in_numbers(dataset: Dataset, gain: float, black: Told, end_dn: float, highes
     if given.read_noise_e is not None and 0 < gain * given.read_noise_e < ROUNDING_DN:
         noise_dn = gain * given.read_noise_e
         why = (
-            f"instrument.yaml: sensor.read_noise_e is {given.read_noise_e:g}, which is {noise_dn:.2g} DN"
+            f"{_stated(sheet, 'read_noise_e', given.read_noise_e)}, which is {noise_dn:.2g} DN"
             f" at a gain of {gain:.4g} DN/e-: rounding adds {ROUNDING_DN:.2g} DN and hides it"
         )
         out.append(Contradiction(why))
@@ -189,7 +198,7 @@ def in_numbers(dataset: Dataset, gain: float, black: Told, end_dn: float, highes
     dark_dn = gain * given.dark_current_e_per_s * longest
     if black.value + dark_dn > end_dn:
         why = (
-            f"instrument.yaml: sensor.dark_current_e_per_s is {given.dark_current_e_per_s:g}, which in {longest:g} s is"
+            f"{_stated(sheet, 'dark_current_e_per_s', given.dark_current_e_per_s)}, which in {longest:g} s is"
             f" {dark_dn:.4g} DN without any light, above the full scale of {end_dn:g} DN"
         )
         out.append(Contradiction(why))

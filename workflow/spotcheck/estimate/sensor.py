@@ -111,7 +111,7 @@ def resolve(
     given = dataset.instrument
     found = _by_sheet(given)
     remarks = _add_flats(found, dataset, darks, measured or {})
-    too_high = black_too_high(_told(found, SHEET).get("black_level_dn"), darks.darkest)
+    too_high = black_too_high(dataset.instrument, _told(found, SHEET).get("black_level_dn"), darks.darkest)
     against = [too_high] if too_high else []
     if too_high:
         found["black_level_dn"][SHEET] = found["black_level_dn"][SHEET]._replace(refused=too_high.sentence)
@@ -119,7 +119,7 @@ def resolve(
     known = None if np.isnan(black) else black
     seen = seen_by_spots(crops, pairs or {}, known, end.reading, given.sensor.response_bend)
     _add_spots(found, seen, np.isnan(black), given.model.top_hat)
-    against += in_sources(*(_told(found, source) for source in SOURCES))
+    against += in_sources(dataset.instrument, *(_told(found, source) for source in SOURCES))
     gain, level = (
         _first(found["gain_dn_per_e"], None).value,
         _first(found["black_level_dn"], given.sensor.black_level_dn),

@@ -168,7 +168,7 @@ def _positions(
         return [None] * len(images), []
     first = next(label for image in images if (label := (image.labels or {}).get(Z)) is not None)
     source, without = first.where, found.count(None)
-    return found, [f"z: by the {source}" + (f"; {without} images have none" if without else "")]
+    return found, [f"z: by the {source}" + (f"; images without: {without}" if without else "")]
 
 
 def _looked(images: Sequence[Image], positions: Sequence[float | None]) -> tuple[list[Camera], list[Seen]]:

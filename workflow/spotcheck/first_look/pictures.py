@@ -26,7 +26,9 @@ def spot(one: Seen) -> style.Drawing:
     fit, own, picture = one.fit, one.moments, one.picture
     extent = picture.extent
     # The root shows faint light beside the spot as well.
-    norm = PowerNorm(0.5, vmin=min(float(fit.offset), one.highest_dn - 1), vmax=one.highest_dn, clip=True)
+    norm = PowerNorm(
+        0.5, vmin=min(float(fit.offset), np.nextafter(one.highest_dn, -np.inf)), vmax=one.highest_dn, clip=True
+    )
     image.imshow(picture.window, cmap=style.IMAGE_MAP, extent=extent, norm=norm)
     image.grid(False)
     handles: list = []

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from spotcheck.estimate.caustic import QUANTITIES
 from spotcheck.estimate.fitted import NAMES, PARAMETERS
+from spotcheck.first_look import words
 from spotcheck.first_look.camera import Camera
 from spotcheck.first_look.scan import METHODS, Beam
 from spotcheck.first_look.seen import Seen
@@ -27,7 +28,7 @@ def plain(look: Look) -> dict[str, Any]:
         "beams": {METHODS[own.method]: _beam(own) for own in look.beams},
         "pixel_pitch_m": look.pixel_pitch_m,
         "wavelength_m": look.wavelength_m,
-        "remarks": list(look.remarks),
+        "remarks": [*words.on_beams(look), *look.remarks],
     }
     return _known(out)
 
@@ -40,7 +41,7 @@ def _image(one: Seen, pitch: float | None) -> dict[str, Any]:
         **_lengths(widths, pitch),
         "azimuth_deg": own.azimuth, "azimuth_stderr_deg": own.azimuth_stderr,
         "background_dn": own.background, "background_stderr_dn": own.background_stderr,
-        "area_inside": own.inside, "settled": own.settled, "measured": own.measured,
+        "area_inside": own.inside, "whole": own.whole, "settled": own.settled, "measured": own.measured,
     }  # fmt: skip
     return {
         "name": one.name, "rows": one.rows, "columns": one.columns, "z_m": one.z_m,
@@ -48,6 +49,7 @@ def _image(one: Seen, pitch: float | None) -> dict[str, Any]:
         "gaussian_fit": _fit(one, pitch),
         "highest_dn": one.highest_dn, "clipped_px": one.clipped_px, "stop_dn": one.stop_dn,
         "d4sigma_widened_by_clip": one.widened, "misfit_of_peak": one.misfit, "left_out": one.left_out,
+        "beware": [f"{own.sentence} {own.value}".rstrip() for own in words.beware(one)],
     }  # fmt: skip
 
 
@@ -88,13 +90,13 @@ def _beam(own: Beam) -> dict[str, Any]:
     if own.why_not:
         return {"why_not": own.why_not, "left_out": list(own.left_out)}
     axes = {}
-    for words, found in own.caustics.items():
+    for axis, found in own.caustics.items():
         numbers: dict[str, Any] = {"chi2_reduced": found.chi2_reduced, "scatter": found.scatter}
         for name, (unit, _) in QUANTITIES.items():
             numbers[f"{name}{OF_BEAM[unit]}"] = getattr(found, name)
             numbers[f"{name}_stderr{OF_BEAM[unit]}"] = getattr(found, f"{name}_stderr")
-        numbers |= {"z_m": own.z.tolist(), "radius_m": own.radius[words].tolist()}
-        axes[words] = numbers | {"radius_stderr_m": own.stderr[words].tolist()}
+        numbers |= {"z_m": own.z.tolist(), "radius_m": own.radius[axis].tolist()}
+        axes[axis] = numbers | {"radius_stderr_m": own.stderr[axis].tolist()}
     return {"axes": axes, "left_out": list(own.left_out)}
 
 

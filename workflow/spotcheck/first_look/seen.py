@@ -22,6 +22,8 @@ HALF = 0.6 * AREA
 PICTURE, POINTS = 240, 241
 # Light above and below these parts of the peak is compared where the camera's noise is unknown, and pixels that takes.
 BRIGHT, DARK, FEWEST = 0.3, 0.02, 30
+# χ² per degree of freedom up to which a light is a Gaussian within its noise, whose law is not known exactly.
+AS_NOISE = 1.1
 # Variance that grows with light by less than this part does not: errors are then 5 % off.
 GROWN = 0.1
 
@@ -110,11 +112,11 @@ def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
             pixels = pixels.copy()
             pixels[top : top + window.shape[0], left : left + window.shape[1]] = window
             moments = second_moments(pixels)
+        equal = fit_spots(np.where(window >= camera.stop_dn, np.nan, window) / step, noise, weighting="equal")
         if sensor is not None:
-            fit = _with_misfit(fit_spots(window / step, sensor))
+            fit = _with_misfit(fit_spots(window / step, sensor), equal)
         else:
-            fit = fit_spots(np.where(window >= camera.stop_dn, np.nan, window) / step, noise, weighting="equal")
-            fit = replace(_with_misfit(fit), chi2_reduced=np.asarray(np.nan))
+            fit = replace(_with_misfit(equal), chi2_reduced=np.asarray(np.nan))
         fit = _in_dn(fit, step)
         if fit.status != "not_converged":
             picture, misfit = _picture(window, fit, top, left), _misfit(window, fit, camera.stop_dn)
@@ -171,10 +173,17 @@ def _noise_by_residuals(window: np.ndarray) -> SensorModel | None:
     )
 
 
-def _with_misfit(fit: SpotFits) -> SpotFits:
-    """A fit whose errors hold what its residuals exceed the noise by."""
-    more = np.sqrt(max(float(np.nan_to_num(fit.chi2_reduced, nan=1.0)), 1.0))
-    return SpotFits(fit.value.copy(), fit.stderr * more, fit.covariance * more**2, fit.chi2_reduced, fit.flags)
+def _with_misfit(fit: SpotFits, otherwise: SpotFits | None = None) -> SpotFits:
+    """A fit whose errors hold what its residuals exceed the noise by, and of light that is no Gaussian how far a fit
+    lies that weighs pixels `otherwise`: which width is right, the light does not say."""
+    times = np.sqrt(max(float(np.nan_to_num(fit.chi2_reduced, nan=1.0)), 1.0))
+    stderr, covariance = fit.stderr * times, fit.covariance * times**2
+    if otherwise is not None and fit.chi2_reduced > AS_NOISE and otherwise.status != "not_converged":
+        apart = otherwise.value - fit.value
+        turn = NAMES.index("orientation")
+        apart[turn] = (apart[turn] + 90) % 180 - 90
+        stderr, covariance = np.hypot(stderr, apart), covariance + np.diag(apart[:7] ** 2)
+    return SpotFits(fit.value.copy(), stderr, covariance, fit.chi2_reduced, fit.flags)
 
 
 def _in_dn(fit: SpotFits, step_dn: float) -> SpotFits:

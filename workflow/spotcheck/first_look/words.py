@@ -12,19 +12,21 @@ from spotcheck.estimate.beam_axes import ROUND_RATIO
 from spotcheck.estimate.plus_minus import plus_minus as exact_plus_minus
 from spotcheck.first_look.camera import Camera
 from spotcheck.first_look.scan import Beam
-from spotcheck.first_look.seen import Seen
+from spotcheck.first_look.seen import AS_NOISE, Seen
 
 if TYPE_CHECKING:
     from spotcheck.first_look.looking import Look
 
 # A difference of widths is told beyond so many standard errors, and beyond this part of them.
 BEYOND, PART = 3.0, 0.02
-# χ² per degree of freedom up to which residuals pass for noise, which itself is known to some percent.
-AS_NOISE = 1.1
 # χ² per degree of freedom from which the light's shape, not noise, sets what a fit finds: errors are doubled there.
 NO_GAUSSIAN = 4.0
 # The clip is told where it widens D4σ by more than this part.
 FELT = 1e-3
+# Mark of a D4σ in a table whose area of integration reaches beyond the frame.
+UNCERTAIN = "*"
+# Positions that ISO 11146-1 asks for.
+STANDARD_POSITIONS = 10
 # Images that a sentence names one by one.
 MOST_NAMES = 9
 # White space between columns, width of a sheet's names, and the longest name in a table.
@@ -175,10 +177,10 @@ def beware(one: Seen) -> list[Remark]:
     if one.fit is not None and not one.fitted:
         out.append(Remark("the fit is not to be trusted, as the image does not tell a width", str(one.fit.status)))
     if one.fit is not None and one.noise_known and one.fit.chi2_reduced > NO_GAUSSIAN:
-        why = "no Gaussian, so that the fit's width depends on how it weighs pixels, by more than its error; χ²"
+        why = "no Gaussian, so that the fit's width depends on how it weighs pixels, which its error holds; χ²"
         out.append(Remark(why, f"{one.fit.chi2_reduced:.3g}"))
     if own.measured and not own.whole:
-        why = "D4σ is uncertain, as its area of integration reaches beyond the frame; part inside:"
+        why = f"{UNCERTAIN} D4σ is uncertain, as its area of integration reaches beyond the frame; part inside:"
         out.append(Remark(why, f"{100 * own.inside:.0f} %"))
     if own.measured and not own.settled:
         out.append(Remark("D4σ does not settle: it goes on changing with its area of integration"))
@@ -236,8 +238,9 @@ def table(images: Sequence[Seen], pitch: float | None) -> tuple[list[str], list[
     for one in images:
         row = [one.name if len(one.name) <= LONGEST else f"…{one.name[1 - LONGEST :]}"]
         row += ["" if one.z_m is None else f"{1e3 * one.z_m:.6g}"] if with_z else []
-        for widths in (moment_widths(one), fit_widths(one)):
-            row += [plus_minus(factor * value, factor * error) for value, error in widths]
+        beyond = UNCERTAIN if one.moments.measured and not one.moments.whole else ""
+        for widths, mark in ((moment_widths(one), beyond), (fit_widths(one), "")):
+            row += [plus_minus(factor * value, factor * error) + mark for value, error in widths]
         body.append(row + _of_fit(one))
     return head, body
 
@@ -260,12 +263,26 @@ def aligned(head: list[str], body: list[list[str]]) -> list[str]:
 
 
 def beams(look: Look) -> list[str]:
-    """M² by each method, and why the two differ where the light has wings."""
-    out = [line for own in look.beams for line in beam_lines(own)]
-    if out and any(_excess(one) > 0 for one in look.images):
+    """M² by each method, and what speaks against it."""
+    return [*(line for own in look.beams for line in beam_lines(own)), *on_beams(look)]
+
+
+def on_beams(look: Look) -> list[str]:
+    """Which M² to take where the light has wings, and whether the scan is one of the standard."""
+    out = []
+    if look.beams and any(_excess(one) > 0 for one in look.images):
         out.append(
-            "the fit passes over light beside the Gaussian, which M² after ISO 11146 counts: its M² is too small"
+            "take M² by second moments: fits pass over light beside the Gaussian, which M² after ISO 11146 counts, so"
+            " that theirs is too small"
         )
+    for found in (found for own in look.beams[:1] for found in list(own.caustics.values())[:1]):
+        away = [abs(z - found.waist_position) / found.rayleigh_length for z in set(look.beams[0].z.tolist())]
+        near, far = sum(own < 1 for own in away), sum(own > 2 for own in away)
+        if math.isfinite(found.m2) and min(near, far) < STANDARD_POSITIONS // 2:
+            out.append(
+                f"ISO 11146-1 asks for {STANDARD_POSITIONS} positions or more, half of them within one Rayleigh length"
+                f" of the waist and half beyond two; by second moments here are {len(away)}, {near} and {far}"
+            )
     return out
 
 

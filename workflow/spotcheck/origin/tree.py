@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from spotcheck import provenance, store
+from spotcheck.errors import InputError
+from spotcheck.instrument import read_instrument
 from spotcheck.origin.ask import shelf_of
 from spotcheck.origin.number import Input, Source
 from spotcheck.origin.rules import source_of
@@ -61,6 +63,7 @@ def found(results: Path, folder: Path, own: Input) -> tuple[Path | None, str]:
     or is gone."""
     noted = store.owner_of(results)
     near = [place / own.name for place in (folder, results, *([Path(noted)] if noted else []))]
+    near += [path for path in (_named(Path(noted)) if noted else []) if path.name == own.name]
     # Stages that compare take files of one name from the simulation, too.
     far = sorted(results.glob(f"*/{own.name}"))
     for path in (*near, *far):
@@ -68,6 +71,14 @@ def found(results: Path, folder: Path, own: Input) -> tuple[Path | None, str]:
             return path, ""
     changed = next((path for path in near if path.is_file()), None)
     return changed, "has changed since" if changed else "is gone"
+
+
+def _named(dataset: Path) -> list[Path]:
+    """Files that the data sheet of a dataset names, wherever they lie."""
+    try:
+        return read_instrument(dataset / "instrument.yaml").files
+    except (InputError, OSError):
+        return []
 
 
 @cache
