@@ -68,8 +68,8 @@ def test_flats_say_their_gain_first():
             "straight_line": {"value": 0.28, "stderr": 0.0014},
             "gain_dn_per_e": {"value": 0.2908, "stderr": 6e-4},
         }
-    assert spoken(plain).sure.endswith("; K is 0.2800 ± 0.0014 DN/e− by a straight line (EMVA 1288).")
-    assert "(EMVA 1288), 0.2908 ± 0.0006 DN/e− with what was added." in spoken(bent).sure
+    assert spoken(plain).sure.endswith("; the gain K is 0.2800 ± 0.0014 DN/e−, by a straight line (EMVA 1288).")
+    assert "the gain to use is 0.2908 ± 0.0006 DN/e−, with what was added; a straight" in spoken(bent).sure
     assert numbers_in(bent)["0.2908 ± 0.0006 DN/e−"] == "verdict.levels.gain_dn_per_e"
 
 

@@ -103,8 +103,9 @@ def gain_of(verdict: dict[str, Any]) -> str:
     if "levels" not in verdict:
         return ""
     line, found = (_in_dn(verdict["levels"][name]) for name in ("straight_line", "gain_dn_per_e"))
-    beside = f", {found} with what was added" if verdict["effects"] else ""
-    return f"K is {line} by a straight line (EMVA 1288){beside}"
+    if verdict["effects"]:
+        return f"the gain to use is {found}, with what was added; a straight line (EMVA 1288) would give {line}"
+    return f"the gain K is {line}, by a straight line (EMVA 1288)"
 
 
 def _in_dn(own: dict[str, Any]) -> str:
