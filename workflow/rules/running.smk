@@ -86,3 +86,9 @@ onstart:
             sys.exit(f"spotcheck: {error}")
         os.environ[running.TOKEN] = RUN
         running.end_with_jobs(RUN)
+
+
+onsuccess:
+    for name in DATASETS:
+        if (page := Path(config["results"], name, "report.html")).exists():
+            print(f"{name}: look at {page}")
