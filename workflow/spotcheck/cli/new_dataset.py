@@ -124,7 +124,10 @@ def _pair(word: str) -> tuple[str, str]:
     key, equals, value = (part.strip() for part in word.partition("="))
     keys = template.keys()
     if not equals or key not in (*LABELLED, *keys) or not value:
-        raise InputError(f"--set {word}: must be KEY=VALUE, with a KEY of {', '.join(LABELLED)} or of instrument.yaml")
+        raise InputError(
+            f"--set {word}: must be KEY=VALUE, with a KEY of {', '.join(LABELLED)} or of a number of instrument.yaml;"
+            " write others into that file"
+        )
     choices = keys.get(key, {}).get("enum", [value])
     if value not in choices:
         raise InputError(f"--set {word}: must be one of {', '.join(choices)}")
