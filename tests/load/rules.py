@@ -76,14 +76,14 @@ def rows(frames: Sequence[int], measured: Sequence[dict[str, Job]]) -> list[Row]
                            [60 * job.minutes for job in own])
         )  # fmt: skip
         said = f"{peaks} MB of {asked}; {times} s of {own[-1].asked_min:.0f} min"
-        what = f"{rule}, {', '.join(f'{count:,}' for count in frames)} frames"
+        what = f"{rule}, {' and '.join(f'{count:,}' for count in frames)} frames"
         out.append(Row(what, len(own), f"{said}{'; MORE than asked' if over else ''}"))
     return out
 
 
 def page_row(frames: Sequence[int], sizes: Sequence[int]) -> Row:
     """A row on the page of each set, by its size [byte]."""
-    what = f"report.html, {', '.join(f'{count:,}' for count in frames)} frames"
+    what = f"report.html, {' and '.join(f'{count:,}' for count in frames)} frames"
     return Row(what, len(sizes), f"{', '.join(f'{size / 1e6:.1f}' for size in sizes)} MB")
 
 

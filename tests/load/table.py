@@ -5,23 +5,34 @@ from tests.load.rows import ROOT, read
 from tests.validation.table import markdown
 
 PAGE = ROOT / "workflow" / "docs" / "load.md"
-# Programmes in the order of the page, and the target that runs each.
+# Programmes in the order of the page: title, the target that runs it, and how its lines are read.
 PROGRAMMES = {
-    "kills": ("Kills", "make load-kills"),
-    "hostile": ("Hostile input", "make load-hostile"),
-    "scale": ("Many frames, many datasets", "make load-scale"),
-    "rules": ("What each rule needs", "make load-rules"),
-    "slurm": ("A cluster", "make test-slurm"),
+    "kills": ("Kills", "make load-kills", ""),
+    "hostile": ("Hostile input", "make load-hostile", ""),
+    "scale": (
+        "Many frames, many datasets",
+        "make load-scale",
+        "Wall-clock time; how far the last lies off the straight line through those before, by processor time; memory at"
+        " its peak.",
+    ),
+    "rules": (
+        "What each rule needs",
+        "make load-rules",
+        "Memory at its peak and wall-clock time, each of what the rule asks a cluster for; both double where a job is run"
+        " again.",
+    ),
+    "slurm": ("A cluster", "make test-slurm", ""),
 }
 
 
 def page() -> str:
     """The page in Markdown."""
     lines = ["# What the workflow bears", "", "Each line was tried on two cores; its target tries it again.", ""]
-    for programme, (title, target) in PROGRAMMES.items():
+    for programme, (title, target, note) in PROGRAMMES.items():
         if rows := read(programme):
             cells = [(row.what, f"{row.tries:,}", row.happened) for row in rows]
-            lines += [f"## {title}", "", f"    {target}", "", *markdown(("what", "tries", "what happened"), cells), ""]
+            lines += [f"## {title}", "", f"    {target}", "", *([note, ""] if note else [])]
+            lines += [*markdown(("what", "tries", "what happened"), cells), ""]
     return "\n".join(lines)
 
 
