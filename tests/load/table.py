@@ -12,14 +12,14 @@ PROGRAMMES = {
     "scale": (
         "Many frames, many datasets",
         "make load-scale",
-        "Wall-clock time; how far the last lies off the straight line through those before, by processor time; memory at"
-        " its peak.",
+        "Wall-clock time; how far the last lies off the straight line through those before, by processor time; memory"
+        " at its peak.",
     ),
     "rules": (
         "What each rule needs",
         "make load-rules",
-        "Memory at its peak and wall-clock time, each of what the rule asks a cluster for; both double where a job is run"
-        " again.",
+        "Memory at its peak and wall-clock time, each of what the rule asks a cluster for; both double where a job"
+        " is run again.",
     ),
     "slurm": ("A cluster", "make test-slurm", ""),
 }
