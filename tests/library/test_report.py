@@ -77,7 +77,7 @@ def test_the_gap_is_shown_where_there_is_one():
     found = gap_of(verdict_of("one"))
     assert found is not None
     assert [(name, text) for name, _, text, _ in found.numbers] == [
-        ("before", "9.00"), ("after", "1.01"), ("scatter alone", "1.00")
+        ("before", "9.00"), ("after", "1.01"), ("scatter of the frames", "1.00")
     ]  # fmt: skip
     assert gap_of(verdict_of("one, no frames apart")) is None
 

@@ -349,8 +349,8 @@ def _on_quality(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
         ]
     if low := below(1.0):
         return [
-            f"M² is below 1 ({low}): fits pass over light beside the Gaussian, which M² after ISO 11146 counts, as"
-            " `spotcheck look` does"
+            f"M² is below 1 ({low}), so do not quote it: fits pass over light beside the Gaussian, which M² after ISO"
+            " 11146 counts; take that by second moments, which `spotcheck look` gives"
         ]
     return []
 

@@ -4,7 +4,7 @@
 
 // What changes the page's colours: a dark ground, and paper.
 const GROUNDS = [matchMedia("(prefers-color-scheme: dark)"), matchMedia("print")];
-const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "toImage"] };
+const CONFIG = { responsive: true, displaylogo: false, displayModeBar: innerWidth < 500 ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "toImage"] };
 
 /** A colour of the page by its name in page.css. */
 function colour(name) {

@@ -10,7 +10,7 @@ from spotcheck.pages.plots import figure
 SHOWN = {
     "before": ("before", "simulated"),
     "after": ("after", "measured"),
-    "noise_floor": ("scatter alone", "ink"),
+    "noise_floor": ("scatter of the frames", "ink"),
 }
 
 

@@ -131,11 +131,10 @@ def measure_next(verdict: dict[str, Any]) -> str:
         return f"No measurement can be advised, for no known effect predicts one{shows}."
     if status == "named_more_remains" and left is not None:
         seen = [own["effect"] for own in verdict["limits"] if own["more"] == ALREADY][:MOST_LIKE]
-        unnamed = "none of which could be named" if len(seen) > 1 else "which could not be named"
-        like = f"{list_text(seen)}, {unnamed}" if seen else "no known effect"
+        none = "none of them explains it" if len(seen) > 1 else "it does not explain it"
+        like = f"nearest come {list_text(seen)}, but {none}" if seen else "no known effect comes near"
         return (
-            f"What is named needs no further measurement; {percent_text(left)} of the peak stays unexplained:"
-            f" it looks like {like}."
+            f"What is named needs no further measurement; {percent_text(left)} of the peak stays unexplained: {like}."
         )
     if status == "consistent":
         return "Nothing more is needed; further frames would only tighten the limits on what does not show."

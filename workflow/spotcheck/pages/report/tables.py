@@ -315,7 +315,7 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
         "shifts": shifts,
         "places": [
             (own["words"], cite(number_text(own["z"]), f"verdict.where.{k}.z"))
-            for k, own in enumerate(verdict["where"])
+            for k, own in sorted(enumerate(verdict["where"]), key=lambda place: -abs(place[1]["z"]))
         ],
         "limits": limits,
         "advice": [(own["frames"], condition_text(own["condition"]), own["separates"]) for own in verdict["advice"]],
