@@ -101,8 +101,7 @@ def manifest(wildcards):
 
 def instrument(wildcards):
     """Its data sheet, if there is one, and the files that it names: a shared one, the light's profile, a mask."""
-    path, found = Path(dataset_folder(wildcards), "instrument.yaml"), DATASETS[wildcards.dataset].instrument
-    return [str(own) for own in (path, *found.files) if own.exists()]
+    return [str(own) for own in DATASETS[wildcards.dataset].sheets if own.exists()]
 
 
 def frames(wildcards):

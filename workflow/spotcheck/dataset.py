@@ -75,6 +75,11 @@ class Dataset:
         return self.folder.name
 
     @property
+    def sheets(self) -> list[Path]:
+        """instrument.yaml, whether it is there or not, and the files that it names."""
+        return [self.folder / "instrument.yaml", *self.instrument.files]
+
+    @property
     def title(self) -> str:
         """What a person calls it."""
         return self.instrument.name or self.name

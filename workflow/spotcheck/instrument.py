@@ -138,9 +138,9 @@ class Instrument:
 
     def source(self, key: str) -> str:
         """Where the value of a key such as "sensor.gain_dn_per_e" comes from: `DEFAULT`, or the name of a file."""
-        if key in self.shared and self.based_on:
-            return f"{Path(self.based_on).name}, on which instrument.yaml is based"
-        return "instrument.yaml" if key in self.given else DEFAULT
+        if key not in self.given:
+            return DEFAULT
+        return self.file_of(key) + (", on which instrument.yaml is based" if key in self.shared else "")
 
     @property
     def files(self) -> list[Path]:

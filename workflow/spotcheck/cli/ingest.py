@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> None:
     """Check the dataset, decode every frame once, record what it is."""
     found = dataset.load(args.dataset)
     table = crops.ingest(found, seen.recall(seen.memory_of(Path(args.output).parent)))
-    inputs = [found.folder / "manifest.csv", found.folder / "instrument.yaml", *found.instrument.files]
+    inputs = [found.folder / "manifest.csv", *found.sheets]
     store.write(table, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     print(f"{found.name}: {table.sizes['frame']} frames recorded")
     for remark in store.remarks_of(table):

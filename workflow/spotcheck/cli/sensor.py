@@ -46,8 +46,7 @@ def run(args: argparse.Namespace) -> None:
         pairs = {"exposures of a site": pairs_along(own, "exposure"), "repeats": pairs_along(own, "repeat")}
         highest = float(table["maximum"].max())
         settled = sensor.resolve(found, crops.end_in(table), usable, dark, measured, pairs, highest)
-    sheets = [found.folder / "instrument.yaml", *found.instrument.files]
-    inputs = [args.crops, args.frames, *args.transfer, *sheets]
+    inputs = [args.crops, args.frames, *args.transfer, *found.sheets]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:
         print(f"{name} = {float(settled[name]):.4g} {settled[name].attrs['units']} ({settled[name].attrs['source']})")

@@ -122,7 +122,7 @@ def differ(sheet: Told, other: Told, factor: float) -> bool:
     return high - low > SURELY * error and high > factor * low
 
 
-def _stated(instrument: Instrument, name: str, value: float) -> str:
+def stated(instrument: Instrument, name: str, value: float) -> str:
     """What a key of the sensor says, and in which file."""
     return f"{instrument.file_of(f'sensor.{name}')}: sensor.{name} is {value:g}"
 
@@ -144,7 +144,7 @@ def in_sources(
             continue
         right = _right(name, own, other, gain)
         why = (
-            f"{_stated(instrument, name, own.value)}, but {source}"
+            f"{stated(instrument, name, own.value)}, but {source}"
             f" {plus_minus(other.value, np.nan_to_num(other.stderr))}{right}"
         )
         out.append(Contradiction(why, (name,) if name in flats and name in SPOILED else ()))
@@ -165,7 +165,7 @@ def black_too_high(instrument: Instrument, sheet: Told | None, darkest_dn: float
     if sheet is None or not sheet.value > darkest_dn + BELOW_BLACK_DN + SURELY * np.nan_to_num(sheet.stderr):
         return None
     return Contradiction(
-        f"{_stated(instrument, 'black_level_dn', sheet.value)}, but a frame reads {darkest_dn:.4g} DN in most of"
+        f"{stated(instrument, 'black_level_dn', sheet.value)}, but a frame reads {darkest_dn:.4g} DN in most of"
         " its pixels, and light only adds; it must be what the sensor reads without light",
         ("black_level_dn",),
     )
@@ -182,7 +182,7 @@ def in_numbers(dataset: Dataset, gain: float, black: Told, end_dn: float, highes
         well_dn = black.value + gain * given.full_well_e
         if highest_dn > well_dn + BELOW_BLACK_DN + SURELY * gain * np.sqrt(given.full_well_e):
             why = (
-                f"{_stated(sheet, 'full_well_e', given.full_well_e)}, which is {well_dn:.4g} DN at a gain of"
+                f"{stated(sheet, 'full_well_e', given.full_well_e)}, which is {well_dn:.4g} DN at a gain of"
                 f" {gain:.4g} DN/e-, but frames read up to {highest_dn:g} DN; the well must be at least"
                 f" {(highest_dn - black.value) / gain:.5g} e-"
             )
@@ -190,7 +190,7 @@ def in_numbers(dataset: Dataset, gain: float, black: Told, end_dn: float, highes
     if given.read_noise_e is not None and 0 < gain * given.read_noise_e < ROUNDING_DN:
         noise_dn = gain * given.read_noise_e
         why = (
-            f"{_stated(sheet, 'read_noise_e', given.read_noise_e)}, which is {noise_dn:.2g} DN"
+            f"{stated(sheet, 'read_noise_e', given.read_noise_e)}, which is {noise_dn:.2g} DN"
             f" at a gain of {gain:.4g} DN/e-: rounding adds {ROUNDING_DN:.2g} DN and hides it"
         )
         out.append(Contradiction(why))
@@ -198,7 +198,7 @@ def in_numbers(dataset: Dataset, gain: float, black: Told, end_dn: float, highes
     dark_dn = gain * given.dark_current_e_per_s * longest
     if black.value + dark_dn > end_dn:
         why = (
-            f"{_stated(sheet, 'dark_current_e_per_s', given.dark_current_e_per_s)}, which in {longest:g} s is"
+            f"{stated(sheet, 'dark_current_e_per_s', given.dark_current_e_per_s)}, which in {longest:g} s is"
             f" {dark_dn:.4g} DN without any light, above the full scale of {end_dn:g} DN"
         )
         out.append(Contradiction(why))

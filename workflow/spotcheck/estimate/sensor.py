@@ -11,7 +11,7 @@ from spotcheck import store
 from spotcheck.clip import End
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.by_spots import BySpots, seen_by_spots
-from spotcheck.estimate.consistent import SURELY, Told, black_too_high, in_numbers, in_sources, too_long
+from spotcheck.estimate.consistent import SURELY, Told, black_too_high, in_numbers, in_sources, stated, too_long
 from spotcheck.estimate.noise_curve import ENDS
 from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.frames import Surround
@@ -185,11 +185,11 @@ def _add_flats(
         for name in ("black_level_dn", "dark_current_e_per_s"):
             found[name].pop(FLATS, None)
     if FLATS not in current and SHEET in current and times["dark"]:
-        remarks += _without_current(found, min(times["dark"]))
+        remarks += _without_current(found, dataset.instrument, min(times["dark"]))
     return remarks
 
 
-def _without_current(found: dict[str, dict[str, Found]], exposure_s: float) -> list[str]:
+def _without_current(found: dict[str, dict[str, Found]], instrument: Instrument, exposure_s: float) -> list[str]:
     """Take the dark current of the data sheet off what the shortest darks read; a remark where they hold less."""
     electrons, gain = (
         found["dark_current_e_per_s"][SHEET].value * exposure_s,
@@ -209,7 +209,7 @@ def _without_current(found: dict[str, dict[str, Found]], exposure_s: float) -> l
     for name in ("black_level_dn", "read_noise_e"):
         found[name].pop(FLATS, None)
     return [
-        f"instrument.yaml: sensor.dark_current_e_per_s is {electrons / exposure_s:g}, which is {electrons:.4g} e- in"
+        f"{stated(instrument, 'dark_current_e_per_s', electrons / exposure_s)}, which is {electrons:.4g} e- in"
         f" darks of {exposure_s:g} s, but these have {' and '.join(too_much)} only"
     ]
 

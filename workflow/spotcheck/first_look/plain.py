@@ -49,7 +49,7 @@ def _image(one: Seen, pitch: float | None) -> dict[str, Any]:
         "gaussian_fit": _fit(one, pitch),
         "highest_dn": one.highest_dn, "clipped_px": one.clipped_px, "stop_dn": one.stop_dn,
         "d4sigma_widened_by_clip": one.widened, "misfit_of_peak": one.misfit, "left_out": one.left_out,
-        "beware": [f"{own.sentence} {own.value}".rstrip() for own in words.beware(one)],
+        "beware": [words.said(own) for own in words.beware(one)],
     }  # fmt: skip
 
 

@@ -105,19 +105,14 @@ def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
         top, left, window = _window(pixels, moments)
         sensor = camera.sensor(pixels)
         step = camera.step_dn
-        noise = sensor or _noise_by_residuals(np.where(window >= camera.stop_dn, np.nan, window) / step)
+        noise = sensor or _noise_by_residuals(_below_stop(window, camera) / step)
         if noise is not None and (odd := odd_pixels(window / step, noise)).mask.any():
             left_out = odd.sentence(left, top)
             window = np.where(odd.mask, np.nan, window)
             pixels = pixels.copy()
             pixels[top : top + window.shape[0], left : left + window.shape[1]] = window
             moments = second_moments(pixels)
-        equal = fit_spots(np.where(window >= camera.stop_dn, np.nan, window) / step, noise, weighting="equal")
-        if sensor is not None:
-            fit = _with_misfit(fit_spots(window / step, sensor), equal)
-        else:
-            fit = replace(_with_misfit(equal), chi2_reduced=np.asarray(np.nan))
-        fit = _in_dn(fit, step)
+        fit = _fitted(window, camera, sensor, noise)
         if fit.status != "not_converged":
             picture, misfit = _picture(window, fit, top, left), _misfit(window, fit, camera.stop_dn)
             fit.value[1] += left
@@ -149,6 +144,23 @@ def _window(pixels: np.ndarray, moments: Moments) -> tuple[int, int, np.ndarray]
     return top, left, pixels[top : int(moments.y + half) + 2, left : int(moments.x + half) + 2]
 
 
+def _fitted(window: np.ndarray, camera: Camera, sensor: SensorModel | None, noise: SensorModel | None) -> SpotFits:
+    """The Gaussian fit of a window: by the sensor's law where that is known, else with equal weights."""
+
+    def equal() -> SpotFits:
+        return fit_spots(_below_stop(window, camera) / camera.step_dn, noise, weighting="equal")
+
+    if sensor is None:
+        return _in_dn(replace(_with_misfit(equal()), chi2_reduced=np.asarray(np.nan)), camera.step_dn)
+    fit = fit_spots(window / camera.step_dn, sensor)
+    return _in_dn(_with_misfit(fit, equal() if fit.chi2_reduced > AS_NOISE else None), camera.step_dn)
+
+
+def _below_stop(window: np.ndarray, camera: Camera) -> np.ndarray:
+    """The window, NaN where the image stops."""
+    return np.where(window >= camera.stop_dn, np.nan, window)
+
+
 def _noise_by_residuals(window: np.ndarray) -> SensorModel | None:
     """A law of noise that grows with light by the residuals of a fit, for its errors alone; None where it does not
     grow, or is finer than whole numbers. Medians pass over hot pixels."""
@@ -174,11 +186,11 @@ def _noise_by_residuals(window: np.ndarray) -> SensorModel | None:
 
 
 def _with_misfit(fit: SpotFits, otherwise: SpotFits | None = None) -> SpotFits:
-    """A fit whose errors hold what its residuals exceed the noise by, and of light that is no Gaussian how far a fit
-    lies that weighs pixels `otherwise`: which width is right, the light does not say."""
+    """A fit whose errors hold what its residuals exceed the noise by, and how far a fit lies that weighs pixels
+    `otherwise`: of light that is no Gaussian, nothing says which is right."""
     times = np.sqrt(max(float(np.nan_to_num(fit.chi2_reduced, nan=1.0)), 1.0))
     stderr, covariance = fit.stderr * times, fit.covariance * times**2
-    if otherwise is not None and fit.chi2_reduced > AS_NOISE and otherwise.status != "not_converged":
+    if otherwise is not None and otherwise.status != "not_converged":
         apart = otherwise.value - fit.value
         turn = NAMES.index("orientation")
         apart[turn] = (apart[turn] + 90) % 180 - 90

@@ -115,7 +115,7 @@ def rows(one: Seen, pitch: float | None) -> list[tuple[str, str]]:
         ("peak", f"{peak} over {offset}; highest reading {one.highest_dn:.5g} DN"),
         ("shape", "; ".join(shape(one))),
         ("clipped", f"{clip.value}; {clip.sentence}" if (clip := clipped(one)) else _unclipped(one)),
-        *(("beware", _said(remark)) for remark in beware(one)),
+        *(("beware", said(remark)) for remark in beware(one)),
     ]
 
 
@@ -275,10 +275,14 @@ def on_beams(look: Look) -> list[str]:
             "take M² by second moments: fits pass over light beside the Gaussian, which M² after ISO 11146 counts, so"
             " that theirs is too small"
         )
-    for found in (found for own in look.beams[:1] for found in list(own.caustics.values())[:1]):
-        away = [abs(z - found.waist_position) / found.rayleigh_length for z in set(look.beams[0].z.tolist())]
-        near, far = sum(own < 1 for own in away), sum(own > 2 for own in away)
-        if math.isfinite(found.m2) and min(near, far) < STANDARD_POSITIONS // 2:
+    # The standard is on second moments, which come first; all axes have the same positions.
+    for own in look.beams[:1]:
+        found = next(iter(own.caustics.values()), None)
+        if found is None or not math.isfinite(found.m2):
+            continue
+        away = [abs(z - found.waist_position) / found.rayleigh_length for z in set(own.z.tolist())]
+        near, far = sum(part < 1 for part in away), sum(part > 2 for part in away)
+        if min(near, far) < STANDARD_POSITIONS // 2:
             out.append(
                 f"ISO 11146-1 asks for {STANDARD_POSITIONS} positions or more, half of them within one Rayleigh length"
                 f" of the waist and half beyond two; by second moments here are {len(away)}, {near} and {far}"
@@ -311,7 +315,8 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names) if more <= 1 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
 
 
-def _said(remark: Remark) -> str:
+def said(remark: Remark) -> str:
+    """A remark on one image as a line."""
     return f"{remark.sentence} {remark.value}".rstrip()
 
 
