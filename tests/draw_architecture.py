@@ -16,7 +16,7 @@ ROOMS = {
     "cli": "one subcommand for each stage: parse, call, write",
     "first_look": "images that nobody described",
     "figures": "one module a family of figures",
-    "discrepancy": "what the model is missing: the verdict",
+    "old_engine": "what the model is missing: the verdict",
     "views": "each model beside each frame",
     "pages": "report and tables as HTML, page of effects",
     "paper": "the paper's numbers beside ours",

@@ -8,9 +8,9 @@ import json
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.verdict.written import breach_of_verdict
 from spotcheck.instrument import read_instrument
-from spotcheck.model.baseline import of_instrument
+from spotcheck.old_engine.model.baseline import of_instrument
+from spotcheck.old_engine.verdict.written import breach_of_verdict
 from tests.conftest import ROOT
 
 DATASET, RESULTS = ROOT / "data" / "virtual-rig", ROOT / "results" / "virtual-rig"

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.model import chain, effects
+from spotcheck.cli.vocabulary import set_choice
+from spotcheck.model import chain
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, Law, View
 from spotcheck.model.effect import Context, Present
@@ -22,11 +23,11 @@ from spotcheck.model.sensor import SensorModel
 @contextmanager
 def knowing(*files: Path, only: Sequence[str] = (), without: Sequence[str] = ()) -> Iterator[None]:
     """The vocabulary of a run that adds files and leaves effects out, until the end of a block."""
-    effects.choose(Choice(tuple(map(str, files)), tuple(only), tuple(without)))
+    set_choice(Choice(tuple(map(str, files)), tuple(only), tuple(without)))
     try:
         yield
     finally:
-        effects.choose()
+        set_choice(Choice())
 
 
 def written(folder: Path, name: str, text: str) -> Path:

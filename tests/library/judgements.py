@@ -4,17 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.discrepancy.conclude.detect import Detection
-from spotcheck.discrepancy.conclude.judgement import Advice, Gap, Judgement, Light, Limit, Shift
-from spotcheck.discrepancy.conclude.places import Where
-from spotcheck.discrepancy.conclude.unexplained import Unexplained
-from spotcheck.discrepancy.evidence.parts import Part
-from spotcheck.discrepancy.nuisance.sheet import Against
-from spotcheck.discrepancy.search.forward import Found
-from spotcheck.discrepancy.search.holds import Holding
-from spotcheck.model import light_shape
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.conclude.detect import Detection
+from spotcheck.old_engine.conclude.judgement import Advice, Gap, Judgement, Light, Limit, Shift
+from spotcheck.old_engine.conclude.places import Where
+from spotcheck.old_engine.conclude.unexplained import Unexplained
+from spotcheck.old_engine.evidence.parts import Part
+from spotcheck.old_engine.model import light_shape
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.nuisance.sheet import Against
+from spotcheck.old_engine.search.forward import Found
+from spotcheck.old_engine.search.holds import Holding
 
 NO_LAW = Shift(None, None, None)
 # What is told of the light.

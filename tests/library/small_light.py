@@ -3,14 +3,14 @@
 import numpy as np
 from scipy import stats
 
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit
-from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame, Lights, Model, Numbers
-from spotcheck.model import light_shape
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import View
-from spotcheck.model.effect import Context
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.model import light_shape
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import View
+from spotcheck.old_engine.model.effect import Context
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.nuisance.fit import Fitted, fit
+from spotcheck.old_engine.observe.design import Design
+from spotcheck.old_engine.observe.pixels import Frame, Lights, Model, Numbers
 
 SIDE, GAIN, NOISE, BLACK, FULL = 72, 0.11, 6.0, 12.0, 1023
 SENSOR = SensorModel(GAIN, NOISE, black_level_dn=BLACK, full_scale_dn=FULL)

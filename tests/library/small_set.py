@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from spotcheck.dataset import Dataset, load
-from spotcheck.discrepancy.observe.frames import Setting
-from spotcheck.discrepancy.observe.shots import Shot
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import Law
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import Law
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.observe.frames import Setting
+from spotcheck.old_engine.observe.shots import Shot
 from tests.library.conftest import folder
 from tests.reference.numpy_chain import draw
 

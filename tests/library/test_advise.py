@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.conclude.advise import cheapest, feasible, worth_of
-from spotcheck.discrepancy.criteria import GAIN
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.sensor import ROUNDING_VARIANCE
+from spotcheck.old_engine.conclude.advise import cheapest, feasible, worth_of
+from spotcheck.old_engine.criteria import GAIN
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.model.sensor import ROUNDING_VARIANCE
 from tests.library.small_light import EXPOSURES, NOISE, SIDE, designed, drawn, gaussian, started
 from tests.library.small_light import GAIN as K
 

@@ -16,12 +16,12 @@ import yaml
 
 from spotcheck import store
 from spotcheck.cli import main
-from spotcheck.discrepancy.observe.shots import Shot, together
-from spotcheck.discrepancy.verdict.written import breach_of_verdict
 from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
 from spotcheck.estimate.sensor import judge_darks
 from spotcheck.frames import Surround
 from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.old_engine.observe.shots import Shot, together
+from spotcheck.old_engine.verdict.written import breach_of_verdict
 from tests.library.conftest import HEADER, folder
 from tests.reference.numpy_chain import draw
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from spotcheck.discrepancy.observe.pixels import Expectation, Lights
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import Free, View, copies_of, light
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.light_shape import LightShape
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import Free, View, copies_of, light
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.model.light_shape import LightShape
+from spotcheck.old_engine.observe.pixels import Expectation, Lights
 from tests.library.small_light import drawn, started
 
 GHOST = ("ghost_reflection", "", (0.07, 9.0, -5.0))

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.nuisance.darkness import Histogram, darkness, fit_dark, kept_counts
-from spotcheck.discrepancy.observe.pixels import Around, Frame, Model, Numbers
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import View
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import View
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.nuisance.darkness import Histogram, darkness, fit_dark, kept_counts
+from spotcheck.old_engine.observe.pixels import Around, Frame, Model, Numbers
 
 DRAWS, PIXELS, HOT = 200, 5000, 2e-4
 # Gain, read noise [e-], black level [DN], mean electrons, dead zone [DN].

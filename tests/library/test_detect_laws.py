@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.conclude.detect import detect, look
-from spotcheck.discrepancy.conclude.places import place_of, places_of, scene_of
-from spotcheck.discrepancy.conclude.unexplained import unexplained
-from spotcheck.discrepancy.evidence import fields, hot, parts
-from spotcheck.discrepancy.evidence.cells import (
+from spotcheck.old_engine.conclude.detect import detect, look
+from spotcheck.old_engine.conclude.places import place_of, places_of, scene_of
+from spotcheck.old_engine.conclude.unexplained import unexplained
+from spotcheck.old_engine.evidence import fields, hot, parts
+from spotcheck.old_engine.evidence.cells import (
     NORM,
     SQUARE,
     SQUARE_NORM,
@@ -21,13 +21,13 @@ from spotcheck.discrepancy.evidence.cells import (
     pooled,
     whitened,
 )
-from spotcheck.discrepancy.evidence.windows import Window
-from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.nuisance.numbers import fit_numbers
-from spotcheck.discrepancy.observe.pixels import Lights
-from spotcheck.discrepancy.observe.readings import cumulants_of
-from spotcheck.model import light_shape
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.evidence.windows import Window
+from spotcheck.old_engine.model import light_shape
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.nuisance.fit import fit
+from spotcheck.old_engine.nuisance.numbers import fit_numbers
+from spotcheck.old_engine.observe.pixels import Lights
+from spotcheck.old_engine.observe.readings import cumulants_of
 from tests.reference.exact_law import reading_law
 from tests.reference.spot_draws import LONGEST_S, Setup, any_setup, draw
 

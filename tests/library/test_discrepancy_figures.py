@@ -14,25 +14,25 @@ from scipy import stats
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.conclude.judgement import Fits, Judgement, untested
-from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.nuisance.numbers import fit_numbers
-from spotcheck.discrepancy.observe.frames import observed
-from spotcheck.discrepancy.observe.pixels import Model, Numbers
-from spotcheck.discrepancy.observe.shots import Shot, design_of
-from spotcheck.discrepancy.search.light import PENALTY
-from spotcheck.discrepancy.verdict.document import document
-from spotcheck.discrepancy.verdict.pictures import _canvas, pictures_of
-from spotcheck.discrepancy.verdict.sentence import sentence
-from spotcheck.discrepancy.verdict.words import value_text
-from spotcheck.discrepancy.verdict.written import rounded, write_verdict
 from spotcheck.figures import answer, every_figure, style
 from spotcheck.figures.discrepancy import chosen, plan_of
 from spotcheck.figures.entry import Category
 from spotcheck.figures.results import Results, Unavailable
 from spotcheck.figures.write import write_all
-from spotcheck.model import light_shape
-from spotcheck.model.light_file import no_light, written_light
+from spotcheck.old_engine.conclude.judgement import Fits, Judgement, untested
+from spotcheck.old_engine.model import light_shape
+from spotcheck.old_engine.model.light_file import no_light, written_light
+from spotcheck.old_engine.nuisance.fit import fit
+from spotcheck.old_engine.nuisance.numbers import fit_numbers
+from spotcheck.old_engine.observe.frames import observed
+from spotcheck.old_engine.observe.pixels import Model, Numbers
+from spotcheck.old_engine.observe.shots import Shot, design_of
+from spotcheck.old_engine.search.light import PENALTY
+from spotcheck.old_engine.verdict.document import document
+from spotcheck.old_engine.verdict.pictures import _canvas, pictures_of
+from spotcheck.old_engine.verdict.sentence import sentence
+from spotcheck.old_engine.verdict.words import value_text
+from spotcheck.old_engine.verdict.written import rounded, write_verdict
 from spotcheck.pages import TEMPLATES
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report.tables import missing_of

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from spotcheck.discrepancy.nuisance import threads
+from spotcheck.old_engine.nuisance import threads
 from tests.library.test_bad_cases import CASES, judged, written
 
 

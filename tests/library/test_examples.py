@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from spotcheck import cli
-from spotcheck.model import effects
+from spotcheck.cli.vocabulary import set_choice
+from spotcheck.model.effects import chosen
 from tests.library.conftest import ROOT
 
 # Subcommands that need results of other stages as well; what brings these is run before them.
@@ -53,9 +54,9 @@ def prepared(shelf, tmp_path, monkeypatch) -> Path:
     (tmp_path / "rules.dot").write_text('digraph {\n0[label = "fit"];\n1[label = "crop"];\n1 -> 0\n}\n')
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(webbrowser, "open", lambda page: True)
-    before = effects.chosen()
+    before = chosen()
     yield tmp_path
-    effects.choose(before)
+    set_choice(before)
 
 
 def test_examples_run(prepared, capsys):

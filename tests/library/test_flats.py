@@ -4,9 +4,13 @@ no effect explains names nothing."""
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.conclude.flats import detected, judge_flats
-from spotcheck.discrepancy.observe.flats import Series, hidden, series_of
-from spotcheck.discrepancy.search.flats import (
+from spotcheck.estimate.levels import Level, Spatial, with_common_drift
+from spotcheck.estimate.photon_transfer import transfer_of
+from spotcheck.old_engine.conclude.flats import detected, judge_flats
+from spotcheck.old_engine.model.effect import NEEDS, Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.observe.flats import Series, hidden, series_of
+from spotcheck.old_engine.search.flats import (
     ASTRAY,
     Wide,
     deviance_of,
@@ -16,13 +20,9 @@ from spotcheck.discrepancy.search.flats import (
     standard_of,
     widths,
 )
-from spotcheck.discrepancy.verdict.document import document
-from spotcheck.discrepancy.verdict.sentence import sentence
-from spotcheck.discrepancy.verdict.written import breach_of_verdict, rounded
-from spotcheck.estimate.levels import Level, Spatial, with_common_drift
-from spotcheck.estimate.photon_transfer import transfer_of
-from spotcheck.model.effect import NEEDS, Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.verdict.document import document
+from spotcheck.old_engine.verdict.sentence import sentence
+from spotcheck.old_engine.verdict.written import breach_of_verdict, rounded
 
 FULL, GAIN, BLACK, NOISE, TOP, LONGEST = 4095.0, 0.3, 30.0, 9.0, 3600.0, 6e-3
 SHAPE = (480, 640)

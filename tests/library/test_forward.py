@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.evidence.pixels import by_cell, screen
-from spotcheck.discrepancy.search.forward import State, grow, outcome_of
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.evidence.pixels import by_cell, screen
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.search.forward import State, grow, outcome_of
 from tests.library.small_light import CONTEXT, designed, fitted
 
 TRIED = {"dark_offset": (1.0,), "nonlinearity": (0.02,), "excess_read_noise": (6.3,), "smear": (0.005,)}

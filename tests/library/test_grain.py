@@ -5,13 +5,20 @@ import pytest
 
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.chain import Free, View, grain_law, granular_variance, moments
+from spotcheck.model.effect import Present
+from spotcheck.model.effects import vocabulary
 from spotcheck.model.sensor import SensorModel
-from tests.library.small_set import present
 
 SENSOR = SensorModel(0.11, 13.0, 0.0, np.inf, 40.0, 4095.0)
 BASELINE = Baseline(0.0, "linear", False, 1e-3)
 LEVEL = 700.0
 SITES = 400_000
+
+
+def present(name: str, *values: float) -> Present:
+    """An effect of the vocabulary with values, in its first form."""
+    effect = vocabulary()[name]
+    return Present(effect, effect.forms[0], values)
 
 
 def at_peak(peaks) -> tuple[View, Free]:

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from spotcheck.discrepancy.evidence.influence import CELLS, FrameNumbers, as_cells_agree
-from spotcheck.discrepancy.nuisance.fit import NUMBERS
-from spotcheck.discrepancy.observe.pixels import Expectation
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.evidence.influence import CELLS, FrameNumbers, as_cells_agree
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.nuisance.fit import NUMBERS
+from spotcheck.old_engine.observe.pixels import Expectation
 from tests.library.small_light import BLACK, GAIN, NOISE, drawn, gaussian, started
 
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.evidence import accounts, components, laws, scatter
-from spotcheck.discrepancy.evidence.components import Component
-from spotcheck.discrepancy.evidence.influence import CELLS, FrameNumbers
-from spotcheck.discrepancy.observe.design import Design, missing, view_of
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import Law, spot_state
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.evidence import accounts, components, laws, scatter
+from spotcheck.old_engine.evidence.components import Component
+from spotcheck.old_engine.evidence.influence import CELLS, FrameNumbers
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import Law, spot_state
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.observe.design import Design, missing, view_of
 
 SENSOR = SensorModel(0.11, 6.0, black_level_dn=12.0, full_scale_dn=1023)
 LINEAR = Baseline(0.0, "linear", False, 9e-4)

@@ -5,18 +5,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.evidence.influence import CELLS, RADII, influence_of, numbers_of
-from spotcheck.discrepancy.evidence.laws import again, laws_of
-from spotcheck.discrepancy.evidence.pixels import AZIMUTHS, cells_of
-from spotcheck.discrepancy.nuisance.fit import contrasts, fit, sums_of
-from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.pixels import Frame, Lights, Model, Numbers
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import View
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.light_shape import empty
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.evidence.influence import CELLS, RADII, influence_of, numbers_of
+from spotcheck.old_engine.evidence.laws import again, laws_of
+from spotcheck.old_engine.evidence.pixels import AZIMUTHS, cells_of
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import View
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.model.light_shape import empty
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.nuisance.fit import contrasts, fit, sums_of
+from spotcheck.old_engine.observe.design import Design
+from spotcheck.old_engine.observe.pixels import Frame, Lights, Model, Numbers
 
 SENSOR = SensorModel(0.11, 6.0, black_level_dn=12.0, full_scale_dn=1023)
 SIDE, EXPOSURES, ANGLES, REPEATS = 80, (1e-4, 3e-4, 9e-4), (0.0, 45.0, 90.0, 135.0), 2

@@ -8,9 +8,9 @@ import pytest
 from scipy import integrate, optimize, special, stats
 
 from spotcheck import store
-from spotcheck.discrepancy.conclude.judge import lights_of
-from spotcheck.discrepancy.conclude.judgement import Light
-from spotcheck.discrepancy.conclude.light import (
+from spotcheck.old_engine.conclude.judge import lights_of
+from spotcheck.old_engine.conclude.judgement import Light
+from spotcheck.old_engine.conclude.light import (
     ALL,
     attributes_of,
     described,
@@ -21,14 +21,14 @@ from spotcheck.discrepancy.conclude.light import (
     present_of,
     through,
 )
-from spotcheck.discrepancy.conclude.modes import modes_of
-from spotcheck.discrepancy.nuisance.fit import Fitted
-from spotcheck.discrepancy.nuisance.normal import Schur
-from spotcheck.discrepancy.observe.pixels import Expectation, Lights, Model, Numbers
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import Free, View, light
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.light_file import read_light, written_light
+from spotcheck.old_engine.conclude.modes import modes_of
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import Free, View, light
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.model.light_file import read_light, written_light
+from spotcheck.old_engine.nuisance.fit import Fitted
+from spotcheck.old_engine.nuisance.normal import Schur
+from spotcheck.old_engine.observe.pixels import Expectation, Lights, Model, Numbers
 from tests.library.small_light import CONTEXT, PENALTY, SENSOR, fitted
 
 STEP, SIDE = 0.12, 87

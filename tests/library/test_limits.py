@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.conclude.judgement import TIED_WITH_SHAPE
-from spotcheck.discrepancy.conclude.limits import limits_of, of_law, of_scatter
-from spotcheck.discrepancy.conclude.reach import ONE_SIDED, reach_of_pixels
-from spotcheck.discrepancy.evidence.laws import Laws, laws_of
-from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.search.candidates import Tied
-from spotcheck.discrepancy.search.forward import Outcome
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.conclude.judgement import TIED_WITH_SHAPE
+from spotcheck.old_engine.conclude.limits import limits_of, of_law, of_scatter
+from spotcheck.old_engine.conclude.reach import ONE_SIDED, reach_of_pixels
+from spotcheck.old_engine.evidence.laws import Laws, laws_of
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.nuisance.fit import fit
+from spotcheck.old_engine.search.candidates import Tied
+from spotcheck.old_engine.search.forward import Outcome
 from tests.library import test_laws
 from tests.library.small_light import CONTEXT, GAIN, NOISE, PENALTY, SIDE, designed, drawn, gaussian, started
 

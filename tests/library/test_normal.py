@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from spotcheck.discrepancy.nuisance import normal
+from spotcheck.old_engine.nuisance import normal
 from tests.library.splines import matrix as design
 
 

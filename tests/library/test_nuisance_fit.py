@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.nuisance.fit import NUMBERS, contrasts, fit
-from spotcheck.discrepancy.nuisance.parameters import free_of, values_of
-from spotcheck.discrepancy.observe.pixels import Expectation
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.nuisance.fit import NUMBERS, contrasts, fit
+from spotcheck.old_engine.nuisance.parameters import free_of, values_of
+from spotcheck.old_engine.observe.pixels import Expectation
 from tests.library.small_light import BLACK, CONTEXT, PENALTY, SIDE, beam, drawn, fitted, gaussian, started
 
 Y, X = np.mgrid[:SIDE, :SIDE].astype(float)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.evidence.codes import gathers
-from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.nuisance.parameters import free_of, free_of_sheet
-from spotcheck.discrepancy.observe.pixels import Lights, Sheet
-from spotcheck.discrepancy.search.light import find
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.evidence.codes import gathers
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.nuisance.fit import fit
+from spotcheck.old_engine.nuisance.parameters import free_of, free_of_sheet
+from spotcheck.old_engine.observe.pixels import Lights, Sheet
+from spotcheck.old_engine.search.light import find
 from tests.library import small_light
 from tests.library.small_light import BLACK, CONTEXT, GAIN, NOISE, SENSOR, designed, drawn, started
 

@@ -11,9 +11,9 @@ import xarray as xr
 
 from spotcheck import cli, dataset, origin, store
 from spotcheck.design import simulate_dataset
-from spotcheck.discrepancy.verdict.words import value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.transfer_data import quantities_of
+from spotcheck.old_engine.verdict.words import value_text
 from spotcheck.origin.documents import of_verdict
 from spotcheck.origin.words import measured
 from spotcheck.provenance import file_digest

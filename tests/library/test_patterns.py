@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.evidence import grain, patterns
-from spotcheck.discrepancy.evidence.patterns import Variance, gathered, patterns_of, variance_of
-from spotcheck.discrepancy.evidence.pixels import Ready
-from spotcheck.discrepancy.evidence.windows import LAGS, products
-from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.evidence import grain, patterns
+from spotcheck.old_engine.evidence.patterns import Variance, gathered, patterns_of, variance_of
+from spotcheck.old_engine.evidence.pixels import Ready
+from spotcheck.old_engine.evidence.windows import LAGS, products
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.nuisance.fit import fit
 from tests.library.small_light import CONTEXT, PENALTY, beam, designed, drawn, gaussian, started
 
 SEEDS = range(6)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Model, Numbers
-from spotcheck.discrepancy.observe.readings import look_up, reading_law
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import View
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import View
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.observe.pixels import Expectation, Frame, Model, Numbers
+from spotcheck.old_engine.observe.readings import look_up, reading_law
 from tests.reference.numpy_chain import draw
 
 SENSORS = {

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.observe.readings import look_up, reading_law, through_field
-from spotcheck.model.chain import View
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.law import faint_law
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.model.chain import View
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.model.law import faint_law
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.observe.readings import look_up, reading_law, through_field
 
 ONE = np.ones((1, 1, 1))
 VIEW = View(ONE, ONE, ONE, ONE, ONE, ONE, ONE, ONE, ONE, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0)

@@ -7,9 +7,9 @@ import zlib
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.verdict.document import document
 from spotcheck.figures import style
-from spotcheck.model.sensor import SensorModel, noise_line
+from spotcheck.old_engine.model.sensor import SensorModel, noise_line
+from spotcheck.old_engine.verdict.document import document
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report import packed, ranking, tables
 from spotcheck.pages.report.gap import gap_of

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from spotcheck.discrepancy.nuisance import sheet, taken
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit
-from spotcheck.discrepancy.nuisance.sheet import against_sheet, fit_sheet
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Lights, Model, Numbers, Sheet
-from spotcheck.model import light_shape
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import View
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.model import light_shape
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import View
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.nuisance import sheet, taken
+from spotcheck.old_engine.nuisance.fit import Fitted, fit
+from spotcheck.old_engine.nuisance.sheet import against_sheet, fit_sheet
+from spotcheck.old_engine.observe.pixels import Expectation, Frame, Lights, Model, Numbers, Sheet
 from tests.library import splines
 
 TRUTH = SensorModel(0.11, 6.0, black_level_dn=12.0, full_scale_dn=1023)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.observe.design import Design
-from spotcheck.discrepancy.observe.shots import Shot, design_of, held_out, never_chose, parted
+from spotcheck.old_engine.observe.design import Design
+from spotcheck.old_engine.observe.shots import Shot, design_of, held_out, never_chose, parted
 
 
 def shot(angle=0.0, exposure=1e-4, repeat=0, order: int | None = 0, conditions=(), left=0, top=0) -> Shot:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.evidence.patterns import gathered
-from spotcheck.discrepancy.evidence.pixels import Ready
-from spotcheck.discrepancy.evidence.stripes import phases, stripes_of
-from spotcheck.discrepancy.nuisance.fit import fit
+from spotcheck.old_engine.evidence.patterns import gathered
+from spotcheck.old_engine.evidence.pixels import Ready
+from spotcheck.old_engine.evidence.stripes import phases, stripes_of
+from spotcheck.old_engine.nuisance.fit import fit
 from tests.library.small_light import CONTEXT, PENALTY, WIDTHS, beam, designed, drawn, gaussian, started
 
 PERIOD, DIRECTION, DEPTH = 9.0, 30.0, 0.05

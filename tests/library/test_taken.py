@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from spotcheck.discrepancy.nuisance import taken
-from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.observe.pixels import Expectation, Lights, told
-from spotcheck.model import light_shape
+from spotcheck.old_engine.model import light_shape
+from spotcheck.old_engine.nuisance import taken
+from spotcheck.old_engine.nuisance.fit import fit
+from spotcheck.old_engine.observe.pixels import Expectation, Lights, told
 from tests.library import splines
 from tests.library.small_light import drawn, started
 

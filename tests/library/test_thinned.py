@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.conclude.detect import looked_at
-from spotcheck.discrepancy.conclude.judge import judge
-from spotcheck.discrepancy.evidence.patterns import gathered, shared, variance_of
-from spotcheck.discrepancy.evidence.pixels import Ready
-from spotcheck.discrepancy.evidence.stripes import stripes_of
-from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.observe.frames import MOST_PIXELS, Setting, observed, thinned, whole
-from spotcheck.discrepancy.observe.shots import Shot
-from spotcheck.discrepancy.verdict.document import document
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.conclude.detect import looked_at
+from spotcheck.old_engine.conclude.judge import judge
+from spotcheck.old_engine.evidence.patterns import gathered, shared, variance_of
+from spotcheck.old_engine.evidence.pixels import Ready
+from spotcheck.old_engine.evidence.stripes import stripes_of
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.nuisance.fit import fit
+from spotcheck.old_engine.observe.frames import MOST_PIXELS, Setting, observed, thinned, whole
+from spotcheck.old_engine.observe.shots import Shot
+from spotcheck.old_engine.verdict.document import document
 from tests.library.small_light import CONTEXT, FULL, GAIN, NOISE, PENALTY, SENSOR, designed, drawn, gaussian, started
 
 STEP = 2

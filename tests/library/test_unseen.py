@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.conclude.unseen import unseen
-from spotcheck.discrepancy.nuisance.fit import fit
-from spotcheck.discrepancy.nuisance.parameters import free_of
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.conclude.unseen import unseen
+from spotcheck.old_engine.model.effect import Present
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.nuisance.fit import fit
+from spotcheck.old_engine.nuisance.parameters import free_of
 from tests.library.small_light import CONTEXT, PENALTY, designed, drawn, fitted, started
 
 

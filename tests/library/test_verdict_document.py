@@ -1,24 +1,22 @@
 """verdict.json, version 3: every status keeps the contract, and its numbers mean what they say."""
 
-import ast
 import json
 from collections import namedtuple
 
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.conclude.judgement import TIED_WITH_SHAPE, Limit
-from spotcheck.discrepancy.search.holds import Holding
-from spotcheck.discrepancy.verdict.document import LIGHT, NOT_FORETOLD, document, limit_row, weights_of
-from spotcheck.discrepancy.verdict.sentence import sentence
-from spotcheck.discrepancy.verdict.words import limits_text
-from spotcheck.discrepancy.verdict.written import breach_of_verdict, rounded, write_verdict
-from spotcheck.model.effect import Parameter
-from spotcheck.model.effects import built_in
+from spotcheck.old_engine import criteria
+from spotcheck.old_engine.conclude.judgement import TIED_WITH_SHAPE, Limit
+from spotcheck.old_engine.model.effect import Parameter
+from spotcheck.old_engine.model.effects import built_in
+from spotcheck.old_engine.search.holds import Holding
+from spotcheck.old_engine.verdict.document import LIGHT, NOT_FORETOLD, document, limit_row, weights_of
+from spotcheck.old_engine.verdict.sentence import sentence
+from spotcheck.old_engine.verdict.words import limits_text
+from spotcheck.old_engine.verdict.written import breach_of_verdict, rounded, write_verdict
 from spotcheck.schema import read_schema
 from spotcheck.store import ContractError
-from tests.library.conftest import ROOT
 from tests.library.judgements import (
     BEND,
     CLIP,
@@ -279,16 +277,6 @@ def test_the_table_reads_it():
     assert score.wrong(record("light", light="real")) == set() and score.wrong(record("light")) == {LIGHT}
     figures = score.of_nulls([record("agreed")], [])
     assert [own.value for own in figures if own.name.startswith("null sets: false")] == [0.0]
-
-
-def test_the_room_imports_no_file_beside_the_rooms():
-    rooms = {"criteria", "observe", "nuisance", "evidence", "search", "conclude", "answer"}
-    folder = ROOT / "workflow" / "spotcheck" / "discrepancy" / "answer"
-    for path in folder.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("spotcheck.discrepancy"):
-                parts = (node.module or "").split(".")
-                assert {parts[2]} <= rooms if len(parts) > 2 else {own.name for own in node.names} <= rooms
 
 
 LIMITS = {

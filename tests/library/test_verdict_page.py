@@ -2,9 +2,9 @@
 
 import re
 
-from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.verdict.document import document
-from spotcheck.discrepancy.verdict.sentence import sentence
+from spotcheck.old_engine import criteria
+from spotcheck.old_engine.verdict.document import document
+from spotcheck.old_engine.verdict.sentence import sentence
 from spotcheck.schema import read_schema
 from tests.library.conftest import ROOT
 from tests.library.judgements import JUDGEMENTS, WORDS

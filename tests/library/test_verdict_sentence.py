@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from spotcheck.discrepancy.verdict.document import document
-from spotcheck.discrepancy.verdict.sentence import sentence
-from spotcheck.discrepancy.verdict.words import condition_text, percent_text, probability_text, value_text
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.verdict.document import document
+from spotcheck.old_engine.verdict.sentence import sentence
+from spotcheck.old_engine.verdict.words import condition_text, percent_text, probability_text, value_text
 from tests.library.judgements import (
     BEND,
     CLIP,

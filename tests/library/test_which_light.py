@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.observe.frames import round_spot
-from spotcheck.discrepancy.observe.pixels import Numbers
-from spotcheck.discrepancy.search.light import find
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.effects import vocabulary
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.effects import vocabulary
+from spotcheck.old_engine.observe.frames import round_spot
+from spotcheck.old_engine.observe.pixels import Numbers
+from spotcheck.old_engine.search.light import find
 from tests.library.small_light import BLACK, CONTEXT, SENSOR, beam, designed, drawn, gaussian, started
 
 GAUSSIAN = Baseline(0.0, "free", False, 1.0)

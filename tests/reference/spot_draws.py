@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.discrepancy.observe.pixels import Frame, Model, Numbers
-from spotcheck.model.baseline import Baseline
-from spotcheck.model.chain import View
-from spotcheck.model.sensor import SensorModel
+from spotcheck.old_engine.model.baseline import Baseline
+from spotcheck.old_engine.model.chain import View
+from spotcheck.old_engine.model.sensor import SensorModel
+from spotcheck.old_engine.observe.pixels import Frame, Model, Numbers
 
 FULL_SCALE = 1023.0
 LONGEST_S = 9e-4

@@ -11,11 +11,11 @@ from collections import defaultdict
 import numpy as np
 from scipy import stats
 
-from spotcheck.discrepancy.conclude.detect import Detection, detect
-from spotcheck.discrepancy.nuisance.fit import Fitted, fit
-from spotcheck.discrepancy.nuisance.numbers import fit_numbers
-from spotcheck.discrepancy.observe.pixels import Lights
-from spotcheck.model import light_shape
+from spotcheck.old_engine.conclude.detect import Detection, detect
+from spotcheck.old_engine.model import light_shape
+from spotcheck.old_engine.nuisance.fit import Fitted, fit
+from spotcheck.old_engine.nuisance.numbers import fit_numbers
+from spotcheck.old_engine.observe.pixels import Lights
 from tests.reference.spot_draws import Setup, any_setup, draw
 
 STRANGE = {

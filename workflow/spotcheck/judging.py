@@ -11,7 +11,7 @@ from typing import Any
 from spotcheck import cli, store
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import Dataset, load
-from spotcheck.model.effects import Choice, choose, chosen
+from spotcheck.model.effects import Choice, chosen
 
 # Subcommands that take a vocabulary.
 OF_THE_VERDICT = ("flats", "judge")
@@ -36,7 +36,8 @@ def judge_dataset(
     folder : dataset folder, with manifest.csv, instrument.yaml and frames.
     results : folder of results. All files go to a folder in it that is named like the dataset, among them verdict.json,
         model.yaml (which `simulate_dataset` takes) and discrepancy.nc. By default everything is temporary.
-    effects : Python files that each add an effect to the vocabulary, as docs/effects.md tells.
+    effects : Python files that each add an effect to the vocabulary, as docs/effects.md tells. In this version they are
+        simulated but not searched for, and the verdict says so.
     only, without : the only effects to know, or effects to leave out, by name.
 
     Returns
@@ -75,7 +76,7 @@ def judge_dataset(
                 with redirect_stdout(io.StringIO()):
                     cli.run([command, str(dataset.folder), *words])
         finally:
-            choose(before)
+            vocabulary.set_choice(before)
         return json.loads((out / "verdict.json").read_text(encoding="utf-8"))
 
 

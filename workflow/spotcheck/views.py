@@ -14,18 +14,18 @@ import xarray as xr
 
 from spotcheck import progress, simulation, store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.nuisance.numbers import Numbered, fit_numbers
-from spotcheck.discrepancy.observe.frames import Setting, whole
-from spotcheck.discrepancy.observe.pixels import Expectation, Frame, Lights, Model, Numbers
-from spotcheck.discrepancy.observe.shots import Shot
-from spotcheck.discrepancy.verdict.extended import site_of_shot
 from spotcheck.estimate.fits import preferred
-from spotcheck.model import chain
-from spotcheck.model.baseline import Baseline, of_instrument
-from spotcheck.model.chain import Free, View
-from spotcheck.model.effect import Place, Present
-from spotcheck.model.extended import Extended, Site
-from spotcheck.model.sensor import NoiseLine, SensorModel, noise_line, reading
+from spotcheck.old_engine.model import chain
+from spotcheck.old_engine.model.baseline import Baseline, of_instrument
+from spotcheck.old_engine.model.chain import Free, View
+from spotcheck.old_engine.model.effect import Place, Present
+from spotcheck.old_engine.model.extended import Extended, Site
+from spotcheck.old_engine.model.sensor import NoiseLine, SensorModel, noise_line, reading
+from spotcheck.old_engine.nuisance.numbers import Numbered, fit_numbers
+from spotcheck.old_engine.observe.frames import Setting, whole
+from spotcheck.old_engine.observe.pixels import Expectation, Frame, Lights, Model, Numbers
+from spotcheck.old_engine.observe.shots import Shot
+from spotcheck.old_engine.verdict.extended import site_of_shot
 
 # Readings are kept in steps of a power of two [DN], of which full scale has no more than this: the last number of 16
 # bits stands for NaN.

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spotcheck.adoption.learned import Learned
-from spotcheck.discrepancy.criteria import STATED
 from spotcheck.estimate.sensor import SPOTS
 from spotcheck.instrument import SECTIONS, Instrument
+from spotcheck.old_engine.criteria import STATED
 from spotcheck.schema import breach_of
 
 

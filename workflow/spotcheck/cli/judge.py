@@ -5,18 +5,18 @@ import argparse
 from spotcheck import dataset, progress, provenance, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import open_set, tolerance_of
-from spotcheck.discrepancy.conclude.judge import judge
-from spotcheck.discrepancy.conclude.judgement import untested
-from spotcheck.discrepancy.conclude.light import attributes_of, described, described_by_pose
-from spotcheck.discrepancy.conclude.modes import modes_of
-from spotcheck.discrepancy.verdict.document import document
-from spotcheck.discrepancy.verdict.extended import extended_of
-from spotcheck.discrepancy.verdict.pictures import pictures_of
-from spotcheck.discrepancy.verdict.sentence import sentence
-from spotcheck.discrepancy.verdict.written import write_verdict
-from spotcheck.model import effects
-from spotcheck.model.extended import no_model, text_of
-from spotcheck.model.light_file import no_light, written_light
+from spotcheck.old_engine.boundary import effects_to_search, remark_on_files
+from spotcheck.old_engine.conclude.judge import judge
+from spotcheck.old_engine.conclude.judgement import untested
+from spotcheck.old_engine.conclude.light import attributes_of, described, described_by_pose
+from spotcheck.old_engine.conclude.modes import modes_of
+from spotcheck.old_engine.model.extended import no_model, text_of
+from spotcheck.old_engine.model.light_file import no_light, written_light
+from spotcheck.old_engine.verdict.document import document
+from spotcheck.old_engine.verdict.extended import extended_of
+from spotcheck.old_engine.verdict.pictures import pictures_of
+from spotcheck.old_engine.verdict.sentence import sentence
+from spotcheck.old_engine.verdict.written import write_verdict
 
 EXAMPLE = """Example:
   spotcheck judge my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> None:
     """Find where model and measurement disagree and what is missing, and write it down."""
     vocabulary.choose(args)
     found, tolerance = dataset.load(args.dataset), tolerance_of(args.tolerance)
-    known = list(effects.vocabulary().values())
+    known = effects_to_search()
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
         ready = open_set(found, crops, sensor)
         with progress.steps("judging"):
@@ -52,7 +52,8 @@ def run(args: argparse.Namespace) -> None:
     words = described(light, modes_of(light)) if light else ""
     if len(judgement.lights) > 1:
         words = described_by_pose(judgement.lights)
-    beware = "" if isinstance(ready, str) else ready.beware
+    remarks = ("",) if isinstance(ready, str) else (ready.beware, remark_on_files())
+    beware = "; ".join(remark for remark in remarks if remark)
     verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak, light_words=words,
                        beware=beware)  # fmt: skip
     verdict |= {"sentence": sentence(verdict)} | vocabulary.described()

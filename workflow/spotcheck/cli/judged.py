@@ -7,12 +7,13 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy import criteria
-from spotcheck.discrepancy.observe.frames import Setting
-from spotcheck.discrepancy.observe.shots import Shot, left_out, never_chose, shots_of, together
 from spotcheck.errors import InputError
 from spotcheck.estimate.sensor import known_beforehand, model_of, stderr_of
-from spotcheck.model.baseline import of_instrument
+from spotcheck.old_engine import criteria
+from spotcheck.old_engine.boundary import old_sensor
+from spotcheck.old_engine.model.baseline import of_instrument
+from spotcheck.old_engine.observe.frames import Setting
+from spotcheck.old_engine.observe.shots import Shot, left_out, never_chose, shots_of, together
 
 UNKNOWN_SENSOR = "gain or read noise of the sensor is unknown, and the frames do not tell them"
 
@@ -38,9 +39,10 @@ def open_set(found: Dataset, crops: xr.Dataset, sensor: xr.Dataset) -> OpenSet |
     missing = left_out(found, crops)
     if not shots:
         return missing
-    model = model_of(sensor)
-    if model is None:
+    known = model_of(sensor)
+    if known is None:
         return UNKNOWN_SENSOR
+    model = old_sensor(known)
     if not found.exposures:
         model = model._replace(dark_current_e_per_s=0.0)
     rows, columns = crops.sizes["row"], crops.sizes["column"]

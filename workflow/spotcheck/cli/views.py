@@ -3,11 +3,12 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import dataset, provenance, simulation, store, views
+from spotcheck import dataset, provenance, store, views
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import open_set
-from spotcheck.model.extended import read_model, why_none
-from spotcheck.model.light_file import LIGHT
+from spotcheck.old_engine.boundary import check_model
+from spotcheck.old_engine.model.extended import read_model, why_none
+from spotcheck.old_engine.model.light_file import LIGHT
 
 EXAMPLE = """Example:
   spotcheck views my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> None:
         frames = (ready.shots, ready.setting)
         if not why_not:
             model = read_model(args.model)
-            simulation.check_model(found, model, ready.setting.baseline, ready.setting.sensor, args.model.name)
+            check_model(found, model, ready.setting.baseline, ready.setting.sensor, args.model.name)
             inputs += [args.model.with_name(LIGHT)] if model.lights else []
     code = provenance.code_digest(__name__)
     views.write(found, files, frames, model, args.output, why_not=why_not, code=code, inputs=inputs)

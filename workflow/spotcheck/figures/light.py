@@ -9,8 +9,8 @@ from spotcheck.dataset import Dataset
 from spotcheck.figures import style
 from spotcheck.figures.entry import Category, Entry
 from spotcheck.figures.results import Results
-from spotcheck.model import chain
-from spotcheck.model.baseline import of_instrument
+from spotcheck.old_engine.model import chain
+from spotcheck.old_engine.model.baseline import of_instrument
 
 # Half the side that is shown [σ_g]: beyond it even a Gaussian with wings has no light to see.
 SHOWN = 4.0

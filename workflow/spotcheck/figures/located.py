@@ -7,12 +7,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
-from spotcheck.discrepancy.criteria import GAIN
 from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.figures import style
 from spotcheck.figures.discrepancy import Plan, chosen, plan_of
 from spotcheck.figures.entry import VERDICT, Category, Entry
 from spotcheck.figures.results import Results, Unavailable
+from spotcheck.old_engine.criteria import GAIN
 
 MOST_PANELS = 4
 MOST_NAMES = 24

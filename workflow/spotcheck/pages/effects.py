@@ -58,8 +58,9 @@ An effect is one Python file, wherever it lies, with a function and an `EFFECT`.
 
     snakemake --cores 2 --config effects="[lab/vignetting.py]"
 
-or under `effects:` in `config/config.yaml`. The verdict then knows it beside all others: fits it, names it, and reports
-its parameters. `vocabulary: {without: [names]}` leaves effects out, `{only: [names]}` all others. Every subcommand that
+or under `effects:` in `config/config.yaml`. `spotcheck simulate` then draws it where `model.yaml` names it. In this
+version effects from files are simulated, but the verdict does not search for them, and says so.
+`vocabulary: {without: [names]}` leaves effects out, `{only: [names]}` all others. Every subcommand that
 knows effects takes `--effects FILE …`, `--only NAME …` and `--without NAME …` to the same end;
 `spotcheck effects --effects lab/vignetting.py --output page.md` writes this page with your effect on it. What is wrong
 with a file is said in one sentence before anything is computed.

@@ -3,7 +3,7 @@ where one was found, speckle."""
 
 from typing import Any, NamedTuple
 
-from spotcheck.discrepancy.verdict.words import over_noise_text, percent_text
+from spotcheck.old_engine.verdict.words import over_noise_text, percent_text
 from spotcheck.pages.plots import figure
 
 # Keys of verdict.json's gap: what each is called, and the colour of page.css in which it is drawn.

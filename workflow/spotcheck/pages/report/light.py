@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.verdict.words import percent_text
 from spotcheck.figures.light import LEAST, declared_shape, learned_shape
+from spotcheck.old_engine.verdict.words import percent_text
 from spotcheck.pages.plots import colour_scales, figure
 
 

@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple
 
-from spotcheck.discrepancy.conclude.limits import ALREADY
-from spotcheck.discrepancy.verdict.sentence import effect_text, either_text
-from spotcheck.discrepancy.verdict.words import condition_text, list_text, percent_text, probability_text, value_text
+from spotcheck.old_engine.conclude.limits import ALREADY
+from spotcheck.old_engine.verdict.sentence import effect_text, either_text
+from spotcheck.old_engine.verdict.words import condition_text, list_text, percent_text, probability_text, value_text
 
 # A p-value below which a person speaks of certainty: once in ten thousand.
 CERTAIN = 1e-4

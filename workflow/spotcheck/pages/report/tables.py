@@ -10,15 +10,6 @@ from markupsafe import Markup
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
-from spotcheck.discrepancy.verdict.words import (
-    condition_text,
-    digits_of,
-    limit_text,
-    number_text,
-    over_noise_text,
-    percent_text,
-    value_text,
-)
 from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import beam_rows
 from spotcheck.estimate.fits import preferred
@@ -28,8 +19,17 @@ from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.model.effect import Effect
-from spotcheck.model.effects import built_in, vocabulary
+from spotcheck.old_engine.model.effect import Effect
+from spotcheck.old_engine.model.effects import built_in, vocabulary
+from spotcheck.old_engine.verdict.words import (
+    condition_text,
+    digits_of,
+    limit_text,
+    number_text,
+    over_noise_text,
+    percent_text,
+    value_text,
+)
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report.frames import label_of
 from spotcheck.pages.report.spoken import numbers_in

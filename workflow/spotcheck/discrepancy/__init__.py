@@ -1,1 +1,0 @@
-"""Where simulation and measurement disagree, and what is missing: detect, locate, name, extend, verify, advise."""
