@@ -1,12 +1,16 @@
-"""Draws the two pictures of workflow/docs/architecture.md as SVG: `python -m tests.draw_architecture`.
+"""Draws two pictures for workflow/docs/architecture.md as SVG, and writes its table of the stages of the model.
 
-The floors are those that test_architecture.py holds; the stages, their files and arrows are held to the rules by
-tests/library/test_docs.py, which also draws both again.
+`python -m tests.draw_architecture` does both. The floors are those that test_architecture.py holds; stages of the
+workflow, their files and arrows are held to the rules by tests/library/test_docs.py, which also makes all three again.
+The table of the model's stages is made from `spotcheck.model.stage.Stage` and the vocabulary of effects.
 """
 
 from pathlib import Path
 from typing import NamedTuple
 
+from spotcheck.model.effect import Effect, RandomStep
+from spotcheck.model.effects import built_in
+from spotcheck.model.stage import Stage as ModelStage
 from tests.library.test_architecture import FLOORS
 
 DOCS = Path(__file__).parents[1] / "workflow" / "docs"
@@ -29,7 +33,8 @@ ROOMS = {
     "comparison": "datasets side by side",
     "simulation": "simulated frames as a dataset",
     "design": "a dataset of a model, from Python",
-    "model": "light, sensor, effects: mean, variance, draws",
+    "sensor": "the distribution of one reading: exact, as a table, random",
+    "model": "the stages of the light, effects, and the forward model: mean, variance, random frames",
     "frames": "read and reduce",
     "spotfinding": "find the spot, cut it out",
     "formats": "image files",
@@ -103,9 +108,40 @@ MONO = "font-family='DejaVu Sans Mono, Menlo, Consolas, monospace'"
 
 
 def main() -> None:
-    """Write both pictures."""
+    """Write both pictures, and the table into its page."""
     for name, text in pictures().items():
         (DOCS / name).write_text(text, encoding="utf-8")
+    page = DOCS / "architecture.md"
+    page.write_text(with_stage_table(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+# What stands around the table in the page.
+START, END = "<!-- stages of the model: written by tests/draw_architecture.py -->\n\n", "\n<!-- end of the stages -->\n"
+
+
+def with_stage_table(page: str) -> str:
+    """Return the page with its table of the model's stages written anew."""
+    before, _, rest = page.partition(START)
+    after = rest.partition(END)[2]
+    assert after, f"architecture.md lacks {START} or {END}"
+    return before + START + stage_table() + END + after
+
+
+def stage_table() -> str:
+    """Return the stages of the forward model, in the order in which they act, as a table in Markdown."""
+    rows = []
+    for stage in ModelStage:
+        arguments = ", ".join(f"`{argument}`" for argument in stage.value.arguments)
+        effects = ", ".join(_link(effect, stage) for effect in built_in().values() if stage in effect.stages)
+        rows.append(f"| {stage.title} | {arguments} | {stage.value.returns} | {effects or '–'} |\n")
+    return "| stage | a function gets | it returns | effects |\n|---|---|---|---|\n" + "".join(rows)
+
+
+def _link(effect: Effect, stage: ModelStage) -> str:
+    """Return the effect's name, with a link to its file, and a star if a variant draws random numbers there."""
+    steps = [step for steps in effect.variants.values() for step in steps if step.stage is stage]
+    star = "\\*" if any(isinstance(step, RandomStep) for step in steps) else ""
+    return f"[{effect.name}](../spotcheck/model/effects/{effect.name}.py){star}"
 
 
 def pictures() -> dict[str, str]:

@@ -12,7 +12,7 @@ from spotcheck import store
 from spotcheck.estimate.sensor import model_of
 from spotcheck.instrument import RESERVED
 from spotcheck.metrics import PER_IMAGE
-from spotcheck.model.sensor import reading
+from spotcheck.sensor import ReadingDistribution
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,8 @@ def test_simulated_frames_have_the_mean_and_variance_of_the_model(opened, small_
         page = stack[int(row["page"])]
         side = page.shape[0] // 4
         light = simulated["mean_light"].sel(place(row)).values.astype(float)
-        moments = reading(light, float(row["exposure_s"]), sensor)
+        distribution = ReadingDistribution(sensor, exposure_s=float(row["exposure_s"]))
+        moments = distribution.tabulate(light.max()).moments(light)
         inner = page[side : side + 120, side : side + 120]
         residuals.append((inner - moments.mean) / np.sqrt(moments.variance))
     z = np.concatenate([r.ravel() for r in residuals])

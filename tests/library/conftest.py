@@ -10,7 +10,7 @@ import tifffile
 from spotcheck import dataset
 from spotcheck.design import simulate_dataset
 from spotcheck.instrument import Instrument, read_instrument
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.library.shelf import LAW, design, flats
 from tests.reference.numpy_chain import draw
 

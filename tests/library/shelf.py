@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import tifffile
 
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 CAMERA = SensorModel(0.11, 8.0, black_level_dn=20.0, full_scale_dn=1023.0)
 SHEET = "{bit_depth: 10, gain_dn_per_e: 0.11, read_noise_e: 8.0, black_level_dn: 20}"

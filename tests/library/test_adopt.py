@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -20,44 +21,57 @@ from spotcheck.estimate.fits import fit_crops
 from spotcheck.estimate.sensor import SHEET, SOURCES, stderr_of
 from spotcheck.instrument import BadPixels, Instrument, Sensor, read_instrument
 from spotcheck.judging import judge_dataset
-from spotcheck.model.effect import Place, Present
+from spotcheck.model.baseline import Baseline
+from spotcheck.model.conditions import FrameConditions, crop_grid
+from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effect_file import EXAMPLE
 from spotcheck.model.effects import built_in
-from spotcheck.model.light_file import written_light
-from spotcheck.model.light_shape import LightShape
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.forward import SENSOR_STAGES, ExpectedReading, ForwardModel
+from spotcheck.old_engine.model.light_file import written_light
+from spotcheck.old_engine.model.light_shape import LightShape
 from spotcheck.schema import breach_of
+from spotcheck.sensor import SensorModel
 from tests.library.conftest import SENSOR, folder, gaussian, loaded, noisy
-from tests.library.effect_cases import Case, all_moments
 from tests.reference.numpy_chain import draw
 
 # Effects.
 
 
+GRID = crop_grid(range(48), range(44), 48, 44)
+FRAME = FrameConditions(GRID, 23.3, 20.6, 1e-3, 1e-3, 1e-3, peak_dn=640.0, sigma_px=8.0)
+
+
+def moments(effects: tuple[AppliedEffect, ...], sensor: SensorModel) -> ExpectedReading:
+    """Return mean and variance of the readings of a spot as bright as the starting values of effects expect."""
+    return ForwardModel(Baseline(0.0, "free", False, 1e-3), sensor, None, effects).expected(FRAME)
+
+
 @pytest.mark.parametrize("name", built_in())
-def test_what_an_effect_adopts_does_what_it_does(name):
-    """Of every effect and form: the keys are those of an instrument file, and a sensor that has them reads, without the
-    effect, as the effect has it: the mean to a thousandth of a DN, the variance to one percent, as a well next to its
-    end has none of the second order that the clip of the effect has."""
+def test_instrument_keys_of_an_effect_do_what_it_does(name):
+    """Of every effect and variant: a sensor with the keys reads, without the effect, as with it.
+
+    The keys are those of an instrument file. Mean to a thousandth of a DN and variance to one percent: both tables are
+    interpolated. An effect that acts on shape or light has none.
+    """
     effect = built_in()[name]
-    if effect.adopts is None:
-        assert Present(effect, effect.forms[0], (1.0,) * len(effect.parameters)).adopted(SENSOR) == {}
-        return
-    assert effect.place not in (Place.SHAPE, Place.SCATTER)
-    first, *inner = effect.starts(EXAMPLE)[0]
-    described = []
-    for form in effect.forms:
-        # A converter stops at a whole number.
-        own = Present(effect, form, (round(first) if effect.rounded else first, *inner))
-        keys = {key.partition(".")[2]: value for key, value in own.adopted(SENSOR).items()}
+    start = (effect.starts(EXAMPLE) or [(1.0,) * len(effect.parameters)])[0]
+    has_keys = []
+    for variant in effect.variants:
+        applied = AppliedEffect(effect, variant, tuple(map(float, start)))
+        keys = {key.partition(".")[2]: value for key, value in applied.instrument_keys(SENSOR).items()}
+        if "full_scale_dn" in keys:
+            # A converter stops at a whole number.
+            applied = applied.with_value("level", round(applied.parameters["level"]))
+            keys = {key.partition(".")[2]: value for key, value in applied.instrument_keys(SENSOR).items()}
         assert breach_of({"sensor": keys}, "instrument") is None
         if keys:
-            described.append(form)
-            case, sensor = Case(name, form, own.named()), SENSOR._replace(**keys)
-            (mean, variance), (plain_mean, plain_variance) = all_moments([case]), all_moments([], sensor)
-            assert mean == pytest.approx(plain_mean, abs=1e-3)
-            assert variance == pytest.approx(plain_variance, rel=1e-2, abs=1e-3)
-    assert described
+            has_keys.append(variant)
+            by_effect, by_sensor = moments((applied,), SENSOR), moments((), replace(SENSOR, **keys))
+            assert by_effect.mean == pytest.approx(by_sensor.mean, abs=1e-3)
+            assert by_effect.variance == pytest.approx(by_sensor.variance, rel=1e-2, abs=1e-3)
+    assert bool(has_keys) == (effect.instrument_keys is not None)
+    # Behind the pixels' own gains: effects on shape or light have no key.
+    assert not has_keys or set(effect.stages) & set(SENSOR_STAGES[1:])
 
 
 # Choices.
@@ -210,8 +224,8 @@ def test_effects_and_light_of_a_verdict(tmp_path):
     results, given = tmp_path / "results", Instrument(sensor=Sensor(gain_dn_per_e=0.11), given=frozenset())
     results.mkdir()
     (results / "verdict.json").write_text(json.dumps(verdict), encoding="utf-8")
-    sensor = xr.Dataset({name: ((), value) for name, value in SENSOR._asdict().items()})
-    for name in SENSOR._fields:
+    sensor = xr.Dataset({name: ((), value) for name, value in asdict(SENSOR).items()})
+    for name in asdict(SENSOR):
         sensor[name].attrs.update(units="1", long_name=name, infinite="none is")
         for part in ("by", "by_stderr"):
             sensor[f"{name}_{part}"] = ("source", [np.nan] * 3, {"units": "1", "long_name": name})

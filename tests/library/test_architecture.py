@@ -18,15 +18,16 @@ FLOORS = {
         *("store", "provenance", "configuration", "running", "seen", "progress"),
     ),
     1: ("frames", "formats", "labels", "survey", "spotfinding", "clip", "siblings", "crops", "optics", "template"),
-    2: ("model",),
-    3: ("estimate", "metrics", "pairs", "simulation", "design"),
-    4: (
+    2: ("sensor",),
+    3: ("model",),
+    4: ("estimate", "metrics", "pairs", "simulation", "design"),
+    5: (
         *("first_look", "figures", "old_engine", "comparison", "views", "pages", "paper", "origin"),
         *("adoption", "correction"),
     ),
-    5: ("cli",),
+    6: ("cli",),
     # Runs the subcommands one after another, as the workflow does.
-    6: ("judging",),
+    7: ("judging",),
 }
 FLOOR = {room: floor for floor, rooms in FLOORS.items() for room in rooms}
 FILES = sorted((WORKFLOW / "spotcheck").rglob("*.py"))
@@ -80,7 +81,15 @@ def test_imports_go_down(path):
             assert FLOOR[room] <= FLOOR[own], f"{module_of(path)} imports {name} from above"
 
 
-# `model` holds the frozen copies, and `boundary` alone converts between them and spotcheck.model.
+def test_the_sensor_stands_alone():
+    """The distribution of a reading needs nothing of the library but its errors."""
+    for path in (path for path in FILES if module_of(path).startswith("spotcheck.sensor")):
+        others = {name for name in imports(path) if name.startswith("spotcheck.")}
+        others = {name for name in others if not name.startswith(("spotcheck.sensor", "spotcheck.errors"))}
+        assert not others, f"{module_of(path)} imports {sorted(others)}"
+
+
+# `model` holds the frozen copies, and `boundary` alone converts between them and spotcheck.model or sensor.
 ROOMS = ("model", "boundary", "criteria", "observe", "nuisance", "evidence", "search", "conclude", "verdict")
 
 
@@ -94,7 +103,8 @@ def test_the_rooms_of_the_verdict_follow_each_other():
         room = module.removeprefix(inside).split(".")[0]
         assert room in ROOMS, f"{module}: not in a room"
         if room != "boundary":
-            assert not {name for name in imports(path) if name.startswith("spotcheck.model")}, module
+            others = ("spotcheck.model", "spotcheck.sensor")
+            assert not {name for name in imports(path) if name.startswith(others)}, module
         known = {name.removeprefix(inside).split(".")[0] for name in imports(path) if name.startswith(inside)}
         assert known <= set(ROOMS[: ROOMS.index(room) + 1]), f"{path.name} imports {sorted(known)}"
 

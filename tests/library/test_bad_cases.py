@@ -6,6 +6,7 @@ Every case is a dataset folder that goes through the subcommands as the rules ca
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,12 +17,13 @@ import yaml
 
 from spotcheck import store
 from spotcheck.cli import main
-from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
+from spotcheck.estimate.reading_kernel import law_of
+from spotcheck.estimate.scoring import LIKELIHOOD, one_pass
 from spotcheck.estimate.sensor import judge_darks
 from spotcheck.frames import Surround
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
 from spotcheck.old_engine.observe.shots import Shot, together
 from spotcheck.old_engine.verdict.written import breach_of_verdict
+from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 from tests.library.conftest import HEADER, folder
 from tests.reference.numpy_chain import draw
 
@@ -233,7 +235,7 @@ CASES: dict[str, Callable[[], Case]] = {
     "an angle that only tests a pedestal": lambda: Case(
         [
             f
-            for f in spots(repeats=6, sensor=SENSOR._replace(black_level_dn=24.0), exposures=(None,))
+            for f in spots(repeats=6, sensor=replace(SENSOR, black_level_dn=24.0), exposures=(None,))
             if f.angle == 0 or f.repeat == 2
         ],
         {}, "named", ("dark_offset",), "Beware: 1 frame belongs to conditions of which every frame is kept unseen",
@@ -258,7 +260,7 @@ CASES: dict[str, Callable[[], Case]] = {
     ),
     "hot cluster brighter than the spot": lambda: Case(spots(after=cluster, angles=(0.0,), repeats=1), {}, "unknown"),
     "saturated spots on a pedestal": lambda: Case(
-        spots(peak=3000.0, sensor=SENSOR._replace(black_level_dn=20.0)), {}, "named", ("dark_offset",)
+        spots(peak=3000.0, sensor=replace(SENSOR, black_level_dn=20.0)), {}, "named", ("dark_offset",)
     ),
     "a copy beside spots that crops cut": lambda: Case(
         spots(copy_beside, wander=20.0), {}, "named", ("ghost_reflection",)

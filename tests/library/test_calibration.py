@@ -9,11 +9,10 @@ from spotcheck.estimate import propagation
 from spotcheck.estimate.calibration import calibrate
 from spotcheck.estimate.fits import FITS, fit_crops, fit_in_crop, preferred
 from spotcheck.estimate.fitted import NAMES
-from spotcheck.estimate.propagation import peak_from_maxima, regress, simulate_and_fit
+from spotcheck.estimate.propagation import law_light, peak_from_maxima, regress, simulate_and_fit
 from spotcheck.instrument import Instrument, ModelChoice
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.sensor import SensorModel
-from spotcheck.model.simulate import expected_maximum
+from spotcheck.sensor import ReadingDistribution, SensorModel
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 EXPOSURES = np.array([1e-4, 5e-4, 9e-4])
@@ -125,11 +124,10 @@ def test_what_the_design_does_not_support_is_skipped_with_its_reason(fits, given
 def test_peak_from_maxima_round_trip(top_hat, sensor):
     """Maxima of the model itself give its peak back; the shorter half of the exposures has no say."""
     own, side = Baseline(1.19, "spot_area", top_hat, 9e-4), 120
-    pixel = np.arange(side, dtype=float)
     maxima = []
     for t in EXPOSURES:
-        light = own.light(pixel[None, :], pixel[:, None], t, 2.48, 34.55, 700.0, 60, 60)
-        maxima.append(expected_maximum(light, t, sensor) if sensor else light.max())
+        light = law_light(own, 2.48, 34.55, 700.0, t, side)
+        maxima.append(ReadingDistribution(sensor, t).expected_maximum(light) if sensor else light.max())
     args = own, 2.48, 34.55, EXPOSURES
     # xtol of the root is 1e-3 DN.
     assert peak_from_maxima(*args, maxima, sensor, side) == pytest.approx(700, abs=0.01)

@@ -18,7 +18,7 @@ from spotcheck.comparison.table import Comparison, Row, compare
 from spotcheck.comparison.written import dataset_of
 from spotcheck.design import simulate_dataset
 from spotcheck.errors import InputError
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.library.shelf import HEADER, LAW, design
 
 

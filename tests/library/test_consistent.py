@@ -10,7 +10,7 @@ from spotcheck.estimate.characterise import characterise_sensor
 from spotcheck.estimate.consistent import LONGER, too_long
 from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.estimate.sensor import Darks, model_of, resolve
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.library.conftest import HEADER, folder
 
 END = End(4095, "bits of the converter")

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -14,10 +15,9 @@ from spotcheck.cli import run
 from spotcheck.correction.electrons import corrected, curve_of
 from spotcheck.errors import InputError
 from spotcheck.judging import judge_dataset
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import built_in
-from spotcheck.model.pixel_maps import PixelMaps
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.pixel_maps import PixelMaps
+from tests.library.model_files import applied
 
 SENSOR = SensorModel(0.25, 8.0, 200.0, np.inf, 60.0, 1023.0)
 SHAPE, EXPOSURE, BEND = (120, 160), 0.1, 0.05
@@ -44,8 +44,8 @@ def test_pulls_are_standard_normal(bend, dsnu, prnu):
     image, offset, gain = drawn(rng, bend, dsnu, prnu)
     error = (1.0, 0.01) if dsnu else (0.0, 0.0)
     maps = PixelMaps(offset + rng.normal(0, error[0], SHAPE), gain + rng.normal(0, error[1], SHAPE), *error)
-    present = [Present(built_in()["nonlinearity"], "", (bend,))] if bend else []
-    own = corrected(image, SENSOR, curve_of(SENSOR, present), maps if dsnu else None, EXPOSURE)
+    effects = [applied("nonlinearity", q=bend)] if bend else []
+    own = corrected(image, SENSOR, curve_of(SENSOR, effects), maps if dsnu else None, EXPOSURE)
     pull = ((own.electrons - LIGHT) / np.sqrt(own.variance)).ravel()
     assert own.clipped == 0 and np.isfinite(pull).all()
     assert abs(pull.mean()) < 0.02 + 5 / np.sqrt(pull.size)
@@ -57,16 +57,16 @@ def test_what_cannot_be_told_is_marked():
     """Bad pixels, full scale, and what lies within three noises of a well are NaN, on both pages."""
     level = 300.0
     image = np.array([[60.0, 160.0, np.nan, 1023.0, 60 + level - 1, 60 + level - 30]])
-    for present, marked in (
+    for effects, marked in (
         ([], [0, 0, 1, 1, 0, 0]),
-        ([Present(built_in()["saturation"], "sharp", (level, np.nan))], [0, 0, 1, 1, 1, 0]),
+        ([applied("saturation", "sharp", level=level)], [0, 0, 1, 1, 1, 0]),
     ):
-        own = corrected(image, SENSOR, curve_of(SENSOR, present))
+        own = corrected(image, SENSOR, curve_of(SENSOR, effects))
         assert np.isnan(own.electrons[0]).tolist() == np.isnan(own.variance[0]).tolist() == [bool(m) for m in marked]
         assert own.clipped == sum(marked) - 1
         assert own.electrons[0, :2] == pytest.approx([0, 400], abs=1e-6)
-    well = curve_of(SENSOR._replace(full_well_e=1200.0), [])
-    assert np.isnan(corrected(image, SENSOR._replace(full_well_e=1200.0), well).electrons[0, 4])
+    well = curve_of(replace(SENSOR, full_well_e=1200.0), [])
+    assert np.isnan(corrected(image, replace(SENSOR, full_well_e=1200.0), well).electrons[0, 4])
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from spotcheck.dataset import load
 from spotcheck.design import simulate_dataset
 from spotcheck.errors import InputError
 from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.library.shelf import CAMERA, LAW, design, levels
 
 

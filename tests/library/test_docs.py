@@ -2,6 +2,7 @@
 
 import io
 import json
+import pkgutil
 import re
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -22,6 +23,8 @@ from spotcheck.frames import read
 from spotcheck.manifest import DATE, KEEP, REQUIRED_COLUMNS
 from spotcheck.metrics import Metric
 from spotcheck.model.effects import vocabulary
+from spotcheck.model.stage import Stage
+from spotcheck.old_engine.boundary import effects_to_search
 from spotcheck.schema import read_schema
 from tests import check_readme, draw_architecture
 from tests.library.conftest import HEADER, ROOT, folder, loaded
@@ -63,12 +66,12 @@ def test_numbers_of_other_pages_are_quoted_rightly(path):
 
 
 def test_the_readme():
-    """Short, with the paper's count as its page has it, and the number of effects that there are."""
+    """Short, with the paper's count as its page has it, and the number of effects that a verdict searches for."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 150
     (quoted,) = [found[2] for found in check_readme.pattern("numbers").finditer(text)]
     assert quoted.split() == check_readme.quoted(DOCS / "paper.md", "numbers", first=True).split()
-    assert {int(number) for number in re.findall(r"(\d+)\s+effects", text)} == {len(vocabulary())}
+    assert {int(number) for number in re.findall(r"(\d+)\s+effects", text)} == {len(effects_to_search())}
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
@@ -78,7 +81,10 @@ def test_commands_and_functions_are_there(path):
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     assert set(re.findall(r"(?:`|^    |\" )make ([a-z-]+)", text, re.MULTILINE)) <= set(targets)
     assert set(re.findall(r"(?:`|bin/|^    )spotcheck ([a-z-]+)", text, re.MULTILINE)) <= set(COMMANDS)
-    assert set(re.findall(r"(?<!from )\bspotcheck\.([A-Za-z_]+)\b", text)) <= set(spotcheck.__all__)
+    # A path of two names or more, as `spotcheck.sensor.ReadingDistribution`, names something of a module.
+    for path in re.findall(r"\bspotcheck\.[A-Za-z_.]+\.[A-Za-z_]+\b", text):
+        assert pkgutil.resolve_name(path), path
+    assert set(re.findall(r"(?<!from )\bspotcheck\.([A-Za-z_]+)\b(?!\.)", text)) <= set(spotcheck.__all__)
 
 
 def test_check_readme_tells_and_mends(tmp_path, monkeypatch):
@@ -301,6 +307,16 @@ def test_pictures_are_drawn_from_the_code(name):
     """`python -m tests.draw_architecture` draws what the page shows; every room has its words."""
     assert {room for rooms in FLOORS.values() for room in rooms} <= set(draw_architecture.ROOMS)
     assert (DOCS / name).read_text(encoding="utf-8") == draw_architecture.pictures()[name]
+
+
+def test_the_table_of_the_models_stages_is_made_from_the_code():
+    """`python -m tests.draw_architecture` writes it into the page: every stage, and every effect that acts at one."""
+    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    assert draw_architecture.with_stage_table(page) == page
+    rows = table(section(DOCS / "architecture.md", "## The stages of the forward model"), "stage")
+    assert [row[0] for row in rows] == [stage.title for stage in Stage]
+    named = {name for row in rows for name in re.findall(r"\[(\w+)\]", row[3])}
+    assert named == {effect.name for effect in vocabulary().values() if effect.stages}
 
 
 def test_every_rule_is_in_the_picture():

@@ -1,36 +1,36 @@
-"""model.yaml: written and read again, refused where it is wrong, and simulated as a dataset."""
+"""The extended model: what does not fit is refused, and a simulated dataset is what the model says."""
 
-import math
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from spotcheck import dataset, frames, simulation, store
 from spotcheck.cli import main
 from spotcheck.errors import InputError
 from spotcheck.instrument import read_instrument
-from spotcheck.model.chain import Law
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.extended import Extended, Site, Spot, no_model, read_model, text_of
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.light import ExposureLaw
+from spotcheck.model.model_file import ExtendedModel, Site, Spot, read_model
+from spotcheck.sensor import SensorModel
 from tests.library.conftest import HEADER
-from tests.library.effect_cases import GHOST, of, present
-from tests.library.test_exposed import SCATTERED, STEADY
+from tests.library.model_files import applied, model_text
 
 SENSOR = SensorModel(0.11, 8.0, 40.0, np.inf, 20.0, 1023.0)
 EXPOSURES, SIDE = (1e-4, 3e-4, 9e-4), 48
 INSTRUMENT = "name: three times\ncrop_px: 48\nsensor: {bit_depth: 10, pixel_pitch_m: 5.5e-6}\n"
-LAW = Law(0.8, 11.0, 600.0)
+LAW = ExposureLaw(0.8, 11.0, 600.0)
 CENTRES = {(0.0, 0): (70.25, 61.5), (0.0, 1): (73.0, 60.0), (90.0, 0): (68.5, 66.0), (90.0, 1): (71.0, 58.25)}
 SPOTS = {Site(a, None, r, ()): Spot(*xy) for (a, r), xy in CENTRES.items()}
-PLAIN = Extended(LAW, 9e-4, 3e-4, 130, 150, (), SPOTS)
+PLAIN = ExtendedModel(LAW, 9e-4, 3e-4, 130, 150, (), SPOTS)
+GHOST = applied("ghost_reflection", fraction=0.12, dx=31.0, dy=-17.0)
+SMEAR = applied("smear", fraction=0.01)
 
 
-def extended(*cases, **changes) -> Extended:
-    """A model with effects."""
-    return PLAIN._replace(present=tuple(present(cases)), **changes)
+def with_effects(*effects: AppliedEffect, **changes) -> ExtendedModel:
+    """Return the plain model with effects."""
+    return replace(PLAIN, effects=effects, **changes)
 
 
 def design(base: Path, instrument: str = INSTRUMENT, header: str = HEADER, more: str = "") -> dataset.Dataset:
@@ -42,7 +42,7 @@ def design(base: Path, instrument: str = INSTRUMENT, header: str = HEADER, more:
     return dataset.load(base)
 
 
-def simulated(found: dataset.Dataset, model: Extended, out: Path, sensor: SensorModel = SENSOR, seed: int = 3):
+def simulated(found: dataset.Dataset, model: ExtendedModel, out: Path, sensor: SensorModel = SENSOR, seed: int = 3):
     """Run the stage; what comes back is the file of expectations."""
     path = out.with_suffix(".nc")
     simulation.simulate_extended(found, model, sensor, out, path, name="model.yaml", seed=seed, code="c", inputs=[])
@@ -50,118 +50,24 @@ def simulated(found: dataset.Dataset, model: Extended, out: Path, sensor: Sensor
         return ds.load()
 
 
-# The file.
-
-EVERY = [*STEADY, *SCATTERED.values()]
-
-
-@pytest.mark.parametrize("name", vocabulary())
-def test_what_is_written_is_read(name, tmp_path):
-    """Every effect, every form that the tests of frames draw: names, forms and all that acts, to nine digits."""
-    for case in [case for case in EVERY if case.name == name]:
-        text = text_of(extended(case), 'a "name": of frames', "named")
-        (tmp_path / "model.yaml").write_text(text, encoding="utf-8")
-        own = read_model(tmp_path / "model.yaml")
-        assert text_of(own, 'a "name": of frames', "named") == text
-        assert own._replace(present=()) == PLAIN
-        (again,) = own.present
-        assert (again.effect.name, again.form) == (case.name, case.form)
-        acting = {key: value for key, value in again.named().items() if not math.isnan(value)}
-        assert acting == {key: pytest.approx(case.values[key], rel=1e-8) for key in acting}
-        idle = {p.name for p in again.effect.parameters if p.inner} & set(again.effect.idle.get(case.form, ()))
-        assert set(case.values) - idle == set(acting)
-
-
-def test_order_and_units(tmp_path):
-    """Effects stay in the order in which they were added; the unit of every parameter stands beside it."""
-    model = extended(
-        of("smear", fraction=0.01), GHOST, of("background_gradient", "light", level=3, slope=2, direction=40)
-    )
-    (tmp_path / "m.yaml").write_text(text := text_of(model, "x", "ambiguous"), encoding="utf-8")
-    names = [own.effect.name for own in read_model(tmp_path / "m.yaml").present]
-    assert names == ["smear", "ghost_reflection", "background_gradient"]
-    for line in ("slope: 2  # DN per 100 px", "dx: 31  # px", "fraction: 0.01", "direction: 40  # deg"):
-        assert f"      {line}\n" in text
-    assert yaml.safe_load(text)["law"] == {"p1_px": 0.8, "p2_px": 11.0, "peak_dn": 600.0}
-
-
-def test_spots_without_a_law(tmp_path):
-    """Each frame has its own; conditions and what was not recorded come back."""
-    spots = {
-        Site(None, None, 0, (("z_m", 0.05),)): Spot(10.5, 20.25, 400.0, 6.5),
-        Site(45.0, 1e-5, 2, (("z_m", -1.0),)): Spot(11.0, 19.0, 0.0, 7.0),
-    }
-    model = PLAIN._replace(law=None, spots=spots)
-    (tmp_path / "m.yaml").write_text(text_of(model, "x", "consistent"), encoding="utf-8")
-    assert read_model(tmp_path / "m.yaml") == model
-
-
-BAD = {
-    "no file": (None, ["m.yaml", "is no file"]),
-    "no YAML": (("law:", "law: ["), ["m.yaml line", "must be YAML"]),
-    "unknown key": (("frame:", "farme:"), ["unknown key farme", "known keys here: schema"]),
-    "unknown key in a section": (("p1_px", "p1_m"), ["unknown key law.p1_m", "p1_px, p2_px, peak_dn"]),
-    "another schema": (("schema: 1", "schema: 2"), ["key schema is 2", "must be one of 1"]),
-    "missing section": (("frame: {rows_px: 130, columns_px: 150}\n", ""), ["key frame is missing"]),
-    "missing number": (("  p2_px: 11\n", ""), ["key law.p2_px is missing"]),
-    "no number": (("p2_px: 11", "p2_px: wide"), ["key law.p2_px is 'wide'", "must be a number"]),
-    "negative peak": (("peak_dn: 600", "peak_dn: -600"), ["law.peak_dn is -600", "above 0"]),
-    "unknown effect": (("name: smear", "name: smaer"), ["effects.0.name is smaer", "no effect", "row_noise, smear"]),
-    "keys of another": (("name: ghost_reflection", "name: smear"), ["effects.1.parameters has no key dx in smear"]),
-    "missing parameter": (("      dy: -17  # px\n", ""), ["effects.1.parameters.dy is missing", "fraction, dx, dy"]),
-    "unknown parameter": (("dy: -17", "dz: -17"), ["effects.1.parameters has no key dz", "fraction, dx, dy"]),
-    "text for a parameter": (("dy: -17", "dy: up"), ["effects.1.parameters.dy is 'up'", "a number"]),
-    "missing form": (("    form: power\n", ""), ["effects.2: saturation lacks its form", "sharp, soft, power"]),
-    "unknown form": (("form: power", "form: round"), ["effects.2.form is round", "sharp, soft, power"]),
-    "form where there is none": (("name: smear", "form: any\n    name: smear"), ["effects.0.form is any", "no forms"]),
-    "infinite": (("p2_px: 11", "p2_px: .inf"), ["m.yaml", "no number to reckon with"]),
-    "spot twice": (("repeat: 1, x_px: 73", "repeat: 0, x_px: 73"), ["spots.1 stands twice"]),
-    "spot without a place": ((", x_px: 73", ""), ["key spots.1.x_px is missing"]),
-    "spot with a width of its own": ((", x_px: 73", ", sigma_px: 4, x_px: 73"), ["spots.1 has", "which the law gives"]),
-    "no law": (("law:\n  p1_px: 0.8\n  p2_px: 11\n", "law_:\n"), ["unknown key law_"]),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_a_bad_file_gets_one_sentence(case, tmp_path):
-    """File and key, what is wrong, what would be right."""
-    change, words = BAD[case]
-    model = extended(of("smear", fraction=0.01), GHOST, of("saturation", "power", level=500.0, knee=0.1))
-    text = text_of(model, "x", "named")
-    if change is not None:
-        text = text.replace("  peak_dn: 600  # at the longest exposure, before effects", "  peak_dn: 600")
-        assert change[0] in text
-        (tmp_path / "m.yaml").write_text(text.replace(*change, 1), encoding="utf-8")
-    with pytest.raises(InputError) as raised:
-        read_model(tmp_path / "m.yaml")
-    said = str(raised.value)
-    assert said.startswith("m.yaml") and "\n" not in said
-    assert all(word in said for word in words), said
-
-
-def test_an_effect_twice(tmp_path):
-    """One place in the chain, one strength."""
-    text = text_of(extended(of("smear", fraction=0.01), of("smear", fraction=0.02)), "x", "named")
-    (tmp_path / "m.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match="effect smear stands twice"):
-        read_model(tmp_path / "m.yaml")
-
-
-def test_no_model_says_why(tmp_path):
-    """Where nothing could be tested there is a file that says so, and cannot be simulated."""
-    (tmp_path / "m.yaml").write_text(no_model("x: y", "there is no usable spot frame"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"^m.yaml: holds no model: there is no usable spot frame$"):
-        read_model(tmp_path / "m.yaml")
-
+# A model that does not fit.
 
 MISFITS = {
-    "above its bound": (extended(of("smear", fraction=7.0)), "", ["fraction of smear is 7", "from 0 to 5"]),
-    "below its bound": (extended(of("beam_ellipticity", ratio=0.5, direction=0)), "", ["ratio", "0.5", "from 1 to 4"]),
-    "bound of the design": (extended(of("shutter_offset", offset=-8e-5)), "", ["-8e-05 s", "from -5e-05 to 5e-05"]),
-    "bound of the sensor": (extended(of("excess_read_noise", total=3.0)), "", ["total", "3 e-", "from 8"]),
+    "above its bound": (with_effects(applied("smear", fraction=7.0)), "", ["fraction of smear is 7", "from 0 to 5"]),
+    "below its bound": (
+        with_effects(applied("beam_ellipticity", ratio=0.5, direction=0)),
+        "",
+        ["ratio", "0.5", "from 1 to 4"],
+    ),
+    "bound of the design": (
+        with_effects(applied("shutter_offset", offset=-8e-5)),
+        "",
+        ["-8e-05 s", "from -5e-05 to 5e-05"],
+    ),
+    "bound of the sensor": (with_effects(applied("excess_read_noise", total=3.0)), "", ["total", "3 e-", "from 8"]),
     "law for free spots": (PLAIN, "model: {photon_budget: free}\n", ["has a law", "budget free"]),
-    "small frame": (PLAIN._replace(rows=40), "", ["150 × 40 px", "crop_px is 48"]),
-    "no width": (PLAIN._replace(law=Law(3.0, 12.0, 600.0)), "", ["0_0_0.0001.tif", "width", "above 0"]),
+    "small frame": (replace(PLAIN, rows=40), "", ["150 × 40 px", "crop_px is 48"]),
+    "no width": (replace(PLAIN, law=ExposureLaw(3.0, 12.0, 600.0)), "", ["0_0_0.0001.tif", "width", "above 0"]),
 }
 
 
@@ -182,7 +88,7 @@ def test_a_model_that_does_not_fit(case, tmp_path):
 def test_the_simulated_folder_keeps_the_contract(tmp_path, capsys):
     """`check` and `ingest` take it; design, bits and sensor are those that were simulated, in a window of all spots."""
     found = design(tmp_path / "in")
-    out = simulated(found, extended(of("smear", fraction=0.01)), tmp_path / "out")
+    out = simulated(found, with_effects(SMEAR), tmp_path / "out")
     main(["check", str(tmp_path / "out")])
     main(["ingest", str(tmp_path / "out"), "--output", str(tmp_path / "frames.nc")])
     assert "12 spot" in capsys.readouterr().out
@@ -199,7 +105,10 @@ def test_the_simulated_folder_keeps_the_contract(tmp_path, capsys):
 
 def test_equal_seeds_give_equal_folders(tmp_path):
     """Byte by byte; another seed gives other frames and the same expectation."""
-    found, model = design(tmp_path / "in"), extended(SCATTERED["speckle"], SCATTERED["power_fluctuation"])
+    found, model = (
+        design(tmp_path / "in"),
+        with_effects(applied("speckle", contrast=0.2, grain=3.0), applied("power_fluctuation", rms=0.03)),
+    )
     kept = [simulated(found, model, tmp_path / name, seed=seed) for name, seed in (("a", 3), ("b", 3), ("c", 4))]
     stacks = [(tmp_path / name / simulation.STACK).read_bytes() for name in "abc"]
     assert stacks[0] == stacks[1] != stacks[2]
@@ -209,7 +118,7 @@ def test_equal_seeds_give_equal_folders(tmp_path):
 def test_frames_scatter_about_what_is_expected(tmp_path):
     """Every crop of every frame: its sum within five standard errors of the expectation's (false alarm 6e-7 each)."""
     found = design(tmp_path / "in")
-    out = simulated(found, extended(GHOST._replace(values={"fraction": 0.1, "dx": 12.0, "dy": 5.0})), tmp_path / "out")
+    out = simulated(found, with_effects(applied("ghost_reflection", fraction=0.1, dx=12.0, dy=5.0)), tmp_path / "out")
     again = dataset.load(tmp_path / "out")
     for index, row in again.cells():
         own = out.isel(dict(zip(("angle", "exposure", "repeat"), index, strict=True)))
@@ -226,7 +135,7 @@ def test_frames_scatter_about_what_is_expected(tmp_path):
 def test_light_follows_the_order_of_acquisition(tmp_path):
     """Laser drift: the peak of the last frame is 1 + total of what it would be; the middle's where the order is
     unknown."""
-    drift = extended(of("laser_drift", total=0.3))
+    drift = with_effects(applied("laser_drift", total=0.3))
     for known, last in ((True, 1.3), (False, 1.15)):
         found = design(tmp_path / f"in{known}", INSTRUMENT + f"order_known: {str(known).lower()}\n")
         ratio = (
@@ -240,9 +149,9 @@ def test_sites_that_the_model_does_not_know(tmp_path):
     """Lie where the others lie on average; with no spot at all in the frame's middle."""
     found = design(tmp_path / "in")
     first = {site: spot for site, spot in SPOTS.items() if site.angle_deg == 0}
-    out = simulated(found, PLAIN._replace(spots=first), tmp_path / "out")
+    out = simulated(found, replace(PLAIN, spots=first), tmp_path / "out")
     assert int(out["left"].isel(angle=1, exposure=0, repeat=0)) == round((70.25 + 73) / 2) - SIDE // 2
-    out = simulated(found, PLAIN._replace(spots={}), tmp_path / "out")
+    out = simulated(found, replace(PLAIN, spots={}), tmp_path / "out")
     assert set(out["left"].values.ravel()) == {round(149 / 2) - SIDE // 2}
 
 
@@ -254,7 +163,7 @@ def test_without_a_law_each_frame_has_its_own_spot(tmp_path):
         Site(a, t, r, (("z_m", 0.25),)): Spot(70.0, 60.0, 300.0 + 10 * k, 5.0 + k)
         for k, (a, r, t) in enumerate([(0.0, 0, 1e-4), (90.0, 1, 9e-4)])
     }
-    out = simulated(found, PLAIN._replace(law=None, spots=spots), tmp_path / "out").isel(z_m=0)
+    out = simulated(found, replace(PLAIN, law=None, spots=spots), tmp_path / "out").isel(z_m=0)
     assert [float(out[name].isel(angle=1, exposure=2, repeat=1)) for name in ("amplitude", "sigma")] == [310.0, 6.0]
     assert float(out["mean_light"].isel(angle=0, exposure=0, repeat=0).max()) == pytest.approx(300.0)
     assert float(out["mean_light"].isel(angle=0, exposure=1, repeat=0).max()) == 0
@@ -264,10 +173,11 @@ def test_the_command(tmp_path, capsys):
     """`simulate --model` end to end; what it cannot do ends in one sentence and status 2."""
     found = design(tmp_path / "in")
     model = tmp_path / "model.yaml"
-    model.write_text(text_of(extended(of("smear", fraction=0.01)), "x", "named"), encoding="utf-8")
+    model.write_text(model_text(with_effects(SMEAR)), encoding="utf-8")
     sensor = store.grid(found).drop_vars([axis.name for axis in found.axes])
-    for name, value in SENSOR._asdict().items():
-        sensor[name] = ((), value, {"units": "1", "long_name": name})
+    for field in fields(SENSOR):
+        name = field.name
+        sensor[name] = ((), getattr(SENSOR, name), {"units": "1", "long_name": name})
     store.write(sensor, tmp_path / "sensor.nc", code="c")
     rest = ["--sensor", str(tmp_path / "sensor.nc"), "--seed", "5", "--folder", str(tmp_path / "out")]
     rest += ["--output", str(tmp_path / "out.nc")]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spotcheck import dataset
-from spotcheck.model.extended import Extended, Site, read_model
+from spotcheck.model.model_file import ExtendedModel, Site, read_model
 from spotcheck.old_engine.boundary import new_sensor
 from spotcheck.old_engine.conclude.judge import judge
 from spotcheck.old_engine.conclude.judgement import Judgement
@@ -45,7 +45,7 @@ def agreed() -> tuple[Judgement, np.ndarray, Setting, list[Shot]]:
     return judged(small.plain, **FEW)
 
 
-def written(model: OldExtended, base: Path) -> Extended:
+def written(model: OldExtended, base: Path) -> ExtendedModel:
     """A model after a stay in its file, in which it says the same."""
     if model.lights:
         written_light(model.lights, base / LIGHT, title="t", dataset="x", code="c")
@@ -66,10 +66,10 @@ def test_the_model_of_a_verdict(tmp_path):
     within 0.1 px), and centres of all sites."""
     own, truth, setting, shots = judged(small.ghost, **FEW)
     model = written(extended_of(own, setting, small.dataset(tmp_path / "set").instrument, KNOWN), tmp_path)
-    (effect,), (told,) = model.present, document(own, "x")["effects"]
-    assert effect.named() == {name: pytest.approx(entry["value"]) for name, entry in told["parameters"].items()}
+    (effect,), (told,) = model.effects, document(own, "x")["effects"]
+    assert effect.parameters == {name: pytest.approx(entry["value"]) for name, entry in told["parameters"].items()}
     assert told["name"] == "ghost_reflection" and effect.values[0] == pytest.approx(0.06, abs=0.003)
-    assert model.law is not None and model.law.peak == pytest.approx(small.LAW.peak, rel=0.01)
+    assert model.law is not None and model.law.peak_dn == pytest.approx(small.LAW.peak, rel=0.01)
     for t in small.EXPOSURES:
         width = small.LAW.p1 * np.log(t) + small.LAW.p2
         assert model.law.p1 * np.log(t) + model.law.p2 == pytest.approx(width, abs=0.1)
@@ -85,10 +85,10 @@ def test_a_verdict_that_names_nothing_has_the_declared_model(agreed, tmp_path):
     instrument = small.dataset(tmp_path / "set").instrument
     for each in (own, own._replace(found=(found("smear", 0.01),), beyond=("smear",))):
         model = written(extended_of(each, setting, instrument, KNOWN), tmp_path)
-        assert model.present == () and model.lights == ()
+        assert model.effects == () and model.lights == ()
         assert own.shift.before is not None and model.law is not None
-        assert model.law[:2] == pytest.approx(own.shift.before, abs=1e-3)
-        assert model.law.peak == pytest.approx(small.LAW.peak, rel=0.01)
+        assert (model.law.p1, model.law.p2) == pytest.approx(own.shift.before, abs=1e-3)
+        assert model.law.peak_dn == pytest.approx(small.LAW.peak, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["speckle", "power_fluctuation", "pointing_jitter", "row_noise", "fixed_pattern"])
@@ -98,8 +98,8 @@ def test_components_of_variance_are_in_the_model(name, agreed, tmp_path):
     told = COMPONENTS.get(vocabulary()[name].component, len(vocabulary()[name].parameters))
     own = own._replace(found=(found(name, *[0.5, 1.2][:told]),))
     model = written(extended_of(own, setting, small.dataset(tmp_path / "set").instrument, KNOWN), tmp_path)
-    values, (effect,) = document(own, "x")["effects"][0]["parameters"], model.present
-    assert values and {key: effect.named()[key] for key in values} == {
+    values, (effect,) = document(own, "x")["effects"][0]["parameters"], model.effects
+    assert values and {key: effect.parameters[key] for key in values} == {
         key: pytest.approx(entry["value"]) for key, entry in values.items()
     }
 
@@ -133,7 +133,7 @@ def test_sites_that_were_kept_unseen(dark, tmp_path):
         assert spot is None or np.hypot(spot.x_px - x, spot.y_px - y) < 0.2
 
 
-def excess(found: dataset.Dataset, model: Extended, shots: list[Shot], sensor: SensorModel, out: Path) -> float:
+def excess(found: dataset.Dataset, model: ExtendedModel, shots: list[Shot], sensor: SensorModel, out: Path) -> float:
     """Mean square of measured less expected readings [DN²] over what noise brings: blocks of 5 × 5 px."""
     ds = simulated(found, model, out, new_sensor(sensor))
     at = {(f.angle_deg, f.exposure_s, f.repeat): index for index, f in found.cells()}

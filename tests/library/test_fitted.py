@@ -1,6 +1,7 @@
 """What a spot fit returns: parameters by name, status, one spot or many, in print and as a dataset."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,10 +86,10 @@ BAD_FITS = {
         "sensor: the likelihood needs a gain and a read noise",
     ),
     "gain": (
-        lambda: fit_spots([], CAMERA._replace(gain_dn_per_e=0)),
+        lambda: fit_spots([], replace(CAMERA, gain_dn_per_e=0)),
         "sensor: gain_dn_per_e is 0; it must be",
     ),
-    "noise": (lambda: fit_spots([], CAMERA._replace(read_noise_e=np.nan)), "sensor: read_noise_e is nan; it"),
+    "noise": (lambda: fit_spots([], replace(CAMERA, read_noise_e=np.nan)), "sensor: read_noise_e is nan; it"),
 }
 
 

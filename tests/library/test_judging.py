@@ -10,7 +10,7 @@ from spotcheck.design import simulate_dataset
 from spotcheck.errors import InputError
 from spotcheck.judging import judge_dataset
 from spotcheck.model.effects import chosen
-from spotcheck.pages.effects import MEAN
+from spotcheck.pages.effects import MEAN_EXAMPLE
 from tests.library.effect_cases import written
 from tests.library.shelf import design
 
@@ -64,7 +64,7 @@ def test_a_vocabulary_is_that_of_the_call(there, tmp_path):
 
 def test_a_verdict_says_that_effects_from_files_are_not_searched_for(there, tmp_path):
     """In its sentence; all else is as without them."""
-    path = written(tmp_path, "lens", MEAN)
+    path = written(tmp_path, "lens", MEAN_EXAMPLE)
     verdict, plain = judge_dataset("my-flats", effects=[path]), judge_dataset("my-flats")
     said = "effects from files are simulated but not searched for in this version: vignetting"
     assert f"Beware: {said}." in verdict["sentence"] and "effects from files" not in plain["sentence"]

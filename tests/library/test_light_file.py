@@ -13,11 +13,12 @@ from spotcheck.cli import main
 from spotcheck.design import simulate_dataset
 from spotcheck.errors import InputError
 from spotcheck.model.baseline import of_instrument
-from spotcheck.model.extended import Extended, read_model, text_of
-from spotcheck.model.light_file import LIGHT, read_light, written_light
-from spotcheck.model.light_shape import LightShape
+from spotcheck.model.light_shape import LIGHT, LightShape, read_light
+from spotcheck.model.model_file import ExtendedModel, read_model
+from spotcheck.old_engine.model.light_file import written_light
+from spotcheck.old_engine.model.light_shape import LightShape as OldShape
 from spotcheck.simulation import STACK
-from tests.library.effect_cases import of
+from tests.library.model_files import applied, model_text
 from tests.library.test_extended import (
     CENTRES,
     EXPOSURES,
@@ -27,18 +28,19 @@ from tests.library.test_extended import (
     SENSOR,
     SIDE,
     design,
-    extended,
     simulated,
+    with_effects,
 )
 
 # No symmetry, and a third of the peak, so that no axis can stand for another.
 SHAPE = LightShape(0.4, np.random.default_rng(3).normal(0, 0.02, (21, 21)) + 0.1 * np.eye(21, k=3))
-PROFILE = of("beam_profile", power=0.06, order=3)
+PROFILE = applied("beam_profile", power=0.06, order=3)
 
 
 def put(path: Path, shape: LightShape = SHAPE) -> Path:
     """The file of a shape."""
-    written_light([shape], path, title="T", dataset="d", code="c", attributes={"power": 0.06})
+    old = OldShape(shape.step, shape.coefficients)
+    written_light([old], path, title="T", dataset="d", code="c", attributes={"power": 0.06})
     return path
 
 
@@ -111,21 +113,21 @@ def test_a_bad_file_gets_one_sentence(case, tmp_path):
 # model.yaml.
 
 
-def model_file(folder: Path, model: Extended, edit: tuple[str, str] = ("", "")) -> Path:
+def model_file(folder: Path, model: ExtendedModel, edit: tuple[str, str] = ("", "")) -> Path:
     """The file of a model, with its light beside it."""
     if model.lights:
         put(folder / LIGHT)
     path = folder / "model.yaml"
-    path.write_text(text_of(model, "x", "named").replace(*edit), encoding="utf-8")
+    path.write_text(model_text(model).replace(*edit), encoding="utf-8")
     return path
 
 
 def test_a_model_names_its_light(tmp_path):
     """Text, effect and surface come back."""
-    path = model_file(tmp_path, extended(PROFILE, lights=(SHAPE,)))
+    path = model_file(tmp_path, with_effects(PROFILE, lights=(SHAPE,)))
     own = read_model(path)
-    assert text_of(own, "x", "named") == path.read_text(encoding="utf-8")
-    assert "\nlight: light.nc\n" in path.read_text(encoding="utf-8") and own.present[0].named() == PROFILE.values
+    assert model_text(own) == path.read_text(encoding="utf-8")
+    assert "\nlight: light.nc\n" in path.read_text(encoding="utf-8") and own.effects == (PROFILE,)
     (light,) = own.lights
     np.testing.assert_array_equal(light.coefficients, SHAPE.coefficients)
     assert read_model(model_file(tmp_path, PLAIN)).lights == ()
@@ -142,7 +144,7 @@ def test_a_model_names_its_light(tmp_path):
 )
 def test_a_model_without_the_light_that_it_needs(cases, lights, edit, words, tmp_path):
     """One sentence."""
-    path = model_file(tmp_path, extended(*cases, lights=lights), edit)
+    path = model_file(tmp_path, with_effects(*cases, lights=lights), edit)
     with pytest.raises(InputError) as caught:
         read_model(path)
     assert words in str(caught.value) and "\n" not in str(caught.value)
@@ -158,7 +160,7 @@ def spot(centre: tuple[float, float], exposure: float, x: np.ndarray, y: np.ndar
         return LAW.p1 * np.log(t) + LAW.p2
 
     u, v = ((own - at) / width(exposure) for own, at in zip((x, y), centre, strict=True))
-    peak = LAW.peak * exposure / width(exposure) ** 2 * width(EXPOSURES[-1]) ** 2 / EXPOSURES[-1]
+    peak = LAW.peak_dn * exposure / width(exposure) ** 2 * width(EXPOSURES[-1]) ** 2 / EXPOSURES[-1]
     return peak * (np.exp(-(u[None, :] ** 2) / 2) * np.exp(-(v[:, None] ** 2) / 2) + by_scipy(u, v))
 
 
@@ -184,7 +186,7 @@ def follows(folder: Path, ds: xr.Dataset) -> None:
 def test_simulated_frames_follow_the_model(tmp_path):
     """A learned light in model.yaml, by the command's own function."""
     found = design(tmp_path / "set")
-    model = read_model(model_file(tmp_path, extended(PROFILE, lights=(SHAPE,))))
+    model = read_model(model_file(tmp_path, with_effects(PROFILE, lights=(SHAPE,))))
     follows(tmp_path / "out", simulated(found, model, tmp_path / "out"))
 
 
@@ -203,9 +205,9 @@ def test_simulated_frames_follow_the_instrument(tmp_path):
 
 def test_a_model_replaces_the_instruments_profile(tmp_path):
     """The shape of model.yaml is the whole one beside the Gaussian."""
-    put(tmp_path / "other.nc", SHAPE._replace(coefficients=-SHAPE.coefficients))
+    put(tmp_path / "other.nc", LightShape(SHAPE.step, -SHAPE.coefficients))
     found = design(tmp_path / "set", INSTRUMENT + "light: {profile: ../other.nc}\n")
-    follows(tmp_path / "out", simulated(found, extended(PROFILE, lights=(SHAPE,)), tmp_path / "out"))
+    follows(tmp_path / "out", simulated(found, with_effects(PROFILE, lights=(SHAPE,)), tmp_path / "out"))
 
 
 # instrument.yaml.

@@ -1,5 +1,7 @@
 """The joint fit of p1, p2, peak and centres: returns what the frames were drawn from, within its errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,9 +74,9 @@ CASES = {
     "linear": (model("linear"), SENSOR),
     "top hat": (model(top_hat=True), SENSOR),
     "no laser": (model(laser=0.0), SENSOR),
-    "full well": (model(), SENSOR._replace(full_well_e=5500.0)),
-    "converter's zero": (model(), SENSOR._replace(black_level_dn=0.0)),
-    "quiet sensor": (model(), SENSOR._replace(read_noise_e=1.0)),
+    "full well": (model(), replace(SENSOR, full_well_e=5500.0)),
+    "converter's zero": (model(), replace(SENSOR, black_level_dn=0.0)),
+    "quiet sensor": (model(), replace(SENSOR, read_noise_e=1.0)),
 }
 
 

@@ -2,6 +2,7 @@
 
 import json
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -14,7 +15,7 @@ from spotcheck.cli import COMMANDS, main
 from spotcheck.cli import open as opening
 from spotcheck.formats import files
 from spotcheck.labels.names import natural
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.conftest import SHARED
 
 SENSOR = SensorModel(0.25, 6.0, black_level_dn=20, full_scale_dn=4095)
@@ -65,7 +66,7 @@ def test_widths_gain_and_noise_of_one_image():
 
 def test_a_clipped_image_says_what_that_does():
     """Where the light stops, in how many pixels, and that the fit still finds the width."""
-    sensor = SENSOR._replace(full_scale_dn=1023)
+    sensor = replace(SENSOR, full_scale_dn=1023)
     image = drawn(sensor=sensor)
     (one,) = (found := spotcheck.look(image)).images
     assert one.stop_dn == 1023 and one.clipped_px == np.count_nonzero(image == 1023) > 100
@@ -197,7 +198,7 @@ def test_a_width_does_not_depend_on_the_other_images():
     """Each image's noise grows from its own rim: under one sensor, images with more stray light beside it leave a fit
     where it was, within a tenth of its error."""
     alone = drawn(seed=5)
-    brighter = [drawn(seed=k, sensor=SENSOR._replace(black_level_dn=20.0 + 15 * k)) for k in (6, 7)]
+    brighter = [drawn(seed=k, sensor=replace(SENSOR, black_level_dn=20.0 + 15 * k)) for k in (6, 7)]
     (one,), (same, *_) = spotcheck.look(alone).images, spotcheck.look([alone, *brighter]).images
     (width, error), (other, _) = one.fitted_to("sigma_major"), same.fitted_to("sigma_major")
     assert abs(width - other) < 0.1 * error
@@ -228,7 +229,7 @@ def test_stacks_arrays_and_what_is_none(tmp_path):
 
 def test_the_channel_of_a_colour_image_that_reads_most(tmp_path):
     """Red of a red laser, and it is said."""
-    image = drawn(sensor=SENSOR._replace(full_scale_dn=255, gain_dn_per_e=0.02))
+    image = drawn(sensor=replace(SENSOR, full_scale_dn=255, gain_dn_per_e=0.02))
     tifffile.imwrite(tmp_path / "a.tif", np.stack([image, image // 9, image // 20], axis=-1).astype(np.uint8))
     found = spotcheck.look(tmp_path / "a.tif")
     assert off(found.images[0].fit.sigma_major, found.images[0].fit.sigma_major_stderr, 20) < 4

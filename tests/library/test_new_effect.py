@@ -11,7 +11,7 @@ from spotcheck import store
 from spotcheck.cli import main
 from spotcheck.cli.vocabulary import set_choice
 from spotcheck.model.effects import Choice
-from spotcheck.pages.effects import SCATTER
+from spotcheck.pages.effects import RANDOM_EXAMPLE
 from spotcheck.simulation import STACK
 from tests.library import small_set as small
 from tests.library.conftest import folder
@@ -52,7 +52,7 @@ def test_a_file_of_ones_own_by_command_line(tmp_path, monkeypatch, capsys):
     folder(tmp_path / "hops", rows, f"{{crop_px: 56, sensor: {sensor}, model: {{photon_budget: linear}}}}")
     for k, shot in enumerate(shots):
         tifffile.imwrite(tmp_path / f"hops/frames/f{k}.tif", shot.pixels().astype(np.uint16))
-    file = written(tmp_path, "mode_hopping", SCATTER)
+    file = written(tmp_path, "mode_hopping", RANDOM_EXAMPLE)
     own = ["--effects", "mode_hopping.py", "--without", "power_fluctuation"]
     main(["ingest", "hops", "--output", "frames.nc"])
     main(["crop", "hops", "--frames", "frames.nc", "--output", "crops.nc"])

@@ -1,5 +1,7 @@
 """Gain and read noise of frames without a data sheet, from differences of neighbouring pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,7 +44,7 @@ def test_gain_of_simulated_frames(kind):
 def test_gain_of_small_spots_in_the_dark():
     """Most pixels have no light, and their noise tells no level: of 12 sets of 20 spots the mean of the gains, in their
     stated errors, is 0 within 4 standard errors of unit pulls (false alarm 6e-5), the floor's too."""
-    own = SENSOR._replace(gain_dn_per_e=0.4, read_noise_e=10.0)
+    own = replace(SENSOR, gain_dn_per_e=0.4, read_noise_e=10.0)
     pulls = []
     for k in range(12):
         crops = [noisy(gaussian(120, 900.0, 60.3, 59.8, 10.0), 20 * k + s, own).astype(float) for s in range(20)]
@@ -54,7 +56,7 @@ def test_gain_of_small_spots_in_the_dark():
 
 def test_gain_at_black_level_0():
     """The default black level: the converter's zero lies in the middle of the border's noise."""
-    own = SENSOR._replace(black_level_dn=0.0)
+    own = replace(SENSOR, black_level_dn=0.0)
     found = [
         gain_from_curve(noise_curve(noisy(light_of("spot", s), s, own).astype(float), 1023.0), 0.0) for s in range(20)
     ]

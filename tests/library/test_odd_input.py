@@ -8,7 +8,7 @@ from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import calibrate
 from spotcheck.estimate.fits import fit_crops
 from spotcheck.formats import pgm
-from spotcheck.model.simulate import expected_maximum
+from spotcheck.sensor import ReadingDistribution
 from spotcheck.store import read
 from tests.library.conftest import HEADER, SENSOR, folder, gaussian, loaded, noisy
 
@@ -127,7 +127,9 @@ def test_extra_columns_may_be_called_anything(tmp_path):
 
 def test_expected_maximum_of_a_saturated_frame():
     """Full scale, although no pixel has any variance left."""
-    assert expected_maximum(np.full((9, 9), 1e5), 1e-4, SENSOR) == pytest.approx(SENSOR.full_scale_dn, abs=1)
+    assert ReadingDistribution(SENSOR, 1e-4).expected_maximum(np.full((9, 9), 1e5)) == pytest.approx(
+        SENSOR.full_scale_dn, abs=1
+    )
 
 
 def test_no_site_at_two_exposures(tmp_path):

@@ -10,7 +10,7 @@ from spotcheck import crops, store
 from spotcheck.estimate.fits import TOO_HIGH, fit_crops, remarks_of
 from spotcheck.estimate.odd_pixels import odd_pixels
 from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE = 120
@@ -155,7 +155,7 @@ def test_remarks_on_errors(tmp_path):
     """χ² far from 1, as by a wrong gain; errors that hold have none. Both leave the fit in use."""
     image = noisy(gaussian(SIDE, 900.0, 60.3, 59.8, 7.0), 1, QUIET)
     for factor, want in ((1.0, set()), (8.0, {"misfit"})):
-        fits = stored(tmp_path / str(factor), [image], QUIET._replace(gain_dn_per_e=0.2 * factor))
+        fits = stored(tmp_path / str(factor), [image], replace(QUIET, gain_dn_per_e=0.2 * factor))
         status = fits["status"].sel(fit="likelihood").values[0]
         assert flags(status) == want and not status & store.UNTRUSTED
     fit = fit_spots(image, QUIET)

@@ -1,5 +1,7 @@
 """Light that a pixel reads as the mean over it: model, fit and calibration against the closed form of a Gaussian."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -11,11 +13,11 @@ from spotcheck.estimate.fits import fit_crops, preferred
 from spotcheck.estimate.likelihood import SiteFrame, fit_baseline
 from spotcheck.estimate.propagation import simulate_and_fit
 from spotcheck.model.baseline import Baseline, of_instrument
-from spotcheck.model.chain import Free, View, light
-from spotcheck.model.effect import Present
-from spotcheck.model.effects import vocabulary
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.conditions import PixelGrid
+from spotcheck.model.forward import ForwardModel
+from spotcheck.sensor import SensorModel
 from tests.library.conftest import folder, loaded
+from tests.library.effect_cases import applied, free_frame, of
 from tests.reference.numpy_chain import draw
 
 SIDE = 33
@@ -31,34 +33,32 @@ def over_pixels(side: int, amplitude: float, x: float, y: float, sigma: float) -
     return amplitude * 2 * np.pi * sigma**2 * across[:, None] * along
 
 
+def light(baseline: Baseline, pixel: np.ndarray, middle: tuple[float, float], sigma: float, *cases) -> np.ndarray:
+    """Return the light of a spot of 700 DN at columns and rows `pixel`."""
+    grid = PixelGrid(pixel[None], pixel[:, None], 50, 50)
+    frame = free_frame(700.0, sigma, grid, x0=middle[0], y0=middle[1])
+    return ForwardModel(baseline, SENSOR, None, applied(cases)).light(frame).total
+
+
 @pytest.mark.parametrize("sigma", [0.6, 0.9, 1.2, 2.0, 5.0])
 def test_the_model_is_the_mean_over_a_pixel(sigma):
-    """Baseline and chain, to the 1.5e-5/σ⁶ of the peak that three points across a pixel miss."""
-    pixel, one = np.arange(float(SIDE)), np.ones((1, 1, 1))
+    """Baseline and model, to the 1.5e-5/σ⁶ of the peak that three points across a pixel miss."""
+    pixel = np.arange(float(SIDE))
     exact = over_pixels(SIDE, 700.0, 16.3, 15.8, sigma)
-    found = INTEGRATED.shape(pixel[None], pixel[:, None], 700.0, 16.3, 15.8, sigma)
-    view = View(pixel[None, None], pixel[None, :, None], 16.3 * one, 15.8 * one, one, one, one, 0 * one, 0 * one,
-                1.0, 1.0, 0.0, 0.0, 50.0, 1.0)  # fmt: skip
-    chained, _ = light(view, INTEGRATED, Free(700 * one, sigma * one), ())
-    for own in (found, chained[0]):
-        assert np.abs(own - exact).max() < 1.5e-5 / sigma**6 * 700
+    declared = INTEGRATED.declared_light(pixel[None], pixel[:, None], 700.0, 16.3, 15.8, sigma)
+    for found in (declared, light(INTEGRATED, pixel, (16.3, 15.8), sigma)):
+        assert np.abs(found - exact).max() < 1.5e-5 / sigma**6 * 700
 
 
 def test_a_turned_ellipse_over_a_pixel():
     """Against a fine grid of points in every pixel, to 1e-5 of the peak."""
-    one, ellipse = np.ones((1, 1, 1)), (Present(vocabulary()["beam_ellipticity"], "", (1.4, 35.0)),)
-    base, fine, middle = Free(700 * one, 1.2 * one), 31, 8.2 * np.ones((1, 1, 1))
-
-    def view(pixel):
-        return View(pixel[None, None], pixel[None, :, None], middle, middle, one, one, one, 0 * one, 0 * one,
-                    1.0, 1.0, 0.0, 0.0, 50.0, 1.0)  # fmt: skip
-
-    found, _ = light(view(np.arange(17.0)), INTEGRATED, base, ellipse)
+    ellipse, fine = of("beam_ellipticity", ratio=1.4, direction=35.0), 31
+    found = light(INTEGRATED, np.arange(17.0), (8.2, 8.2), 1.2, ellipse)
     points = (np.arange(17 * fine) + 0.5) / fine - 0.5
-    sampled, _ = light(view(points), INTEGRATED._replace(pixel_integration=False), base, ellipse)
-    exact = sampled[0].reshape(17, fine, 17, fine).mean(axis=(1, 3))
+    sampled = light(replace(INTEGRATED, pixel_integration=False), points, (8.2, 8.2), 1.2, ellipse)
+    exact = sampled.reshape(17, fine, 17, fine).mean(axis=(1, 3))
     # The mean over points itself misses (1/fine)²/24 of the curvature 1/σ², 4e-5.
-    assert np.abs(found[0] - exact).max() < 5e-5 * 700
+    assert np.abs(found - exact).max() < 5e-5 * 700
 
 
 @pytest.mark.parametrize("sigma", [0.9, 1.2, 3.0])
@@ -83,7 +83,7 @@ def test_calibration_gives_the_law_of_the_light():
     rng, times, baseline = (
         np.random.default_rng(9),
         (1e-4, 2e-4, 4e-4, 8e-4),
-        INTEGRATED._replace(photon_budget="linear", longest_s=8e-4),
+        replace(INTEGRATED, photon_budget="linear", longest_s=8e-4),
     )
     p1, p2, peak, frames, centres = 0.25, 3.4, 2500.0, [], []
     for site in range(5):

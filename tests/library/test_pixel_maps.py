@@ -9,8 +9,8 @@ from spotcheck import dataset, store
 from spotcheck.cli import run
 from spotcheck.estimate.pixel_maps import maps_in, maps_of, shrunk, smooth
 from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.model.pixel_maps import PixelMaps
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.pixel_maps import PixelMaps
 from tests.library.conftest import folder
 
 SHAPE = (48, 64)

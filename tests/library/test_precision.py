@@ -1,5 +1,7 @@
 """Scatter against bound, and the best exposure: synthetic fits whose scatter is known, and limits with closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,7 +13,7 @@ from spotcheck.estimate.precision import ENOUGH, SCATTERED, frame_bounds, pooled
 from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.instrument import Instrument
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.reference.numpy_chain import draw
 
 SENSOR = SensorModel(0.11, 13.0, 70.0, full_scale_dn=1023.0)
@@ -114,10 +116,10 @@ def test_the_fit_reaches_the_bound_of_a_frame(top_hat, full_scale):
     Four standard errors of a standard deviation, 4/√(2·149) = 23 %; false alarm 6e-5 each of 16.
     """
     baseline = Baseline(0.0, "linear", top_hat, 1e-3)
-    sensor = SENSOR._replace(full_scale_dn=full_scale)
+    sensor = replace(SENSOR, full_scale_dn=full_scale)
     side, amplitude, sigma = 101, 600.0, 9.0
     pixel = np.arange(side, dtype=float)
-    light = baseline.shape(pixel[None, :], pixel[:, None], amplitude, side // 2, side // 2, sigma)
+    light = baseline.declared_light(pixel[None, :], pixel[:, None], amplitude, side // 2, side // 2, sigma)
     rng = np.random.default_rng(8)
     images = [draw(light, 1e-3, sensor, rng) for _ in range(150)]
     fits = fit_spots(images, sensor, top_hat=top_hat)
@@ -141,6 +143,6 @@ def test_the_bound_stops_falling_where_the_sensor_saturates():
     assert (np.diff(bound[fine < 8e-4]) < 0).all()
     assert bound[-1] > bound.min()
     assert (bound[fine < enough] > (1 + ENOUGH) * bound.min()).all()
-    endless = found(sensor=SENSOR._replace(full_scale_dn=np.inf))
+    endless = found(sensor=replace(SENSOR, full_scale_dn=np.inf))
     assert float(endless["best_exposure"]) == pytest.approx(3.6e-3)
     assert "the longest that was looked at" in sentence(endless)

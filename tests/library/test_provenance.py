@@ -105,8 +105,9 @@ def test_file_digest(tmp_path):
 
 @pytest.mark.parametrize("stage", ["fit", "crop", "simulate"])
 def test_real_stages_cover_what_they_compute_with(stage):
-    """The forward model belongs to fit and simulate, not to crop; the command line's parser belongs to none."""
+    """The sensor belongs to fit and simulate, the forward model to simulate, the parser to none."""
     names = {p.relative_to(provenance.ROOT).as_posix() for p in provenance.sources(f"spotcheck.cli.{stage}")}
     assert {"spotcheck/store.py", "spotcheck/dataset.py"} <= names
-    assert ("spotcheck/model/sensor.py" in names) == (stage != "crop")
+    assert ("spotcheck/sensor/distribution.py" in names) == (stage != "crop")
+    assert ("spotcheck/model/forward.py" in names) == (stage == "simulate")
     assert "spotcheck/cli/fit.py" not in names or stage == "fit"

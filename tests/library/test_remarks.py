@@ -1,5 +1,7 @@
 """What is odd about results is said: in files, by commands, in words that name the likely keys."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -25,7 +27,7 @@ def test_a_chi_square_far_from_one_is_flagged_and_said(tmp_path, gain, noise, wo
     frames = [noisy(gaussian(100, 900.0, 48.4, 51.7, 14.0), seed) for seed in (1, 2)]
     dataset = loaded(tmp_path, frames, SHEET + "}")
     crops.crop(dataset, crops.ingest(dataset), tmp_path / "crops.nc", code="", inputs=[])
-    stated = SENSOR._replace(gain_dn_per_e=gain, read_noise_e=noise)
+    stated = replace(SENSOR, gain_dn_per_e=gain, read_noise_e=noise)
     with store.read(tmp_path / "crops.nc") as images:
         fits = fit_crops(images, stated)
     own = preferred(fits)

@@ -1,4 +1,6 @@
-"""A response that the data sheet says to bend: its readings, its fits, and flats that tell it."""
+"""A curved response that the data sheet states: its readings, its fits, and flats that show it."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +11,11 @@ from spotcheck.cli import main
 from spotcheck.correction.electrons import corrected, curve_of
 from spotcheck.instrument import read_instrument
 from spotcheck.judging import judge_dataset
-from spotcheck.model.response import bent, straightened
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.response import apply_curvature, remove_curvature
 
 SENSOR = SensorModel(0.25, 8.0, black_level_dn=40.0, full_scale_dn=1023.0, response_bend=0.06)
-STRAIGHT = SENSOR._replace(response_bend=0.0)
+LINEAR = replace(SENSOR, response_bend=0.0)
 
 
 def readings(photons, rng, sensor=SENSOR):
@@ -24,35 +26,51 @@ def readings(photons, rng, sensor=SENSOR):
 
 
 @pytest.mark.parametrize("curvature", [1e-4, -1e-4, 0.0])
-def test_what_bends_is_straightened(curvature):
-    signal = np.linspace(0.0, 2000.0, 9)
-    mean, variance = bent(signal, np.zeros(9), curvature)
-    assert straightened(mean, curvature) == pytest.approx(signal, abs=1e-9)
-    assert variance == pytest.approx(np.zeros(9))
-    # Below black nothing bends, and beyond its top a response does not fall.
-    assert straightened(np.array([-3.0, np.nan]), curvature) == pytest.approx([-3.0, np.nan], nan_ok=True)
-    if curvature > 0:
-        assert bent(1e5, 0.0, curvature)[0] == pytest.approx(1 / (4 * curvature))
+def test_removing_the_curvature_is_the_inverse_of_applying_it(curvature):
+    """Also below black, and x − c x² written out; NaN stays NaN."""
+    signal = np.linspace(-2000.0, 2000.0, 21)
+    response = apply_curvature(signal, curvature)
+    np.testing.assert_allclose(response, signal - curvature * signal**2, rtol=1e-14)
+    np.testing.assert_allclose(remove_curvature(response, curvature), signal, rtol=1e-12, atol=1e-12)
+    assert np.isnan(remove_curvature(np.array([np.nan]), curvature)).all()
+
+
+@pytest.mark.parametrize("curvature", [1e-4, -1e-4])
+def test_the_response_stays_constant_beyond_its_extremum(curvature):
+    """At 1/(2c) the response is 1/(4c) and never turns back; a response that no signal reaches has that signal."""
+    extremum, beyond = 0.5 / curvature, np.array([1.0, 1.5, 20.0]) / curvature
+    np.testing.assert_allclose(apply_curvature(beyond, curvature), extremum / 2, rtol=1e-14)
+    np.testing.assert_allclose(remove_curvature(np.array([0.5, 0.7, 9.0]) * extremum, curvature), extremum, rtol=1e-7)
+
+
+def test_linearized_readings_belong_to_the_sensor_without_curvature():
+    """Black level and full scale are linearized as readings are, and a linear sensor stays what it is."""
+    own = SENSOR.without_curvature()
+    assert own.response_bend == 0 and own.full_scale_dn == float(SENSOR.linearize(1023.0)) > 1023
+    assert float(SENSOR.linearize(40.0)) == 40.0
+    assert LINEAR.without_curvature() is LINEAR
+    readings_dn = np.array([3, 700], np.uint16)
+    np.testing.assert_array_equal(LINEAR.linearize(readings_dn), readings_dn)
 
 
 @pytest.mark.parametrize("photons", [0.0, 20.0, 600.0, 2400.0, 4100.0])
-def test_mean_variance_and_draws_of_a_bent_sensor(photons):
+def test_mean_variance_and_draws_of_a_curved_sensor(photons):
     """Of 200,000 pixels, from black to where full scale cuts half of them. Mean and variance to five errors (one false
-    alarm in 1e5 over all) and what the normal law misses: 0.02 DN, 1 %."""
+    alarm in 1e5 over all) and of the table behind `mean` and `variance` 1e-4: all are exact."""
     rng, light = np.random.default_rng(3), np.full((400, 500), photons)
     mean, variance = SENSOR.mean(photons), SENSOR.variance(photons)
     for own in (readings(light, rng), SENSOR.draw(light, rng)):
         error = 5 * np.sqrt(own.var() / own.size)
-        assert mean == pytest.approx(own.mean(), abs=error + 0.02)
-        assert variance == pytest.approx(own.var(), rel=5 * np.sqrt(2 / own.size) + 0.01)
-    whole = SENSOR.straightened(readings(light, rng))
+        assert mean == pytest.approx(own.mean(), abs=error + 1e-3)
+        assert variance == pytest.approx(own.var(), rel=6 * np.sqrt(2 / own.size) + 1e-4)
+    whole = SENSOR.linearize(readings(light, rng))
     # Below black, and where full scale cuts, a mean of straightened readings is none of the signal's.
     if 20 < photons < 4000:
         slope = 1 - 2 * SENSOR.curvature * SENSOR.gain_dn_per_e * photons
         error = 5 * np.sqrt(whole.var() / whole.size)
-        assert whole.mean() == pytest.approx(STRAIGHT.mean(photons), abs=error + 0.02)
+        assert whole.mean() == pytest.approx(LINEAR.mean(photons), abs=error + 0.02)
         # Rounding happens behind the bend.
-        expected = STRAIGHT.variance(photons) + (1 / slope**2 - 1) / 12
+        expected = LINEAR.variance(photons) + (1 / slope**2 - 1) / 12
         assert whole.var() == pytest.approx(expected, rel=5 * np.sqrt(2 / whole.size) + 1e-3)
 
 
@@ -69,14 +87,14 @@ def test_a_spot_is_fitted_through_the_bend():
         assert abs(pull.mean()) < 4 / np.sqrt(60), name
         assert pull.var(ddof=1) == pytest.approx(1, abs=4 * np.sqrt(2 / 59)), name
     assert fits.chi2_reduced.mean() == pytest.approx(1, abs=4 * np.sqrt(2 / 1760 / 60) + 0.005)
-    plain = spotcheck.fit_spots(images[:5], STRAIGHT)
+    plain = spotcheck.fit_spots(images[:5], LINEAR)
     assert np.all((1075 - plain.amplitude) / plain.amplitude_stderr > 20)
 
 
 def test_bounds_are_those_that_fits_reach():
     """A bend moves where full scale cuts, and nothing else of what a reading tells."""
     asked = {"amplitude": 700.0, "sigma_major": 5.0, "sigma_minor": 4.0}
-    bend, plain = (spotcheck.spot_bounds(own, (40, 40), **asked) for own in (SENSOR, STRAIGHT))
+    bend, plain = (spotcheck.spot_bounds(own, (40, 40), **asked) for own in (SENSOR, LINEAR))
     assert bend == pytest.approx(plain, rel=1e-6)
     rng, (y, x) = np.random.default_rng(12), np.mgrid[:40, :40]
     photons = 2800 * np.exp(-(((x - 19.5) / 5) ** 2 + ((y - 19.5) / 4) ** 2) / 2)

@@ -1,23 +1,26 @@
 """One pass over the pixels: score and information against plain sums, and the law of a pixel against every outcome."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from spotcheck.estimate.scoring import EQUAL, LIKELIHOOD, VARIANCE, law_of, one_pass
+from spotcheck.estimate.reading_kernel import law_of
+from spotcheck.estimate.scoring import EQUAL, LIKELIHOOD, VARIANCE, one_pass
 from spotcheck.model import spot
 from spotcheck.model.baseline import jacobian
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.reference.exact_law import moments, reading_law
 from tests.reference.numpy_chain import draw
+from tests.reference.numpy_kernel import one_pixel, tables_of
 
 pytestmark = pytest.mark.filterwarnings("error")
 # A black level of 1000 DN would let nothing be faint but for its electrons: the spots below stand on 300 e- and more.
 BRIGHT = SensorModel(0.5, 2.0, black_level_dn=20.0)
-FULL = BRIGHT._replace(full_scale_dn=300.0)
-WELL = BRIGHT._replace(full_well_e=560.0)
+FULL = replace(BRIGHT, full_scale_dn=300.0)
+WELL = replace(BRIGHT, full_well_e=560.0)
 FAINT = SensorModel(0.11, 13.0)
 OFFSET = 170.0
 # Amplitude, x, y, widths, orientation [rad], offset, in an image of 40 rows and 50 columns.
@@ -101,6 +104,23 @@ def test_likelihood_of_bright_light(natural, top_hat):
     chi2, used = assert_is_sum(image, natural, LIKELIHOOD, BRIGHT, top_hat, residual / variance, 1 / variance, 1e-10)
     assert chi2 == pytest.approx(np.nansum(residual**2 / variance), rel=1e-10)
     assert used == np.isfinite(image).sum()
+
+
+@pytest.mark.parametrize("sensor", [FULL, WELL, FAINT], ids=["full scale", "full well", "faint"])
+@pytest.mark.parametrize("top_hat", [False, True])
+def test_likelihood_of_clipped_and_faint_light(sensor, top_hat):
+    """Σ s ∂µ and Σ i ∂µ ∂µᵀ of score and information of each pixel by the kernel's plain numpy version, in DN.
+
+    Over a spot these take in the faint table, full scale and the well at once.
+    """
+    natural = (250.0 if sensor is WELL else 300.0, 24.3, 18.6, 6.5, 4.8, 0.5, 0.0 if sensor is FAINT else 60.0)
+    image, kernel = seen(natural, sensor, top_hat), tables_of(sensor)
+    readings = np.nan_to_num(image.ravel())
+    electrons = kernel.signal(mean_of(*natural, top_hat=top_hat))
+    own = [one_pixel(float(y), float(nu), kernel) for y, nu in zip(readings, electrons, strict=True)]
+    score, weight = (np.array([getattr(pixel, name) for pixel in own]) for name in ("score", "information"))
+    gain = sensor.gain_dn_per_e
+    assert_is_sum(image, natural, LIKELIHOOD, sensor, top_hat, score / gain, weight / gain**2, 1e-10)
 
 
 @pytest.mark.parametrize("weighting", [LIKELIHOOD, VARIANCE])
@@ -194,7 +214,7 @@ def test_the_score_at_the_well_is_that_of_its_density(electrons):
 # law is clipped. Over a spot its sign changes, and 100 such pixels shift a parameter by a tenth of its error.
 CLIPPED = {
     "full scale": (FULL, (480.0, 520.0, 545.0, 559.0, 575.0, 600.0, 640.0), 0.01),
-    "paper's full scale": (FAINT._replace(full_scale_dn=1023.0), (8800.0, 9100.0, 9300.0, 9500.0, 9800.0), 0.003),
+    "paper's full scale": (replace(FAINT, full_scale_dn=1023.0), (8800.0, 9100.0, 9300.0, 9500.0, 9800.0), 0.003),
     "full well": (WELL, (440.0, 480.0, 520.0, 545.0, 560.0, 590.0, 620.0), 0.01),
 }
 
@@ -232,7 +252,7 @@ def test_the_score_of_random_readings_near_a_clip_is_0_on_average(sensor, light,
 
 TABLES = {
     "paper": FAINT,
-    "paper, black level 40": FAINT._replace(black_level_dn=40.0),
+    "paper, black level 40": replace(FAINT, black_level_dn=40.0),
     "quiet": SensorModel(0.5, 2.0, black_level_dn=2.0),
     "many DN an electron": SensorModel(8.0, 1.0, black_level_dn=100.0),
     "counting": SensorModel(1.0, 0.0),
@@ -309,7 +329,7 @@ def test_variances_of_faint_light(sensor):
 
 def test_a_black_level_far_too_high():
     """Below its table the law is that of read noise alone, where black does not clip, and nothing where it does."""
-    own = FAINT._replace(black_level_dn=40.0)
+    own = replace(FAINT, black_level_dn=40.0)
     score, information, chi2, used = pixel(20, -150.0, own)
     floor = 13.0**2 + 1 / 12 / 0.11**2
     residual = (20 - 40) / 0.11 + 150

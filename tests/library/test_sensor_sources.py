@@ -6,8 +6,8 @@ import pytest
 from spotcheck.clip import End
 from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.estimate.sensor import Darks, known_beforehand, resolve
-from spotcheck.model.sensor import SensorModel
 from spotcheck.model.spot import elliptical_gaussian
+from spotcheck.sensor import SensorModel
 from tests.library.conftest import loaded
 from tests.reference.numpy_chain import draw
 

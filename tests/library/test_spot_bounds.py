@@ -1,19 +1,22 @@
 """Bounds of a spot in one image: those of the law that the fit uses, which its fits reach."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
+from spotcheck.estimate.reading_kernel import law_of
+from spotcheck.estimate.scoring import LIKELIHOOD, one_pass
 from spotcheck.estimate.search import precision_of
 from spotcheck.estimate.spot_bounds import spot_bounds
 from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.library.shelf import CAMERA
 
 # Sensor, peak [DN], offset [DN]: bright, clipped at full scale over 3 % of the pixels, faint.
 SCENES = {
     "bright": (CAMERA, 600.0, 20.0),
-    "clipped": (CAMERA._replace(full_scale_dn=400.0), 600.0, 20.0),
+    "clipped": (replace(CAMERA, full_scale_dn=400.0), 600.0, 20.0),
     "faint": (SensorModel(0.5, 2.0, black_level_dn=10.0, full_scale_dn=255.0), 12.0, 11.0),
 }
 
@@ -60,7 +63,7 @@ def test_bounds_of_a_round_spot_and_of_dark_current():
     assert bounds.orientation == np.inf and bounds.sigma_major == pytest.approx(bounds.sigma_minor, rel=1e-9)
     near = spot_bounds(CAMERA, (41, 41), amplitude=300, sigma_major=5, sigma_minor=4.999)
     assert near.sigma_mean == pytest.approx(bounds.sigma_mean, rel=1e-3)
-    warm = CAMERA._replace(dark_current_e_per_s=1e5)
+    warm = replace(CAMERA, dark_current_e_per_s=1e5)
     timed = spot_bounds(warm, (41, 41), amplitude=300, sigma_major=5, exposure_s=1e-2)
     assert timed == spot_bounds(CAMERA, (41, 41), amplitude=300, sigma_major=5, offset=20 + 0.11 * 1000)
     assert timed.sigma_mean > bounds.sigma_mean

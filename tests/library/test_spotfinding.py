@@ -1,5 +1,7 @@
 """Where the spot is, and the crop around it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -83,7 +85,7 @@ def test_a_frame_without_light_has_no_spot(level, noise_dn):
 
     The largest of 14,400 medians of nine is 1.9 noises above their middle; a spot starts at 5.
     """
-    own = SENSOR._replace(black_level_dn=level, read_noise_e=noise_dn / 0.11)
+    own = replace(SENSOR, black_level_dn=level, read_noise_e=noise_dn / 0.11)
     dark = [noisy(np.zeros((SIDE, SIDE)), seed, own) for seed in range(6)]
     assert not any(spotfinding.light_centroid(pixels, 120).found for pixels in dark)
 

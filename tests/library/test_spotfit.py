@@ -1,5 +1,6 @@
 """The spot fit: the truth within its errors on any sensor, least squares as the reference has it, no false root."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -9,10 +10,11 @@ from scipy.special import ndtr
 from scipy.stats import ncx2
 
 from spotcheck.estimate.fitted import NAMES, PARAMETERS
-from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
+from spotcheck.estimate.reading_kernel import law_of
+from spotcheck.estimate.scoring import LIKELIHOOD, one_pass
 from spotcheck.estimate.spotfit import fit_spots, model_image
 from spotcheck.model import spot
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from spotcheck.store import flag
 from tests.library.conftest import SENSOR, gaussian
 from tests.reference.numpy_chain import draw
@@ -80,10 +82,10 @@ NONE = (0.0, 0.0)
 CASES = {
     "counts alone": (SensorModel(1.0, 0.0), (150, 250), 3.0, False, "likelihood", NONE, (0.01, 0.06)),
     "fine counts": (SensorModel(0.11, 0.0), (150, 250), 0.5, False, "likelihood", NONE, (0.1, 0.4)),
-    "paper": (SENSOR._replace(black_level_dn=0.0), (400, 800), 0.0, False, "likelihood", NONE, (0.25, 0.5)),
+    "paper": (replace(SENSOR, black_level_dn=0.0), (400, 800), 0.0, False, "likelihood", NONE, (0.25, 0.5)),
     "black level": (SENSOR, (400, 800), 40.0, False, "likelihood", NONE, NONE),
-    "full scale": (QUIET._replace(full_scale_dn=300.0), (400, 800), 25.0, False, "likelihood", (0.04, 0.07), NONE),
-    "full well": (QUIET._replace(full_well_e=560.0), (400, 800), 25.0, False, "likelihood", (0.04, 0.07), NONE),
+    "full scale": (replace(QUIET, full_scale_dn=300.0), (400, 800), 25.0, False, "likelihood", (0.04, 0.07), NONE),
+    "full well": (replace(QUIET, full_well_e=560.0), (400, 800), 25.0, False, "likelihood", (0.04, 0.07), NONE),
     "quiet and dark": (SensorModel(2.0, 1.0, black_level_dn=100.0), (200, 400), 100.0, False, "likelihood", NONE, NONE),
     "top hat": (SENSOR, (400, 800), 42.0, True, "likelihood", NONE, NONE),
     "equal weights": (SENSOR, (400, 800), 40.0, False, "equal", NONE, NONE),
@@ -141,7 +143,7 @@ def test_dark_pixels_that_count_electrons(read_noise, gain):
 def test_means_of_frames(count):
     """Readings between whole numbers, most of them where the spot is dark: standard pulls of 200 fits, each converged.
     Rounding of each frame counts in full (1/12 DN²) and shrinks by averaging: errors may be 2 % too large."""
-    sensor = SENSOR._replace(gain_dn_per_e=SENSOR.gain_dn_per_e / count, read_noise_e=SENSOR.read_noise_e * count**0.5)
+    sensor = replace(SENSOR, gain_dn_per_e=SENSOR.gain_dn_per_e / count, read_noise_e=SENSOR.read_noise_e * count**0.5)
     rng = np.random.default_rng(count)
     value = [*TRUTH[:6], SENSOR.black_level_dn]
     images = [np.mean([frame_of(value, rng, rows=90, columns=90) for _ in range(count)], axis=0) for _ in range(200)]
@@ -194,7 +196,7 @@ def distance(data, value, sensor) -> float:
     return float(np.sqrt(score @ np.linalg.solve(information, score)))
 
 
-@pytest.mark.parametrize("sensor", [SENSOR, QUIET, QUIET._replace(full_scale_dn=300.0)])
+@pytest.mark.parametrize("sensor", [SENSOR, QUIET, replace(QUIET, full_scale_dn=300.0)])
 def test_the_root_of_the_likelihood_is_reached(sensor):
     """To a thirtieth of a standard error."""
     truth = np.array([*TRUTH[:6], sensor.black_level_dn + 5])
@@ -430,7 +432,7 @@ def test_light_that_is_integrated_over_pixels(widths, degrees, weighting):
     side = 14 * widths[0]
     truth = np.array([1000.0, side / 2 + 0.3, side / 2 - 0.1, *widths, degrees, 170.0])
     data = integrated(truth, side)
-    fits = fit_spots([data], QUIET._replace(full_scale_dn=np.inf), weighting=weighting, integrated=True)
+    fits = fit_spots([data], replace(QUIET, full_scale_dn=np.inf), weighting=weighting, integrated=True)
     # What σ² + 1/12 leaves out goes as the fourth power.
     share = 2e-5 * (3 / widths[1]) ** 4 + 1e-7
     np.testing.assert_allclose(fits.value[0, [0, 3, 4]], truth[[0, 3, 4]], rtol=share)
@@ -438,7 +440,7 @@ def test_light_that_is_integrated_over_pixels(widths, degrees, weighting):
     if widths[0] > widths[1]:
         assert abs(missed(fits, truth)[0, 5]) < 1e-3
     # At pixel centres alone it looks wider, by 1/(24 σ).
-    sampled = fit_spots([data], QUIET._replace(full_scale_dn=np.inf), weighting=weighting)
+    sampled = fit_spots([data], replace(QUIET, full_scale_dn=np.inf), weighting=weighting)
     np.testing.assert_allclose(sampled.value[0, 3:5] - truth[3:5], 1 / (24 * truth[3:5]), rtol=0.03)
 
 
@@ -475,7 +477,7 @@ def test_errors_of_integrated_light():
 def test_integrated_light_with_parameters_fixed():
     """A width is fixed as that before the pixels."""
     truth = np.array([1000.0, 24.3, 26.1, 5.0, 3.0, 0.0, 170.0])
-    sensor = QUIET._replace(full_scale_dn=np.inf)
+    sensor = replace(QUIET, full_scale_dn=np.inf)
     for options in ({"fixed": {"sigma_major": 5.0}}, {"fixed": {"sigma_minor": 3.0, "offset": 170.0}}):
         fits = fit_spots([integrated(truth, SIDE)], sensor, integrated=True, **options)
         np.testing.assert_allclose(fits.value[0, [0, 3, 4]], truth[[0, 3, 4]], rtol=3e-5)
@@ -641,7 +643,7 @@ def test_a_black_level_that_is_wrong(wrong, sensor, weighting):
     truth = np.array([*TRUTH[:6], sensor.black_level_dn])
     fits = fit_spots(
         frames_of(truth, 30, 8, sensor),
-        sensor._replace(black_level_dn=sensor.black_level_dn + wrong),
+        replace(sensor, black_level_dn=sensor.black_level_dn + wrong),
         weighting=weighting,
     )
     # Far above, the law takes the noise for that of reading alone: χ² per degree of freedom says by how much.
@@ -656,9 +658,9 @@ def test_a_black_level_that_is_wrong(wrong, sensor, weighting):
 @pytest.mark.parametrize("black", [0.0, 3.0])
 def test_a_black_level_that_is_too_high_where_black_clips(black, wrong):
     """As above, with up to half of the dark pixels at 0: within 5 errors (false alarm of 1600 values 1e-3)."""
-    sensor = SENSOR._replace(black_level_dn=black)
+    sensor = replace(SENSOR, black_level_dn=black)
     truth = np.array([*TRUTH[:6], black])
-    fits = fit_spots(frames_of(truth, 20, 8, sensor), sensor._replace(black_level_dn=black + wrong))
+    fits = fit_spots(frames_of(truth, 20, 8, sensor), replace(sensor, black_level_dn=black + wrong))
     assert (fits.flags == 0).all() and (np.abs(pulls_of(fits, truth)) < 5).all()
 
 
@@ -707,7 +709,7 @@ def assert_same(fits, want, order=range(8), share=0.05):
 
 
 @pytest.mark.parametrize("weighting", ["likelihood", "equal"])
-@pytest.mark.parametrize("sensor", [SENSOR._replace(black_level_dn=0.0), QUIET._replace(full_scale_dn=300.0)])
+@pytest.mark.parametrize("sensor", [replace(SENSOR, black_level_dn=0.0), replace(QUIET, full_scale_dn=300.0)])
 def test_the_same_spot_seen_otherwise(sensor, weighting):
     """Moved by whole pixels, with masked ones around it, transposed, mirrored, in other units of a DN.
 
@@ -740,7 +742,7 @@ def test_the_same_spot_seen_otherwise(sensor, weighting):
 def test_a_dn_is_a_unit():
     """Four times the gain, black level and readings: the same spot, but for the rounding of 1/12 DN² either way."""
     frames = frames_of([*TRUTH[:6], 150.0], 10, 7, QUIET)
-    fine = QUIET._replace(gain_dn_per_e=2.0, black_level_dn=80.0, full_scale_dn=4092.0)
+    fine = replace(QUIET, gain_dn_per_e=2.0, black_level_dn=80.0, full_scale_dn=4092.0)
     want, fits = fit_spots(frames, QUIET), fit_spots([4.0 * f for f in frames], fine)
     scale = np.array([4, 1, 1, 1, 1, 1, 4, 1])
     assert (np.abs(fits.value / scale - want.value) < 0.05 * want.stderr).all()

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from spotcheck.estimate.by_spots import seen_by_spots
 from spotcheck.estimate.noise_curve import Gain, correlated_px, gain_from_curve, noise_curve
 from spotcheck.estimate.skipped import skipped_codes
-from spotcheck.model.sensor import ROUNDING_VARIANCE
+from spotcheck.sensor import ROUNDING_VARIANCE
 from tests.conftest import SHARED
 
 GAIN, NOISE, BLACK = 0.025, 13.0, 5.0

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import ndtr
 from scipy.stats import poisson
 
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 
 def reading_law(electrons: float, sensor: SensorModel) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 
 def draw(light_dn, exposure_s: float, sensor: SensorModel, rng: np.random.Generator) -> np.ndarray:

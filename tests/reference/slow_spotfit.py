@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.model.sensor import SensorModel, reading
+from spotcheck.sensor import ReadingDistribution, SensorModel
 from spotcheck.store import flag
 
 MAX_ITERATIONS = 100
@@ -53,7 +53,8 @@ def fit_spot(crop: np.ndarray, exposure_s: float, sensor: SensorModel | None) ->
         chi2 = np.nan
     else:
         light = np.maximum(model - sensor.black_level_dn, 0.0)
-        variance = reading(light, exposure_s, sensor).variance
+        distribution = ReadingDistribution(sensor, exposure_s=exposure_s)
+        variance = distribution.tabulate(float(light.max())).variance(light)
         # A clipped pixel has no variance of its own; rounding is the least that is left.
         variance = np.maximum(variance, 1 / 12)
         covariance = normal @ (jac * variance) @ jac.T @ normal

@@ -7,7 +7,7 @@ import xarray as xr
 
 from spotcheck.cli import main
 from spotcheck.dataset import load
-from spotcheck.model.extended import read_model
+from spotcheck.model.model_file import read_model
 from tests.conftest import planned, snakemake
 
 # One copy of the small run serves all.

@@ -2,8 +2,8 @@
 
 Public names stand in `__all__` and in workflow/docs/api.md; a module is imported when a name of it is first used.
 
-Inside, imports go down: judging > cli > figures, old_engine > estimate, metrics > model > frames, optics > dataset,
-store.
+Inside, imports go down: judging > cli > figures, old_engine > estimate, metrics > model > sensor > frames, optics >
+dataset, store.
 """
 
 from typing import TYPE_CHECKING
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from spotcheck.first_look.looking import Look, look
     from spotcheck.frames import read as read_image
     from spotcheck.judging import judge_dataset
-    from spotcheck.model.pixel_maps import PixelMaps
-    from spotcheck.model.sensor import SensorModel
+    from spotcheck.sensor import SensorModel
+    from spotcheck.sensor.pixel_maps import PixelMaps
 
     __version__: str
 else:
@@ -56,8 +56,8 @@ else:
         "Dataset": "dataset.Dataset",
         "InputError": "errors.InputError",
         "Look": "first_look.looking.Look",
-        "PixelMaps": "model.pixel_maps.PixelMaps",
-        "SensorModel": "model.sensor.SensorModel",
+        "PixelMaps": "sensor.pixel_maps.PixelMaps",
+        "SensorModel": "sensor.model.SensorModel",
         "SpotBounds": "estimate.spot_bounds.SpotBounds",
         "SpotFits": "estimate.fitted.SpotFits",
         "characterise_dataset": "estimate.characterise.characterise_dataset",

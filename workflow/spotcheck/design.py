@@ -9,9 +9,10 @@ from spotcheck.dataset import Dataset, load
 from spotcheck.errors import InputError
 from spotcheck.instrument import Instrument
 from spotcheck.model.baseline import of_instrument
-from spotcheck.model.chain import Law
-from spotcheck.model.extended import Extended, read_model
-from spotcheck.model.sensor import SensorModel, checked
+from spotcheck.model.light import ExposureLaw
+from spotcheck.model.model_file import ExtendedModel, read_model
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.model import check_sensor
 from spotcheck.simulation import CANVAS, simulate_extended
 
 # What the model expects of every crop, beside the drawn frames.
@@ -74,12 +75,15 @@ def simulate_dataset(
     if model is None:
         if None in law:
             raise InputError("simulate_dataset: p1_px, p2_px or peak_dn is missing; give all three, or a model.yaml")
-        name, own = "simulate_dataset", _plain(given, Law(*(float(value) for value in law if value is not None)))
+        name, own = (
+            "simulate_dataset",
+            _plain(given, ExposureLaw(*(float(value) for value in law if value is not None))),
+        )
     else:
         if law != [None] * 3:
             raise InputError("simulate_dataset: a model has p1_px, p2_px and peak_dn of its own; give it or these")
         name, own = Path(model).name, read_model(Path(model))
-    camera = data_sheet(given.instrument) if sensor is None else checked(sensor)
+    camera = data_sheet(given.instrument) if sensor is None else check_sensor(sensor)
     if not np.isfinite(camera.full_scale_dn):
         raise InputError("sensor: full_scale_dn is infinite; give the largest reading, such as 1023 for 10 bit")
     simulate_extended(
@@ -108,7 +112,7 @@ def data_sheet(instrument: Instrument) -> SensorModel:
     )
 
 
-def _plain(given: Dataset, law: Law) -> Extended:
+def _plain(given: Dataset, law: ExposureLaw) -> ExtendedModel:
     """The paper's model alone: every spot in the middle of a frame that is larger than its crop."""
     baseline = of_instrument(given.instrument, given.exposures)
     if baseline.photon_budget == "free":
@@ -117,9 +121,9 @@ def _plain(given: Dataset, law: Law) -> Extended:
             " the photon budget free; give a model.yaml with a peak and a width for every spot"
         )
     widths = [float(baseline.sigma(t, law.p1, law.p2)) for t in given.exposures]
-    if not (law.peak > 0 and min(widths) > 0):
+    if not (law.peak_dn > 0 and min(widths) > 0):
         raise InputError(
-            f"simulate_dataset: peak_dn is {law.peak:g} and the least width {min(widths):g} px; both must be above 0"
+            f"simulate_dataset: peak_dn is {law.peak_dn:g} and the least width {min(widths):g} px; both must be above 0"
         )
     side = CANVAS * given.instrument.crop_px
-    return Extended(law, baseline.longest_s, baseline.longest_s, side, side, (), {})
+    return ExtendedModel(law, baseline.longest_s, baseline.longest_s, side, side, (), {})

@@ -1,16 +1,16 @@
 """The simulate stage: a model as mean images and as a dataset folder of its own. The paper's model runs at the
 calibrated parameters, the extended one as its model.yaml says.
 
-The folder keeps the dataset contract, so that simulated frames pass the very stages that measured ones do.
+The folder keeps the dataset contract, so that simulated frames pass the same stages as measured ones.
 """
 
 import csv
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -23,14 +23,13 @@ from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.fits import preferred
 from spotcheck.manifest import Frame
-from spotcheck.model import chain
 from spotcheck.model.baseline import Baseline, of_instrument
-from spotcheck.model.chain import Free, Law, View
-from spotcheck.model.exposed import Chance, expose
-from spotcheck.model.extended import Extended, Site, check_bounds, context_of, site_of
-from spotcheck.model.light_file import LIGHT
-from spotcheck.model.sensor import SensorModel
-from spotcheck.model.simulate import frame_generators, frames
+from spotcheck.model.conditions import FrameConditions, crop_grid
+from spotcheck.model.forward import ForwardModel, RandomStreams
+from spotcheck.model.light import SpotState
+from spotcheck.model.light_shape import LIGHT
+from spotcheck.model.model_file import ExtendedModel, Site, check_bounds, scales_of, site_of
+from spotcheck.sensor import SensorModel
 
 # All simulated frames, one page each, in the order of the manifest.
 STACK = "frames/simulated.tif"
@@ -52,42 +51,38 @@ EXTENDED_VARIABLES = VARIABLES | {
 }
 
 
-class Drawn(NamedTuple):
-    """A simulated frame: its place on the grid, readings [row, column] in DN, and what the file of means keeps."""
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """A simulated frame."""
 
-    place: tuple[int, ...]
-    readings: np.ndarray
-    values: dict[str, Any]
-
-
-class SpotState(NamedTuple):
-    """Peak [DN] and σ_g [px] of the Gaussian of one frame, before the top hat."""
-
-    amplitude: float
-    sigma: float
+    place: tuple[int, ...]  # place on the grid of the dataset
+    readings: np.ndarray  # [row, column, DN]
+    values: dict[str, Any]  # what the file of means holds of it, by variable
 
 
 def has_law(calibration: xr.Dataset) -> bool:
-    """Whether p1, p2 and the peak were found; else every frame is simulated at its own fit."""
+    """Return whether p1, p2 and the peak were found; else every frame is simulated at its own fit."""
     return "skipped" not in calibration.attrs and bool(np.isfinite(calibration["peak"].sel(estimator=USED)))
 
 
 def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> dict[tuple[int, ...], SpotState]:
-    """Peak and width of every frame of the grid: by the law of the baseline, or each frame's own fit where no law was
-    found."""
+    """Return peak and width of every frame of the grid: by the baseline's law, or by its own fit where none was found.
+
+    A frame without a usable spot has the peak NaN.
+    """
     baseline = of_instrument(dataset.instrument, dataset.exposures)
     states = {}
-    own = preferred(fits)
+    fit = preferred(fits)
     for index, row in dataset.cells():
         if not has_law(calibration):
-            at = own.isel(dict(zip(store.grid_dims(fits), index, strict=True)))
-            amplitude = float(at["amplitude"])
-            trusted = amplitude > 0 and not int(at["status"]) & store.UNTRUSTED
-            states[index] = SpotState(amplitude if trusted else np.nan, float(at["sigma_mean"]))
+            at = fit.isel(dict(zip(store.grid_dims(fits), index, strict=True)))
+            peak = float(at["amplitude"])
+            is_usable = peak > 0 and not int(at["status"]) & store.UNTRUSTED
+            states[index] = SpotState(peak if is_usable else np.nan, float(at["sigma_mean"]))
         else:
             p1, p2, peak = (float(calibration[n].sel(estimator=USED)) for n in ("p1_mean", "p2_mean", "peak"))
-            amplitude = peak * baseline.relative_peak(row.exposure_s, p1, p2)
-            states[index] = SpotState(amplitude, baseline.sigma(row.exposure_s, p1, p2))
+            peak = peak * baseline.relative_peak(row.exposure_s, p1, p2)
+            states[index] = SpotState(peak, baseline.sigma(row.exposure_s, p1, p2))
     return states
 
 
@@ -109,9 +104,8 @@ def simulate(
     Without a sensor model the frames are the rounded mean image and the attribute `noise` says so.
     """
     noise = "drawn" if sensor else "none: gain or read noise of the sensor is unknown"
-    given = {"noise": noise, "seed": seed} | attributes
-    drawn = _baseline_frames(dataset, states, sensor, full_scale, seed)
-    _write(dataset, drawn, VARIABLES, folder, path, given, code, inputs)
+    frames = _baseline_frames(dataset, states, sensor, full_scale, seed)
+    _write(dataset, frames, VARIABLES, folder, path, {"noise": noise, "seed": seed} | attributes, code, inputs)
     write_contract(dataset, folder, {"sensor": {"bit_depth": full_scale.bit_length()}})
 
 
@@ -121,29 +115,31 @@ def _baseline_frames(
     sensor: SensorModel | None,
     full_scale: int,
     seed: int,
-) -> Iterator[Drawn]:
-    baseline = of_instrument(dataset.instrument, dataset.exposures)
+) -> Iterator[SimulatedFrame]:
+    # The paper's model, without what is known of the light's shape beyond it.
+    baseline = replace(of_instrument(dataset.instrument, dataset.exposures), learned=None)
     side = dataset.instrument.crop_px
     canvas = CANVAS * side
-    pixel = np.arange(canvas, dtype=float)
     inner = slice(canvas // 2 - side // 2, canvas // 2 - side // 2 + side)
-    cells = dict(dataset.cells())
-    for (index, row), rng in zip(cells.items(), frame_generators(seed, len(cells)), strict=True):
-        amplitude, sigma = states[index]
-        if np.isfinite(amplitude):
-            light = baseline.shape(pixel[None, :], pixel[:, None], amplitude, canvas // 2, canvas // 2, sigma)
-        else:  # a frame without a usable spot is simulated as one without light
-            light = np.zeros((canvas, canvas))
+    grid = crop_grid(range(canvas), range(canvas), canvas, canvas)
+    model = ForwardModel(baseline, sensor or SensorModel(1.0, 0.0, full_scale_dn=full_scale))
+    for number, (index, row) in enumerate(dataset.cells()):
+        peak, sigma = states[index].peak_dn, states[index].sigma_px
+        # A frame without a usable spot is simulated as one without light.
+        spot = (peak, sigma) if np.isfinite(peak) else (0.0, 1.0)
+        exposure_s = row.exposure_s or 0.0
+        frame = FrameConditions(grid, canvas // 2, canvas // 2, exposure_s, 1.0, 1.0, 0.0, 0.5, *spot)
+        light = model.light(frame).total
         if sensor is None:
             readings = np.clip(np.rint(light), 0, full_scale).astype(np.uint16)
         else:
-            (readings,) = frames([light], row.exposure_s or 0.0, sensor, [rng])
-        yield Drawn(index, readings, {"mean_light": light[inner, inner], "amplitude": amplitude, "sigma": sigma})
+            readings = model.sample(frame, RandomStreams(seed, number, number))
+        yield SimulatedFrame(index, readings, {"mean_light": light[inner, inner], "amplitude": peak, "sigma": sigma})
 
 
 def simulate_extended(
     dataset: Dataset,
-    model: Extended,
+    model: ExtendedModel,
     sensor: SensorModel,
     folder: Path,
     path: Path,
@@ -154,7 +150,7 @@ def simulate_extended(
     inputs: Sequence[str | Path],
 ) -> None:
     """Write the dataset folder that the extended model gives for the design of `dataset`, and to `path` what it expects
-    of the crop around each spot [grid, y, x], random fields and scatter left out.
+    of the crop around each spot [grid, y, x]: means over everything that is random.
 
     Frames are a window of the sensor that holds all spots with a crop to every side, or the whole frame. `name` is the
     model file's; raises `InputError` for a model that does not fit the instrument or the design.
@@ -162,25 +158,24 @@ def simulate_extended(
     baseline = of_instrument(dataset.instrument, dataset.exposures)
     if not dataset.exposures:
         # As in the verdict: without exposures nobody knows what a dark current per second brings.
-        sensor = sensor._replace(dark_current_e_per_s=0.0)
+        sensor = replace(sensor, dark_current_e_per_s=0.0)
     side = dataset.instrument.crop_px
     check_model(dataset, model, baseline, sensor, name)
     centres = _centres(dataset, model)
     # Positions stay the sensor's own: pedestals, fringes and smear refer to its whole frame.
-    left, right = _window(centres[:, 0], side, model.columns)
-    top, bottom = _window(centres[:, 1], side, model.rows)
-    window = np.arange(left, right, dtype=float), np.arange(top, bottom, dtype=float)
-    drawn = _extended_frames(dataset, model, baseline, sensor, centres, window, name, seed)
-    effects = " ".join(own.effect.name for own in model.present) or "none"
-    given = {"noise": "drawn", "seed": seed, "effects": effects, "window_left_px": left, "window_top_px": top}
-    _write(dataset, drawn, EXTENDED_VARIABLES, folder, path, given, code, inputs)
+    columns, rows = (_window(centres[:, k], side, size) for k, size in enumerate((model.columns, model.rows)))
+    frames = _extended_frames(dataset, model, baseline, sensor, centres, (columns, rows), name, seed)
+    effects = " ".join(applied.effect.name for applied in model.effects) or "none"
+    window = {"window_left_px": columns.start, "window_top_px": rows.start}
+    attributes = {"noise": "drawn", "seed": seed, "effects": effects} | window
+    _write(dataset, frames, EXTENDED_VARIABLES, folder, path, attributes, code, inputs)
     profile = dataset.instrument.light.profile
     if profile is not None:
         shutil.copyfile(profile, folder / LIGHT)
     write_contract(dataset, folder, _simulated_instrument(dataset, sensor))
 
 
-def check_model(dataset: Dataset, model: Extended, baseline: Baseline, sensor: SensorModel, name: str) -> None:
+def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sensor: SensorModel, name: str) -> None:
     """Raise `InputError` for a model, of a file of that name, that does not fit the instrument or the design."""
     budget, crop = baseline.photon_budget, dataset.instrument.crop_px
     if not dataset.spots:
@@ -189,123 +184,111 @@ def check_model(dataset: Dataset, model: Extended, baseline: Baseline, sensor: S
         raise InputError(f"{name}: has a law, which the photon budget free of this dataset cannot take")
     if crop > min(model.rows, model.columns):
         raise InputError(f"{name}: the frame has {model.columns} × {model.rows} px, but crop_px is {crop}")
-    check_bounds(model, context_of(model, baseline, sensor, crop, dataset.exposures), name)
+    check_bounds(model, scales_of(model, baseline, sensor, crop, dataset.exposures), name)
 
 
-def _centres(dataset: Dataset, model: Extended) -> np.ndarray:
-    """Centre of every frame's spot [frame, (x, y)] in px of the sensor; a site that the model does not know lies where
-    the others lie on average."""
+def _centres(dataset: Dataset, model: ExtendedModel) -> np.ndarray:
+    """Return the centre of every frame's spot [frame, (x, y)] in px of the sensor.
+
+    A site that the model does not know lies where the others lie on average.
+    """
     known = [(spot.x_px, spot.y_px) for spot in model.spots.values()]
     middle = np.mean(known, axis=0) if known else ((model.columns - 1) / 2, (model.rows - 1) / 2)
     spots = [model.spots.get(_site(dataset, row, model)) for row in dataset.spots]
     return np.array([middle if spot is None else (spot.x_px, spot.y_px) for spot in spots], float)
 
 
-def _site(dataset: Dataset, row: Frame, model: Extended) -> Site:
+def _site(dataset: Dataset, row: Frame, model: ExtendedModel) -> Site:
     return site_of(row, dataset.instrument.conditions, model.law is not None)
 
 
-def _window(centre: np.ndarray, side: int, pixels: int) -> tuple[int, int]:
-    """First pixel, and that after the last, of a window along one axis."""
+def _window(centre: np.ndarray, side: int, pixels: int) -> range:
+    """Return the pixels of a window along one axis."""
     low = int(np.clip(np.floor(centre.min()) - side, 0, pixels - side))
-    return low, int(np.clip(np.ceil(centre.max()) + side + 1, low + side, pixels))
+    return range(low, int(np.clip(np.ceil(centre.max()) + side + 1, low + side, pixels)))
 
 
 def _extended_frames(
     dataset: Dataset,
-    model: Extended,
-    declared: Baseline,
+    extended: ExtendedModel,
+    baseline: Baseline,
     sensor: SensorModel,
     centres: np.ndarray,
-    window: tuple[np.ndarray, np.ndarray],
+    window: tuple[range, range],
     name: str,
     seed: int,
-) -> Iterator[Drawn]:
-    side, (x, y) = dataset.instrument.crop_px, window
+) -> Iterator[SimulatedFrame]:
+    side, count = dataset.instrument.crop_px, len(dataset.spots)
+    grid = crop_grid(*window, extended.columns, extended.rows)
+    has_order = dataset.instrument.order_known and count > 1
     sites: dict[Site, int] = {}
     for k, (index, row) in enumerate(dataset.cells()):
-        view = _view(dataset, row, k, model, centres[k], window)
-        base: Law | Free | None = model.law
-        own = model.spots.get(_site(dataset, row, model))
-        baseline = declared if not model.lights else declared._replace(learned=model.light_of(own))
-        if base is None:
-            # A frame without a usable spot is simulated as one without light.
-            peak, width = (0.0, 1.0) if own is None else (own.peak_dn, own.sigma_px)
-            base = Free(np.full((1, 1, 1), peak), np.full((1, 1, 1), width))
-        amplitude, sigma = (float(np.squeeze(v)) for v in chain.spot_state(view, baseline, base, model.present))
-        if not (np.isfinite(amplitude) and amplitude >= 0 and np.isfinite(sigma) and sigma > 0):
+        spot = extended.spots.get(_site(dataset, row, extended))
+        # Without a law, a frame without a usable spot is simulated as one without light.
+        peak, width = (0.0, 1.0) if spot is None or spot.peak_dn is None else (spot.peak_dn, spot.sigma_px)
+        frame = FrameConditions(
+            pixels=grid,
+            x0=float(centres[k, 0]),
+            y0=float(centres[k, 1]),
+            # Exposures that were not recorded count as one second, and an unknown order as its middle, as in the
+            # verdict.
+            exposure_s=1.0 if row.exposure_s is None else row.exposure_s,
+            longest_s=extended.longest_s,
+            reference_s=extended.reference_s,
+            angle=float(np.deg2rad(row.angle_deg or 0.0)),
+            order=k / (count - 1) if has_order else 0.5,
+            peak_dn=float(peak),
+            sigma_px=float(width or 1.0),
+        )
+        learned = extended.light_of(spot) if extended.lights else baseline.learned
+        model = ForwardModel(replace(baseline, learned=learned), sensor, extended.law, extended.effects)
+        state = model.spot(frame)
+        if not (
+            np.isfinite(state.peak_dn) and state.peak_dn >= 0 and np.isfinite(state.sigma_px) and state.sigma_px > 0
+        ):
             raise InputError(
-                f"{name}: gives {row.label} a spot of {amplitude:g} DN and width {sigma:g} px; both must be above 0"
+                f"{name}: gives {row.label} a spot of {state.peak_dn:g} DN and width {state.sigma_px:g} px; both must"
+                " be above 0"
             )
         # A site is the same at all its exposures.
         site = sites.setdefault(site_of(row, dataset.instrument.conditions, True), len(sites))
-        readings = expose(view, baseline, base, model.present, sensor, Chance(seed, k, site))
-        spot, beside = chain.light(view, baseline, base, model.present)
-        expected = chain.moments(view, baseline, base, model.present, sensor).mean[0]
-        at = spotfinding.Spot(round(float(centres[k, 1])) - int(y[0]), round(float(centres[k, 0])) - int(x[0]), True)
+        readings = model.sample(frame, RandomStreams(seed, k, site))
+        left, top = (pixels.start for pixels in window)
+        at = spotfinding.Spot(round(frame.y0) - top, round(frame.x0) - left, True)
         values = {
-            "mean_light": spotfinding.cut(np.broadcast_to(spot + beside, (1, *expected.shape))[0], at, side),
-            "mean_reading": spotfinding.cut(expected, at, side),
-            "amplitude": amplitude,
-            "sigma": sigma,
-            "left": at.column - side // 2 + int(x[0]),
-            "top": at.row - side // 2 + int(y[0]),
+            "mean_light": spotfinding.cut(np.broadcast_to(model.light(frame).total, readings.shape), at, side),
+            "mean_reading": spotfinding.cut(model.expected(frame).mean, at, side),
+            "amplitude": float(state.peak_dn),
+            "sigma": float(state.sigma_px),
+            "left": at.column - side // 2 + left,
+            "top": at.row - side // 2 + top,
         }
-        yield Drawn(index, readings, values)
-
-
-def _view(
-    dataset: Dataset, row: Frame, place: int, model: Extended, centre: np.ndarray, window: tuple[np.ndarray, np.ndarray]
-) -> View:
-    """What one frame sees, a point a pixel; `place` counts the spots in the order of acquisition."""
-
-    def single(value: float) -> np.ndarray:
-        return np.full((1, 1, 1), float(value))
-
-    count = len(dataset.spots)
-    ordered = dataset.instrument.order_known and count > 1
-    return View(
-        x=window[0][None, None, :],
-        y=window[1][None, :, None],
-        x0=single(centre[0]),
-        y0=single(centre[1]),
-        # Exposures that were not recorded count as one second, and an unknown order as its middle, as in the verdict.
-        exposure_s=single(1.0 if row.exposure_s is None else row.exposure_s),
-        angle=single(np.deg2rad(row.angle_deg or 0.0)),
-        order=single(place / (count - 1) if ordered else 0.5),
-        wave_cos=single(0.0),
-        wave_sin=single(0.0),
-        longest_s=model.longest_s,
-        reference_s=model.reference_s,
-        frame_x=(model.columns - 1) / 2,
-        frame_y=(model.rows - 1) / 2,
-        frame_rows=float(model.rows),
-        rows_each=1.0,
-    )
+        yield SimulatedFrame(index, readings, values)
 
 
 def _simulated_instrument(dataset: Dataset, sensor: SensorModel) -> dict[str, Any]:
-    """The sections of instrument.yaml that the extended model ran with, so that its frames can be judged in turn."""
-    given = dataset.instrument
-    pitch, depth = given.sensor.pixel_pitch_m, int(sensor.full_scale_dn).bit_length()
-    own: dict[str, Any] = {} if pitch is None else {"pixel_pitch_m": pitch}
-    stop = {"full_scale_dn": int(sensor.full_scale_dn)} if sensor.full_scale_dn < 2**depth - 1 else {}
-    own |= (
-        {"bit_depth": depth} | stop | {key: value for key, value in sensor._asdict().items() if key != "full_scale_dn"}
-    )
+    """Return the sections of instrument.yaml that the extended model ran with, so that its frames can be judged."""
+    instrument = dataset.instrument
+    pitch, depth = instrument.sensor.pixel_pitch_m, int(sensor.full_scale_dn).bit_length()
+    keys: dict[str, Any] = {} if pitch is None else {"pixel_pitch_m": pitch}
+    keys |= {"bit_depth": depth} | asdict(sensor)
+    if sensor.full_scale_dn < 2**depth - 1:
+        keys["full_scale_dn"] = int(sensor.full_scale_dn)
+    else:
+        del keys["full_scale_dn"]
     if not np.isfinite(sensor.full_well_e):
-        del own["full_well_e"]
-    sections = {"sensor": own}
+        del keys["full_well_e"]
+    sections = {"sensor": keys}
     for name in ("optics", "laser", "material", "model"):
-        sections[name] = {key: value for key, value in asdict(getattr(given, name)).items() if value is not None}
-    if given.light.profile is not None:
+        sections[name] = {key: value for key, value in asdict(getattr(instrument, name)).items() if value is not None}
+    if instrument.light.profile is not None:
         sections["light"] = {"profile": LIGHT}
-    return {"order_known": given.order_known} | {name: section for name, section in sections.items() if section}
+    return {"order_known": instrument.order_known} | {name: section for name, section in sections.items() if section}
 
 
 def _write(
     dataset: Dataset,
-    drawn: Iterator[Drawn],
+    frames: Iterator[SimulatedFrame],
     variables: Mapping[str, store.Variable],
     folder: Path,
     path: Path,
@@ -313,7 +296,7 @@ def _write(
     code: str,
     inputs: Sequence[str | Path],
 ) -> None:
-    """The stack of a simulated folder, and what is kept of each frame."""
+    """Write the stack of a simulated folder, and what is kept of each frame."""
     extra = xr.Dataset(attrs=dict(attributes))
     for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
         pixel = np.arange(dataset.instrument.crop_px, dtype="i4")
@@ -322,9 +305,9 @@ def _write(
         store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer,
         _stack(folder / STACK) as stack,
     ):
-        for own in progress.over(drawn, "simulating frames", len(dataset.spots)):
-            stack.write(own.readings, compression="zlib", contiguous=False, metadata=None, software="")
-            writer.put(own.place, own.values)
+        for frame in progress.over(frames, "simulating frames", len(dataset.spots)):
+            stack.write(frame.readings, compression="zlib", contiguous=False, metadata=None, software="")
+            writer.put(frame.place, frame.values)
 
 
 @contextmanager
@@ -335,8 +318,8 @@ def _stack(path: Path) -> Iterator[tifffile.TiffWriter]:
 
 
 def write_contract(dataset: Dataset, folder: Path, simulated: Mapping[str, Any]) -> None:
-    """manifest.csv and instrument.yaml of the simulated folder: the measured design, and the keys of instrument.yaml
-    that were `simulated`."""
+    """Write manifest.csv and instrument.yaml of the simulated folder: the measured design, and the keys of
+    instrument.yaml that were `simulated`."""
     conditions = dataset.instrument.conditions
     header = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *conditions]
     table = folder / "manifest.csv"
@@ -346,8 +329,7 @@ def write_contract(dataset: Dataset, folder: Path, simulated: Mapping[str, Any])
         for page, (_, row) in enumerate(dataset.cells()):
             numbers = ("" if v is None else v for v in (row.angle_deg, row.exposure_s, row.repeat))
             writer.writerow([STACK, page, "spot", *numbers, *(row.extra[c] for c in conditions)])
-    given = dataset.instrument
-    content: dict = {"name": f"{dataset.title} (simulated)", "crop_px": given.crop_px}
+    content: dict = {"name": f"{dataset.title} (simulated)", "crop_px": dataset.instrument.crop_px}
     if conditions:
         content["conditions"] = list(conditions)
     store.write_text(folder / "instrument.yaml", yaml.safe_dump(content | dict(simulated), sort_keys=False))

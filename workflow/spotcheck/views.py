@@ -15,17 +15,20 @@ import xarray as xr
 from spotcheck import progress, simulation, store
 from spotcheck.dataset import Dataset
 from spotcheck.estimate.fits import preferred
+from spotcheck.model.baseline import of_instrument
+from spotcheck.old_engine.boundary import new_sensor
 from spotcheck.old_engine.model import chain
-from spotcheck.old_engine.model.baseline import Baseline, of_instrument
+from spotcheck.old_engine.model.baseline import Baseline
 from spotcheck.old_engine.model.chain import Free, View
 from spotcheck.old_engine.model.effect import Place, Present
 from spotcheck.old_engine.model.extended import Extended, Site
-from spotcheck.old_engine.model.sensor import NoiseLine, SensorModel, noise_line, reading
 from spotcheck.old_engine.nuisance.numbers import Numbered, fit_numbers
 from spotcheck.old_engine.observe.frames import Setting, whole
 from spotcheck.old_engine.observe.pixels import Expectation, Frame, Lights, Model, Numbers
 from spotcheck.old_engine.observe.shots import Shot
 from spotcheck.old_engine.verdict.extended import site_of_shot
+from spotcheck.sensor import ReadingDistribution, SensorModel
+from spotcheck.sensor.model import NoiseLine, noise_line
 
 # Readings are kept in steps of a power of two [DN], of which full scale has no more than this: the last number of 16
 # bits stands for NaN.
@@ -167,7 +170,7 @@ def write(
     """Write the views of every spot, frame by frame; `files` are crops, fits, calibration and sensor by name, `frames`
     those that a verdict can use; `why_not` says why there is no extended model."""
     side, full_scale = dataset.instrument.crop_px, float(files["sensor"]["full_scale_dn"])
-    sensor = None if frames is None else frames[1].sensor
+    sensor = None if frames is None else new_sensor(frames[1].sensor)
     line = noise_line(sensor)
     extra = xr.Dataset(attrs={"extended": why_not or "model.yaml"})
     for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
@@ -205,15 +208,17 @@ def _simulated(
     dims, pixel = store.grid_dims(files["crops"]), np.arange(dataset.instrument.crop_px, dtype=float)
     for index, row in dataset.cells():
         at = dict(zip(dims, index, strict=True))
-        crop, fit, (amplitude, sigma) = crops.isel(at), fits.isel(at), states[index]
+        crop, fit, state = crops.isel(at), fits.isel(at), states[index]
         x0, y0 = float(fit["x_centre"] - crop["left"]), float(fit["y_centre"] - crop["top"])
         if int(fit["status"]) & store.UNTRUSTED or not np.isfinite([x0, y0]).all():
             x0 = y0 = float(len(pixel) // 2)
         light = np.zeros((len(pixel), len(pixel)))
-        if np.isfinite(amplitude):
-            light = baseline.shape(pixel[None, :], pixel[:, None], amplitude, x0, y0, sigma)
-        mean = light if sensor is None else reading(light, row.exposure_s or 0.0, sensor).mean
-        yield index, {"simulated": mean}
+        if np.isfinite(state.peak_dn):
+            light = baseline.declared_light(pixel[None, :], pixel[:, None], state.peak_dn, x0, y0, state.sigma_px)
+        if sensor is not None:
+            distribution = ReadingDistribution(sensor, exposure_s=row.exposure_s or 0.0)
+            light = distribution.tabulate(float(light.max())).mean(light)
+        yield index, {"simulated": light}
 
 
 def _judged(

@@ -9,13 +9,14 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from spotcheck.estimate.fitted import SpotFits
 from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.validation.benchmarks import spots
 from tests.validation.benchmarks.spots import NAMES, ORIENTATION
 from tests.validation.benchmarks.table import Figure, Limit, Part, Table
@@ -57,7 +58,7 @@ def scores_of(seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray, int
     rng = np.random.default_rng(seed)
     sensor = random_sensor(rng)
     full_scale = np.floor(sensor.black_level_dn + sensor.gain_dn_per_e * CLIP_E)
-    short = sensor._replace(full_scale_dn=float(full_scale))
+    short = replace(sensor, full_scale_dn=float(full_scale))
     information = spots.exact_information(sensor)
     whole, clipped, flagged, share = [], [], 0, []
     for _ in range(SPOTS):

@@ -4,6 +4,7 @@ A fit is right when it carries no flag and every parameter lies within 6 bounds 
 """
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,7 +62,7 @@ def outcomes(seed: np.random.SeedSequence) -> list[Outcome]:
         mean = spots.mean_image(truth)
         frame = spots.frame(mean, sensor, rng)
         bits = int(rng.integers(max(10, int(frame.max() + 1).bit_length()), 17))
-        camera = sensor._replace(full_scale_dn=2.0**bits - 1)
+        camera = replace(sensor, full_scale_dn=2.0**bits - 1)
         bounds = spots.bounds(spots.slopes(truth), spots.plain_information(mean, sensor))
         fits = fit_spots([frame], camera)
         z = np.abs(errors(fits, truth, sensor)[0] / bounds)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 from tests.validation.benchmarks import peers, spots
 from tests.validation.benchmarks.spots import MAJOR, MINOR
 from tests.validation.benchmarks.table import Figure, Limit, Part, Point, Table, ratio_figure, spread

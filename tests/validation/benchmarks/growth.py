@@ -11,7 +11,8 @@ import numpy as np
 
 from spotcheck.estimate.fitted import SpotFits
 from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.model.simulate import frame_generators, frames
+from spotcheck.model.forward import RandomStreams
+from spotcheck.sensor import ReadingDistribution
 from tests.validation.benchmarks import peak
 from tests.validation.benchmarks.simulator import FAINT_NOISE, SCENES
 from tests.validation.benchmarks.spots import chunks
@@ -25,9 +26,9 @@ MEMORY = Limit("≤", 1.15)
 def simulate(count: int) -> Iterator[list[np.ndarray]]:
     """Random frames, chunk after chunk."""
     scene = SCENES[FAINT_NOISE]
-    light = scene.sensor.gain_dn_per_e * scene.light_e()
+    light, reading = scene.sensor.gain_dn_per_e * scene.light_e(), ReadingDistribution(scene.sensor)
     for number, size in enumerate(chunks(count, CHUNK)):
-        yield list(frames([light] * size, 0.0, scene.sensor, frame_generators(number, size)))
+        yield [reading.sample(light, RandomStreams(number, frame, 0).readings()) for frame in range(size)]
 
 
 def fit(count: int) -> Iterator[SpotFits]:

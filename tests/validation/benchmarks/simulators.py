@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.model.sensor import SensorModel
 from spotcheck.model.spot import circular_gaussian
+from spotcheck.sensor import SensorModel
 from tests.validation.benchmarks.spots import SIDE, X, Y
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import erf, ndtr
 from scipy.stats import norm, poisson
 
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 SIDE = 240
 NAMES = ("amplitude", "x", "y", "σ major", "σ minor", "orientation", "offset")

@@ -9,7 +9,7 @@ from spotcheck import store
 from spotcheck.crops import cells
 from spotcheck.estimate.odd_pixels import odd_pixels
 from spotcheck.instrument import BadPixels
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 # A pixel, column or row is bad where so many frames left it out, and this part of all that saw it in a fit that left
 # something out: what hits one frame alone, as a cosmic ray does, is not the sensor's.

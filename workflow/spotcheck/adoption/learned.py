@@ -1,12 +1,13 @@
 """What the results of a dataset say of each key of instrument.yaml: value, standard error, and where it comes from.
 
 Numbers of the sensor come from transfer.nc, sensor.nc and verdict.json, the light's shape from light.nc, bad pixels
-from what fits left out, and effects from the verdict by what they say of themselves (`Effect.adopts`).
+from what fits left out, and effects from the verdict by what they say of themselves (`Effect.instrument_keys`).
 """
 
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,11 +19,11 @@ from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.sensor import BY_FLATS, FLATS, NEVER_TAKEN, QUANTITIES, SPOTS, model_of
 from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.instrument import BadPixels, Instrument
-from spotcheck.model.effect import Place, Present
+from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
-from spotcheck.model.light_file import LIGHT, read_lights
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.light_shape import LIGHT, read_lights
 from spotcheck.schema import read_schema
+from spotcheck.sensor import SensorModel
 
 # Steps of the derivative by which errors of an effect become those of a key, in its standard errors.
 STEP = 1e-3
@@ -136,8 +137,8 @@ def _camera(found: Mapping[str, Learned], sensor: SensorModel | None, verdict: M
         if gain is None:
             return None
         sensor = SensorModel(gain, 0.0)
-    told = {name: found[f"sensor.{name}"].value for name in SensorModel._fields if f"sensor.{name}" in found}
-    return sensor._replace(**told)
+    names = [field.name for field in fields(SensorModel) if f"sensor.{field.name}" in found]
+    return replace(sensor, **{name: found[f"sensor.{name}"].value for name in names})
 
 
 def _by_effects(verdict: Mapping[str, Any], camera: SensorModel | None) -> tuple[list[Learned], list[Left]]:
@@ -146,14 +147,17 @@ def _by_effects(verdict: Mapping[str, Any], camera: SensorModel | None) -> tuple
     left = []
     for own in verdict.get("effects", ()):
         effect = vocabulary().get(own["name"])
-        if effect is None or effect.place is Place.SHAPE:
+        if effect is None or not effect.stages:
             continue
         numbers, rivals = own["parameters"], own["candidates"][1:]
         values, errors = (
             tuple(_known(numbers.get(p.name, {}).get(part), default) for p in effect.parameters)
             for part, default in (("value", np.nan), ("stderr", 0.0))
         )
-        keys = [] if camera is None or rivals else list(_keys(Present(effect, own["form"], values), errors, camera))
+        variant = effect.variant_named(own["form"])
+        keys = []
+        if camera is not None and variant is not None and not rivals:
+            keys = list(_keys(AppliedEffect(effect, variant, values), errors, camera))
         found += keys
         if not keys:
             told = ((name, one) for name, one in numbers.items() if one["value"] is not None)
@@ -165,18 +169,18 @@ def _by_effects(verdict: Mapping[str, Any], camera: SensorModel | None) -> tuple
     return found, left
 
 
-def _keys(present: Present, errors: Sequence[float], camera: SensorModel) -> Iterator[Learned]:
+def _keys(applied: AppliedEffect, errors: Sequence[float], camera: SensorModel) -> Iterator[Learned]:
     """What an effect says of keys, with the errors that its parameters' errors make."""
-    for key, value in present.adopted(camera).items():
+    for key, value in applied.instrument_keys(camera).items():
         moved = [0.0]
         for k, error in enumerate(errors):
-            near = [v + STEP * error * (m == k) for m, v in enumerate(present.values)]
-            then = present._replace(values=tuple(near)).adopted(camera).get(key, np.nan)
+            near = [v + STEP * error * (m == k) for m, v in enumerate(applied.values)]
+            then = replace(applied, values=tuple(near)).instrument_keys(camera).get(key, np.nan)
             moved.append((then - value) / STEP if error else 0.0)
         stderr = float(np.hypot.reduce(moved)) or np.nan
         # A converter stops at a whole number.
         own = round(value) if key == "sensor.full_scale_dn" else value
-        yield Learned(key, own, stderr, _unit(key), f"{present.effect.name} (verdict.json)", True)
+        yield Learned(key, own, stderr, _unit(key), f"{applied.effect.name} (verdict.json)", True)
 
 
 def _beside(found: Mapping[str, Learned], gain: float, stderr: float) -> Iterator[Learned]:

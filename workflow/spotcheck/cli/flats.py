@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.frames) as table, seen.as_ingested(found, table):
         full_scale, found = float(table["full_scale"]), without_copies(found, table)
         transfer = transfer_of(levels_of(found, full_scale), full_scale)
-        end = straightening(found, full_scale).straight().full_scale_dn
+        end = straightening(found, full_scale).without_curvature().full_scale_dn
     judgement = judge_flats(transfer, end, known)
     verdict = document(judgement, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak,
                        beware=remark_on_files())  # fmt: skip

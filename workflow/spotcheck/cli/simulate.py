@@ -8,8 +8,8 @@ from spotcheck.cli import vocabulary
 from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.sensor import model_of
-from spotcheck.model.extended import read_model
-from spotcheck.model.light_file import LIGHT
+from spotcheck.model.light_shape import LIGHT
+from spotcheck.model.model_file import read_model
 
 EXAMPLE = """Example:
   spotcheck simulate my-frames --calibration out/my-frames/calibration.nc --fits out/my-frames/fits.nc \\

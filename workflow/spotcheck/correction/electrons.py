@@ -6,14 +6,17 @@ that are clipped.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.model.effect import Place, Present
-from spotcheck.model.pixel_maps import PixelMaps
-from spotcheck.model.response import bent
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.model.baseline import Baseline
+from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.forward import ForwardModel
+from spotcheck.model.stage import Stage
+from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.sensor.pixel_maps import PixelMaps
 
 # Points of the curve between light and signal, and how far beyond full scale it goes.
 POINTS, BEYOND = 8192, 1.5
@@ -41,32 +44,28 @@ class Corrected(NamedTuple):
     clipped: int
 
 
-def curve_of(sensor: SensorModel, present: Sequence[Present]) -> Curve:
-    """What full well, and effects on well and response, make of the light."""
+def curve_of(sensor: SensorModel, effects: Sequence[AppliedEffect]) -> Curve:
+    """Return what full well, and effects on well and response, make of the light."""
     gain, read = sensor.gain_dn_per_e, (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2
     top = sensor.full_scale_dn if np.isfinite(sensor.full_scale_dn) else 65535.0
     light = np.linspace(0.0, BEYOND * top, POINTS)
-    mean, variance = light, gain * light
-    wells = [own for own in present if own.effect.place is Place.WELL]
-    for own in wells:
-        mean, variance = own.apply(mean, variance, read)
-    well = np.gradient(mean, light)
-    variance = variance + read
-    if sensor.curvature:
-        mean, variance = bent(mean, variance, sensor.curvature)
-    for own in present:
-        if own.effect.place is Place.RESPONSE:
-            mean, variance = own.apply(mean, variance, sensor.full_scale_dn)
-    slope = np.gradient(mean, light)
+    endless = replace(sensor, full_well_e=np.inf)
+    distribution = ForwardModel(Baseline(0.0, "free", False, 1.0), endless, None, tuple(effects)).distribution()
+    charge = distribution.charge_signal(light / gain)
+    if distribution.charge_levels:
+        charge = sum(share * np.minimum(charge, level) for share, level in distribution.charge_levels)
+    signal = distribution.converter_signal(charge) - sensor.black_level_dn
+    well, slope = np.gradient(charge, light), np.gradient(signal, light)
     margin = NOISES * float(np.sqrt(read + ROUNDING_VARIANCE))
     ends = [sensor.full_scale_dn - sensor.black_level_dn]
     if (slope < FOLLOWS).any():
-        ends.append(float(mean[np.argmax(slope < FOLLOWS)]) - (margin if wells else 0.0))
+        has_well = any(Stage.WELL in applied.effect.stages for applied in effects)
+        ends.append(float(signal[np.argmax(slope < FOLLOWS)]) - (margin if has_well else 0.0))
     if np.isfinite(sensor.full_well_e):
-        ends.append(float(np.interp(gain * sensor.full_well_e, light, mean)) - margin)
+        ends.append(float(np.interp(gain * sensor.full_well_e, light, signal)) - margin)
     last = int(np.argmax(slope < FOLLOWS)) or POINTS
     response = slope[:last] / np.maximum(well[:last], 1e-12)
-    return Curve(light[:last], mean[:last], slope[:last], response, min(ends))
+    return Curve(light[:last], signal[:last], slope[:last], response, min(ends))
 
 
 def corrected(

@@ -5,6 +5,7 @@ import io
 import json
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,10 +22,11 @@ from spotcheck.estimate.pixel_maps import SensorMaps, maps_in
 from spotcheck.estimate.sensor import BY_FLATS, model_of
 from spotcheck.estimate.transfer_data import quantities_of
 from spotcheck.manifest import REQUIRED_COLUMNS, Frame, parted
-from spotcheck.model.effect import Place, Present
+from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
-from spotcheck.model.extended import needed, read_model, why_none
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.model_file import read_model, reason_without_model
+from spotcheck.model.stage import Stage
+from spotcheck.sensor import SensorModel
 from spotcheck.writing import whole
 
 # Files of results that a correction rests on.
@@ -43,7 +45,7 @@ class Known(NamedTuple):
     digests of the files."""
 
     sensor: SensorModel
-    present: tuple[Present, ...]
+    effects: tuple[AppliedEffect, ...]
     maps: SensorMaps | None
     digests: dict[str, str]
 
@@ -58,7 +60,7 @@ def known_in(results: Path) -> Known:
         with store.read(results / "maps.nc") as ds:
             maps = maps_in(ds)
     digests = {name: provenance.file_digest(results / name)[:16] for name in SOURCES if (results / name).is_file()}
-    return Known(sensor, tuple(_present(results)), maps, digests)
+    return Known(sensor, tuple(_sensor_effects(results)), maps, digests)
 
 
 def _sensor(results: Path) -> SensorModel | None:
@@ -80,24 +82,24 @@ def _sensor(results: Path) -> SensorModel | None:
     return SensorModel(gain, noise, current, np.inf, black, full_scale, response_bend=bend)
 
 
-def _present(results: Path) -> list[Present]:
+def _sensor_effects(results: Path) -> list[AppliedEffect]:
     """Effects on well and response: those of model.yaml, which holds constants of a form too; of flats and darks alone
     those of the verdict that lack none."""
     model, verdict = results / "model.yaml", results / "verdict.json"
-    if model.is_file() and not why_none(model):
-        found = list(read_model(model).present)
+    if model.is_file() and not reason_without_model(model):
+        found = list(read_model(model).effects)
     elif verdict.is_file():
         found = []
         for own in json.loads(verdict.read_text(encoding="utf-8"))["effects"]:
             if effect := vocabulary().get(own["name"]):
                 values = {name: one["value"] for name, one in own["parameters"].items()}
-                if all(p.name in values for p in needed(effect, own["form"])):
-                    found.append(
-                        Present(effect, own["form"], tuple(values.get(p.name, np.nan) for p in effect.parameters))
-                    )
+                variant = effect.variant_named(own["form"])
+                if variant and all(p.name in values for p in effect.parameters_of(variant)):
+                    numbers = tuple(values.get(parameter.name, np.nan) for parameter in effect.parameters)
+                    found.append(AppliedEffect(effect, variant, numbers))
     else:
         found = []
-    return [own for own in found if own.effect.place in (Place.WELL, Place.RESPONSE)]
+    return [applied for applied in found if {Stage.WELL, Stage.RESPONSE} & set(applied.effect.stages)]
 
 
 def write(dataset: Dataset, known: Known, folder: Path) -> int:
@@ -107,7 +109,7 @@ def write(dataset: Dataset, known: Known, folder: Path) -> int:
     """
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: is not empty; name a new folder, nothing is overwritten")
-    curve, rows = curve_of(known.sensor, known.present), []
+    curve, rows = curve_of(known.sensor, known.effects), []
     # Of a stack every page asks for the digest of the one file.
     digest = cache(provenance.file_digest)
     for frame, name in zip(dataset.frames, names_of(dataset.frames), strict=True):
@@ -158,10 +160,11 @@ def _told(dataset: Dataset, frame: Frame, known: Known, sha256: str) -> dict[str
         "source_sha256": sha256,
         "pages": ["electrons of the light [e-]", "variance [e-2]"],
         "nan": "bad or clipped",
-        "sensor": {key: value for key, value in known.sensor._asdict().items() if np.isfinite(value)},
+        "sensor": {key: value for key, value in asdict(known.sensor).items() if np.isfinite(value)},
         "turned_round": {
-            own.effect.name: {"form": own.form} | {k: v for k, v in own.named().items() if np.isfinite(v)}
-            for own in known.present
+            applied.effect.name: {"form": applied.variant.value}
+            | {name: value for name, value in applied.parameters.items() if np.isfinite(value)}
+            for applied in known.effects
         },
         "maps": [] if maps is None else ["offset", *(["gain"] if maps.gain is not None else [])],
         "results": known.digests,

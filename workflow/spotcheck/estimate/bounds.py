@@ -9,7 +9,8 @@ from spotcheck.estimate.calibration import USED
 from spotcheck.instrument import Instrument
 from spotcheck.model import spot
 from spotcheck.model.baseline import Baseline, of_instrument
-from spotcheck.model.sensor import SensorModel, mean_signal
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.model import mean_signal
 
 LAWS = {
     "poisson_gauss": "electrons with read noise (Eq. 30)",

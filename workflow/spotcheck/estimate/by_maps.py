@@ -7,7 +7,7 @@ import xarray as xr
 
 from spotcheck.estimate.fitted import PARAMETERS, SpotFits
 from spotcheck.estimate.pixel_maps import SensorMaps
-from spotcheck.model.pixel_maps import PixelMaps
+from spotcheck.sensor.pixel_maps import PixelMaps
 
 
 class ByMaps:

@@ -1,6 +1,7 @@
 """What spots show of the sensor: gain and noise floor, and where the signal stops."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from spotcheck.estimate.noise_curve import (
 )
 from spotcheck.estimate.same_site import EMPTY, curve_of, tally_of
 from spotcheck.estimate.skipped import skipped_codes
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 # Readings below this part of the level at which the signal stops still have all their noise.
 BELOW_STOP = 0.9
@@ -67,14 +68,14 @@ def seen_by_spots(
     frame reads: the floor is then the noise of a dark pixel, shot noise of stray light included. What the data sheet
     says of the response is turned round.
     """
-    bent = SensorModel(1.0, 0.0, full_scale_dn=full_scale_dn, response_bend=response_bend)
+    nonlinear = SensorModel(1.0, 0.0, full_scale_dn=full_scale_dn, response_bend=response_bend)
     curves, stops, levels, first = [], [], [], list[np.ndarray]()
     for crop in crops:
         levels.append(dark_level(crop) if black_dn is None else black_dn)
-        sensor = bent._replace(black_level_dn=levels[-1])
-        image = sensor.straightened(crop)
+        sensor = replace(nonlinear, black_level_dn=levels[-1])
+        image = sensor.linearize(crop)
         stops.append(stop_of(image, levels[-1]))
-        curve = noise_curve(image, _whole(sensor.straight().full_scale_dn, levels[-1], stops[-1]))
+        curve = noise_curve(image, _whole(sensor.without_curvature().full_scale_dn, levels[-1], stops[-1]))
         curves += [curve._replace(level=curve.level - levels[-1])] if curve.level.size else []
         first += [crop] if len(first) < LOOKED_AT else []
     level, ways, stopped = float(np.median(levels)) if levels else black_dn or 0.0, {}, np.zeros(2)
@@ -82,13 +83,13 @@ def seen_by_spots(
         pooled = NoiseCurve(*(np.concatenate(parts) for parts in zip(*curves, strict=True)))
         how = f"differences of neighbouring pixels in {_counted(len(curves), 'frame')}"
         ways[how + _caveat(first, full_scale_dn)] = pooled
-    sensor = bent._replace(black_level_dn=level)
+    sensor = replace(nonlinear, black_level_dn=level)
     for of_what, images in pairs.items():
         tally, number = EMPTY, 0
         for pair in images:
-            two = sensor.straightened(pair[0]), sensor.straightened(pair[1])
+            two = sensor.linearize(pair[0]), sensor.linearize(pair[1])
             ends = [stop_of(one, level) for one in two]
-            tally = tally + tally_of(*two, level, _whole(sensor.straight().full_scale_dn, level, *ends))
+            tally = tally + tally_of(*two, level, _whole(sensor.without_curvature().full_scale_dn, level, *ends))
             stopped += _at_stop(two, level + AT_STOP * float(np.mean(ends)))
             number += 1
         curve = curve_of(tally, level)

@@ -1,5 +1,6 @@
 """The calibrate stage: p1, p2 and the peak by three methods, and how far each misses its own input."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +13,7 @@ from spotcheck.estimate.likelihood import JointFit, SiteFrame, fit_baseline
 from spotcheck.estimate.propagation import peak_from_maxima, regress, simulate_and_fit
 from spotcheck.instrument import Instrument
 from spotcheck.model.baseline import Baseline, of_instrument
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 ESTIMATORS = {
     "regression": "straight line over ln t of the fitted width less the laser's own (Eqs. 7 and 8)",
@@ -57,7 +58,7 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     side = crops.sizes["x"]
     peaks, converged = {}, False
     for estimator, (p1, p2) in results.items():
-        model = baseline if estimator == USED else baseline._replace(laser_px=0.0)
+        model = baseline if estimator == USED else replace(baseline, laser_px=0.0)
         peaks[estimator] = peak_from_maxima(model, p1, p2, exposures, maximum, sensor, side)
     if sensor is not None and np.isfinite(peaks[USED]):
         start = np.array([*results[USED], peaks[USED]])
@@ -177,7 +178,7 @@ def _misses(ds: xr.Dataset, baseline: Baseline, results: dict, peaks: dict, expo
     miss = np.full((len(ESTIMATORS), 2), np.nan)
     for k, estimator in enumerate(ESTIMATORS):
         if estimator in results and np.isfinite(peaks.get(estimator, np.nan)):
-            model = baseline._replace(laser_px=0.0) if estimator == "regression_of_width" else baseline
+            model = replace(baseline, laser_px=0.0) if estimator == "regression_of_width" else baseline
             p1, p2 = results[estimator]
             widths = simulate_and_fit(model, p1, p2, peaks[estimator], exposures, side)
             again = regress(widths[None, :], exposures, model.laser_px)

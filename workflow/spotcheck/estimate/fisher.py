@@ -1,7 +1,8 @@
 """Fisher information and Cramér–Rao bounds (Eqs. 30–38), in electrons.
 
-Of any parameters of the forward model, effects included: `of_mean` differentiates a mean, `of_moments` a mean and a
-variance. A mean in DN has no Poisson law: the paper's own bounds put one in, and have K times the information.
+Of any parameters of the forward model, effects included: `of_mean` differentiates a mean, `of_moments` takes the
+derivatives of mean and variance that `ForwardModel.jacobian` returns. A mean in DN has no Poisson law: the paper's own
+bounds put one in, and have K times the information.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,11 +12,13 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import norm, poisson
 
-from spotcheck.estimate.scoring import law_of, pixel_information
+from spotcheck.estimate.reading_kernel import law_of, pixel_information
 from spotcheck.model.baseline import jacobian
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, SensorModel
 
 NODES_PER_DECADE = 8
+# Codes for each read noise in the readings that stand for unrounded ones.
+CODES_PER_NOISE = 64
 # Below this read noise [e-] electrons can be counted: the information is that of the Poisson law to 1 %.
 NOISELESS = 0.2
 
@@ -66,19 +69,11 @@ def read_noise_information(mean_e, read_noise_e: float):
 
 @cache
 def _quadrature(mean_e: float, read_noise_e: float) -> float:
-    counts = _counts(mean_e)
-    weight = poisson.pmf(counts, mean_e)
-    # Steps of a third of the read noise and never above one electron: small noise leaves peaks one electron apart.
-    parts = int(np.ceil(3 / min(read_noise_e, 3.0)))
-    reach = int(np.ceil(8 * read_noise_e * parts))
-    kernel = norm.pdf(np.arange(-reach, reach + 1) / parts, scale=read_noise_e)
-    comb, slope_comb = np.zeros((2, len(counts) * parts))
-    comb[::parts] = weight
-    # ∂ Pois(l; ν)/∂ν = Pois(l; ν) (l/ν − 1)
-    slope_comb[::parts] = weight * (counts / mean_e - 1)
-    density, slope = np.convolve(comb, kernel), np.convolve(slope_comb, kernel)
-    good = density > 1e-290
-    return float(np.sum(slope[good] ** 2 / density[good]) / parts)
+    """Return the information of readings so fine that their rounding loses 5e-5 of it at most."""
+    # Shot noise hides the rounding; where it resolves electrons, eight codes within a read noise are enough.
+    gain = max(CODES_PER_NOISE / np.sqrt(1 + mean_e / read_noise_e**2), 8.0) / read_noise_e
+    fine = SensorModel(gain, read_noise_e, black_level_dn=10 * gain * read_noise_e)
+    return float(ReadingDistribution(fine).fisher_information(gain * mean_e)) * gain**2
 
 
 def _counts(mean_e: float) -> np.ndarray:
@@ -101,16 +96,16 @@ def of_mean(mean_e: Callable, parameters: Sequence[float], pixel_information: Ca
     return information(jacobian(mean_e, parameters), pixel_information(mean_e(*parameters)))
 
 
-def of_moments(moments: Callable, parameters: Sequence[float]) -> np.ndarray:
-    """I(θ) of a model moments(*θ) = mean [pixels, DN], variance [DN²] of the readings, differentiated by complex step.
+def of_moments(variance: np.ndarray, mean_slopes: np.ndarray, variance_slopes: np.ndarray) -> np.ndarray:
+    """Return I(θ) [parameter, parameter] of normal readings: Σ µ_i µ_j/V + V_i V_j/2V² (Slepian–Bangs).
 
-    For normal readings, whose variance the sensor's parameters move too (Slepian–Bangs): Σ µ_i µ_j/V + V_i V_j/2V².
+    Parameters of the sensor move the variance too. `variance` is V [pixels, DN²]; the derivatives of mean and variance
+    by the parameters are [parameter, pixels].
     """
-    slopes = jacobian(lambda *theta: np.array([np.ravel(part) for part in moments(*theta)[:2]]), parameters)
-    variance = np.ravel(moments(*parameters)[1])
-    # Below the variance of rounding a reading is clipped, and no normal law holds: it counts for nothing.
+    variance = np.ravel(variance)
+    # A reading with less variance than rounding is clipped and not normal: it counts for nothing.
     weight = np.where(variance >= ROUNDING_VARIANCE, 1 / np.maximum(variance, ROUNDING_VARIANCE), 0.0)
-    return information(slopes[:, 0], weight) + information(slopes[:, 1], 0.5 * weight**2)
+    return information(mean_slopes, weight) + information(variance_slopes, 0.5 * weight**2)
 
 
 def information(slopes: np.ndarray, pixel_information: np.ndarray) -> np.ndarray:

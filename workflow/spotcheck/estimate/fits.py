@@ -14,8 +14,8 @@ from spotcheck.estimate.odd_pixels import Odd, odd_pixels
 from spotcheck.estimate.pixel_maps import SensorMaps
 from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.model.pixel_maps import PixelMaps
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.pixel_maps import PixelMaps
 
 FITS = {
     "likelihood": "maximum likelihood of the instrument's spot, Gaussian or top hat, under the sensor's noise",

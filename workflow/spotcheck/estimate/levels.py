@@ -13,7 +13,7 @@ from spotcheck import frames, progress
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.manifest import PHOTONS, Frame
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 # A level of which this part of the pixels reads full scale is saturated.
 FULL = 0.5
@@ -59,9 +59,11 @@ def levels_of(dataset: Dataset, full_scale_dn: float) -> list[Level]:
     ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
     ordered.sort(key=lambda key: key[0] != "dark")
     sensor = straightening(dataset, full_scale_dn)
-    read = {key: (sensor.straightened(frames.read_good(dataset, own)) for own in groups[key]) for key in ordered}
+    read = {key: (sensor.linearize(frames.read_good(dataset, own)) for own in groups[key]) for key in ordered}
     levels = progress.over(list(read.items()), "reading levels of flats and darks")
-    return with_common_drift([level_of(images, *key, sensor.straight().full_scale_dn) for key, images in levels])
+    return with_common_drift(
+        [level_of(images, *key, sensor.without_curvature().full_scale_dn) for key, images in levels]
+    )
 
 
 def straightening(dataset: Dataset, full_scale_dn: float) -> SensorModel:

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.estimate.scoring import LIKELIHOOD, law_of, one_pass
+from spotcheck.estimate.reading_kernel import law_of
+from spotcheck.estimate.scoring import LIKELIHOOD, one_pass
 from spotcheck.model.baseline import Baseline, jacobian
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 MAX_ITERATIONS = 60
 # Distance to the root in standard errors, squared, before the last step, which shrinks it much further.
@@ -119,7 +120,7 @@ def _evaluate(frames, baseline: Baseline, sensor: SensorModel, shared: np.ndarra
         x, y = local[frame.site] - (frame.left, frame.top)
         dark = sensor.black_level_dn + sensor.gain_dn_per_e * sensor.dark_current_e_per_s * frame.exposure_s
         theta = np.array([amplitude, x, y, curvature, 0.0, curvature, dark])
-        image = np.ascontiguousarray(sensor.straightened(frame.pixels()), dtype=float)
+        image = np.ascontiguousarray(sensor.linearize(frame.pixels()), dtype=float)
         own, matrix, own_chi2, used = one_pass(image, theta, LIKELIHOOD, law, baseline.top_hat)
         slopes = jacobian(spot, shared).T
         # From (amplitude, x0, y0, a, b, c, offset) to (p1, p2, peak) and (x0, y0): the law moves a and c alike.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 
 # Reach [px] of what is beside a pixel; and the factor by which light may differ from that beyond so many pixels: 1 of a
 # single line or pixel, 3 of two or three. A Gaussian of σ 0.7 px differs by 3 and by 59.

@@ -13,7 +13,7 @@ import numpy as np
 from spotcheck.estimate.consistent import in_levels
 from spotcheck.estimate.levels import Level
 from spotcheck.estimate.plus_minus import plus_minus
-from spotcheck.model.sensor import ROUNDING_VARIANCE
+from spotcheck.sensor import ROUNDING_VARIANCE
 
 # Parts of saturation between which gain and responsivity (section 8.2), and linearity (section 8.4), are fitted.
 SENSITIVE, LINEAR = (0.0, 0.7), (0.05, 0.95)

@@ -19,7 +19,7 @@ from spotcheck.dataset import Dataset
 from spotcheck.estimate.levels import photons_of
 from spotcheck.estimate.photon_transfer import MOST_AT_ZERO
 from spotcheck.manifest import Frame
-from spotcheck.model.pixel_maps import PixelMaps
+from spotcheck.sensor.pixel_maps import PixelMaps
 
 # Flats above this part of full scale may be bent or cut.
 BRIGHTEST = 0.7

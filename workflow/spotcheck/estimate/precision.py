@@ -15,7 +15,7 @@ from spotcheck.estimate.fits import preferred
 from spotcheck.estimate.fitted import PARAMETERS
 from spotcheck.instrument import Instrument
 from spotcheck.model.baseline import Baseline, of_instrument
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 # A round spot has no orientation to scatter.
 SCATTERED = tuple(name for name in PARAMETERS if name != "orientation")
@@ -35,7 +35,7 @@ def frame_bounds(
     dark_e = sensor.dark_current_e_per_s * exposure_s
 
     def mean_e(peak, x0, y0, width, offset):
-        light = baseline.shape(pixel[None, :], pixel[:, None], peak, x0, y0, width) + offset
+        light = baseline.declared_light(pixel[None, :], pixel[:, None], peak, x0, y0, width) + offset
         return light / sensor.gain_dn_per_e + dark_e
 
     at = (amplitude, middle, middle, sigma, 0.0)

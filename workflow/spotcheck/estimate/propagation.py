@@ -5,8 +5,7 @@ from scipy.optimize import brentq
 
 from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.sensor import SensorModel
-from spotcheck.model.simulate import expected_maximum
+from spotcheck.sensor import ReadingDistribution, SensorModel
 
 
 def regress(width_px: np.ndarray, exposure_s: np.ndarray, laser_px: float) -> tuple[np.ndarray, np.ndarray]:
@@ -40,14 +39,13 @@ def peak_from_maxima(
     if not use.any() or not np.isfinite([p1, p2]).all():
         return np.nan
     use &= exposure_s >= np.median(exposure_s[use])
-    pixel = np.arange(side, dtype=float)
 
     def excess(peak: float) -> float:
         total = 0.0
         for t, measured in zip(exposure_s[use], maximum[use], strict=True):
-            light = baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2)
-            simulated = expected_maximum(light, t, sensor) if sensor else float(light.max())
-            total += simulated - measured
+            light = law_light(baseline, p1, p2, peak, t, side)
+            distribution = ReadingDistribution(sensor, exposure_s=t) if sensor else None
+            total += (distribution.expected_maximum(light) if distribution else float(light.max())) - measured
         return total
 
     guess = float(np.average(maximum[use]))
@@ -57,11 +55,17 @@ def peak_from_maxima(
     return float(brentq(excess, low, high, xtol=1e-3))
 
 
+def law_light(baseline: Baseline, p1: float, p2: float, peak: float, exposure_s: float, side: int) -> np.ndarray:
+    """Return the light [DN] of a spot of the baseline's law in the middle of side × side pixels."""
+    pixel = np.arange(side, dtype=float)
+    peak, sigma = peak * baseline.relative_peak(exposure_s, p1, p2), baseline.sigma(exposure_s, p1, p2)
+    return baseline.declared_light(pixel[None, :], pixel[:, None], peak, side // 2, side // 2, sigma)
+
+
 def simulate_and_fit(baseline: Baseline, p1: float, p2: float, peak: float, exposure_s, side: int) -> np.ndarray:
     """σ̄ [px] that the spot fit finds in the model's own mean image at each exposure.
 
     A Gaussian fitted to a top hat is some 4 % wider than the Gaussian under it: simulate → fit misses its own input.
     """
-    pixel = np.arange(side, dtype=float)
-    light = (baseline.light(pixel[None, :], pixel[:, None], t, p1, p2, peak, side // 2, side // 2) for t in exposure_s)
+    light = (law_light(baseline, p1, p2, peak, t, side) for t in exposure_s)
     return fit_spots(light, weighting="equal", integrated=baseline.pixel_integration).sigma_mean

@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from spotcheck.estimate.scoring import EQUAL, compiled, congruent, one_pass, times
+from spotcheck.estimate.reading_kernel import compiled
+from spotcheck.estimate.scoring import EQUAL, congruent, one_pass, times
 
 MAX_ITERATIONS = 60
 # Distance to the root in standard errors, squared, before the last step is taken; that step shrinks it much further.

@@ -17,7 +17,7 @@ from spotcheck.estimate.photon_transfer import Quantity
 from spotcheck.frames import Surround
 from spotcheck.instrument import DEFAULT, Instrument
 from spotcheck.manifest import KINDS
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 
 QUANTITIES = {
     "gain_dn_per_e": ("DN/e-", "overall gain K"),

@@ -6,7 +6,8 @@ import numpy as np
 
 from spotcheck.estimate import fisher
 from spotcheck.model import spot
-from spotcheck.model.sensor import SensorModel, checked, dark_signal
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.model import check_sensor, dark_signal
 
 
 class SpotBounds(NamedTuple):
@@ -92,7 +93,7 @@ def spot_bounds(
         raise ValueError(f"sigma_minor: is {minor!r}, longer than sigma_major, {sigma_major!r}; exchange the two")
     if rows < 1 or columns < 1:
         raise ValueError(f"shape: is {shape!r}; it must be the rows and columns of an image")
-    gain, black = checked(sensor).gain_dn_per_e, sensor.black_level_dn
+    gain, black = check_sensor(sensor).gain_dn_per_e, sensor.black_level_dn
     if offset is None:
         offset = black + dark_signal(sensor.dark_current_e_per_s * exposure_s, gain)
     x0 = (columns - 1) / 2 if x_centre is None else x_centre

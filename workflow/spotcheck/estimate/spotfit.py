@@ -1,8 +1,8 @@
 """The spot fit: an elliptical Gaussian with free centre, two widths, orientation, amplitude and offset.
 
-Maximum likelihood under the sensor's law of a reading (`model.law`): shot, dark and read noise, gain, rounding; clipped
-pixels by the probability of being clipped; NaN pixels are left out. With equal weights it is the paper's estimator,
-unweighted least squares, and needs no sensor.
+Maximum likelihood by the distribution of a reading (`estimate.reading_kernel`): shot, dark and read noise, gain,
+rounding; clipped pixels by the probability of being clipped; NaN pixels are left out. With equal weights it is the
+paper's estimator, unweighted least squares, and needs no sensor.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.estimate.fitted import NAMES, SpotFits
-from spotcheck.estimate.scoring import EQUAL, LIKELIHOOD, VARIANCE, Law, law_of, one_pass
+from spotcheck.estimate.reading_kernel import Law, law_of
+from spotcheck.estimate.scoring import EQUAL, LIKELIHOOD, VARIANCE, one_pass
 from spotcheck.estimate.search import (
     NARROWEST,
     chart_of,
@@ -22,8 +23,9 @@ from spotcheck.estimate.search import (
 )
 from spotcheck.estimate.start import find_start
 from spotcheck.model import spot
-from spotcheck.model.pixel_maps import PixelMaps
-from spotcheck.model.sensor import SensorModel, checked
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.model import check_sensor
+from spotcheck.sensor.pixel_maps import PixelMaps
 from spotcheck.store import flag
 
 WEIGHTINGS = {"likelihood": LIKELIHOOD, "equal": EQUAL}
@@ -103,15 +105,15 @@ def fit_spots(
     >>> photons = 900 * np.exp(-(((x - 31.3) / 7) ** 2 + ((y - 22.6) / 5) ** 2) / 2)
     >>> fit = spotcheck.fit_spots(sensor.draw(photons, rng=1), sensor)
     >>> fit
-    fitted spot: ok, χ² per degree of freedom 1.01
-    amplitude           450.9 ± 1.6 DN
-    x_centre         31.315 ± 0.018 pixel
-    y_centre         22.605 ± 0.013 pixel
-    sigma_major       6.982 ± 0.015 pixel
-    sigma_minor       4.997 ± 0.011 pixel
-    orientation         0.31 ± 0.24 degree
-    offset           20.052 ± 0.057 DN
-    sigma_mean      5.9896 ± 0.0096 pixel
+    fitted spot: ok, χ² per degree of freedom 1
+    amplitude           451.7 ± 1.6 DN
+    x_centre         31.296 ± 0.018 pixel
+    y_centre         22.615 ± 0.013 pixel
+    sigma_major       6.980 ± 0.015 pixel
+    sigma_minor       5.000 ± 0.011 pixel
+    orientation         0.14 ± 0.24 degree
+    offset           19.893 ± 0.057 DN
+    sigma_mean      5.9897 ± 0.0096 pixel
     >>> print(f"{fit.sigma_major:.2f} ± {fit.sigma_major_stderr:.2f} px")
     6.98 ± 0.01 px
     """
@@ -120,7 +122,7 @@ def fit_spots(
     if weighting == "likelihood" and sensor is None:
         raise ValueError("sensor: the likelihood needs a gain and a read noise; without them use equal weights")
     design = _design(dict(fixed or {}), circular, top_hat, integrated)
-    law, shapes, outcomes = law_of(None if sensor is None else checked(sensor), maps), [], []
+    law, shapes, outcomes = law_of(None if sensor is None else check_sensor(sensor), maps), [], []
     between: dict[tuple[int, ...], Law] = {}
     single = getattr(images, "ndim", None) == 2
     each: Iterable[np.ndarray] = [np.asanyarray(images)] if single else images
@@ -131,7 +133,7 @@ def fit_spots(
                 between[pixels.shape] = _law_between(sensor, pixels.shape)
             own = between[pixels.shape]
         if sensor is not None:
-            pixels = sensor.straightened(pixels)
+            pixels = sensor.linearize(pixels)
         if maps is not None:
             pixels = _on_maps(pixels, maps, number)
         shapes.append(pixels.shape)

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from spotcheck.estimate.scoring import compiled
+from spotcheck.estimate.reading_kernel import compiled
 from spotcheck.estimate.search import least_squares, widths_of
 
 # Blocks an axis that the start is searched on.

@@ -12,7 +12,7 @@ from spotcheck.dataset import Dataset, load
 from spotcheck.estimate.caustic import CONDITION as CAUSTIC_AXIS
 from spotcheck.estimate.sensor import model_of
 from spotcheck.instrument import Instrument
-from spotcheck.model.sensor import SensorModel, reading
+from spotcheck.sensor import ReadingDistribution, SensorModel
 
 # Exposures [s] and fibre orientations [degree] of the paper: beside these its printed numbers can be set.
 PAPER_EXPOSURES, PAPER_ANGLES = (1e-4, 5e-4, 9e-4), (0.0, 45.0, 90.0, 135.0)
@@ -104,7 +104,8 @@ class Results:
         sensor = self.sensor_model()
         if sensor is None:
             return light_dn
-        return reading(light_dn, exposure_s or 0.0, sensor).mean
+        distribution = ReadingDistribution(sensor, exposure_s=exposure_s or 0.0)
+        return distribution.tabulate(float(np.max(light_dn))).mean(light_dn)
 
 
 def _equal(own: np.ndarray, other: tuple[float, ...]) -> bool:

@@ -11,7 +11,7 @@ from spotcheck.estimate.by_spots import dark_level, seen_by_spots
 from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.sensor import Found, spots_in_electrons
 from spotcheck.first_look.images import Image
-from spotcheck.model.sensor import SensorModel
+from spotcheck.sensor import SensorModel
 
 UNKNOWN = "no image shows noise that grows with its light"
 # Noise of numbers that no converter wrote, in steps that they are rounded to, which then add 2 % to its variance at

@@ -14,7 +14,7 @@ from spotcheck.estimate.spotfit import fit_spots
 from spotcheck.first_look.camera import Camera, stop_of
 from spotcheck.first_look.images import Image
 from spotcheck.model import spot
-from spotcheck.model.sensor import ROUNDING_VARIANCE, SensorModel
+from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 
 # Half the side of the window that is fitted, in D4σ: the area of integration and a rim that tells the background.
 HALF = 0.6 * AREA

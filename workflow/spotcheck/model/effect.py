@@ -1,229 +1,283 @@
-"""What an effect is: a name, a sentence, parameters, the place in the chain where it acts, and a function.
+"""The records of an effect: name, parameters, and for each variant the functions that act at stages of the chain.
 
-One file holds one effect, and nothing else has to know of it: what fits, searches, verdicts and pages need to know is
-in the fields of `Effect`. The places are those of the dataset contract's order; each says what the function gets and
-returns (arrays broadcast over views and points, DN unless said).
+One file holds one effect. What other code needs to know about an effect is an attribute of `Effect`; nothing depends
+on its name or on the text of a variant.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from functools import cache
+from typing import Any
 
 import numpy as np
 
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.stage import Stage
+from spotcheck.sensor import SensorModel
 
 
-class Place(Enum):
-    """Where an effect acts, in the order of the chain. After the view, every function gets its parameters by name."""
+class Need(Enum):
+    """Conditions that a design must vary for an effect to show, in words."""
 
-    EXPOSURE = "exposure"  # (view, nominal exposure [s]) → exposure [s]
-    WIDTH = "width"  # (view, p_b at the reference exposure [px], exposure over that one) → p_b [px]
-    BRIGHTNESS = "brightness"  # (view) → factor on the spot's light
-    METRIC = "metric"  # (view, dx, dy [px]) → dx, dy of an equivalent round spot
-    PROFILE = "profile"  # (view, ρ²/2) → exponent of the shape, exp(−…)
-    SHAPE = "shape"  # no function: the surface that the baseline has beside the declared shape (`LightShape`)
-    BLUR = "blur"  # (view) → shifts dx, dy [px] and weights, over which the spot is averaged
-    ADDED = "added"  # (view, spot, amplitude, σ_g) → light; spot(dx, dy) is the spot displaced by so many px
-    MODULATION = "modulation"  # (view) → factor on all light so far
-    PEDESTAL = "pedestal"  # (view) → light [DN], or in a form `electronic` what comes on top of the black level
-    CHARGE = "charge"  # (view, electrons) → electrons, after the Poisson draw
-    # (mean, variance [DN], read variance [DN²]) → mean, variance without read noise; forms that end in `with noise` act
-    # on the signal with its read noise
-    WELL = "well"
-    NOISE = "noise"  # (read variance [e-²]) → read variance [e-²]
-    RESPONSE = "response"  # (mean, variance, full scale [DN]) → mean, variance of the signal without black level
-    DIGITAL = "digital"  # () → the signal [DN] below which a reading is 0, or that a form `subtracted` takes off
-    SCATTER = "scatter"  # no mean of its own: see `Scatter`
+    EXPOSURES = "several exposures"
+    THREE_EXPOSURES = "three exposures"
+    ANGLES = "several angles"
+    ORDER = "a known order of acquisition"
+    FRAMES = "several frames of a condition"
+    SITES = "several sites"
+    LAW = "a law of the light in exposure"
 
 
-# What a design must vary for an effect to show, in words.
-NEEDS = {
-    "exposure": "several exposures",
-    "three exposures": "three exposures",
-    "exposures of a site": "several exposures of a site",
-    "angle": "several angles",
-    "order": "a known order of acquisition",
-    "frames": "several frames of a condition",
-    "law": "a law of the light in exposure",
-}
-# Variance components, and how many parameters a fit tells of each: its root, for pixels also how many are hot, for a
-# granular field also its grain.
-COMPONENTS = {"row": 1, "pixel": 2, "grain": 2, "gain": 1, "centre": 1}
-# What an effect may do to readings that no fitted number describes, so that it does not speak against the effect.
-MARKS = ("skewness", "outliers", "hot", "stripes", "code", "columns of a frame")
-NO_SPOT = "there is no spot"
+# Properties of the spot that an effect may be a law of.
+PROPERTIES = ("brightness", "width")
 
 
-class Scatter(NamedTuple):
-    """A random field or number: `of` what and `shared` by what, and the variance component that it is to a fit.
+class Scope(Enum):
+    """Which frames share a random number or field."""
 
-    A `gain` (factor on the light), a `centre` (dx, dy [px]), a `row` (offsets [DN]) or a `field` (factors on the
-    pixels' light), the same for each `frame`, each `site`, or for the `sensor`. The function gets a generator, before
-    it the number of rows for a row and the shape [rows, columns] for a field. Components: `row`, offsets of rows anew
-    in every frame; `pixel`, gains of the sensor's pixels; `grain`, a granular field of each site; `gain` and `centre`,
-    brightness and place of each frame. Effects of one component cannot be told apart.
-    """
-
-    of: str
-    shared: str
-    component: str
+    FRAME = "frame"
+    SITE = "site"
+    SENSOR = "sensor"
 
 
-class Context(NamedTuple):
-    """What bounds and starts may depend on: σ_g [px] at the longest exposure, brightest light [DN], full scale [DN],
-    crop [px], shortest exposure [s], read noise [e-], gain [DN/e-], the power of t that p1 and p2 come nearest to, and
-    the longest exposure [s]."""
+class Only(Enum):
+    """The variant of an effect that has one."""
 
-    sigma_px: float
-    peak_dn: float
-    full_scale_dn: float
-    crop_px: float
-    shortest_s: float
-    read_noise_e: float
-    gain_dn_per_e: float
-    exponent: float
-    longest_s: float
+    ONLY = ""
 
 
-class Parameter(NamedTuple):
-    """Name, unit, lowest and highest value (numbers, or functions of the context). `inner` marks a constant of the form
-    that the dataset contract leaves free: it is fitted, and reported as part of the form."""
+@dataclass(frozen=True)
+class EffectScales:
+    """Scales of a dataset, from which effects derive bounds, negligible sizes and starting values."""
 
-    name: str
-    unit: str
-    low: float | Callable[[Context], float]
-    high: float | Callable[[Context], float]
-    inner: bool = False
+    sigma_px: float  # width σ_g [px] at the longest exposure
+    peak_dn: float  # brightest light [DN]
+    full_scale_dn: float  # largest reading [DN]
+    crop_px: float  # side of the crops [px]
+    shortest_s: float  # shortest exposure [s]
+    read_noise_e: float  # stated read noise [e-]
+    gain_dn_per_e: float  # gain K [DN/e-]
+    width_exponent: float  # power of the exposure that comes nearest to p1 ln t + p2
+    longest_s: float  # longest exposure [s]
 
 
-class Effect(NamedTuple):
+Bound = float | Callable[[EffectScales], float]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an effect."""
+
+    name: str  # name, which the functions take it by
+    unit: str  # unit, 1 for none
+    low: Bound  # lowest value, a number or a function of the scales
+    high: Bound  # highest value
+    negligible: Bound = 0.0  # distance from where the effect vanishes below which a user would call it nothing
+    describes_variant: bool = False  # whether it is a constant of the variant: fitted, and reported as part of it
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A function at a stage. It takes the arguments of the stage and, by name, parameters of the effect."""
+
+    stage: Stage  # where it acts
+    function: Callable[..., Any]  # arguments and result are those of `Stage`
+    # Derivatives of the result by parameters, by name; functions with the same arguments. For stages in which the light
+    # is proportional to the result (brightness) or contains it as a sum (pedestal).
+    derivatives: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
+
+    def keyword_names(self) -> tuple[str, ...]:
+        """Return the names of the parameters that it takes."""
+        return keyword_names_of(self.function)
+
+
+@dataclass(frozen=True, eq=False)
+class RandomStep:
+    """A function at a stage that takes a random number or field as its last argument before the parameters."""
+
+    stage: Stage  # where it acts
+    function: Callable[..., Any]  # arguments are those of `Stage`, then what was drawn
+    scope: Scope  # which frames share what is drawn
+    # (rng, shape [rows, columns] of the frame, parameters by name) → random number or field
+    draw: Callable[..., Any]
+    # (parameters by name) → values [node] or [node, component] and weights [node] that average over what is drawn in
+    # one pixel; weights sum to 1
+    quadrature: Callable[..., tuple[np.ndarray, np.ndarray]]
+
+    def keyword_names(self) -> tuple[str, ...]:
+        """Return the names of the parameters that it takes."""
+        functions = (self.function, self.draw, self.quadrature)
+        return tuple(name for function in functions for name in keyword_names_of(function))
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
     """One effect.
 
-    What it is:
-
-    - `name`, a word; `sentence`, what a person is told, from a small letter on and without a full stop; `noun`, what
-      its strength is the size of, as in "no clip below 930 DN"; without one its parameter's name. `part`: that is a
-      part of something, and is said in per cent.
-    - `place` in the chain; `function`, as the place says (none at `Place.SHAPE`, whose parameters only describe).
-    - `parameters`, the strength first. A verdict reports those that are not `inner`, with their units; of an effect
-      that scatters, as many as its component tells (`COMPONENTS`).
-    - `starts`: where its fit begins, values of all parameters; none where a shape is learned instead.
-    - `number`: its place in the vocabulary, from 1; 0: behind all others. Random draws depend on it.
-    - `forms` among which the data choose; `idle`, the parameters that a form does not have or that the means do not
-      tell; `rounded`, the forms whose strength [DN] shows in readings as a whole number.
-    - `neutral`, the strength at which it vanishes, and `negligible`, how far from it a user would call it nothing (a
-      number, or a function of the context); nearer than that it is not named, however surely it is there.
-    - `replaces`, the baseline's parameters that lose their meaning.
-    - `scatter`, what it draws, for an effect that has no mean of its own.
-
-    How it is found:
-
-    - `needs`, what a design must vary for it to show (keys of `NEEDS`).
-    - `contains`, names of effects that are a special case of it, or places of which every effect is one: where both
-      explain, the special case is the name.
-    - `always`: a search tries it whatever it promises to first order, since from its starts that says little.
-    - `spectral`: it is found as a peak of the spectrum that sites share, not from `starts`. Its parameters are depth,
-      period, direction and phase, and in the form `site` each site has a phase of its own.
-    - `uniform`: as a pedestal it is alike over the whole frame.
-    - `marks` that it leaves in readings by its nature (`MARKS`).
-    - `flats`: why levels of flats and darks cannot show it; "" where they can.
-
-    What it says of the instrument:
-
-    - `adopts`: from a sensor (`SensorModel`) and its parameters by name, values of keys of instrument.yaml, such as
-      "sensor.read_noise_e", with which the baseline does what the effect does; {} for a form that no key describes.
-      None: no key describes any.
+    Parameters
+    ----------
+    name : a word of small letters, digits and underscores.
+    sentence : what a person is told, from a small letter on and without a full stop.
+    parameters : the strength first.
+    variants : for each variant (a member of an enum, whose value is its text in files) its steps.
+    starts : starting values of all parameters for a fit, one or more, from the scales of a dataset.
+    reference : where the formula comes from.
+    number : place in the vocabulary, from 1; 0 for the next free one. Random draws depend on it.
+    vanishes_at : strength at which the effect vanishes; infinity for a level, NaN for its lowest strength.
+    noun : what the strength is the size of, as in "no clip below 930 DN"; by default the name of the parameter.
+    is_share : whether the strength is a part of something, which is written in per cent.
+    is_static_shape : whether it changes the shape of the light in the same way in every frame.
+    law_of : property of the spot for which it is a law across frames, "brightness" or "width"; "" for none.
+    acts_on_noise : whether it changes the noise and hardly the mean, so that scatter tells it.
+    needs : what a design must vary for it to show.
+    special_cases : effects that are special cases of it, by name or by the property that they are a law of.
+    replaces : parameters of the baseline that lose their meaning.
+    hidden_in_flats : why levels of flats and darks cannot show it; "" where they can.
+    instrument_keys : from a sensor, the variant and the parameters by name: values of the keys of instrument.yaml with
+        which the baseline does what the effect does; {} for none.
     """
 
     name: str
     sentence: str
-    place: Place
     parameters: tuple[Parameter, ...]
-    starts: Callable[[Context], Sequence[tuple[float, ...]]]
-    function: Callable[..., Any] | None = None
+    variants: Mapping[Enum, tuple[Step | RandomStep, ...]]
+    starts: Callable[[EffectScales], Sequence[tuple[float, ...]]]
+    reference: str = ""
     number: int = 0
-    forms: tuple[str, ...] = ("",)
-    idle: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    rounded: tuple[str, ...] = ()
-    neutral: float = 0.0
-    negligible: float | Callable[[Context], float] = 0.0
-    replaces: tuple[str, ...] = ()
-    scatter: Scatter | None = None
-    needs: tuple[str, ...] = ()
-    contains: tuple[str | Place, ...] = ()
-    always: bool = False
-    spectral: bool = False
-    uniform: bool = False
-    marks: tuple[str, ...] = ()
-    flats: str = NO_SPOT
+    vanishes_at: float = 0.0
     noun: str = ""
-    part: bool = False
-    adopts: Callable[..., Mapping[str, float]] | None = None
+    is_share: bool = False
+    is_static_shape: bool = False
+    law_of: str = ""
+    acts_on_noise: bool = False
+    needs: tuple[Need, ...] = ()
+    special_cases: tuple[str, ...] = ()
+    replaces: tuple[str, ...] = ()
+    hidden_in_flats: str = "there is no spot"
+    instrument_keys: Callable[..., Mapping[str, float]] | None = None
 
     @property
-    def component(self) -> str:
-        """The variance component that it is; "" where it is none."""
-        return self.scatter.component if self.scatter else ""
+    def stages(self) -> tuple[Stage, ...]:
+        """Stages at which any variant acts, in the order of the chain."""
+        used = {step.stage for steps in self.variants.values() for step in steps}
+        return tuple(stage for stage in Stage if stage in used)
 
-    def has_as_special_case(self, other: "Effect") -> bool:
-        """Whether another effect is a special case of this one."""
-        return other.name in self.contains or other.place in self.contains
+    def parameters_of(self, variant: Enum) -> list[Parameter]:
+        """Return the parameters that a variant has: of the constants of variants, those that its functions take."""
+        named = {name for step in self.variants[variant] for name in step.keyword_names()}
+        return [
+            parameter for parameter in self.parameters if not parameter.describes_variant or parameter.name in named
+        ]
 
-    def moves_level(self, form: str) -> bool:
-        """Whether a form of it does what another black level would."""
-        subtracted = self.place is Place.DIGITAL and form == "subtracted"
-        return subtracted or (self.place is Place.PEDESTAL and self.uniform)
+    def variant_named(self, text: str) -> Enum | None:
+        """Return the variant of a text in files; None if there is none."""
+        return next((variant for variant in self.variants if variant.value == text), None)
 
-    def signs(self, context: Context) -> tuple[int, ...]:
-        """On which sides of where it vanishes its strength may lie; none where it vanishes nowhere."""
-        low, high = self.bounds(context)[0]
-        return tuple(sign for sign, there in ((-1, low < self.neutral), (1, high > self.neutral)) if there)
-
-    def size_text(self, low: str, high: str) -> str:
-        """How large it may be, in words, by texts of the ends of what its strength may be; "" for an end that nature or
-        nothing sets."""
-        noun = self.noun or f"{self.parameters[0].name} of {self.name}"
-        if np.isinf(self.neutral):
-            return f"no {noun} below {low}" if low else ""
-        if low and high:
-            return f"{noun} from {low} to {high}"
-        return f"{noun} {f'below {high}' if high else f'above {low}'}" if low or high else ""
-
-    def excess(self, strength: float, context: Context) -> float:
-        """How far a strength is from where the effect vanishes, in units of what is negligible; infinite where nothing
-        is. An effect without a neutral strength vanishes at its lowest."""
-        neutral = self.bounds(context)[0, 0] if np.isnan(self.neutral) else self.neutral
-        least = self.negligible(context) if callable(self.negligible) else self.negligible
-        return np.inf if least == 0 or not np.isfinite(neutral) else abs(strength - neutral) / least
-
-    def bounds(self, context: Context) -> np.ndarray:
-        """Lowest and highest value of each parameter [parameter, 2]."""
-        return np.array(
-            [[end(context) if callable(end) else end for end in (p.low, p.high)] for p in self.parameters], dtype=float
-        )
+    def bounds(self, scales: EffectScales) -> np.ndarray:
+        """Return the lowest and the highest value of each parameter [parameter, 2]."""
+        ends = [(parameter.low, parameter.high) for parameter in self.parameters]
+        return np.array([[end(scales) if callable(end) else end for end in pair] for pair in ends], dtype=float)
 
 
-class Present(NamedTuple):
-    """An effect in a model: which, in which form, and the values of its parameters."""
+@dataclass(frozen=True)
+class AppliedEffect:
+    """An effect in a model."""
 
     effect: Effect
-    form: str
-    values: tuple[float, ...]
+    variant: Enum  # one of its variants
+    values: tuple[float, ...]  # values of all parameters, in their order; NaN for those that the variant does not have
 
-    def named(self) -> dict[str, float]:
-        """Parameters by name."""
-        return {p.name: v for p, v in zip(self.effect.parameters, self.values, strict=True)}
+    def __post_init__(self) -> None:
+        if self.variant not in self.effect.variants or len(self.values) != len(self.effect.parameters):
+            raise ValueError(f"{self.effect.name}: has no variant {self.variant!r} with {len(self.values)} parameters")
 
-    def apply(self, *arguments: Any) -> Any:
-        """Call the effect's function with its parameters, and its form where there is a choice."""
-        assert self.effect.function is not None
-        return self.effect.function(*arguments, **self.named(), **self._formed())
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Values by name."""
+        return {parameter.name: value for parameter, value in zip(self.effect.parameters, self.values, strict=True)}
 
-    def adopted(self, sensor: SensorModel) -> Mapping[str, float]:
-        """Values of keys of instrument.yaml that say of a sensor what the effect says; {} where no key can."""
-        return self.effect.adopts(sensor, **self.named(), **self._formed()) if self.effect.adopts else {}
+    def with_value(self, name: str, value: float) -> "AppliedEffect":
+        """Return the effect with another value of one parameter."""
+        return replace(self, values=tuple((self.parameters | {name: value}).values()))
 
-    def _formed(self) -> dict[str, str]:
-        return {"form": self.form} if len(self.effect.forms) > 1 else {}
+    def steps_at(self, stage: Stage) -> Iterator["AppliedStep"]:
+        """Yield the steps of the variant at a stage."""
+        for step in self.effect.variants[self.variant]:
+            if step.stage is stage:
+                yield AppliedStep(step, self)
+
+    def instrument_keys(self, sensor: SensorModel) -> Mapping[str, float]:
+        """Return the values of keys of instrument.yaml with which a sensor does what the effect does; {} for none."""
+        if self.effect.instrument_keys is None:
+            return {}
+        return self.effect.instrument_keys(sensor, self.variant, **self.parameters)
+
+
+@dataclass(frozen=True)
+class AppliedStep:
+    """A step with the parameters of its effect: a function of the arguments of its stage.
+
+    Steps that compare equal do the same, so that tables can be kept for them.
+    """
+
+    step: Step | RandomStep  # which step
+    applied: AppliedEffect  # the effect that it belongs to
+    full_scale_dn: float = np.inf  # largest reading [DN], for functions that take it by name
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.call(self.step.function, *arguments)
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a function of the step with the parameters that it names."""
+        values = self.applied.parameters | {"full_scale_dn": self.full_scale_dn}
+        return function(*arguments, **{name: values[name] for name in keyword_names_of(function)})
+
+    @property
+    def random(self) -> RandomStep | None:
+        """The step if it takes a random number or field, else None."""
+        return self.step if isinstance(self.step, RandomStep) else None
+
+    def average(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return values and weights that average over what a random step draws."""
+        assert self.random is not None
+        return self.call(self.random.quadrature)
+
+
+@cache
+def keyword_names_of(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the names of the parameters of an effect that a function takes: its keyword-only arguments."""
+    if hasattr(function, "parameter_names"):
+        return function.parameter_names
+    parameters = inspect.signature(function).parameters.values()
+    return tuple(parameter.name for parameter in parameters if parameter.kind is inspect.Parameter.KEYWORD_ONLY)
+
+
+def multiply(frame, value, factor):
+    """Return a value, such as a peak or a light [DN], times what was drawn: for random steps."""
+    return value * factor
+
+
+def normal_draws(name: str, transform: Callable[[Any], Any], size: Callable[[Sequence[int]], Any] = lambda shape: ()):
+    """Return `draw` and `quadrature` of a random step whose values are a function of normal numbers.
+
+    Parameters
+    ----------
+    name : str
+        Parameter that is the standard deviation of the normal numbers; their mean is 0.
+    transform : function
+        Makes values of normal numbers.
+    size : function
+        Size of what is drawn, from the shape [rows, columns] of the frame; by default one number.
+    """
+
+    def draw(rng, shape, **parameters):
+        return transform(parameters[name] * rng.standard_normal(size(shape)))
+
+    def quadrature(**parameters):
+        # Gauss–Hermite: exact for polynomials of degree 9.
+        nodes, weights = np.polynomial.hermite_e.hermegauss(5)
+        return transform(parameters[name] * nodes), weights / weights.sum()
+
+    draw.parameter_names = quadrature.parameter_names = (name,)  # type: ignore[attr-defined]
+    return draw, quadrature

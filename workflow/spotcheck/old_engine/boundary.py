@@ -6,12 +6,12 @@ No other module of the old engine imports from `spotcheck.model`.
 from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.model import effects as current
-from spotcheck.model.sensor import SensorModel
 from spotcheck.old_engine.model import effects as frozen
 from spotcheck.old_engine.model.baseline import Baseline
 from spotcheck.old_engine.model.effect import Effect
 from spotcheck.old_engine.model.extended import Extended, check_bounds, context_of
 from spotcheck.old_engine.model.sensor import SensorModel as OldSensor
+from spotcheck.sensor import SensorModel
 
 
 def old_sensor(sensor: SensorModel) -> OldSensor:

@@ -4,30 +4,12 @@ import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from spotcheck.model.effect import NEEDS, Context, Effect, Parameter, Place
+from spotcheck.model.effect import Effect, EffectScales, Parameter, RandomStep
 from spotcheck.model.effects import built_in, vocabulary
+from spotcheck.model.stage import Stage
 
-# What happens at each place of the chain, in words.
-PLACES = {
-    Place.EXPOSURE: "sets the true exposure",
-    Place.WIDTH: "sets the width p_b",
-    Place.BRIGHTNESS: "multiplies the spot's light",
-    Place.METRIC: "squeezes the coordinates of the shape",
-    Place.PROFILE: "changes the exponent of the shape",
-    Place.SHAPE: "adds a surface that is learned from frames, after the top hat",
-    Place.BLUR: "averages shifted spots, after the top hat",
-    Place.ADDED: "adds light to the blurred spot",
-    Place.MODULATION: "multiplies all light so far",
-    Place.PEDESTAL: "adds a pedestal: light, or DN beside the black level",
-    Place.CHARGE: "adds electrons after the Poisson draw",
-    Place.WELL: "limits the charge",
-    Place.NOISE: "replaces the read noise",
-    Place.RESPONSE: "bends the signal without black level",
-    Place.DIGITAL: "cuts the faint end, before rounding",
-    Place.SCATTER: "draws a random number or field of its own",
-}
-# What a bound may depend on, in the order of `Context`.
-CONTEXT = (
+# What a bound may depend on, in the order of `EffectScales`.
+SCALES = (
     "σ_g",
     "peak",
     "full scale",
@@ -42,19 +24,19 @@ CONTEXT = (
 INTRODUCTION = """# The vocabulary of effects
 
 Written by `spotcheck effects --output workflow/docs/effects.md` from the files in
-[model/effects](../spotcheck/model/effects): do not edit. What each effect means exactly is told in its
-file; how the places follow each other is in [model/chain.py](../spotcheck/model/chain.py).
+[model/effects](../spotcheck/model/effects): do not edit. The file of an effect says exactly what it does.
+[model/stage.py](../spotcheck/model/stage.py) says what the functions of each stage get and return.
 
-A bound in words is set by the data: σ_g at the longest exposure [px], the brightest light (peak) and full scale [DN],
-the crop's side [px], the shortest and the longest exposure [s], read noise [e-]. Directions are in degrees from +x
-towards +y. A parameter marked *inner* is a constant of the form: it is fitted, and reported as part of the form.
+Some bounds derive from the data: from σ_g at the longest exposure [px], the brightest light (peak) and full scale [DN],
+the side of the crops [px], the shortest and the longest exposure [s], and the read noise [e-]. Directions are in
+degrees from +x towards +y. A parameter of the *variant* is a constant of it: it is fitted, and reported with it.
 """
 
 ADDING = """## Adding an effect
 
 ### In a file of your own
 
-An effect is one Python file, wherever it lies, with a function and an `EFFECT`. Name it to a run:
+An effect is one Python file, wherever it lies, with functions and an `EFFECT`. Name it to a run:
 
     snakemake --cores 2 --config effects="[lab/vignetting.py]"
 
@@ -62,88 +44,91 @@ or under `effects:` in `config/config.yaml`. `spotcheck simulate` then draws it 
 version effects from files are simulated, but the verdict does not search for them, and says so.
 `vocabulary: {without: [names]}` leaves effects out, `{only: [names]}` all others. Every subcommand that
 knows effects takes `--effects FILE …`, `--only NAME …` and `--without NAME …` to the same end;
-`spotcheck effects --effects lab/vignetting.py --output page.md` writes this page with your effect on it. What is wrong
-with a file is said in one sentence before anything is computed.
+`spotcheck effects --effects lab/vignetting.py --output page.md` writes this page with your effect on it. A fault in a
+file is reported in one sentence before anything is computed.
 
-1. Choose the place in the chain; the comments of `Place` in [model/effect.py](../spotcheck/model/effect.py) say what
-   the function gets and returns there. Parameters come by name, and `form` too where there are several forms.
-2. Write the function on arrays that broadcast over views and points. Parameters come in the units that they declare;
-   what the place hands in is in px, DN or e- and s, and `view.angle` in rad. `View` in
-   [model/chain.py](../spotcheck/model/chain.py) says what it can look at.
-3. List the parameters, strength first, each with unit, lowest and highest value (numbers, functions of the `Context`,
-   or -np.inf and np.inf for a direction); `neutral` is the strength at which the effect vanishes, 0 unless said, and
-   `negligible` how near to it a user would call it nothing;
-   `starts` is where its fit begins.
-4. Say in `needs` what a design must vary for it to show, in `contains` which effects are a special case of it, and in
-   `always` whether a search tries it even where its starts promise nothing. Where keys of instrument.yaml can say the
-   same, as the read noise can, `adopts` gives their values, which `spotcheck adopt` writes. `Effect` in
-   [model/effect.py](../spotcheck/model/effect.py) explains every field.
+1. Choose the stage of the chain. The table above says what a function gets there and what it returns. Means go in and
+   means come out; functions of the sensor's stages never decrease.
+2. Write the function on arrays that broadcast over rows and columns. Parameters come by name, in the units that they
+   declare; what the stage hands in is in px, DN, e- and s, and `frame.angle` in rad. `FrameConditions` in
+   [model/conditions.py](../spotcheck/model/conditions.py) says what a frame holds.
+3. List the parameters, strength first, each with unit, lowest and highest value (numbers, functions of the
+   `EffectScales`, or -np.inf and np.inf for a direction) and the `negligible` size. `vanishes_at` is the strength at
+   which the effect vanishes, 0 unless stated; `starts` gives starting values for a fit.
+4. State the attributes that other code needs: `needs` says what a design must vary, `law_of` whether it is a law of
+   brightness or width, `is_static_shape` and `acts_on_noise` what it changes, `special_cases` which effects are special
+   cases of it. If keys of instrument.yaml can describe the effect, `instrument_keys` gives their values, which
+   `spotcheck adopt` writes. `Effect` in [model/effect.py](../spotcheck/model/effect.py) explains every attribute.
 
 This file is complete:
 """
 
-SCATTERING = """### An effect that scatters
+RANDOM = """### An effect that is random
 
-What has no mean of its own, but draws a number or a field anew for every frame or site, or once for the sensor, is at
-`Place.SCATTER` and says in `Scatter(of, shared, component)` what it draws. `spotcheck simulate` draws it with the
-function: factors have the mean 1, offsets and places the mean 0, and the first parameter is their rms. A fit does not
-use the function: it tells the strength as the root of a variance component, and effects of one component look alike to
-it. If two of them are in the vocabulary, both are answers; leave out what you know not to be there. For a laser that is
-known to hop between modes:
-
-    snakemake --cores 2 --config effects="[lab/mode_hopping.py]" vocabulary="{without: [power_fluctuation]}"
+A `RandomStep` draws a number or a field anew for every frame or site, or once for the sensor, and hands it to its
+function as the last argument. `draw` gives what `spotcheck simulate` uses. `quadrature` gives values and weights that
+average over it, from which the model computes mean and variance of readings. A file whose draws and quadrature disagree
+is refused.
 """
 
 IN_LIBRARY = """### In the library
 
 The same file in `workflow/spotcheck/model/effects/`, with the next free `number`, is part of the vocabulary; no list
 names it. Write this page anew with the command at its top, and add the effect to the cases of
-`tests/library/effect_cases.py`, which hold every effect against the chain.
+`tests/library/effect_cases.py`, which hold every effect against the dataset contract.
 """
 
-MEAN = '''"""Vignetting: the light falls off from the frame's centre."""
+MEAN_EXAMPLE = '''"""Vignetting: the light falls off from the frame's centre."""
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
-def falloff(view, *, a):
-    """Factor 1 − a (r/100 px)², r from the frame's centre; never below 0."""
-    r2 = (view.x - view.frame_x) ** 2 + (view.y - view.frame_y) ** 2
-    return np.maximum(1 - a * r2 / 100**2, 0.0)
+def fall_off(frame, light_dn, *, a):
+    """Return the light [DN] times 1 − a (r/100 px)², r from the frame's centre; never below 0."""
+    pixels = frame.pixels
+    r2 = (pixels.x - pixels.centre_x) ** 2 + (pixels.y - pixels.centre_y) ** 2
+    return light_dn * np.maximum(1 - a * r2 / 100**2, 0.0)
 
 
 EFFECT = Effect(
     name="vignetting",
     sentence="the light falls off from the frame's centre",
-    place=Place.MODULATION,
     parameters=(Parameter("a", "1", 0.0, 1.0),),
-    starts=lambda c: [(0.01,)],
-    function=falloff,
+    variants={Only.ONLY: (Step(Stage.MODULATION, fall_off),)},
+    starts=lambda scales: [(0.01,)],
 )
 '''
-SCATTER = '''"""Mode hopping: the laser jumps between two modes of different power."""
+RANDOM_EXAMPLE = '''"""Mode hopping: the laser jumps between two modes of different power."""
 
-from spotcheck.model.effect import Effect, Parameter, Place, Scatter
+import numpy as np
+
+from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Scope, Stage
 
 
-def factor(rng, *, rms):
-    """Factor on one frame's light: 1 − rms or 1 + rms, as often."""
+def multiply(frame, peak_dn, factor):
+    """Return the peak [DN] times a factor."""
+    return peak_dn * factor
+
+
+def draw_mode(rng, shape, *, rms):
+    """Return the factor of one frame: 1 − rms or 1 + rms, with equal probability."""
     return 1 + rms * rng.choice((-1.0, 1.0))
+
+
+def average_modes(*, rms):
+    """Return both factors and their weights."""
+    return np.array([1 - rms, 1 + rms]), np.array([0.5, 0.5])
 
 
 EFFECT = Effect(
     name="mode_hopping",
     sentence="the laser jumps between two modes of different power",
-    place=Place.SCATTER,
     parameters=(Parameter("rms", "1", 0.0, 1.0),),
-    starts=lambda c: [(0.02,)],
-    function=factor,
-    scatter=Scatter("gain", "frame", "gain"),
-    needs=("frames", "law"),
-    # A brightness of each frame's own fits any law of the brightness.
-    contains=(Place.EXPOSURE, Place.BRIGHTNESS),
+    variants={Only.ONLY: (RandomStep(Stage.BRIGHTNESS, multiply, Scope.FRAME, draw_mode, average_modes),)},
+    starts=lambda scales: [(0.02,)],
+    needs=(Need.FRAMES, Need.LAW),
 )
 '''
 
@@ -195,54 +180,59 @@ def _text(value, in_product: bool = False) -> str:
     return f"{value:.12g}".replace("-", "−")
 
 
-def bound(end: float | Callable[[Context], float]) -> str:
+def bound(end: float | Callable[[EffectScales], float]) -> str:
     """A bound as a number, or in words where the data set it."""
     if not callable(end):
         return _text(end)
     try:
-        return _text(end(Context(*map(_Words, CONTEXT))))  # type: ignore[arg-type]
+        return _text(end(EffectScales(*map(_Words, SCALES))))  # type: ignore[arg-type]
     except TypeError:  # more than arithmetic
         return "set by the data"
 
 
-def _row(parameter: Parameter, neutral: float | None, least: float | Callable[[Context], float]) -> str:
-    notes = ["inner"] if parameter.inner else []
-    if neutral is not None and not math.isnan(neutral):
-        notes.append("vanishes at " + ("∞" if math.isinf(neutral) else _text(neutral)))
-    if least:
-        notes.append(f"what is nearer than {bound(least)} counts as none")
+def _row(parameter: Parameter, vanishes_at: float | None) -> str:
+    notes = ["of the variant"] if parameter.describes_variant else []
+    if vanishes_at is not None and not math.isnan(vanishes_at):
+        notes.append("vanishes at " + ("∞" if math.isinf(vanishes_at) else _text(vanishes_at)))
+    if parameter.negligible:
+        notes.append(f"negligible if nearer than {bound(parameter.negligible)}")
     cells = (f"`{parameter.name}`", parameter.unit, bound(parameter.low), bound(parameter.high), "; ".join(notes))
     return "| " + " | ".join(cells) + " |"
 
 
-def _forms(effect: Effect) -> str:
-    named = []
-    for form in effect.forms:
-        idle = effect.idle.get(form, ())
-        named.append(f"`{form}`" + (f" (without {', '.join(idle)})" if idle else ""))
-    return "Forms, of which the data choose: " + ", ".join(named) + "."
+def _stages(effect: Effect) -> str:
+    """Return the stages at which an effect acts, and what it draws there."""
+    if not effect.stages:
+        return "Stage: profile (the baseline holds the learned shape)."
+    texts = {}
+    for steps in effect.variants.values():
+        for step in steps:
+            drawn = f", drawn for each {step.scope.value}" if isinstance(step, RandomStep) else ""
+            texts[step.stage] = f"{step.stage.title} ({step.stage.value.action}{drawn})"
+    return "Stage: " + "; ".join(texts[stage] for stage in effect.stages) + "."
 
 
 def section(effect: Effect) -> str:
-    """One effect: its sentence, place, parameters and forms."""
-    place = f"Place: {effect.place.value} ({PLACES[effect.place]})"
-    if effect.scatter:
-        place += f": {effect.scatter.of}, one for each {effect.scatter.shared}; variance component {effect.component}"
-    notes = [place + "."]
+    """Return the section of one effect: its sentence, stages, parameters and variants."""
+    notes = [_stages(effect)]
     if effect.needs:
-        notes.append(f"Shows only where there are: {', '.join(NEEDS[need] for need in effect.needs)}.")
+        notes.append(f"Shows only where there are: {', '.join(need.value for need in effect.needs)}.")
     if effect.replaces:
         notes.append(f"Takes the place of {', '.join(effect.replaces)}.")
-    if effect.contains:
-        special = [own if isinstance(own, str) else f"every effect at the place {own.value}" for own in effect.contains]
-        notes.append(f"Has as special cases: {', '.join(special)}.")
-    if not effect.flats:
+    if effect.special_cases:
+        notes.append(f"Special cases: {', '.join(map(_special_case, effect.special_cases))}.")
+    if not effect.hidden_in_flats:
         notes.append("Shows in levels of flats and darks too.")
-    if len(effect.forms) > 1:
-        notes.append(_forms(effect))
-    rows = [
-        _row(p, None if k else effect.neutral, 0.0 if k else effect.negligible) for k, p in enumerate(effect.parameters)
-    ]
+    if len(effect.variants) > 1:
+        texts = []
+        for variant in effect.variants:
+            present = effect.parameters_of(variant)
+            unused = [parameter.name for parameter in effect.parameters if parameter not in present]
+            texts.append(f"`{variant.value}`" + (f" (without {', '.join(unused)})" if unused else ""))
+        notes.append(f"Variants: {', '.join(texts)}.")
+    if effect.reference:
+        notes.append(f"Reference: {effect.reference}.")
+    rows = [_row(parameter, None if k else effect.vanishes_at) for k, parameter in enumerate(effect.parameters)]
     title = (
         f"[{effect.name}](../spotcheck/model/effects/{effect.name}.py)" if effect.name in built_in() else effect.name
     )
@@ -262,26 +252,33 @@ def section(effect: Effect) -> str:
     )
 
 
+def _special_case(name: str) -> str:
+    return name if name in vocabulary() else f"every law of the {name}"
+
+
 def _chain(effects: Iterable[Effect]) -> str:
+    """Return the table of stages: what functions get and return, and which effects act there."""
     known = list(effects)
     rows = []
-    for place in Place:
-        own = ", ".join(effect.name for effect in known if effect.place is place)
-        rows.append(f"| {place.value} | {PLACES[place]} | {own or '–'} |")
-    head = "| place, in the chain's order | what an effect there does | effects |"
-    return "\n".join([head, "|---|---|---|", *rows, ""])
+    for stage in Stage:
+        description = stage.value
+        names = ", ".join(effect.name for effect in known if stage in effect.stages)
+        arguments = ", ".join(f"`{argument}`" for argument in description.arguments)
+        rows.append(f"| {stage.title} | {arguments} | {description.returns} | {names or '–'} |")
+    head = "| stage, in the order of the chain | a function gets | and returns | effects |"
+    return "\n".join([head, "|---|---|---|---|", *rows, ""])
 
 
 def page(effects: Iterable[Effect]) -> str:
-    """The whole page in Markdown."""
+    """Return the whole page in Markdown."""
     known = sorted(effects, key=lambda effect: effect.number)
     sections = [section(effect) for effect in known]
-    mean, scatter = (f"```python\n{file}```\n" for file in (MEAN, SCATTER))
-    return "\n".join([INTRODUCTION, _chain(known), *sections, ADDING, mean, SCATTERING, scatter, IN_LIBRARY])
+    mean, random = (f"```python\n{file}```\n" for file in (MEAN_EXAMPLE, RANDOM_EXAMPLE))
+    return "\n".join([INTRODUCTION, _chain(known), *sections, ADDING, mean, RANDOM, random, IN_LIBRARY])
 
 
 def write(path: Path) -> int:
-    """Write the page of the vocabulary; how many effects that is."""
+    """Write the page of the vocabulary and return the number of effects."""
     effects = vocabulary()
     # A page of the repository, not a result: without a sidecar of the run that wrote it.
     path.write_text(page(effects.values()), encoding="utf-8")

@@ -3,8 +3,9 @@
 import math
 
 from spotcheck import metrics, optics
-from spotcheck.model import sensor, spot
+from spotcheck.model import spot
 from spotcheck.paper.results import Results, known
+from spotcheck.sensor import ROUNDING_VARIANCE
 
 PRINTED_MAGNIFICATION = 0.2
 FILAMENT_GAP_M = 5.2e-6  # Section 3.1.1
@@ -112,7 +113,7 @@ def fraunhofer(results: Results) -> float:
 
 def rounding_variance(results: Results) -> float:
     """Variance of the rounding [DN²]."""
-    return sensor.ROUNDING_VARIANCE
+    return ROUNDING_VARIANCE
 
 
 def top_hat_level(results: Results) -> float:

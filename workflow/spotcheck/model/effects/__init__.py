@@ -8,13 +8,14 @@ a file cannot be sent to them).
 
 import importlib
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from spotcheck.errors import InputError
-from spotcheck.model.effect import Effect
+from spotcheck.model.effect import PROPERTIES, Effect
 from spotcheck.model.effect_file import read_effect
 
 
@@ -32,92 +33,79 @@ _choice = LIBRARY
 
 
 class Vocabulary(NamedTuple):
-    """Effects by name, in the order of their numbers; name, file and SHA-256 of each that was added; those that were
-    left out."""
+    """The vocabulary of a run."""
 
-    effects: Mapping[str, Effect]
-    own: tuple[tuple[str, str, str], ...] = ()
-    left_out: tuple[Effect, ...] = ()
+    effects: Mapping[str, Effect]  # effects by name, in the order of their numbers
+    added: tuple[dict[str, str], ...]  # name, file and sha256 of each effect from a file
+    left_out: tuple[str, ...]  # names of the effects that were left out
 
 
 @cache
 def built_in() -> dict[str, Effect]:
-    """Effects of this folder by name, in the order of their numbers."""
+    """Return the effects of this folder by name, in the order of their numbers."""
     names = [found.name for found in pkgutil.iter_modules(__path__)]
     effects = [importlib.import_module(f"{__name__}.{name}").EFFECT for name in names]
     return {effect.name: effect for effect in sorted(effects, key=lambda effect: effect.number)}
 
 
 def vocabulary() -> Mapping[str, Effect]:
-    """The effects of this run by name, in the order of their numbers."""
-    return _gathered(_choice).effects
+    """Return the effects of this run by name, in the order of their numbers."""
+    return _gather(_choice).effects
 
 
 def choose(choice: Choice = LIBRARY) -> None:
     """Set the vocabulary of this process, by default that of this folder.
 
-    Raises `InputError` for a file that holds no sound effect, a name or number that is taken, a name that no effect
+    Raises `InputError` for a file that holds no usable effect, a name or number that is taken, a name that no effect
     has, and a choice that leaves nothing.
     """
     global _choice
-    _gathered.cache_clear()
-    _gathered(choice)
+    _gather.cache_clear()
+    _gather(choice)
     _choice = choice
 
 
 def chosen() -> Choice:
-    """The choice of this process, for processes that it starts."""
+    """Return the choice of this process, for processes that it starts."""
     return _choice
 
 
-def record(among: Callable[[Effect], bool] = lambda effect: True) -> dict[str, Any]:
-    """What sets the run's vocabulary apart from that of this folder, for files: effects that were added, with name and
-    digest of their files, and names of those left out; of some effects only. {} where there is no difference."""
-    found = _gathered(_choice)
-    own = [
-        {"name": name, "file": file, "sha256": digest}
-        for name, file, digest in found.own
-        if name in found.effects and among(found.effects[name])
-    ]
-    left_out = [effect.name for effect in found.left_out if among(effect)]
-    return {"own": own, "left_out": left_out} if own or left_out else {}
+def record() -> dict[str, Any]:
+    """Return the difference of the run's vocabulary from that of this folder, for files; {} if there is none.
+
+    `own` holds name, file and digest of the effects from files, `left_out` the names of effects that were left out.
+    """
+    found = _gather(_choice)
+    added = [keys for keys in found.added if keys["name"] in found.effects]
+    return {"own": added, "left_out": list(found.left_out)} if added or found.left_out else {}
 
 
 @cache
-def _gathered(choice: Choice) -> Vocabulary:
-    effects, own = _with_files(choice.files)
-    known = f"known effects: {', '.join(effects)}"
-    for file, (name, *_) in zip(choice.files, own, strict=True):
-        for part in effects[name].contains:
-            if isinstance(part, str) and part not in effects:
-                raise InputError(f"{file}: contains {part}, which is no effect; {known}")
-    if choice.only and choice.without:
-        raise InputError("vocabulary: has both only and without; name the effects that stay, or those that go")
-    for key in ("only", "without"):
-        for name in getattr(choice, key):
-            if name not in effects:
-                raise InputError(f"vocabulary: {key} names {name}, which is no effect; {known}")
-    left_out = [name for name in effects if name in choice.without or (choice.only and name not in choice.only)]
-    if len(left_out) == len(effects):
-        raise InputError("vocabulary: without names every effect; leave at least one")
-    kept = {name: effect for name, effect in effects.items() if name not in left_out}
-    return Vocabulary(kept, own, tuple(effects[name] for name in left_out))
-
-
-def _with_files(files: Sequence[str]) -> tuple[dict[str, Effect], tuple[tuple[str, str, str], ...]]:
-    """The effects of this folder and of some files by name, in the order of their numbers; name, file and SHA-256 of
-    each that was added."""
-    effects, own = dict(built_in()), []
-    for file in files:
+def _gather(choice: Choice) -> Vocabulary:
+    effects, added = dict(built_in()), []
+    for file in choice.files:
         effect, digest = read_effect(Path(file))
         numbers = {other.number: other.name for other in effects.values()}
         if effect.name in effects:
             raise InputError(f"{file}: its effect is called {effect.name}, as another is; give it a name of its own")
         if effect.number in numbers:
+            other = numbers[effect.number]
             raise InputError(
-                f"{file}: number {effect.number} is that of {numbers[effect.number]}; leave it out, and the next free"
-                " one is taken"
+                f"{file}: number {effect.number} is that of {other}; leave it out, and the next free one is taken"
             )
-        effects[effect.name] = effect._replace(number=effect.number or max(numbers) + 1)
-        own.append((effect.name, Path(file).name, digest))
-    return dict(sorted(effects.items(), key=lambda item: item[1].number)), tuple(own)
+        effects[effect.name] = replace(effect, number=effect.number or max(numbers) + 1)
+        added.append({"name": effect.name, "file": Path(file).name, "sha256": digest})
+    known = f"known effects: {', '.join(effects)}"
+    for file, keys in zip(choice.files, added, strict=True):
+        for special_case in sorted(set(effects[keys["name"]].special_cases) - {*effects, *PROPERTIES}):
+            raise InputError(f"{file}: special_cases names {special_case}, which is no effect; {known}")
+    if choice.only and choice.without:
+        raise InputError("vocabulary: has both only and without; name the effects that stay, or those that go")
+    for key, names in (("only", choice.only), ("without", choice.without)):
+        for name in sorted(set(names) - set(effects)):
+            raise InputError(f"vocabulary: {key} names {name}, which is no effect; {known}")
+    kept = {name: effects[name] for name in choice.only or effects if name not in choice.without}
+    if not kept:
+        raise InputError("vocabulary: without names every effect; leave at least one")
+    ordered = dict(sorted(kept.items(), key=lambda item: item[1].number))
+    return Vocabulary(ordered, tuple(added), tuple(name for name in effects if name not in kept))

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
-def reflected(view, *, d, gamma0):
-    """Factor 1 + d cos 2(γ − γ0); γ0 [deg]."""
-    return 1 + d * np.cos(2 * (view.angle - np.deg2rad(gamma0)))
+def follow_angle(frame, peak_dn, *, d, gamma0):
+    """Return the peak [DN] times 1 + d cos 2(γ − γ0); γ0 in deg."""
+    return peak_dn * (1 + d * np.cos(2 * (frame.angle - np.deg2rad(gamma0))))
 
 
 EFFECT = Effect(
@@ -15,14 +15,10 @@ EFFECT = Effect(
     name="angle_reflectance",
     sentence="the spot's brightness, not its shape, follows the fibre angle",
     noun="change of brightness with the fibre angle",
-    part=True,
-    place=Place.BRIGHTNESS,
-    parameters=(
-        Parameter("d", "1", 0.0, 0.95),
-        Parameter("gamma0", "deg", -np.inf, np.inf),
-    ),
-    starts=lambda c: [(0.02, gamma0) for gamma0 in (0.0, 45.0, 90.0, 135.0)],
-    function=reflected,
-    negligible=0.005,
-    needs=("angle", "law"),
+    is_share=True,
+    parameters=(Parameter("d", "1", 0.0, 0.95, negligible=0.005), Parameter("gamma0", "deg", -np.inf, np.inf)),
+    variants={Only.ONLY: (Step(Stage.BRIGHTNESS, follow_angle),)},
+    starts=lambda scales: [(0.02, gamma0) for gamma0 in (0.0, 45.0, 90.0, 135.0)],
+    law_of="brightness",
+    needs=(Need.ANGLES, Need.LAW),
 )

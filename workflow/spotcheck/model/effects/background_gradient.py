@@ -1,16 +1,25 @@
 """Background gradient: a pedestal that rises across the frame."""
 
+from enum import Enum
+
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Parameter, Stage, Step
 
 
-def slope_across(view, *, level, slope, direction, form):
-    """Pedestal [DN]: `level` at the frame's centre, `slope` [DN per 100 px] uphill towards `direction` [deg from +x
-    towards +y]; never below 0."""
-    angle = np.deg2rad(direction)
-    along = (view.x - view.frame_x) * np.cos(angle) + (view.y - view.frame_y) * np.sin(angle)
-    return np.maximum(level + slope * along / 100, 0.0)
+class Variant(Enum):
+    """Whether the pedestal is light, with shot noise, or electronics, without."""
+
+    LIGHT = "light"
+    ELECTRONIC = "electronic"
+
+
+def add_slope(frame, pedestal_dn, *, slope, level, direction):
+    """Return what is there plus `level` [DN] at the frame's centre and `slope` [DN per 100 px] uphill towards
+    `direction` [deg from +x towards +y]; what is added is never below 0."""
+    angle, pixels = np.deg2rad(direction), frame.pixels
+    along = (pixels.x - pixels.centre_x) * np.cos(angle) + (pixels.y - pixels.centre_y) * np.sin(angle)
+    return pedestal_dn + np.maximum(level + slope * along / 100, 0.0)
 
 
 EFFECT = Effect(
@@ -18,16 +27,16 @@ EFFECT = Effect(
     name="background_gradient",
     sentence="a pedestal of light rises across the frame",
     noun="slope of a pedestal",
-    place=Place.PEDESTAL,
     parameters=(
-        Parameter("slope", "DN per 100 px", 0.0, lambda c: 0.3 * c.full_scale_dn),
-        Parameter("level", "DN", 0.0, lambda c: 0.5 * c.full_scale_dn),
+        Parameter("slope", "DN per 100 px", 0.0, lambda scales: 0.3 * scales.full_scale_dn, negligible=0.1),
+        Parameter("level", "DN", 0.0, lambda scales: 0.5 * scales.full_scale_dn),
         Parameter("direction", "deg", -np.inf, np.inf),
     ),
-    starts=lambda c: [(0.5, 1.0, direction) for direction in (0.0, 90.0, 180.0, 270.0)],
-    function=slope_across,
-    forms=("light", "electronic"),
-    negligible=0.1,
-    contains=("dark_offset",),
-    flats="levels are means over the frame",
+    variants={
+        Variant.LIGHT: (Step(Stage.PEDESTAL, add_slope),),
+        Variant.ELECTRONIC: (Step(Stage.BLACK_LEVEL, add_slope),),
+    },
+    starts=lambda scales: [(0.5, 1.0, direction) for direction in (0.0, 90.0, 180.0, 270.0)],
+    special_cases=("dark_offset",),
+    hidden_in_flats="levels are means over the frame",
 )

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
-from spotcheck.model.effects.fibre_anisotropy import squeeze
+from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
+from spotcheck.model.ellipse import make_round
 
 
-def stretch(view, dx, dy, *, ratio, direction):
-    """Displacements that make the ellipse round again: long axis at `direction` [deg], `ratio` = long/short."""
-    return squeeze(dx, dy, ratio, np.deg2rad(direction))
+def stretch(frame, dx, dy, *, ratio, direction):
+    """Return displacements at which the ellipse is round: long axis at `direction` [deg], `ratio` = long/short."""
+    return make_round(dx, dy, ratio, np.deg2rad(direction))
 
 
 EFFECT = Effect(
@@ -16,13 +16,9 @@ EFFECT = Effect(
     name="beam_ellipticity",
     sentence="the spot is an ellipse that keeps its direction on the camera",
     noun="ratio of axes that stay on the camera",
-    place=Place.METRIC,
-    parameters=(
-        Parameter("ratio", "1", 1.0, 4.0),
-        Parameter("direction", "deg", -np.inf, np.inf),
-    ),
-    starts=lambda c: [(1.02, direction) for direction in (0.0, 45.0, 90.0, 135.0)],
-    function=stretch,
-    neutral=1.0,
-    negligible=0.005,
+    parameters=(Parameter("ratio", "1", 1.0, 4.0, negligible=0.005), Parameter("direction", "deg", -np.inf, np.inf)),
+    variants={Only.ONLY: (Step(Stage.COORDINATES, stretch),)},
+    starts=lambda scales: [(1.02, direction) for direction in (0.0, 45.0, 90.0, 135.0)],
+    vanishes_at=1.0,
+    is_static_shape=True,
 )

@@ -1,6 +1,6 @@
-"""Beam profile: the light has a shape of its own, which is learned from frames (`model/light_shape.py`)."""
+"""Beam profile: the light has another shape than the declared one, which is learned from frames (`light_shape`)."""
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Only, Parameter
 
 EFFECT = Effect(
     number=25,
@@ -8,13 +8,14 @@ EFFECT = Effect(
     sentence="the light is not the declared shape: another static one, the same in every frame up to place, width and"
     " brightness",
     noun="light elsewhere than declared",
-    part=True,
-    place=Place.SHAPE,
+    is_share=True,
     parameters=(
-        # The part of the light that lies elsewhere than declared, and the azimuthal order that has most of it.
-        Parameter("power", "1", 0.0, 1.0),
+        # Share of the light that lies elsewhere than declared, and the azimuthal order that has most of it.
+        Parameter("power", "1", 0.0, 1.0, negligible=0.005),
         Parameter("order", "1", 0.0, 8.0),
     ),
-    starts=lambda c: [],
-    negligible=0.005,
+    # The baseline holds the learned shape.
+    variants={Only.ONLY: ()},
+    starts=lambda scales: [],
+    is_static_shape=True,
 )

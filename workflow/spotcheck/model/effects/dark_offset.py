@@ -1,18 +1,25 @@
 """Dark offset: a uniform pedestal, of ambient light or of the black level."""
 
-import numpy as np
+from enum import Enum
 
-from spotcheck.model.effect import Effect, Parameter, Place
-
-
-def pedestal(view, *, level, form):
-    """Pedestal [DN]; as `light` it brings shot noise, as `electronic` it does not (the chain sees to that)."""
-    return np.broadcast_to(np.asarray(level, float), view.x0.shape)
+from spotcheck.model.effect import Effect, Parameter, Stage, Step
 
 
-def raised(sensor, *, level, form):
-    """The black level that an electronic pedestal makes; light is no number of the sensor."""
-    return {"sensor.black_level_dn": sensor.black_level_dn + level} if form == "electronic" else {}
+class Variant(Enum):
+    """Whether the pedestal is light, with shot noise, or electronics, without."""
+
+    LIGHT = "light"
+    ELECTRONIC = "electronic"
+
+
+def add_level(frame, pedestal_dn, *, level):
+    """Return what is there plus `level` [DN]."""
+    return pedestal_dn + level
+
+
+def raise_black_level(sensor, variant, *, level):
+    """Return the black level that an electronic pedestal makes; light is no number of the sensor."""
+    return {"sensor.black_level_dn": sensor.black_level_dn + level} if variant is Variant.ELECTRONIC else {}
 
 
 EFFECT = Effect(
@@ -20,13 +27,12 @@ EFFECT = Effect(
     name="dark_offset",
     sentence="a uniform pedestal lies under the frame: ambient light, or a higher black level",
     noun="uniform pedestal",
-    place=Place.PEDESTAL,
-    parameters=(Parameter("level", "DN", 0.0, lambda c: 0.5 * c.full_scale_dn),),
-    starts=lambda c: [(1.0,)],
-    function=pedestal,
-    forms=("light", "electronic"),
-    negligible=0.1,
-    uniform=True,
-    flats="",
-    adopts=raised,
+    parameters=(Parameter("level", "DN", 0.0, lambda scales: 0.5 * scales.full_scale_dn, negligible=0.1),),
+    variants={
+        Variant.LIGHT: (Step(Stage.PEDESTAL, add_level, {"level": lambda frame, pedestal_dn: 1.0}),),
+        Variant.ELECTRONIC: (Step(Stage.BLACK_LEVEL, add_level),),
+    },
+    starts=lambda scales: [(1.0,)],
+    hidden_in_flats="",
+    instrument_keys=raise_black_level,
 )

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
-def noise(read_variance, *, total):
-    """Read variance [e-²] of `total` [e- rms], which takes the place of the stated one."""
-    return total * total + 0 * read_variance
+def replace_noise(variance_e2, *, total):
+    """Return the variance [e-²] of `total` [e- rms], which replaces the stated noise."""
+    return total * total
 
 
-def stated(sensor, *, total):
-    """The read noise."""
+def state_noise(sensor, variant, *, total):
+    """Return the read noise."""
     return {"sensor.read_noise_e": total}
 
 
@@ -20,15 +20,19 @@ EFFECT = Effect(
     name="excess_read_noise",
     sentence="the sensor's signal-independent noise is larger than stated",
     noun="read noise",
-    place=Place.NOISE,
-    parameters=(Parameter("total", "e-", lambda c: c.read_noise_e, lambda c: 1000 * (c.read_noise_e + 1)),),
-    starts=lambda c: [(1.05 * c.read_noise_e + 0.1,)],
-    function=noise,
-    neutral=np.nan,
-    negligible=lambda c: 0.03 * c.read_noise_e,
-    # The scatter of pixels tells it, not the means: the joint fit of the means leaves it as it is.
-    idle={"": ("total",)},
-    always=True,
-    flats="the noise of the darks is the measured one",
-    adopts=stated,
+    parameters=(
+        Parameter(
+            "total",
+            "e-",
+            lambda scales: scales.read_noise_e,
+            lambda scales: 1000 * (scales.read_noise_e + 1),
+            negligible=lambda scales: 0.03 * scales.read_noise_e,
+        ),
+    ),
+    variants={Only.ONLY: (Step(Stage.READ_NOISE, replace_noise),)},
+    starts=lambda scales: [(1.05 * scales.read_noise_e + 0.1,)],
+    vanishes_at=np.nan,
+    acts_on_noise=True,
+    hidden_in_flats="the noise of the darks is the measured one",
+    instrument_keys=state_noise,
 )

@@ -1,23 +1,28 @@
 """Fibre anisotropy: an ellipse whose long axis turns with the fibre angle."""
 
+from enum import Enum
+
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Need, Parameter, Stage, Step
+from spotcheck.model.ellipse import make_round
 
 
-def stretch(view, dx, dy, *, ratio, zero, form):
-    """Displacements that make the ellipse round again: long axis at ±angle + `zero` [deg], `ratio` = long/short."""
-    axis = (view.angle if form == "same sense" else -view.angle) + np.deg2rad(zero)
-    return squeeze(dx, dy, ratio, axis)
+class Variant(Enum):
+    """Sense in which the fibre angle turns in the image, which nobody knows beforehand."""
+
+    SAME_SENSE = "same sense"
+    OPPOSITE_SENSE = "opposite sense"
 
 
-def squeeze(dx, dy, ratio, axis):
-    """Displacements shortened along `axis` [rad] and lengthened across it, area unchanged."""
-    root, cos, sin = np.sqrt(ratio), np.cos(axis), np.sin(axis)
-    # Shortened along, lengthened across, and turned back into the camera's own axes, so that another ellipse finds its
-    # direction: one symmetric matrix, of which dx and dy that lie along one axis each make a single sum.
-    xx, yy, xy = cos * cos / root + sin * sin * root, sin * sin / root + cos * cos * root, cos * sin * (1 / root - root)
-    return dx * xx + dy * xy, dx * xy + dy * yy
+def stretch_along(frame, dx, dy, *, ratio, zero):
+    """Return displacements at which the ellipse is round: long axis at angle + `zero` [deg], `ratio` = long/short."""
+    return make_round(dx, dy, ratio, frame.angle + np.deg2rad(zero))
+
+
+def stretch_against(frame, dx, dy, *, ratio, zero):
+    """As `stretch_along`, with the long axis at `zero` − angle."""
+    return make_round(dx, dy, ratio, np.deg2rad(zero) - frame.angle)
 
 
 EFFECT = Effect(
@@ -25,14 +30,15 @@ EFFECT = Effect(
     name="fibre_anisotropy",
     sentence="the spot is an ellipse whose long axis turns with the fibres",
     noun="ratio of axes that turn with the fibres",
-    place=Place.METRIC,
     parameters=(
-        Parameter("ratio", "1", 1.0, 4.0),
-        Parameter("zero", "deg", -np.inf, np.inf, inner=True),
+        Parameter("ratio", "1", 1.0, 4.0, negligible=0.005),
+        Parameter("zero", "deg", -np.inf, np.inf, describes_variant=True),
     ),
-    starts=lambda c: [(1.02, zero) for zero in (0.0, 45.0, 90.0, 135.0)],
-    function=stretch,
-    forms=("same sense", "opposite sense"),
-    neutral=1.0,
-    negligible=0.005,
+    variants={
+        Variant.SAME_SENSE: (Step(Stage.COORDINATES, stretch_along),),
+        Variant.OPPOSITE_SENSE: (Step(Stage.COORDINATES, stretch_against),),
+    },
+    starts=lambda scales: [(1.02, zero) for zero in (0.0, 45.0, 90.0, 135.0)],
+    vanishes_at=1.0,
+    needs=(Need.ANGLES,),
 )

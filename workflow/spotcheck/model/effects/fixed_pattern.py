@@ -2,30 +2,21 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place, Scatter
+from spotcheck.model.effect import Effect, Only, Parameter, RandomStep, Scope, Stage, multiply, normal_draws
 
-
-def gains(shape, rng, *, prnu, hot_pixels):
-    """Factor [rows, columns] on each pixel's light; hot pixels are listed by the report, not drawn."""
-    return np.maximum(1 + prnu * rng.standard_normal(shape), 0.0)
-
+# Gain [rows, columns] of each pixel, 1 on average; hot pixels are listed by the report, not drawn.
+GAINS = normal_draws("prnu", lambda deviation: np.maximum(1 + deviation, 0.0), size=tuple)
 
 EFFECT = Effect(
     number=22,
     name="fixed_pattern",
     sentence="pixels differ in gain, or are hot, alike in every frame",
     noun="scatter of pixels' gains",
-    part=True,
-    place=Place.SCATTER,
-    parameters=(
-        Parameter("prnu", "1", 0.0, 1.0),
-        Parameter("hot_pixels", "1", 0.0, 1e6),
-    ),
-    starts=lambda c: [(0.01, 0.0)],
-    function=gains,
-    negligible=0.002,
-    scatter=Scatter("field", "sensor", "pixel"),
-    # Hot pixels are outliers, and what all sites share adds up as stripes would.
-    marks=("hot", "skewness", "outliers", "stripes"),
-    flats="levels hold no pattern: DSNU and PRNU are in transfer.nc",
+    is_share=True,
+    parameters=(Parameter("prnu", "1", 0.0, 1.0, negligible=0.002), Parameter("hot_pixels", "1", 0.0, 1e6)),
+    variants={Only.ONLY: (RandomStep(Stage.PIXEL_GAIN, multiply, Scope.SENSOR, *GAINS),)},
+    starts=lambda scales: [(0.01, 0.0)],
+    reference="EMVA 1288 Release 4.0, Section 4 (PRNU)",
+    acts_on_noise=True,
+    hidden_in_flats="levels hold no pattern: DSNU and PRNU are in transfer.nc",
 )

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
-def ghost(view, spot, amplitude, sigma, *, fraction, dx, dy):
-    """Light [DN] of a copy, `fraction` as bright, displaced by (dx, dy) [px]."""
-    return fraction * spot(dx, dy)
+def add_copy(frame, light_dn, spot, *, fraction, dx, dy):
+    """Return the light [DN] plus a copy of the spot, `fraction` as bright, displaced by dx, dy [px]."""
+    return light_dn + fraction * spot.displaced(dx, dy)
 
 
 EFFECT = Effect(
@@ -15,19 +15,17 @@ EFFECT = Effect(
     name="ghost_reflection",
     sentence="a faint displaced copy of the spot lies beside it",
     noun="brightness of a ghost",
-    part=True,
-    place=Place.ADDED,
+    is_share=True,
     parameters=(
-        Parameter("fraction", "1", 0.0, 0.9),
-        Parameter("dx", "px", lambda c: -1.5 * c.crop_px, lambda c: 1.5 * c.crop_px),
-        Parameter("dy", "px", lambda c: -1.5 * c.crop_px, lambda c: 1.5 * c.crop_px),
+        Parameter("fraction", "1", 0.0, 0.9, negligible=0.002),
+        Parameter("dx", "px", lambda scales: -1.5 * scales.crop_px, lambda scales: 1.5 * scales.crop_px),
+        Parameter("dy", "px", lambda scales: -1.5 * scales.crop_px, lambda scales: 1.5 * scales.crop_px),
     ),
-    starts=lambda c: [
-        (0.01, r * c.sigma_px * np.cos(a), r * c.sigma_px * np.sin(a))
-        for r in (1.2, 2.2, 3.4)
-        for a in np.arange(8) * np.pi / 4
+    variants={Only.ONLY: (Step(Stage.ADDED_LIGHT, add_copy),)},
+    starts=lambda scales: [
+        (0.01, distance * scales.sigma_px * np.cos(angle), distance * scales.sigma_px * np.sin(angle))
+        for distance in (1.2, 2.2, 3.4)
+        for angle in np.arange(8) * np.pi / 4
     ],
-    function=ghost,
-    negligible=0.002,
-    always=True,
+    is_static_shape=True,
 )

@@ -1,19 +1,53 @@
 """Interference fringes: parallel stripes that modulate the spot."""
 
+from enum import Enum
+
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Parameter, RandomStep, Scope, Stage, Step
+
+# Phases that average the stripes of a site whose phase is unknown; exact for a sum of as many harmonics.
+PHASES = 16
 
 
-def stripes(view, *, d, period, direction, phase, form):
-    """Factor 1 + d cos(2πu/period + phase), u [px] across the stripes, counted from the spot or from the sensor's
-    corner; as `site` with the view's own amplitudes of cos and sin about the spot."""
+class Variant(Enum):
+    """To what the stripes are fixed."""
+
+    SITE = "site"
+    SPOT = "spot"
+    SENSOR = "sensor"
+
+
+def fix_to_spot(frame, light_dn, *, d, period, direction, phase):
+    """Return the light [DN] with stripes that are counted from the spot's centre; phase in deg."""
+    x, y = frame.pixels.x - frame.x0, frame.pixels.y - frame.y0
+    return light_dn * stripes(x, y, d, period, direction, np.deg2rad(phase))
+
+
+def fix_to_sensor(frame, light_dn, *, d, period, direction, phase):
+    """Return the light [DN] with stripes that are counted from the corner of the sensor; phase in deg."""
+    return light_dn * stripes(frame.pixels.x, frame.pixels.y, d, period, direction, np.deg2rad(phase))
+
+
+def fix_to_site(frame, light_dn, phase_rad, *, d, period, direction):
+    """Return the light [DN] with stripes around the spot's centre whose phase [rad] is drawn for each site."""
+    return light_dn * stripes(frame.pixels.x - frame.x0, frame.pixels.y - frame.y0, d, period, direction, phase_rad)
+
+
+def stripes(x, y, d, period, direction, phase_rad):
+    """Return the factor 1 + d cos(2πu/period + phase) with u [px] across the stripes, at `direction` [deg]."""
     angle = np.deg2rad(direction)
-    x, y = (view.x, view.y) if form == "sensor" else (view.x - view.x0, view.y - view.y0)
-    turn = 2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / period
-    if form == "site":
-        return 1 + view.wave_cos * np.cos(turn) + view.wave_sin * np.sin(turn)
-    return 1 + d * np.cos(turn + np.deg2rad(phase))
+    return 1 + d * np.cos(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / period + phase_rad)
+
+
+def draw_phase(rng, shape):
+    """Return a phase [rad]."""
+    return rng.uniform(0, 2 * np.pi)
+
+
+def average_phases():
+    """Return phases [rad] and their weights."""
+    return 2 * np.pi * np.arange(PHASES) / PHASES, np.full(PHASES, 1 / PHASES)
 
 
 EFFECT = Effect(
@@ -21,19 +55,21 @@ EFFECT = Effect(
     name="interference_fringes",
     sentence="parallel stripes modulate the spot",
     noun="depth of stripes",
-    part=True,
-    place=Place.MODULATION,
+    is_share=True,
     parameters=(
-        Parameter("d", "1", 0.0, 1.0),
-        Parameter("period", "px", 2.0, lambda c: 1.5 * c.crop_px),
+        Parameter("d", "1", 0.0, 1.0, negligible=0.003),
+        Parameter("period", "px", 2.0, lambda scales: 1.5 * scales.crop_px),
         Parameter("direction", "deg", -np.inf, np.inf),
-        Parameter("phase", "deg", -np.inf, np.inf, inner=True),
+        Parameter("phase", "deg", -np.inf, np.inf, describes_variant=True),
     ),
-    starts=lambda c: [],
-    function=stripes,
-    forms=("site", "spot", "sensor"),
-    negligible=0.003,
-    idle={"site": ("d", "phase")},
-    always=True,
-    spectral=True,
+    variants={
+        Variant.SITE: (RandomStep(Stage.MODULATION, fix_to_site, Scope.SITE, draw_phase, average_phases),),
+        Variant.SPOT: (Step(Stage.MODULATION, fix_to_spot),),
+        Variant.SENSOR: (Step(Stage.MODULATION, fix_to_sensor),),
+    },
+    starts=lambda scales: [
+        (0.02, max(period * scales.sigma_px, 2.0), direction, 0.0)
+        for period in (0.5, 1.0, 2.0)
+        for direction in (0.0, 45.0, 90.0, 135.0)
+    ],
 )

@@ -1,20 +1,32 @@
-"""Laser drift: brightness runs steadily with the order of acquisition."""
+"""Laser drift: the brightness runs steadily with the order of acquisition."""
+
+from enum import Enum
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Need, Parameter, Stage, Step
 
-FORMS = ("linear", "settling")
 # A rate nearer to 0 than this is that of a straight line.
 STRAIGHT = 1e-6
 
 
-def drift(view, *, total, rate, form):
-    """Factor 1 + total × course, mean over a view's frames. The course runs from 0 to 1 with the place in the order of
-    acquisition: as it, or as a laser that warms up, by 1 − exp(−rate × place); below 0 it grows by equal factors."""
+class Variant(Enum):
+    """Course of the drift."""
+
+    LINEAR = "linear"
+    SETTLING = "settling"
+
+
+def drift_linearly(frame, peak_dn, *, total):
+    """Return the peak [DN] times 1 + total · place, with the place in the order of acquisition from 0 to 1."""
+    return peak_dn * (1 + total * frame.order)
+
+
+def settle(frame, peak_dn, *, total, rate):
+    """Return the peak [DN] of a laser that warms up by 1 − exp(−rate · place), 1 + total at the end; a rate below 0
+    makes it grow by equal factors."""
     rate = rate if abs(rate) > STRAIGHT else STRAIGHT
-    course = np.expm1(-rate * view.order) / np.expm1(-rate) if form == "settling" else view.order
-    return 1 + total * np.nanmean(course, axis=2, keepdims=True)
+    return peak_dn * (1 + total * np.expm1(-rate * frame.order) / np.expm1(-rate))
 
 
 EFFECT = Effect(
@@ -22,14 +34,17 @@ EFFECT = Effect(
     name="laser_drift",
     sentence="the brightness runs steadily with the order of acquisition",
     noun="drift of brightness",
-    part=True,
-    place=Place.BRIGHTNESS,
-    parameters=(Parameter("total", "1", -0.95, 5.0), Parameter("rate", "1", -5.0, 20.0, inner=True)),
-    starts=lambda c: [(0.02, 2.0)],
-    function=drift,
-    forms=FORMS,
-    negligible=0.005,
-    idle={"linear": ("rate",)},
-    needs=("order", "law"),
-    flats="levels are compared, not the order of frames",
+    is_share=True,
+    parameters=(
+        Parameter("total", "1", -0.95, 5.0, negligible=0.005),
+        Parameter("rate", "1", -5.0, 20.0, describes_variant=True),
+    ),
+    variants={
+        Variant.LINEAR: (Step(Stage.BRIGHTNESS, drift_linearly),),
+        Variant.SETTLING: (Step(Stage.BRIGHTNESS, settle),),
+    },
+    starts=lambda scales: [(0.02, 2.0)],
+    law_of="brightness",
+    needs=(Need.ORDER, Need.LAW),
+    hidden_in_flats="levels are compared, not the order of frames",
 )

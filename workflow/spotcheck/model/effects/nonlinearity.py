@@ -1,17 +1,16 @@
 """Non-linearity: the response bends below saturation."""
 
-from spotcheck.model import response
-from spotcheck.model.effect import Effect, Parameter, Place
-from spotcheck.model.sensor import SensorModel
+from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
+from spotcheck.sensor.response import apply_curvature
 
 
-def bend(mean, variance, full_scale, *, q):
-    """Mean and variance [DN] of y − q y²/full scale, y without black level; q > 0 bends down."""
-    return response.bent(mean, variance, q / full_scale)
+def bend(signal_dn, *, q, full_scale_dn):
+    """Return y − q y²/full scale of a signal y [DN] without black level; q > 0 bends down."""
+    return apply_curvature(signal_dn, q / full_scale_dn)
 
 
-def further(sensor: SensorModel, *, q):
-    """The bend of the response by the data sheet, and what comes on top: to first order they add up."""
+def add_curvature(sensor, variant, *, q):
+    """Return the curvature of the data sheet plus what comes on top: to first order they add up."""
     return {"sensor.response_bend": sensor.response_bend + q}
 
 
@@ -20,14 +19,10 @@ EFFECT = Effect(
     name="nonlinearity",
     sentence="the sensor's response bends below saturation",
     noun="bend of the response",
-    part=True,
-    place=Place.RESPONSE,
-    parameters=(Parameter("q", "1", -0.6, 0.45),),
-    starts=lambda c: [(0.02,)],
-    function=bend,
-    negligible=0.005,
-    # What bends skews the noise.
-    marks=("skewness",),
-    flats="",
-    adopts=further,
+    is_share=True,
+    parameters=(Parameter("q", "1", -0.6, 0.45, negligible=0.005),),
+    variants={Only.ONLY: (Step(Stage.RESPONSE, bend),)},
+    starts=lambda scales: [(0.02,)],
+    hidden_in_flats="",
+    instrument_keys=add_curvature,
 )

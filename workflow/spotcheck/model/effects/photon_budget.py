@@ -2,12 +2,17 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
-def grown(view, *, q):
-    """Factor (t/t_max)^q on the light."""
-    return np.exp(q * np.log(view.exposure_s / view.longest_s))
+def grow(frame, peak_dn, *, q):
+    """Return the peak [DN] times (t/t_max)^q."""
+    return peak_dn * np.exp(q * np.log(frame.exposure_s / frame.longest_s))
+
+
+def slope_of_power(frame, peak_dn, *, q):
+    """Return the derivative of `grow` by q [DN]."""
+    return grow(frame, peak_dn, q=q) * np.log(frame.exposure_s / frame.longest_s)
 
 
 EFFECT = Effect(
@@ -15,11 +20,10 @@ EFFECT = Effect(
     name="photon_budget",
     sentence="the light grows with exposure by another power than the model's",
     noun="excess power of the exposure in the light",
-    place=Place.BRIGHTNESS,
-    parameters=(Parameter("q", "1", -2.0, 2.0),),
-    starts=lambda c: [(0.02,)],
-    function=grown,
-    negligible=0.01,
-    needs=("exposure", "law"),
-    flats="",
+    parameters=(Parameter("q", "1", -2.0, 2.0, negligible=0.01),),
+    variants={Only.ONLY: (Step(Stage.BRIGHTNESS, grow, {"q": slope_of_power}),)},
+    starts=lambda scales: [(0.02,)],
+    law_of="brightness",
+    needs=(Need.EXPOSURES, Need.LAW),
+    hidden_in_flats="",
 )

@@ -1,23 +1,30 @@
 """Pointing jitter: the centre scatters between the exposures of a site."""
 
-from spotcheck.model.effect import Effect, Parameter, Place, Scatter
+from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Scope, Stage, normal_draws
 
 
-def shift(rng, *, rms):
-    """Displacement (dx, dy) [px] of one frame, normal with `rms` along each axis."""
-    return rms * rng.standard_normal(2)
+def shift_x(frame, dx, dy, offset):
+    """Return displacements from a centre that is moved by `offset` [px] to the right."""
+    return dx - offset, dy
 
+
+def shift_y(frame, dx, dy, offset):
+    """Return displacements from a centre that is moved by `offset` [px] down."""
+    return dx, dy - offset
+
+
+# Displacement of the centre in one frame [px].
+OFFSETS = normal_draws("rms", lambda deviation: deviation)
 
 EFFECT = Effect(
     number=21,
     name="pointing_jitter",
     sentence="the spot's centre scatters between the exposures of a site",
     noun="scatter of the centre",
-    place=Place.SCATTER,
-    parameters=(Parameter("rms", "px", 0.0, lambda c: c.crop_px / 4),),
-    starts=lambda c: [(0.2,)],
-    function=shift,
-    negligible=0.1,
-    needs=("exposure",),
-    scatter=Scatter("centre", "frame", "centre"),
+    parameters=(Parameter("rms", "px", 0.0, lambda scales: scales.crop_px / 4, negligible=0.1),),
+    variants={
+        Only.ONLY: tuple(RandomStep(Stage.COORDINATES, shift, Scope.FRAME, *OFFSETS) for shift in (shift_x, shift_y))
+    },
+    starts=lambda scales: [(0.2,)],
+    needs=(Need.EXPOSURES,),
 )

@@ -1,27 +1,23 @@
 """Power fluctuation: brightness scatters from frame to frame without order."""
 
-from spotcheck.model.effect import Effect, Parameter, Place, Scatter
+import numpy as np
 
+from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Scope, Stage, multiply, normal_draws
 
-def factor(rng, *, rms):
-    """Factor on one frame's light: normal around 1, never below 0."""
-    return max(1 + rms * rng.standard_normal(), 0.0)
-
+# Factor on the light of one frame: normal around 1, never below 0.
+FACTORS = normal_draws("rms", lambda deviation: np.maximum(1 + deviation, 0.0))
 
 EFFECT = Effect(
     number=19,
     name="power_fluctuation",
     sentence="the brightness scatters from frame to frame without order",
     noun="scatter of brightness",
-    part=True,
-    place=Place.SCATTER,
-    parameters=(Parameter("rms", "1", 0.0, 2.0),),
-    starts=lambda c: [(0.02,)],
-    function=factor,
-    negligible=0.003,
-    needs=("frames", "law"),
-    scatter=Scatter("gain", "frame", "gain"),
+    is_share=True,
+    parameters=(Parameter("rms", "1", 0.0, 2.0, negligible=0.003),),
+    variants={Only.ONLY: (RandomStep(Stage.BRIGHTNESS, multiply, Scope.FRAME, *FACTORS),)},
+    starts=lambda scales: [(0.02,)],
+    needs=(Need.FRAMES, Need.LAW),
     # A brightness of each frame's own fits any law of the brightness.
-    contains=(Place.EXPOSURE, Place.BRIGHTNESS),
-    flats="the drift between frames of a level is part of the errors",
+    special_cases=("brightness",),
+    hidden_in_flats="the drift between frames of a level is part of the errors",
 )

@@ -1,27 +1,24 @@
 """Row noise: whole rows scatter together, anew in every frame."""
 
-from spotcheck.model.effect import Effect, Parameter, Place, Scatter
+from spotcheck.model.effect import Effect, Only, Parameter, RandomStep, Scope, Stage, normal_draws
 
 
-def offsets(rows, rng, *, rms):
-    """Offset [DN] of each row of one frame."""
-    return rms * rng.standard_normal(rows)
+def add(frame, offset_dn, rows_dn):
+    """Return what is there plus the offset [DN] of each row."""
+    return offset_dn + rows_dn
 
+
+# Offset [rows, 1] of each row [DN].
+OFFSETS = normal_draws("rms", lambda deviation: deviation, size=lambda shape: (shape[0], 1))
 
 EFFECT = Effect(
     number=23,
     name="row_noise",
     sentence="whole rows scatter together, anew in every frame",
     noun="scatter of rows",
-    place=Place.SCATTER,
-    parameters=(Parameter("rms", "DN", 0.0, lambda c: 0.2 * c.full_scale_dn),),
-    starts=lambda c: [(0.2,)],
-    function=offsets,
-    negligible=0.05,
-    scatter=Scatter("row", "frame", "row"),
-    # The scatter of lines tells it; the means see it only where black cuts it.
-    idle={"": ("rms",)},
-    # Pixels of a row share what it got, which adds up as stripes would.
-    marks=("hot", "skewness", "outliers", "stripes"),
-    flats="levels hold no rows",
+    parameters=(Parameter("rms", "DN", 0.0, lambda scales: 0.2 * scales.full_scale_dn, negligible=0.05),),
+    variants={Only.ONLY: (RandomStep(Stage.ROW_NOISE_AND_HOT_PIXELS, add, Scope.FRAME, *OFFSETS),)},
+    starts=lambda scales: [(0.2,)],
+    acts_on_noise=True,
+    hidden_in_flats="levels hold no rows",
 )

@@ -1,63 +1,72 @@
 """Saturation: the signal stops at a level, the full well's or the converter's."""
 
+from enum import Enum
+
 import numpy as np
 from scipy.special import ndtr
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Parameter, RandomStep, Scope, Stage, Step
+
+# Levels that stand for a scattering one, and how far they reach [standard deviations].
+LEVELS, LEVELS_REACH_TO = 61, 5.0
 
 
-def stop(mean, variance, read_variance, *, level, knee, form):
-    """Mean and variance [DN] of a signal that stops at `level` [DN without black level], read noise left out.
+class Variant(Enum):
+    """The place and the shape of the stop: a well in front of the read noise, a converter behind it (with noise)."""
 
-    `sharp`: a clip; `soft`: a knee some `knee` times the level wide; `power`: (x⁻ᵐ + level⁻ᵐ)^(−1/m), m = 1/knee. The
-    well clips before read noise comes in; forms that say `with noise` clip that as well, as a converter does. Of these
-    the chain leaves the sharp one to the converter, which knows the law of what it rounds.
+    SHARP = "sharp"
+    SOFT = "soft"
+    POWER = "power"
+    SHARP_SCATTERED = "sharp scattered"
+    SHARP_WITH_NOISE = "sharp with noise"
+    SOFT_WITH_NOISE = "soft with noise"
+    POWER_WITH_NOISE = "power with noise"
+
+
+def stop(signal_dn, *, level):
+    """Return the signal [DN], which stops at `level` [DN without black level]."""
+    return np.minimum(signal_dn, level)
+
+
+def stop_at(signal_dn, level_dn):
+    """Return the signal [DN], which stops at the level of each pixel [DN]."""
+    return np.minimum(signal_dn, level_dn)
+
+
+def stop_softly(signal_dn, *, level, knee):
+    """Return x − w ln[(1 + exp(x/w − 1/knee))/(1 + exp(−1/knee))], which begins as x and ends at the level.
+
+    The knee is a logarithmic one, some `knee` times the level wide: w = level/ln(1 + exp(1/knee)).
     """
-    clips_noise = form.endswith("with noise")
-    noise = read_variance if clips_noise else 0.0
-    if form.startswith("sharp"):
-        out, spread = _clipped(mean, variance + noise, level)
-    else:
-        out, slope, bend = (_soft if form.startswith("soft") else _power)(mean, level, knee)
-        # The knee is wider than the noise, or the sharp form would fit: half of the variance times curvature is enough.
-        out, spread = out + bend * (variance + noise) / 2, slope * slope * (variance + noise)
-    return out, spread - noise
-
-
-def _soft(x, level, knee):
-    """Value, slope and curvature of a logarithmic knee that begins at 0, however wide it is, and ends at the level."""
     width = level / np.logaddexp(0.0, 1 / knee)
-    above = x / width - 1 / knee
-    slope = 1 / (1 + np.exp(np.clip(above, -60, 60)))
-    return x - width * (np.logaddexp(0.0, above) - np.log1p(np.exp(-1 / knee))), slope, -slope * (1 - slope) / width
+    bent = np.logaddexp(0.0, signal_dn / width - 1 / knee) - np.log1p(np.exp(-1 / knee))
+    return np.where(signal_dn > 0, signal_dn - width * bent, signal_dn)
 
 
-def _power(x, level, knee):
-    """Value, slope and curvature of the harmonic knee."""
-    power, lit = 1 / knee, x > 1e-9
-    ratio = np.log(np.maximum(x, 1e-9) / level)
-    grown = np.logaddexp(0.0, power * ratio)
-    slope = np.exp(-(1 + 1 / power) * grown)
-    bend = -(power + 1) * slope * np.exp(power * ratio - grown) / np.maximum(x, 1e-9)
-    out = level * np.exp(ratio - grown / power)
-    return np.where(lit, out, x), np.where(lit, slope, 1.0), np.where(lit, bend, 0.0)
+def stop_by_power(signal_dn, *, level, knee):
+    """Return (x^−m + level^−m)^(−1/m) with m = 1/knee."""
+    ratio = np.log(np.maximum(signal_dn, 1e-9) / level)
+    return np.where(signal_dn > 1e-9, level * np.exp(ratio - knee * np.logaddexp(0.0, ratio / knee)), signal_dn)
 
 
-def _clipped(mean, variance, level):
-    sd = np.sqrt(np.maximum(variance, 1e-12))
-    b = np.clip((level - mean) / sd, -12.0, 12.0)
-    below, pdf = ndtr(b), np.exp(-b * b / 2) / np.sqrt(2 * np.pi)
-    first = b * (1 - below) - pdf
-    second = b * b * (1 - below) + below - b * pdf
-    far = (level - mean) / sd < -12.0
-    return np.where(far, level, mean + sd * first), np.where(far, 0.0, sd * sd * np.maximum(second - first**2, 0.0))
+def draw_levels(rng, shape, *, level, scatter):
+    """Return the level [rows, columns] of each pixel [DN], normal with the relative deviation `scatter`."""
+    return level * np.maximum(1 + scatter * rng.standard_normal(shape), 0.0)
 
 
-def ends(sensor, *, level, knee, form):
-    """The full well, or the reading at which the converter stops; no key describes a knee."""
-    if form == "sharp":
+def average_levels(*, level, scatter):
+    """Return levels [DN] and their shares: the cells of a uniform grid, which follows the kink from level to level."""
+    step = 2 * LEVELS_REACH_TO / (LEVELS - 1)
+    deviation = step * (np.arange(LEVELS) - (LEVELS - 1) / 2)
+    share = ndtr(deviation + step / 2) - ndtr(deviation - step / 2)
+    return level * np.maximum(1 + scatter * deviation, 0.0), share / share.sum()
+
+
+def state_end(sensor, variant, *, level, knee, scatter):
+    """Return the full well, or the reading at which the converter stops; no key describes a knee or a scatter."""
+    if variant is Variant.SHARP:
         return {"sensor.full_well_e": level / sensor.gain_dn_per_e}
-    return {"sensor.full_scale_dn": sensor.black_level_dn + level} if form == "sharp with noise" else {}
+    return {"sensor.full_scale_dn": sensor.black_level_dn + level} if variant is Variant.SHARP_WITH_NOISE else {}
 
 
 EFFECT = Effect(
@@ -65,20 +74,22 @@ EFFECT = Effect(
     name="saturation",
     sentence="the signal stops at a level, below the converter's full scale",
     noun="clip",
-    place=Place.WELL,
     parameters=(
-        Parameter("level", "DN", lambda c: 0.02 * c.peak_dn, lambda c: 3 * c.full_scale_dn),
-        Parameter("knee", "1", 0.002, 1.0, inner=True),
+        Parameter("level", "DN", lambda scales: 0.02 * scales.peak_dn, lambda scales: 3 * scales.full_scale_dn),
+        Parameter("knee", "1", 0.002, 1.0, describes_variant=True),
+        Parameter("scatter", "1", 0.0, 0.3, describes_variant=True),
     ),
-    starts=lambda c: [(f * c.peak_dn, k) for f in (0.97, 0.8, 0.5) for k in (0.03,)],
-    function=stop,
-    forms=("sharp", "soft", "power", "sharp with noise", "soft with noise", "power with noise"),
-    neutral=np.inf,
-    idle={"sharp": ("knee",), "sharp with noise": ("knee",)},
-    rounded=("sharp with noise", "soft with noise", "power with noise"),
-    always=True,
-    # Clipped noise is skewed and has tails of its own, and readings gather at the code of the level.
-    marks=("code", "skewness", "outliers"),
-    flats="",
-    adopts=ends,
+    variants={
+        Variant.SHARP: (Step(Stage.WELL, stop),),
+        Variant.SOFT: (Step(Stage.WELL, stop_softly),),
+        Variant.POWER: (Step(Stage.WELL, stop_by_power),),
+        Variant.SHARP_SCATTERED: (RandomStep(Stage.WELL, stop_at, Scope.SENSOR, draw_levels, average_levels),),
+        Variant.SHARP_WITH_NOISE: (Step(Stage.RESPONSE, stop),),
+        Variant.SOFT_WITH_NOISE: (Step(Stage.RESPONSE, stop_softly),),
+        Variant.POWER_WITH_NOISE: (Step(Stage.RESPONSE, stop_by_power),),
+    },
+    starts=lambda scales: [(share * scales.peak_dn, 0.03, 0.02) for share in (0.97, 0.8, 0.5)],
+    vanishes_at=np.inf,
+    hidden_in_flats="",
+    instrument_keys=state_end,
 )

@@ -1,20 +1,38 @@
 """Scatter halo: a broad faint second component around the spot."""
 
+from enum import Enum
+
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Parameter, Stage, Step
 
 
-def halo(view, spot, amplitude, sigma, *, fraction, radius, tail, form):
-    """Light [DN] of a halo of peak `fraction` times the spot's: exp(−r/a), exp(−r²/2a²) or (1 + r²/a²)^(−tail)."""
-    r2 = ((view.x - view.x0) ** 2 + (view.y - view.y0) ** 2) / radius**2
-    if form == "exponential":
-        profile = np.exp(-np.sqrt(r2))
-    elif form == "gaussian":
-        profile = np.exp(-r2 / 2)
-    else:
-        profile = np.exp(-tail * np.log1p(r2))
-    return fraction * amplitude * profile
+class Variant(Enum):
+    """Profile of the halo."""
+
+    EXPONENTIAL = "exponential"
+    GAUSSIAN = "gaussian"
+    POWER = "power"
+
+
+def add_exponential(frame, light_dn, spot, *, fraction, radius):
+    """Return the light [DN] plus a halo exp(−r/radius) whose peak is `fraction` of the spot's; radius in px."""
+    return light_dn + fraction * spot.peak_dn * np.exp(-np.sqrt(squared_radius(frame, radius)))
+
+
+def add_gaussian(frame, light_dn, spot, *, fraction, radius):
+    """Return the light [DN] plus a halo exp(−r²/(2 radius²)); see `add_exponential`."""
+    return light_dn + fraction * spot.peak_dn * np.exp(-squared_radius(frame, radius) / 2)
+
+
+def add_power(frame, light_dn, spot, *, fraction, radius, tail):
+    """Return the light [DN] plus a halo (1 + r²/radius²)^(−tail); see `add_exponential`."""
+    return light_dn + fraction * spot.peak_dn * np.exp(-tail * np.log1p(squared_radius(frame, radius)))
+
+
+def squared_radius(frame, radius):
+    """Return r²/radius² [1] from the spot's centre."""
+    return ((frame.pixels.x - frame.x0) ** 2 + (frame.pixels.y - frame.y0) ** 2) / radius**2
 
 
 EFFECT = Effect(
@@ -22,16 +40,17 @@ EFFECT = Effect(
     name="scatter_halo",
     sentence="a broad faint halo of scattered light surrounds the spot",
     noun="light in a halo",
-    part=True,
-    place=Place.ADDED,
+    is_share=True,
     parameters=(
-        Parameter("fraction", "1", 0.0, 0.6),
-        Parameter("radius", "px", lambda c: 0.3 * c.sigma_px, lambda c: 4 * c.crop_px),
-        Parameter("tail", "1", 0.5, 8.0, inner=True),
+        Parameter("fraction", "1", 0.0, 0.6, negligible=0.002),
+        Parameter("radius", "px", lambda scales: 0.3 * scales.sigma_px, lambda scales: 4 * scales.crop_px),
+        Parameter("tail", "1", 0.5, 8.0, describes_variant=True),
     ),
-    starts=lambda c: [(0.01, f * c.sigma_px, 1.5) for f in (1.5, 3.0)],
-    function=halo,
-    forms=("exponential", "gaussian", "power"),
-    negligible=0.002,
-    idle={"exponential": ("tail",), "gaussian": ("tail",)},
+    variants={
+        Variant.EXPONENTIAL: (Step(Stage.ADDED_LIGHT, add_exponential),),
+        Variant.GAUSSIAN: (Step(Stage.ADDED_LIGHT, add_gaussian),),
+        Variant.POWER: (Step(Stage.ADDED_LIGHT, add_power),),
+    },
+    starts=lambda scales: [(0.01, ratio * scales.sigma_px, 1.5) for ratio in (1.5, 3.0)],
+    is_static_shape=True,
 )

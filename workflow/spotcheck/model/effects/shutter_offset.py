@@ -1,10 +1,10 @@
 """Shutter offset: the true exposure is the nominal one plus a constant."""
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
-def true_exposure(view, exposure_s, *, offset):
-    """Exposure [s] with `offset` [s]."""
+def add_offset(frame, exposure_s, *, offset):
+    """Return the exposure [s] plus `offset` [s]."""
     return exposure_s + offset
 
 
@@ -13,11 +13,18 @@ EFFECT = Effect(
     name="shutter_offset",
     sentence="the true exposure is the nominal one plus a constant",
     noun="offset of the exposure",
-    place=Place.EXPOSURE,
-    parameters=(Parameter("offset", "s", lambda c: -0.5 * c.shortest_s, lambda c: 0.5 * c.shortest_s),),
-    starts=lambda c: [(0.02 * c.shortest_s,)],
-    function=true_exposure,
-    negligible=lambda c: 0.005 * c.shortest_s,
-    needs=("exposure", "law"),
-    flats="",
+    parameters=(
+        Parameter(
+            "offset",
+            "s",
+            lambda scales: -0.5 * scales.shortest_s,
+            lambda scales: 0.5 * scales.shortest_s,
+            negligible=lambda scales: 0.005 * scales.shortest_s,
+        ),
+    ),
+    variants={Only.ONLY: (Step(Stage.EXPOSURE, add_offset),)},
+    starts=lambda scales: [(0.02 * scales.shortest_s,)],
+    law_of="brightness",
+    needs=(Need.EXPOSURES, Need.LAW),
+    hidden_in_flats="",
 )

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
-def smeared(view, electrons, *, fraction):
-    """Electrons [e-] with `fraction` of each column's total spread over all rows of the frame.
+def spread_columns(frame, mean_e, *, fraction):
+    """Return `fraction` of the electrons of each column, spread over all rows of the sensor [e-].
 
-    # ASSUME: the charge comes on top (it is not taken from the column), as frame-transfer read-out leaves it.
+    # ASSUME: the charge comes on top (it is not taken from the column), as frame-transfer read-out leaves it. Its own
+    # noise, that of a sum over a column, is small beside that of a pixel.
     """
-    total = np.sum(electrons * view.rows_each, axis=-2, keepdims=True)
-    return electrons + fraction * total / view.frame_rows
+    return fraction * np.sum(mean_e, axis=-2, keepdims=True) / frame.pixels.sensor_rows
 
 
 EFFECT = Effect(
@@ -19,13 +19,9 @@ EFFECT = Effect(
     name="smear",
     sentence="light of each column is spread over its rows",
     noun="light smeared along columns",
-    part=True,
-    place=Place.CHARGE,
-    parameters=(Parameter("fraction", "1", 0.0, 5.0),),
-    starts=lambda c: [(0.005,)],
-    function=smeared,
-    negligible=0.002,
-    # What smears along a column carries the column's noise.
-    marks=("columns of a frame",),
-    flats="the light is the same all over",
+    is_share=True,
+    parameters=(Parameter("fraction", "1", 0.0, 5.0, negligible=0.002),),
+    variants={Only.ONLY: (Step(Stage.SMEAR, spread_columns),)},
+    starts=lambda scales: [(0.005,)],
+    hidden_in_flats="the light is the same all over",
 )

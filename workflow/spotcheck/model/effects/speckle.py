@@ -3,17 +3,18 @@
 import numpy as np
 from scipy import ndimage
 
-from spotcheck.model.effect import Effect, Parameter, Place, Scatter
+from spotcheck.model.effect import Effect, Only, Parameter, RandomStep, Scope, Stage, multiply
+from spotcheck.sensor.table import grain_quadrature
 
 # More patterns than these make the field normal.
 MOST_PATTERNS = 12
 
 
-def field(shape, rng, *, contrast, grain):
-    """Factor [rows, columns] of mean 1 and relative scatter `contrast`, correlated as exp(−d²/2 grain²).
+def draw_field(rng, shape, *, contrast, grain):
+    """Return a factor [rows, columns] of mean 1 and relative scatter `contrast`, correlated as exp(−d²/2 grain²).
 
     # ASSUME: `grain` [px] is the standard deviation of the correlation; contracts and books also call the full width
-    # so. Intensities follow a gamma law, as sums of independent speckle patterns do.
+    # so. Intensities follow a gamma distribution, as sums of independent speckle patterns do.
     """
     if contrast <= 0:
         return np.ones(shape)
@@ -26,20 +27,22 @@ def field(shape, rng, *, contrast, grain):
     return np.maximum(1 + deviation * contrast / max(deviation.std(), 1e-12), 0.0)
 
 
+def average_field(*, contrast):
+    """Return factors and their weights."""
+    return grain_quadrature(contrast)
+
+
 EFFECT = Effect(
     number=17,
     name="speckle",
     sentence="a granular field modulates the spot, new at each site",
     noun="contrast of grain",
-    place=Place.SCATTER,
     parameters=(
-        Parameter("contrast", "1", 0.0, 1.0),
-        Parameter("grain", "px", 0.2, lambda c: c.sigma_px),
+        Parameter("contrast", "1", 0.0, 1.0, negligible=0.01),
+        Parameter("grain", "px", 0.2, lambda scales: scales.sigma_px),
     ),
-    starts=lambda c: [(0.05, 2.0)],
-    function=field,
-    negligible=0.01,
-    scatter=Scatter("field", "site", "grain"),
-    # Its intensities are skewed and have a long tail.
-    marks=("skewness", "outliers"),
+    variants={Only.ONLY: (RandomStep(Stage.SPECKLE_FIELD, multiply, Scope.SITE, draw_field, average_field),)},
+    starts=lambda scales: [(0.05, 2.0)],
+    reference="Goodman, Speckle Phenomena in Optics, 2nd ed., Section 3.3",
+    acts_on_noise=True,
 )

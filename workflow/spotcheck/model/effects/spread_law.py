@@ -1,16 +1,19 @@
 """Spread law: the width follows a power of the exposure."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
-def power_of(view, reference_px, ratio, *, exponent):
-    """p_b [px]: its value at the reference exposure times (t/t_ref)^exponent.
+def follow_power(frame, width, *, exponent):
+    """Return the law p_b(t) = p_b(t_ref) (t/t_ref)^exponent in px.
 
-    p1 goes: two numbers give the widths here as they do in the baseline.
+    p1 loses its meaning: two numbers give the widths here as they do in the baseline.
     """
-    return reference_px * np.exp(exponent * np.log(ratio))
+    at_reference = width.propagation_px(frame.reference_s)
+    return replace(width, propagation_px=lambda exposure_s: at_reference * (exposure_s / frame.reference_s) ** exponent)
 
 
 EFFECT = Effect(
@@ -18,13 +21,11 @@ EFFECT = Effect(
     name="spread_law",
     sentence="the width follows a power of the exposure instead of p1 ln t + p2",
     noun="power of the exposure in the width",
-    place=Place.WIDTH,
-    parameters=(Parameter("exponent", "1", -1.5, 1.5),),
-    starts=lambda c: [(c.exponent,)],
-    function=power_of,
-    neutral=np.nan,
-    negligible=0.01,
+    parameters=(Parameter("exponent", "1", -1.5, 1.5, negligible=0.01),),
+    variants={Only.ONLY: (Step(Stage.WIDTH, follow_power),)},
+    starts=lambda scales: [(scales.width_exponent,)],
+    vanishes_at=np.nan,
+    law_of="width",
     replaces=("p1",),
-    needs=("three exposures", "law"),
-    always=True,
+    needs=(Need.THREE_EXPOSURES, Need.LAW),
 )

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Place
+from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
-def flanks(view, half, *, n):
-    """Exponent (ρ²/2)^n of the shape, from ρ²/2."""
-    return np.exp(n * np.log(np.maximum(half, 1e-12)))
+def change_flanks(frame, half_square, *, n):
+    """Return the exponent (ρ²/2)^n of the profile, from ρ²/2."""
+    return np.exp(n * np.log(np.maximum(half_square, 1e-12)))
 
 
 EFFECT = Effect(
@@ -15,10 +15,9 @@ EFFECT = Effect(
     name="super_gaussian",
     sentence="the spot's flanks are steeper (n > 1) or flatter (n < 1) than a Gaussian's",
     noun="exponent of the flanks",
-    place=Place.PROFILE,
-    parameters=(Parameter("n", "1", 0.3, 5.0),),
-    starts=lambda c: [(1.02,)],
-    function=flanks,
-    neutral=1.0,
-    negligible=0.01,
+    parameters=(Parameter("n", "1", 0.3, 5.0, negligible=0.01),),
+    variants={Only.ONLY: (Step(Stage.PROFILE, change_flanks),)},
+    starts=lambda scales: [(1.02,)],
+    vanishes_at=1.0,
+    is_static_shape=True,
 )

@@ -11,10 +11,10 @@ from spotcheck.estimate.fits import preferred
 from spotcheck.figures import series
 from spotcheck.figures.style import axis_name
 from spotcheck.manifest import Frame
-from spotcheck.model.sensor import NoiseLine
 from spotcheck.old_engine.verdict.words import number_text, over_noise_text
 from spotcheck.pages.report.packed import Layer, block_of, packed, step_of, thinned
 from spotcheck.pages.report.ranking import deviations_of, deviations_text, flags_text, place_text, usual_of
+from spotcheck.sensor.model import NoiseLine
 from spotcheck.views import MODELS
 
 # Frames that are packed to see how large all will be.

@@ -1,0 +1,65 @@
+"""What the forward model needs to know of a frame."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PixelGrid:
+    """Pixels at which a model is evaluated, in px of the whole sensor; x to the right, y down, centres at integers."""
+
+    x: np.ndarray  # columns of the pixels [px], an array that broadcasts with y, such as [1, column]
+    y: np.ndarray  # rows of the pixels [px], such as [row, 1]
+    sensor_columns: int  # columns of the sensor's frame
+    sensor_rows: int  # rows of the sensor's frame
+
+    @property
+    def centre_x(self) -> float:
+        """Column of the middle of the sensor's frame [px]."""
+        return (self.sensor_columns - 1) / 2
+
+    @property
+    def centre_y(self) -> float:
+        """Row of the middle of the sensor's frame [px]."""
+        return (self.sensor_rows - 1) / 2
+
+
+def crop_grid(columns: range, rows: range, sensor_columns: int, sensor_rows: int) -> PixelGrid:
+    """Return the grid of a rectangular part of the sensor, with x [1, column] and y [row, 1]."""
+    x, y = np.arange(columns.start, columns.stop, dtype=float), np.arange(rows.start, rows.stop, dtype=float)
+    return PixelGrid(x[None, :], y[:, None], sensor_columns, sensor_rows)
+
+
+@dataclass(frozen=True)
+class FrameConditions:
+    """Conditions of one frame: where its spot lies and under which it was taken."""
+
+    pixels: PixelGrid  # where the model is evaluated
+    x0: float  # column of the spot's centre [px]
+    y0: float  # row of the spot's centre [px]
+    exposure_s: float  # nominal exposure [s]
+    longest_s: float  # longest exposure of the dataset [s], at which the peak of the law is given
+    reference_s: float  # exposure [s] at which effects on the width leave it
+    angle: float = 0.0  # angle of the fibres [rad]
+    order: float = 0.5  # place in the order of acquisition, from 0 to 1
+    peak_dn: float = np.nan  # peak of the spot [DN] where no law gives it
+    sigma_px: float = np.nan  # width σ_g of the spot [px] where no law gives it
+
+
+@dataclass(frozen=True)
+class WidthLaw:
+    """Width of the spot over the exposure: σ_g = (p_b(t) + M σ_la/s_px) · factor."""
+
+    propagation_px: Callable[[float], float]  # p_b [px] as a function of the exposure [s]
+    factor: float = 1.0  # factor on σ_g [1]
+
+
+@dataclass(frozen=True)
+class BlurredSpot:
+    """The spot of a frame behind the stages up to the blur, for effects that add light."""
+
+    displaced: Callable[[float, float], np.ndarray]  # light [DN] of the spot displaced by dx, dy [px]
+    peak_dn: float  # peak of the spot [DN]
+    sigma_px: float  # width σ_g of the spot [px]

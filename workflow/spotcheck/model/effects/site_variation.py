@@ -1,0 +1,35 @@
+"""Site variation: brightness and width of the spot vary from site to site."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Scope, Stage, multiply, normal_draws
+
+
+def scale_width(frame, width, factor):
+    """Return the law of the width with σ_g times a factor."""
+    return replace(width, factor=width.factor * factor)
+
+
+EFFECT = Effect(
+    number=26,
+    name="site_variation",
+    sentence="brightness and width of the spot vary from site to site",
+    noun="scatter of brightness between sites",
+    is_share=True,
+    parameters=(
+        # Standard deviations of the logarithms of peak and width.
+        Parameter("brightness", "1", 0.0, 1.0, negligible=0.003),
+        Parameter("width", "1", 0.0, 0.5, negligible=0.001),
+    ),
+    variants={
+        Only.ONLY: (
+            RandomStep(Stage.WIDTH, scale_width, Scope.SITE, *normal_draws("width", np.exp)),
+            RandomStep(Stage.BRIGHTNESS, multiply, Scope.SITE, *normal_draws("brightness", np.exp)),
+        )
+    },
+    starts=lambda scales: [(0.02, 0.01)],
+    vanishes_at=np.nan,
+    needs=(Need.SITES, Need.LAW),
+)

@@ -1,0 +1,363 @@
+"""The forward model: what a frame reads, on average, by how much it scatters, and at random.
+
+`expected`, `jacobian` and `sample` walk the same list of stages. `light` walks those up to the pixels; `sensor_input`
+those of the sensor, which become one `ReadingDistribution`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial, reduce
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from spotcheck.model.baseline import Baseline
+from spotcheck.model.conditions import FrameConditions
+from spotcheck.model.effect import AppliedEffect, AppliedStep, RandomStep, Scope, Step
+from spotcheck.model.light import (
+    Drawn,
+    ExposureLaw,
+    Light,
+    SpotState,
+    apply_stage,
+    frame_light,
+    spot_state,
+    steps_at,
+    true_exposure,
+)
+from spotcheck.model.stage import Stage
+from spotcheck.sensor import ReadingDistribution, ReadingMoments, ReadingTable, SensorModel
+
+# Random steps at these stages act on the reading of each pixel through a table of its own.
+TABULATED = (Stage.SPECKLE_FIELD, Stage.WELL)
+# Stages behind the light: their parameters are differentiated through new tables, all others through their slopes.
+SENSOR_STAGES = tuple(Stage)[tuple(Stage).index(Stage.PIXEL_GAIN) :]
+# Brightest grain that tables of granular light are made for [mean]; the table behind it is constant beyond.
+BRIGHTEST_GRAIN = 16.0
+# Relative step of central differences in parameters of the light and of the sensor; the latter is larger, since tables
+# are interpolated.
+LIGHT_STEP, SENSOR_STEP = 1e-5, 1e-3
+# Parameters of the law.
+LAW_PARAMETERS = ("p1", "p2", "peak_dn")
+
+
+@dataclass(frozen=True)
+class ExpectedReading:
+    """Mean and variance of the readings of a frame over everything that is random."""
+
+    mean: np.ndarray  # [row, column, DN]
+    variance: np.ndarray  # [row, column, DN²]
+
+
+@dataclass(frozen=True)
+class SensorInput:
+    """Input of the sensor in a frame, and the distribution of its readings."""
+
+    distribution: ReadingDistribution  # of a reading given its light
+    light: Light  # light of the frame [DN]
+    smear_e: np.ndarray | float  # electrons that are added behind the Poisson draw [e-]
+    offset_dn: np.ndarray | float  # what is added beside the black level [DN]
+
+
+@dataclass(frozen=True)
+class RandomStreams:
+    """Random numbers of a frame: each belongs to a frame, a site or the sensor, and to one effect.
+
+    A frame is the same whatever the order or number of cores, and another effect leaves the draws of all others as they
+    were.
+    """
+
+    seed: int  # seed of all random numbers
+    frame: int  # number of the frame
+    site: int  # number of its site
+
+    def readings(self) -> np.random.Generator:
+        """Return the generator of the frame's own noise."""
+        return _generator(self.seed, self.frame)
+
+    def key(self, scope: Scope) -> int:
+        """Return the number of the frame or site; there is one sensor."""
+        return {Scope.FRAME: self.frame, Scope.SITE: self.site, Scope.SENSOR: 0}[scope]
+
+
+@dataclass(frozen=True)
+class ForwardModel:
+    """A baseline, effects, and the camera that sees them.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        The instrument's part of the model, with the light's learned shape.
+    sensor : SensorModel
+        The camera.
+    law : ExposureLaw or None
+        Law of peak and width; without one each frame has its own (`FrameConditions.peak_dn`, `sigma_px`).
+    effects : tuple of AppliedEffect
+        Effects on top of the baseline, in any order: stages are in their order, and at a stage effects are in that of
+        their numbers.
+    """
+
+    baseline: Baseline
+    sensor: SensorModel
+    law: ExposureLaw | None = None
+    effects: tuple[AppliedEffect, ...] = ()
+
+    def spot(self, frame: FrameConditions) -> SpotState:
+        """Return peak and width of a frame's spot without what is random."""
+        return spot_state(frame, self.baseline, self.law, self.effects, {})
+
+    def light(self, frame: FrameConditions) -> Light:
+        """Return the light of a frame [DN] without what is random."""
+        return frame_light(frame, self.baseline, self.law, self.effects, {})
+
+    def expected(self, frame: FrameConditions) -> ExpectedReading:
+        """Return mean and variance of every reading of a frame.
+
+        Both are over everything that is random, so that they are those of frames that `sample` draws with other seeds.
+        """
+        parts = [(weight, self._moments(frame, drawn)) for weight, drawn in self._averages()]
+        mean = sum(weight * moments.mean for weight, moments in parts)
+        variance = sum(weight * (moments.variance + (moments.mean - mean) ** 2) for weight, moments in parts)
+        return ExpectedReading(np.asarray(mean), np.asarray(variance))
+
+    def sample(self, frame: FrameConditions, streams: RandomStreams) -> np.ndarray:
+        """Return one random frame [row, column] in DN (uint16)."""
+        pixels = frame.pixels
+        shape = (np.size(pixels.y), np.size(pixels.x))
+        drawn, levels = {}, np.inf
+        for step, random in self._random_steps():
+            drawn[step] = _draw(step, shape, streams.seed, streams.key(random.scope))
+            if random.stage is Stage.WELL:
+                levels = np.minimum(levels, drawn[step])
+        at = self._sensor_input(frame, drawn)
+        # The levels of all pixels are drawn.
+        distribution = replace(at.distribution, charge_levels=())
+        light = np.broadcast_to(at.light.total, shape)
+        return distribution.sample(
+            light, streams.readings(), smear_e=at.smear_e, charge_level=levels, offset_dn=at.offset_dn
+        )
+
+    def jacobian(self, frame: FrameConditions, parameters: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of mean and variance [parameter, row, column] by parameters.
+
+        Parameters
+        ----------
+        frame : FrameConditions
+            The frame.
+        parameters : sequence of str
+            "x0", "y0" and, without a law, "peak_dn", "sigma_px" of the frame; "p1", "p2", "peak_dn" of the law;
+            "effect.parameter" of an effect.
+
+        Raises
+        ------
+        KeyError
+            If the model has no such parameter.
+
+        Notes
+        -----
+        A parameter of the light moves mean and variance by the slopes of their table times the derivative of the light.
+        The latter is in closed form where a step registers it, else a central difference through the light's stages.
+        Parameters of the sensor and of random steps are differences through the whole model.
+        """
+        pairs = [self._derivatives(frame, name) for name in parameters]
+        return np.array([mean for mean, _ in pairs]), np.array([variance for _, variance in pairs])
+
+    # Stages of the sensor.
+
+    def _sensor_input(self, frame: FrameConditions, drawn: Drawn) -> SensorInput:
+        light = frame_light(frame, self.baseline, self.law, self.effects, drawn)
+        exposure_s = true_exposure(frame, self.effects, drawn)
+        sensor = self.sensor
+        dark_e = sensor.dark_current_e_per_s * exposure_s
+        # The distribution adds the dark electrons itself, so only what effects add to the charge counts here.
+        mean_e = light.total / sensor.gain_dn_per_e + dark_e
+        charge_e = apply_stage(Stage.CHARGE, self.effects, drawn, frame, mean_e)
+        light = replace(light, pedestal=light.pedestal + sensor.gain_dn_per_e * (charge_e - mean_e))
+        smear_e = sum((step(frame, charge_e) for step in steps_at(Stage.SMEAR, self.effects)), 0.0)
+        offset_dn: Any = apply_stage(Stage.BLACK_LEVEL, self.effects, drawn, frame, 0.0)
+        offset_dn = apply_stage(Stage.ROW_NOISE_AND_HOT_PIXELS, self.effects, drawn, frame, offset_dn)
+        if np.ndim(offset_dn) == 0:
+            sensor = replace(sensor, black_level_dn=sensor.black_level_dn + float(offset_dn))
+            offset_dn = 0.0
+        return SensorInput(replace(self, sensor=sensor).distribution(exposure_s), light, smear_e, offset_dn)
+
+    def distribution(self, exposure_s: float = 0.0) -> ReadingDistribution:
+        """Return the distribution of a reading given its light, with the effects on the sensor's stages."""
+        sensor = self.sensor
+        variance = apply_stage(Stage.READ_NOISE, self.effects, {}, None, sensor.read_noise_e**2)
+        well = list(steps_at(Stage.WELL, self.effects))
+        response = steps_at(Stage.RESPONSE, self.effects)
+        levels = [zip(*reversed(step.average()), strict=True) for step in well if step.random]
+        return ReadingDistribution(
+            replace(sensor, read_noise_e=float(np.sqrt(variance))),
+            exposure_s,
+            charge=tuple(step for step in well if not step.random),
+            charge_levels=tuple(levels[0]) if levels else (),
+            response=tuple(replace(step, full_scale_dn=sensor.full_scale_dn) for step in response),
+            digital=tuple(steps_at(Stage.DIGITAL, self.effects)),
+        )
+
+    def _moments(self, frame: FrameConditions, drawn: Drawn) -> ReadingMoments:
+        """Return moments of readings for what was drawn in front of the sensor; grains and levels are averaged."""
+        at = self._sensor_input(frame, drawn)
+        light, distribution, total = at.light, at.distribution, at.light.total
+        plain = partial(moments_with_offsets, distribution, smear_e=at.smear_e, offset_dn=at.offset_dn)
+        grains = [step for step in steps_at(Stage.SPECKLE_FIELD, self.effects) if step.random and step not in drawn]
+        if not grains:
+            return plain(total)
+        # ASSUME: uneven pedestals, gains of pixels and smear are faint beside the light that bends, so that they add
+        # up with the grains.
+        even = float(np.mean(light.pedestal))
+        highest = float(np.max(light.spot))
+        table = distribution.tabulate(BRIGHTEST_GRAIN * highest)
+        # Rounded, so that frames share tables.
+        highest = 2.0 ** np.ceil(np.log2(max(highest, 1.0)))
+        granular = _granular_table(table, tuple(grains), even, highest).moments(light.spot)
+        full, alone = plain(total), moments_with_offsets(distribution, light.spot + even)
+        variance = granular.variance + full.variance - alone.variance
+        return ReadingMoments(
+            granular.mean + full.mean - alone.mean,
+            np.maximum(variance, 0.1 * granular.variance),
+            granular.mean_slope + full.mean_slope - alone.mean_slope,
+            granular.variance_slope + full.variance_slope - alone.variance_slope,
+        )
+
+    # What is random.
+
+    def _random_steps(self) -> Iterator[tuple[AppliedStep, RandomStep]]:
+        for stage in Stage:
+            yield from ((step, step.random) for step in steps_at(stage, self.effects) if step.random)
+
+    def _averages(self) -> Iterator[tuple[float, Drawn]]:
+        """Yield what random steps draw and with which weight; grains and levels are left to their tables."""
+        steps = [step for step, random in self._random_steps() if random.stage not in TABULATED]
+        quadratures = [list(zip(*step.average(), strict=True)) for step in steps]
+        for nodes in product(*quadratures):
+            weight = float(np.prod([node_weight for _, node_weight in nodes]))
+            yield weight, {step: value for step, (value, _) in zip(steps, nodes, strict=True)}
+
+    # Derivatives.
+
+    def _derivatives(self, frame: FrameConditions, name: str) -> tuple[np.ndarray, np.ndarray]:
+        effect = name.rpartition(".")[0]
+        stages = {step.stage for applied in self.effects if applied.effect.name == effect
+                  for step in applied.effect.variants[applied.variant]}  # fmt: skip
+        # Charge and smear of a pixel follow the light of others.
+        mixing = [step for stage in (Stage.CHARGE, Stage.SMEAR) for step in steps_at(stage, self.effects)]
+        if mixing or any(self._random_steps()) or stages & {Stage.EXPOSURE, *SENSOR_STAGES}:
+            low, high, step = self._neighbours(frame, name, SENSOR_STEP)
+            before, after = low[0].expected(low[1]), high[0].expected(high[1])
+            return (after.mean - before.mean) / step, (after.variance - before.variance) / step
+        slope = self._registered_slope(frame, name)
+        if slope is None:
+            low, high, step = self._neighbours(frame, name, LIGHT_STEP)
+            slope = (high[0].light(high[1]).total - low[0].light(low[1]).total) / step
+        moments = self._moments(frame, {})
+        return moments.mean_slope * slope, moments.variance_slope * slope
+
+    def _registered_slope(self, frame: FrameConditions, name: str) -> np.ndarray | None:
+        """Return the derivative of the light [DN] in closed form; None if no step registers one."""
+        effect, _, parameter = name.rpartition(".")
+        for stage in (Stage.BRIGHTNESS, Stage.PEDESTAL):
+            steps = list(steps_at(stage, self.effects))
+            for step in steps:
+                derivatives = step.step.derivatives if isinstance(step.step, Step) else {}
+                if step.applied.effect.name != effect or parameter not in derivatives:
+                    continue
+                if stage is Stage.PEDESTAL:
+                    slope = step.call(derivatives[parameter], frame, 0.0) * np.ones_like(self.light(frame).total)
+                    return apply_stage(Stage.PIXEL_GAIN, self.effects, {}, frame, slope)
+                if len(steps) == 1:
+                    without = replace(self, effects=tuple(a for a in self.effects if a is not step.applied))
+                    slope = step.call(derivatives[parameter], frame, without.spot(frame).peak_dn)
+                    return self.light(frame).spot * slope / self.spot(frame).peak_dn
+        return None
+
+    def _neighbours(self, frame: FrameConditions, name: str, relative: float):
+        """Return model and frame with a parameter one step below and above its value, and the distance of both."""
+        effect, _, parameter = name.rpartition(".")
+        holder: Any = frame if self.law is None or name not in LAW_PARAMETERS else self.law
+        if effect:
+            holder = {applied.effect.name: applied for applied in self.effects}[effect]
+        value = (holder.parameters if effect else vars(holder))[parameter]
+        if np.isnan(value):
+            raise KeyError(name)
+        # Scale on which readings change.
+        scale = max(abs(value), 1e-3 if effect else 1.0)
+        if name in ("x0", "y0"):
+            scale = self.spot(frame).sigma_px
+        elif effect and {p.name: p.unit for p in holder.effect.parameters}[parameter] == "s":
+            scale = frame.exposure_s
+        step = relative * scale
+        pairs: list[tuple[ForwardModel, FrameConditions]] = []
+        for moved in (value - step, value + step):
+            if effect:
+                other = holder.with_value(parameter, moved)
+                effects = tuple(other if applied is holder else applied for applied in self.effects)
+                pairs.append((replace(self, effects=effects), frame))
+            elif self.law is not None and holder is self.law:
+                pairs.append((replace(self, law=replace(self.law, **{name: moved})), frame))
+            else:
+                pairs.append((self, replace(frame, **{name: moved})))
+        return *pairs, 2 * step
+
+
+def moments_with_offsets(
+    distribution: ReadingDistribution, light: np.ndarray, smear_e=0.0, offset_dn=0.0
+) -> ReadingMoments:
+    """Return mean and variance of readings whose pixels have offsets [DN] beside the black level.
+
+    Tables for offsets a quarter of the dark noise apart are interpolated by cubics, since rounding and black clipping
+    depend on where a signal lies between whole numbers.
+    """
+    highest = float(np.max(light)) + distribution.sensor.gain_dn_per_e * float(np.max(smear_e))
+    if np.ndim(offset_dn) == 0:
+        return distribution.tabulate(highest).moments(light, smear_e)
+    offset_dn = np.broadcast_to(offset_dn, np.shape(light))
+    step = max(np.sqrt(distribution.noise_dn**2 + 1 / 12) / 4, 1e-3)
+    place = offset_dn / step
+    low = np.floor(place).astype(int)
+    fraction = place - low
+    parts = [np.zeros(np.shape(light)) for _ in range(4)]
+    black = distribution.sensor.black_level_dn
+    for node in range(int(low.min()) - 1, int(low.max()) + 3):
+        distance = node - low
+        is_near = (distance >= -1) & (distance <= 2)
+        shifted = replace(distribution, sensor=replace(distribution.sensor, black_level_dn=black + node * step))
+        smear = np.broadcast_to(smear_e, np.shape(light))[is_near]
+        moments = shifted.tabulate(highest).moments(light[is_near], smear)
+        weight = _lagrange(fraction[is_near], distance[is_near])
+        for part, values in zip(parts, (moments.mean, moments.variance, moments.mean_slope, moments.variance_slope),
+                                strict=True):  # fmt: skip
+            part[is_near] += weight * values
+    return ReadingMoments(*parts)
+
+
+def _lagrange(fraction: np.ndarray, node: np.ndarray) -> np.ndarray:
+    """Return the weight of a node −1 … 2 in the cubic through four nodes, `fraction` beyond node 0."""
+    others = [np.where(node == k, 1.0, (fraction - k) / np.where(node == k, 1, node - k)) for k in (-1, 0, 1, 2)]
+    return reduce(np.multiply, others)
+
+
+@lru_cache(maxsize=16)
+def _granular_table(
+    table: ReadingTable, grains: tuple[AppliedStep, ...], pedestal_dn: float, light_max: float
+) -> ReadingTable:
+    for step in grains:
+        table = table.with_random_factor(*step.average(), pedestal_dn, light_max)
+    return table
+
+
+@lru_cache(maxsize=4)
+def _draw(step: AppliedStep, shape: tuple[int, int], seed: int, key: int) -> Any:
+    """Draw a number or field; kept for the next frames: those of a site follow each other, and there is one sensor."""
+    assert step.random is not None
+    # Steps of one effect that share a scope have generators of their own.
+    number = step.applied.effect.variants[step.applied.variant].index(step.step)
+    spawned = (step.applied.effect.number, key) if number == 0 else (step.applied.effect.number, key, number)
+    return step.call(step.random.draw, _generator(seed, *spawned), shape)
+
+
+def _generator(seed: int, *key: int) -> np.random.Generator:
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=key)))

@@ -1,0 +1,145 @@
+"""The light of a frame: stages from the exposure to the gains of pixels, walked in their order.
+
+`drawn` gives what the random steps of effects have drawn, by step; a step that is not in it is left out, so that what
+remains is the mean of the light over that step, except for what bends behind it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from spotcheck.model.baseline import Baseline
+from spotcheck.model.conditions import BlurredSpot, FrameConditions, WidthLaw
+from spotcheck.model.effect import AppliedEffect, AppliedStep
+from spotcheck.model.spot import PIXEL
+from spotcheck.model.stage import Stage
+
+# Number or field that each random step has drawn.
+Drawn = Mapping[AppliedStep, Any]
+
+
+@dataclass(frozen=True)
+class ExposureLaw:
+    """Parameters of the baseline's law of the exposure."""
+
+    p1: float  # rise of p_b with ln(t / 1 s) [px]
+    p2: float  # p_b at 1 s [px]
+    peak_dn: float  # peak of the spot at the longest exposure [DN]
+
+
+@dataclass(frozen=True)
+class SpotState:
+    """The spot of a frame behind the stages exposure, width and brightness."""
+
+    peak_dn: float  # peak of the Gaussian before the top hat [DN]
+    sigma_px: float  # width σ_g [px]
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light of a frame [DN] behind the gains of pixels; each part broadcasts with the pixels."""
+
+    spot: np.ndarray  # light of the spot and what belongs to it, without pedestals
+    pedestal: np.ndarray | float  # light of pedestals
+
+    @property
+    def total(self) -> np.ndarray:
+        """Light that pixels convert [DN]."""
+        return self.spot + self.pedestal
+
+
+def apply_stage(stage: Stage, effects: Sequence[AppliedEffect], drawn: Drawn, frame: FrameConditions | None, *value):
+    """Return what the steps of all effects at a stage make of a value, or of a pair of values."""
+    result: Any = value if len(value) > 1 else value[0]
+    for step in steps_at(stage, effects):
+        arguments = result if isinstance(result, tuple) else (result,)
+        if frame is not None:
+            arguments = (frame, *arguments)
+        if step.random is None:
+            result = step(*arguments)
+        elif step in drawn:
+            result = step(*arguments, drawn[step])
+    return result
+
+
+def steps_at(stage: Stage, effects: Sequence[AppliedEffect]) -> Iterator[AppliedStep]:
+    """Yield the steps of all effects at a stage, in the order of the effects' numbers."""
+    for applied in sorted(effects, key=lambda applied: applied.effect.number):
+        yield from applied.steps_at(stage)
+
+
+def true_exposure(frame: FrameConditions, effects: Sequence[AppliedEffect], drawn: Drawn) -> float:
+    """Return the exposure [s] that light, dark current and motion had."""
+    return apply_stage(Stage.EXPOSURE, effects, drawn, frame, frame.exposure_s)
+
+
+def spot_state(
+    frame: FrameConditions,
+    baseline: Baseline,
+    law: ExposureLaw | None,
+    effects: Sequence[AppliedEffect],
+    drawn: Drawn,
+) -> SpotState:
+    """Return peak and width of a frame's spot; without a law those of the frame's conditions."""
+    if law is None:
+        width = apply_stage(Stage.WIDTH, effects, drawn, frame, WidthLaw(lambda exposure_s: frame.sigma_px))
+        peak, sigma = frame.peak_dn, frame.sigma_px * width.factor
+    else:
+        width = WidthLaw(lambda exposure_s: baseline.propagation(exposure_s, law.p1, law.p2))
+        width = apply_stage(Stage.WIDTH, effects, drawn, frame, width)
+        exposure_s = true_exposure(frame, effects, drawn)
+        propagation = width.propagation_px(exposure_s)
+        longest = baseline.peak_law(frame.longest_s, width.propagation_px(frame.longest_s))
+        peak = law.peak_dn * baseline.peak_law(exposure_s, propagation) / longest
+        sigma = (propagation + baseline.laser_px) * width.factor
+    return SpotState(apply_stage(Stage.BRIGHTNESS, effects, drawn, frame, peak), sigma)
+
+
+def frame_light(
+    frame: FrameConditions,
+    baseline: Baseline,
+    law: ExposureLaw | None,
+    effects: Sequence[AppliedEffect],
+    drawn: Drawn,
+) -> Light:
+    """Return the light of a frame."""
+    state, pixels = spot_state(frame, baseline, law, effects, drawn), frame.pixels
+
+    def sharp(shift_x: float, shift_y: float) -> np.ndarray:
+        """Return the light [DN] of the spot displaced by so many px, in front of the blur."""
+        dx, dy = pixels.x - frame.x0 - shift_x, pixels.y - frame.y0 - shift_y
+        if any(steps_at(Stage.COORDINATES, effects)):
+            dx, dy = apply_stage(Stage.COORDINATES, effects, drawn, frame, dx, dy)
+        if not any(steps_at(Stage.PROFILE, effects)):
+            return baseline.spot(dx, dy, state.peak_dn, state.sigma_px)
+        half_square = (dx * dx + dy * dy) / (2 * state.sigma_px**2)
+        exponent = apply_stage(Stage.PROFILE, effects, drawn, frame, half_square)
+        return baseline.finish(state.peak_dn * np.exp(-exponent), dx, dy, state.peak_dn, state.sigma_px)
+
+    exposed = replace(frame, exposure_s=true_exposure(frame, effects, drawn))
+    path = np.array([[0.0], [0.0], [1.0]])
+    for step in steps_at(Stage.BLUR, effects):
+        path = convolve_paths(path, step(exposed))
+    if baseline.pixel_integration:
+        path = convolve_paths(path, np.transpose(PIXEL))
+
+    def blurred(shift_x: float, shift_y: float) -> np.ndarray:
+        return sum(weight * sharp(shift_x + dx, shift_y + dy) for dx, dy, weight in path.T)
+
+    total = blurred(0.0, 0.0)
+    spot = BlurredSpot(blurred, state.peak_dn, state.sigma_px)
+    for step in steps_at(Stage.ADDED_LIGHT, effects):
+        total = step(frame, total, spot)
+    total = apply_stage(Stage.MODULATION, effects, drawn, frame, total)
+    total = apply_stage(Stage.SPECKLE_FIELD, effects, drawn, frame, total)
+    pedestal = apply_stage(Stage.PEDESTAL, effects, drawn, frame, 0.0)
+    return Light(*(apply_stage(Stage.PIXEL_GAIN, effects, drawn, frame, part) for part in (total, pedestal)))
+
+
+def convolve_paths(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return every pair of displacements of two paths [3, point]: dx and dy add up, weights multiply."""
+    shift = first[:2, :, None] + second[:2, None, :]
+    weight = first[2, :, None] * second[2, None, :]
+    return np.concatenate([shift, weight[None]]).reshape(3, -1)

@@ -1,0 +1,392 @@
+"""The distribution of one reading given its light: the one definition that simulation, fits and bounds share.
+
+Order of the chain (dataset contract): Poisson electrons of light and dark current → + smear → charge (full well)
+→ + read noise → gain K → response → black level → digital → one rounding → 0 … full scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from spotcheck.sensor.codes import (
+    LARGEST_READING,
+    NOISE_SD,
+    CodeProbabilities,
+    Cumulants,
+    code_probabilities_given_signal,
+    counts_within_reach,
+    cumulants_of,
+    sum_over_electrons,
+)
+from spotcheck.sensor.response import apply_curvature, remove_curvature
+from spotcheck.sensor.sampling import sample_from_tables
+from spotcheck.sensor.table import ReadingTable, tabulate_readings
+
+if TYPE_CHECKING:
+    from spotcheck.sensor.model import SensorModel
+
+# A function signal [DN] → signal [DN] that never decreases. Two that compare equal are taken for the same.
+Transfer = Callable[[np.ndarray], np.ndarray]
+
+# Steps of the bisection that inverts a response: each halves the interval.
+BISECTIONS = 80
+# More electrons than any converter reads; beyond, Poisson draws overflow.
+MOST_ELECTRONS = 1e12
+# Probabilities of codes given the electrons that all levels of light share, at most.
+MOST_SHARED = 2_000_000
+# Pixels from which on tables pay for a call of `sample`.
+FEWEST_FOR_TABLES = 4096
+# Levels of light that are summed at a time; they share the probabilities of codes given the electrons.
+BLOCK = 64
+# Standard deviations of light that one such block may span.
+BLOCK_SPAN = 20.0
+
+
+@dataclass(frozen=True)
+class ReadingDistribution:
+    """Distribution of one reading y [DN] given the light L [DN of signal without black level].
+
+    L is K times the mean number of photo-electrons. N electrons of light and dark current are Poisson distributed, the
+    read noise is Gaussian, and everything else is a function that never decreases:
+
+    y = clip(round(digital(response(charge(K (N + smear)) + K σ_d z) + black level)), 0, full scale)
+
+    Light below 0 has no electrons to draw: N is then its negative mean itself. Fits need it where a black level was
+    stated too high; `sample` takes it for no light. Terms beyond 8.5 standard deviations, of probability 1e-17, are
+    left out.
+
+    Parameters
+    ----------
+    sensor : SensorModel
+        Gain, read noise, dark current, full well, response curvature, black level and full scale.
+    exposure_s : float
+        Exposure [s], which counts for the dark current alone.
+    smear_e : float
+        Electrons that are added behind the Poisson draw, without noise of their own [e-].
+    charge : tuple of Transfer
+        Functions of the signal [DN] before read noise, in this order, behind the full well.
+    charge_levels : tuple of (share, level)
+        Share [1] of the pixels whose charge stops at a level [DN]; shares sum to 1. Empty: all pixels are alike.
+    response : tuple of Transfer
+        Functions of the signal with read noise [DN without black level], in this order, behind the curvature.
+    digital : tuple of Transfer
+        Functions of the signal [DN with black level] in front of the rounding.
+
+    References
+    ----------
+    EMVA 1288 Release 4.0 Linear, Sections 2 and 3; Eqs. 15, 16 and 23–25 of the paper.
+
+    Examples
+    --------
+    >>> from spotcheck.sensor import ReadingDistribution, SensorModel
+    >>> reading = ReadingDistribution(SensorModel(gain_dn_per_e=0.5, read_noise_e=4.0, full_scale_dn=255))
+    >>> print(f"{reading.mean(100.0):.3f} DN, {reading.variance(100.0):.3f} DN²")
+    100.000 DN, 54.083 DN²
+    >>> print(f"{reading.pmf(255, 250.0):.4f}")
+    0.3438
+    """
+
+    sensor: SensorModel
+    exposure_s: float = 0.0
+    smear_e: float = 0.0
+    charge: tuple[Transfer, ...] = ()
+    charge_levels: tuple[tuple[float, float], ...] = ()
+    response: tuple[Transfer, ...] = ()
+    digital: tuple[Transfer, ...] = ()
+
+    # Probabilities.
+
+    def pmf(self, reading: ArrayLike, light: ArrayLike) -> np.ndarray:
+        """Return P(y | L) of whole readings [DN] at light [DN]; both broadcast."""
+        return self._at_readings(reading, light, lambda codes: codes.probability)
+
+    def cdf(self, reading: ArrayLike, light: ArrayLike) -> np.ndarray:
+        """Return P(at most y | L) of readings [DN] at light [DN]; both broadcast."""
+        return self._at_readings(reading, light, lambda codes: np.cumsum(codes.probability, axis=1), (0.0, 1.0))
+
+    def score(self, reading: ArrayLike, light: ArrayLike) -> np.ndarray:
+        """Return ∂ ln P(y | L)/∂L [1/DN] of readings [DN] at light [DN]; both broadcast.
+
+        NaN where a reading is so improbable, below about 1e-17, that no number is known.
+        """
+
+        def score(codes: CodeProbabilities) -> np.ndarray:
+            is_possible = codes.probability > 1e-300
+            ratio = codes.slope / np.where(is_possible, codes.probability, 1.0)
+            return np.where(is_possible, ratio, np.nan) / self.sensor.gain_dn_per_e
+
+        return self._at_readings(reading, light, score, (np.nan, np.nan))
+
+    # Moments.
+
+    def mean(self, light: ArrayLike) -> np.ndarray:
+        """Return the mean reading [DN] at light [DN]."""
+        return self.cumulants(light).mean[()]
+
+    def variance(self, light: ArrayLike) -> np.ndarray:
+        """Return the variance [DN²] of the reading at light [DN]."""
+        return self.cumulants(light).variance[()]
+
+    def third_cumulant(self, light: ArrayLike) -> np.ndarray:
+        """Return the third cumulant [DN³] of the reading at light [DN]."""
+        return self.cumulants(light).third[()]
+
+    def fourth_cumulant(self, light: ArrayLike) -> np.ndarray:
+        """Return the fourth cumulant [DN⁴] of the reading at light [DN]; 0 for a normal distribution."""
+        return self.cumulants(light).fourth[()]
+
+    def mean_slope(self, light: ArrayLike) -> np.ndarray:
+        """Return d mean/dL [1] at light [DN]."""
+        return self.cumulants(light).mean_slope[()] / self.sensor.gain_dn_per_e
+
+    def variance_slope(self, light: ArrayLike) -> np.ndarray:
+        """Return d variance/dL [DN] at light [DN]."""
+        return self.cumulants(light).variance_slope[()] / self.sensor.gain_dn_per_e
+
+    def fisher_information(self, light: ArrayLike) -> np.ndarray:
+        """Return the Fisher information [1/DN²] of a reading on the light, at light [DN]."""
+        return self.cumulants(light).information[()] / self.sensor.gain_dn_per_e**2
+
+    def cumulants(self, light: ArrayLike) -> Cumulants:
+        """Return all cumulants at light [DN] in one pass, in the shape of `light`; slopes are by the mean electrons."""
+        light = np.asarray(light, float)
+        mean_e, place = np.unique(self.mean_electrons(light), return_inverse=True)
+        out = np.empty((len(Cumulants._fields), mean_e.size))
+        for part, codes in self._blocks(mean_e):
+            out[:, part] = cumulants_of(codes)
+        return Cumulants(*(row[place].reshape(light.shape) for row in out))
+
+    def expected_maximum(self, light: ArrayLike) -> float:
+        """Return the mean of the largest reading [DN] of independent pixels at light [DN]: Σ_k [1 − Π P(at most k)]."""
+        light, count = np.unique(light, return_counts=True)
+        codes = self.probabilities(self.mean_electrons(light[-1:])).codes
+        # Pixels that always read less than the brightest one have no say.
+        at = self.tabulate(float(light[-1])).moments(light)
+        is_near = at.mean + NOISE_SD * np.sqrt(np.maximum(at.variance, 0.0)) + 1 >= codes[0]
+        with np.errstate(divide="ignore"):
+            log_at_most = np.log(self.cdf(codes[:-1, None], light[is_near])) @ count[is_near]
+        return float(codes[0] - np.expm1(log_at_most).sum())
+
+    # Other forms.
+
+    def tabulate(self, light_max: float) -> ReadingTable:
+        """Return mean, variance, slopes and information as a table up to a light [DN], for millions of pixels.
+
+        The table goes at least that far: `light_max` is rounded up to a power of two, so that images share tables.
+        """
+        return _tabulate(self, 2.0 ** np.ceil(np.log2(max(light_max, 1.0))))
+
+    def sample(
+        self,
+        light: ArrayLike,
+        rng: np.random.Generator,
+        *,
+        smear_e: ArrayLike = 0.0,
+        charge_level: ArrayLike = np.inf,
+        offset_dn: ArrayLike = 0.0,
+    ) -> np.ndarray:
+        """Return random readings [DN, uint16] of the shape of `light` [DN].
+
+        Parameters
+        ----------
+        light : array
+            Light of each pixel [DN]; below 0 it counts as none.
+        rng : numpy.random.Generator
+            Source of the random numbers.
+        smear_e, charge_level, offset_dn : arrays that broadcast to `light`
+            Values of each pixel: electrons added behind the Poisson draw [e-] on top of `self.smear_e`; level at which
+            its charge stops [DN]; and what is added behind the response [DN], such as row noise.
+
+        Notes
+        -----
+        One uniform number and a look-up in a table gives a reading (`spotcheck.sensor.sampling`). With values of single
+        pixels, or for few pixels, the chain is drawn step by step.
+        """
+        light = np.asarray(light, float)
+        if np.isnan(np.min(light, initial=0.0)):
+            raise ValueError("light: holds NaN; give the light of each pixel in DN")
+        is_plain = np.all(smear_e == 0.0) and np.all(charge_level == np.inf) and np.all(offset_dn == 0.0)
+        if is_plain and not self.charge_levels and light.size >= FEWEST_FOR_TABLES:
+            return sample_from_tables(self, light, rng)
+        return self.sample_steps(light, rng, smear_e, charge_level, offset_dn)
+
+    def sample_steps(
+        self, light: np.ndarray, rng: np.random.Generator, smear_e=0.0, charge_level=np.inf, offset_dn=0.0
+    ) -> np.ndarray:
+        """Draw the chain step by step in numpy; arguments as for `sample`."""
+        electrons = rng.poisson(np.minimum(self.mean_electrons(np.maximum(light, 0.0)), MOST_ELECTRONS))
+        if self.charge_levels:
+            shares, levels = np.transpose(self.charge_levels)
+            charge_level = np.minimum(charge_level, rng.choice(levels, light.shape, p=shares / shares.sum()))
+        signal = np.minimum(self.charge_signal(electrons + smear_e), charge_level)
+        signal = signal + self.noise_dn * rng.standard_normal(light.shape)
+        highest = np.rint(min(self.sensor.full_scale_dn, LARGEST_READING))
+        return np.clip(np.rint(self.converter_signal(signal, offset_dn)), 0, highest).astype(np.uint16)
+
+    # Steps of the chain.
+
+    @property
+    def noise_dn(self) -> float:
+        """Standard deviation of the read noise [DN]."""
+        return self.sensor.gain_dn_per_e * self.sensor.read_noise_e
+
+    def mean_electrons(self, light):
+        """Return the mean electrons of light [DN] and dark current [e-]."""
+        return light / self.sensor.gain_dn_per_e + self.sensor.dark_current_e_per_s * self.exposure_s
+
+    def charge_signal(self, electrons):
+        """Return the signal [DN] before read noise of a number of electrons, `self.smear_e` not counted."""
+        signal = self.sensor.gain_dn_per_e * np.minimum(electrons + self.smear_e, self.sensor.full_well_e)
+        for transfer in self.charge:
+            signal = transfer(signal)
+        return signal
+
+    def converter_signal(self, signal, offset_dn=0.0):
+        """Return what is rounded [DN] of a signal [DN] with its read noise."""
+        signal = apply_curvature(signal, self.sensor.curvature)
+        for transfer in self.response:
+            signal = transfer(signal)
+        signal = signal + self.sensor.black_level_dn + offset_dn
+        for transfer in self.digital:
+            signal = transfer(signal)
+        return signal
+
+    # Sums.
+
+    def probabilities(self, mean_e: np.ndarray) -> CodeProbabilities:
+        """Return the probability of all codes at means [level, e-], in increasing order and all below 0 or none."""
+        if mean_e[0] < 0:
+            return self._probabilities_below_zero(mean_e)
+        low, high = counts_within_reach(float(mean_e[0]))[0], counts_within_reach(float(mean_e[-1]))[1]
+        is_small = high * (2 * NOISE_SD * self.noise_dn + 3) < MOST_SHARED and not self.charge_levels
+        if is_small:
+            shared = _given_counts(replace(self, exposure_s=0.0), high.bit_length())
+            first, band = (part[low : high + 1] for part in shared)
+        else:
+            first, band = self._given_signal(self.charge_signal(np.arange(low, high + 1.0)))
+        lowest = int(first.min())
+        size = int(first.max()) + band.shape[1] - lowest
+        probability, slope = np.zeros((2, mean_e.size, size))
+        sum_over_electrons(np.ascontiguousarray(mean_e), low, first, band, lowest, probability, slope)
+        # The weight of the first count is off by the rounding of n ln µ, which is many thousands: 1e-9 of itself.
+        total = probability.sum(axis=1, keepdims=True)
+        probability /= total
+        slope /= total
+        return CodeProbabilities(lowest, probability, slope)
+
+    def _probabilities_below_zero(self, mean_e: np.ndarray) -> CodeProbabilities:
+        """As `probabilities`, for light below 0: read noise alone, and its own slope."""
+        step = 1e-4 * self.sensor.read_noise_e
+        first, band = self._given_signal(self.charge_signal(np.concatenate([mean_e, mean_e - step, mean_e + step])))
+        lowest = int(first.min())
+        size = int(first.max()) + band.shape[1] - lowest
+        dense = np.zeros((first.size, size))
+        np.put_along_axis(dense, (first - lowest)[:, None] + np.arange(band.shape[1]), band, axis=1)
+        probability, before, after = np.split(dense, 3)
+        return CodeProbabilities(lowest, probability, (after - before) / (2 * step) if step else 0 * probability)
+
+    def _given_signal(self, signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first code of each signal [signal, DN], and the probability of those from it on [signal, code]."""
+        lowest, edges = self._edges(signal)
+        first, band = self._given_one_level(signal, lowest, edges)
+        if not self.charge_levels:
+            return first, band
+        shares, levels = np.transpose(sorted(self.charge_levels, key=lambda pair: pair[1]))
+        # Levels above all signals stop no pixel; infinite ones are allowed.
+        stopped_first, stopped = self._given_one_level(np.minimum(levels, signal.max()), lowest, edges)
+        size = edges.size + 1 + max(band.shape[1], stopped.shape[1])
+        dense, at_levels = np.zeros((signal.size, size)), np.zeros((levels.size + 1, size))
+        np.put_along_axis(dense, (first - lowest)[:, None] + np.arange(band.shape[1]), band, axis=1)
+        columns = (stopped_first - lowest)[:, None] + np.arange(stopped.shape[1])
+        np.put_along_axis(at_levels[1:], columns, shares[:, None] * stopped, axis=1)
+        # How many of the levels lie below a signal: their pixels stop there, the others do not.
+        below = np.searchsorted(levels, signal)
+        uncut = 1 - np.concatenate([[0.0], np.cumsum(shares)])[below]
+        return np.full_like(first, lowest), uncut[:, None] * dense + np.cumsum(at_levels, axis=0)[below]
+
+    def _given_one_level(self, signal: np.ndarray, lowest: int, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if self.noise_dn == 0:
+            highest = lowest + edges.size
+            codes = np.clip(np.rint(self.converter_signal(signal)), lowest, highest).astype(np.int64)
+            return codes, np.ones((signal.size, 1))
+        first, band = code_probabilities_given_signal(signal, self.noise_dn, edges)
+        return first + lowest, band
+
+    def _edges(self, signal: np.ndarray) -> tuple[int, np.ndarray]:
+        """Return the lowest code that signals and their noise reach, and the signal below which each code ends [DN].
+
+        The highest code that they reach has no end.
+        """
+        half_width = NOISE_SD * self.noise_dn
+        low, high = float(np.min(signal)) - half_width, float(np.max(signal)) + half_width
+        if self.charge_levels:
+            low = min(low, min(level for _, level in self.charge_levels) - half_width)
+        highest = int(np.rint(min(self.sensor.full_scale_dn, 2.0**53)))
+        codes = np.clip(np.rint(self.converter_signal(np.array([low, high]))), 0, highest).astype(np.int64)
+        ends = np.arange(codes[0], codes[1]) + 0.5
+        if self.response or self.digital:
+            return int(codes[0]), invert_transfer(self.converter_signal, ends, low, high)
+        curvature, response = self.sensor.curvature, ends - self.sensor.black_level_dn
+        edges = remove_curvature(response, curvature)
+        return int(codes[0]), np.where(response * curvature >= 0.25, np.copysign(np.inf, curvature), edges)
+
+    def _blocks(self, mean_e: np.ndarray) -> Iterator[tuple[slice, CodeProbabilities]]:
+        """Yield parts of means in increasing order [e-] and the probabilities of their codes."""
+        start = 0
+        while start < mean_e.size:
+            low = mean_e[start]
+            limit = low + BLOCK_SPAN * np.sqrt(max(low, 1.0)) if low >= 0 else 0.0
+            end = min(start + BLOCK, max(int(np.searchsorted(mean_e, limit)), start + 1))
+            yield slice(start, end), self.probabilities(mean_e[start:end])
+            start = end
+
+    def _at_readings(
+        self,
+        reading: ArrayLike,
+        light: ArrayLike,
+        values_of: Callable[[CodeProbabilities], np.ndarray],
+        outside: tuple[float, float] = (0.0, 0.0),
+    ) -> np.ndarray:
+        """Return values [level, code] at readings; `outside` holds those below and above all codes of a level."""
+        reading, light = np.broadcast_arrays(np.asarray(reading), np.asarray(light, float))
+        mean_e, place = np.unique(self.mean_electrons(light), return_inverse=True)
+        place = place.reshape(light.shape)
+        out = np.zeros(light.shape)
+        for part, codes in self._blocks(mean_e):
+            is_here = (place >= part.start) & (place < part.stop)
+            column = np.floor(reading[is_here]).astype(np.int64) - codes.first_code
+            values = values_of(codes)
+            inside = values[place[is_here] - part.start, np.clip(column, 0, values.shape[1] - 1)]
+            out[is_here] = np.select([column < 0, column >= values.shape[1]], outside, inside)
+        return out[()]
+
+
+def invert_transfer(transfer: Transfer, targets: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return the signal from `low` to `high` from which on a transfer reaches each target [DN].
+
+    -inf where it does so at `low` already, inf where it does not even at `high`.
+    """
+    below, above = np.full(targets.shape, low), np.full(targets.shape, high)
+    is_certain, is_possible = transfer(below) >= targets, transfer(above) >= targets
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (below + above)
+        has_reached = transfer(middle) >= targets
+        above, below = np.where(has_reached, middle, above), np.where(has_reached, below, middle)
+    return np.select([is_certain, ~is_possible], [-np.inf, np.inf], above)
+
+
+@lru_cache(maxsize=4)
+def _given_counts(distribution: ReadingDistribution, bits: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first code, and the probability of those from it on, of all counts of electrons below 2^bits."""
+    return distribution._given_signal(distribution.charge_signal(np.arange(2.0**bits)))
+
+
+@lru_cache(maxsize=32)
+def _tabulate(distribution: ReadingDistribution, light_max: float) -> ReadingTable:
+    return tabulate_readings(distribution, light_max)

@@ -1,0 +1,250 @@
+"""Mean, variance and information of a reading as a table over the light, for everything that evaluates many pixels.
+
+Between nodes each quantity is the cubic with the exact values and slopes at both nodes. Nodes lie a sixth of a standard
+deviation apart, which is the scale on which noise smooths every kink: the error of the mean is below 1e-4 standard
+deviations.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+from scipy.special import gammaln
+
+if TYPE_CHECKING:
+    from spotcheck.sensor.distribution import ReadingDistribution
+
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+# Nodes for each standard deviation of the light.
+NODES_PER_SD = 6
+# Standard deviations beyond the upper end of the converter at which a reading no longer changes.
+SATURATED_SD = 10.0
+# Electrons far beyond any light, where every clip has set in [e-].
+FAR_E = 1e12
+# Light of the last node at most, in terms of the light that saturates.
+MOST_SATURATION = 64.0
+# Smallest noise [e-] in the distance of nodes: the Poisson distribution changes on the scale of one electron.
+LEAST_NOISE_E = 0.25
+# Smallest exponent of the variance below no light; see `ReadingTable`.
+LOWEST_EXPONENT = -3.0
+# Step of the second derivative in smeared light, in standard deviations, and the least share of the variance that is
+# left where the shot noise of smear is taken off.
+SMEAR_STEP, LEAST_SHARE = 0.25, 0.2
+# Step in ln g of the average over grains, in contrasts and at most, and probability of those left out at either end.
+GRAIN_STEP, LARGEST_GRAIN_STEP, LEFT_OUT = 0.05, 0.01, 1e-9
+
+
+@dataclass(frozen=True)
+class ReadingMoments:
+    """Mean and variance of readings and their slopes by the light, each in the shape of the light."""
+
+    mean: np.ndarray  # [DN]
+    variance: np.ndarray  # [DN²]
+    mean_slope: np.ndarray  # d mean/dL [1]
+    variance_slope: np.ndarray  # d variance/dL [DN]
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingTable:
+    """Mean and variance of a reading over the light L [DN], interpolated.
+
+    Nodes are uniform in u = √(L/K + µ_d + s²), with the dark electrons µ_d and a noise s. Below no light the mean
+    continues as a straight line and the variance as an exponential: both stay smooth, so that fits converge there.
+    Beyond the last node both stay constant.
+    """
+
+    gain: float  # K [DN/e-]
+    shift_e: float  # µ_d + s² [e-]
+    first_root: float  # u of the first node [e-^½], that of no light
+    step: float  # distance of the nodes in u [e-^½]
+    nodes: np.ndarray  # mean [DN], variance [DN²], d mean/dL [1], d variance/dL [DN]; [quantity, node]
+    node_information: np.ndarray  # Fisher information on the light [1/DN²]; [node]
+
+    @cached_property
+    def light(self) -> np.ndarray:
+        """Light at the nodes [DN]."""
+        root = self.first_root + self.step * np.arange(self.nodes.shape[1])
+        return self.gain * (root**2 - self.first_root**2)
+
+    def mean(self, light: np.ndarray) -> np.ndarray:
+        """Return the mean reading [DN] at light [DN]."""
+        return self.moments(light).mean
+
+    def variance(self, light: np.ndarray) -> np.ndarray:
+        """Return the variance [DN²] of readings at light [DN]."""
+        return self.moments(light).variance
+
+    def moments(self, light: np.ndarray, smear_e: np.ndarray | float = 0.0) -> ReadingMoments:
+        """Return mean and variance of readings and their slopes at light [DN], an array of any shape.
+
+        `smear_e` are electrons [e-] that are added without shot noise, to first order: a charge of the same mean has
+        the variance s more with shot noise, which adds s/2 times the second derivative to each moment of a reading.
+        """
+        if np.ndim(smear_e) == 0 and smear_e == 0.0:
+            return ReadingMoments(*self._interpolate(light, self.nodes))
+        light = light + self.gain * smear_e
+        step = SMEAR_STEP * self.gain * np.sqrt(np.maximum(light / self.gain, 0.0) + self.shift_e)
+        at, low, high = (self.moments(light + shift) for shift in (0.0, -step, step))
+        excess = self.gain * (self.gain * smear_e)
+        mean_curvature = (high.mean_slope - low.mean_slope) / (2 * step)
+        variance_curvature = (high.variance_slope - low.variance_slope) / (2 * step)
+        variance = at.variance - excess * (at.mean_slope**2 + variance_curvature / 2)
+        return replace(
+            at, mean=at.mean - excess * mean_curvature / 2, variance=np.maximum(variance, LEAST_SHARE * at.variance)
+        )
+
+    def information(self, light: np.ndarray) -> np.ndarray:
+        """Return the Fisher information [1/DN²] of a reading on the light, at light [DN].
+
+        Its reciprocal is interpolated: without clips it is a straight line in the light. The error is below 2 % for
+        more than half an electron.
+        """
+        return 1 / np.interp(light, self.light, 1 / np.maximum(self.node_information, 1e-300))
+
+    def _interpolate(self, light: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        light = np.asarray(light, float)
+        out = np.empty((4, light.size))
+        grid = (self.gain, self.first_root, self.step)
+        interpolate(np.ascontiguousarray(light).reshape(-1), *grid, np.ascontiguousarray(nodes), out)
+        return out.reshape(4, *light.shape)
+
+    def with_granular_light(self, contrast: float, pedestal_dn: float = 0.0) -> ReadingTable:
+        """Return the table of readings under light that a granular field multiplies.
+
+        The light of a pixel is g L + `pedestal_dn`, where g follows a gamma distribution of mean 1 and variance C², as
+        sums of independent speckle patterns do. The argument of the new table is L, the light on average. Behind a
+        clip, grains change the mean as well. This table must hold the light of the brightest grains, g L with g up to
+        1 + 8 C + 25 C² (`grain_quadrature`), or end in saturation: it is constant beyond its last node.
+
+        Parameters
+        ----------
+        contrast : float
+            Speckle contrast C in a pixel [1], above 0.
+        pedestal_dn : float
+            Light beside the granular light [DN].
+
+        References
+        ----------
+        Goodman, Speckle Phenomena in Optics, 2nd ed., Section 3.3.
+        """
+        return self.with_random_factor(*grain_quadrature(contrast), pedestal_dn)
+
+    def with_random_factor(
+        self, factor: np.ndarray, weight: np.ndarray, pedestal_dn: float = 0.0, light_max: float = np.inf
+    ) -> ReadingTable:
+        """Return the table of readings whose light is multiplied by a random factor, given at nodes with weights.
+
+        It goes up to `light_max` [DN] or to the end of this table. Its information is a lower bound, that of a fit to
+        the mean alone.
+        """
+        mixed = np.empty_like(self.nodes[:, : int(np.searchsorted(self.light, light_max)) + 2])
+        for k, light in enumerate(self.light[: mixed.shape[1]]):
+            at = self.moments(factor * light + pedestal_dn)
+            mean, slope = weight @ at.mean, weight @ (factor * at.mean_slope)
+            deviation, slope_deviation = at.mean - mean, factor * at.mean_slope - slope
+            variance = weight @ (at.variance + deviation**2)
+            variance_slope = weight @ (factor * at.variance_slope + 2 * deviation * slope_deviation)
+            mixed[:, k] = mean, variance, slope, variance_slope
+        return replace(self, nodes=mixed, node_information=mixed[2] ** 2 / np.maximum(mixed[1], 1e-12))
+
+
+def grain_quadrature(contrast: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return factors g of granular light and their weights [node]: a gamma distribution of mean 1 and variance C².
+
+    Uniform in ln g, where the trapezoidal rule of a smooth density converges faster than any power of the step.
+    """
+    if contrast == 0:
+        return np.ones(1), np.ones(1)
+    shape = contrast**-2.0
+    step = min(GRAIN_STEP * contrast, LARGEST_GRAIN_STEP)
+    # For small g the density of ln g falls as g^shape; for large g as exp(−shape (g − 1 − ln g)).
+    lowest = np.log(LEFT_OUT) / shape - 6 * contrast
+    highest = np.log1p(8 * contrast + 25 * contrast**2)
+    ln_g = step * np.arange(np.floor(lowest / step), np.ceil(highest / step) + 1)
+    ln_density = shape * (np.log(shape) + ln_g - np.exp(ln_g)) - gammaln(shape)
+    weight = np.exp(ln_density)
+    return np.exp(ln_g), weight / weight.sum()
+
+
+def tabulate_readings(distribution: ReadingDistribution, light_max: float) -> ReadingTable:
+    """Return the table of a reading's distribution from no light to `light_max` [DN], or to where readings are
+    saturated."""
+    sensor = distribution.sensor
+    gain, dark_e = sensor.gain_dn_per_e, float(distribution.mean_electrons(0.0))
+    highest_e = min(light_max / gain + dark_e, saturating_electrons(distribution))
+    # A clip of the charge bends the mean within the shot noise, however strong the read noise behind it.
+    noise_e = max(min(sensor.read_noise_e, np.sqrt(max(min(highest_e, sensor.full_well_e), 1.0))), LEAST_NOISE_E)
+    shift_e = noise_e**2
+    first_root, last_root = np.sqrt(dark_e + shift_e), np.sqrt(max(highest_e, dark_e + 1.0) + shift_e)
+    step = 1 / (2 * NODES_PER_SD)
+    root = first_root + step * np.arange(np.ceil((last_root - first_root) / step) + 1)
+    at = distribution.cumulants(gain * (root**2 - first_root**2))
+    nodes = np.stack([at.mean, at.variance, at.mean_slope / gain, at.variance_slope / gain])
+    # Saturated nodes up to the light that was asked for: dark grains of such light are not saturated.
+    farthest_e = max(min(light_max / gain + dark_e, MOST_SATURATION * highest_e), highest_e)
+    saturated = max(math.ceil((np.sqrt(farthest_e + shift_e) - root[-1]) / step), 0)
+    nodes = np.concatenate([nodes, np.repeat(nodes[:, -1:] * [[1.0], [1.0], [0.0], [0.0]], saturated, axis=1)], axis=1)
+    information = np.concatenate([at.information, np.zeros(saturated)]) / gain**2
+    return ReadingTable(gain, dark_e + shift_e, first_root, step, nodes, information)
+
+
+def saturating_electrons(distribution: ReadingDistribution) -> float:
+    """Return the mean electrons [e-] from which on readings no longer change; infinite if there are none."""
+    sensor = distribution.sensor
+    ends = [sensor.full_well_e]
+    if np.isfinite(sensor.full_scale_dn):
+        electrons = np.geomspace(1e-2, 64.0, 400) * (sensor.full_scale_dn + 1.0) / sensor.gain_dn_per_e
+        charge = distribution.charge_signal(np.append(electrons, FAR_E))
+        if distribution.charge_levels:
+            charge = np.minimum(charge, max(level for _, level in distribution.charge_levels))
+        noise = SATURATED_SD * distribution.noise_dn
+        # Full scale, a stage behind the read noise or a clip of the charge sets the highest reading.
+        highest = min(sensor.full_scale_dn, float(distribution.converter_signal(charge[-1:] + noise)[0]))
+        is_over = (distribution.converter_signal(charge - noise) >= highest) | (charge >= charge[-1])
+        over = electrons[is_over[:-1]]
+        ends.append(over[0] if over.size else np.inf)
+    end = min(ends)
+    return end + SATURATED_SD * math.sqrt(end) + SATURATED_SD**2 if np.isfinite(end) else np.inf
+
+
+@compiled
+def interpolate(light, gain, first_root, step, nodes, out):
+    """Fill mean, variance and their slopes [4, pixel] at light [pixel, DN]; the grid is that of `ReadingTable`."""
+    last = nodes.shape[1] - 1
+    offset = first_root * first_root
+    for k in range(light.size):
+        at = light[k]
+        if at != at:
+            out[:, k] = at
+            continue
+        if at < 0.0:
+            rate = nodes[3, 0] / nodes[1, 0] if nodes[1, 0] > 0.0 else 0.0
+            out[0, k], out[2, k] = nodes[0, 0] + at * nodes[2, 0], nodes[2, 0]
+            exponent = rate * at
+            if exponent > LOWEST_EXPONENT:
+                out[1, k] = nodes[1, 0] * math.exp(exponent)
+                out[3, k] = rate * out[1, k]
+            else:
+                out[1, k], out[3, k] = nodes[1, 0] * math.exp(LOWEST_EXPONENT), 0.0
+            continue
+        place = (math.sqrt(at / gain + offset) - first_root) / step
+        if place >= last:
+            out[0, k], out[1, k], out[2, k], out[3, k] = nodes[0, last], nodes[1, last], 0.0, 0.0
+            continue
+        node = int(place)
+        low, high = first_root + node * step, first_root + (node + 1) * step
+        start, width = gain * (low * low - offset), gain * (high * high - low * low)
+        f = (at - start) / width
+        for quantity in range(2):
+            value, following = nodes[quantity, node], nodes[quantity, node + 1]
+            slope, slope_after = nodes[quantity + 2, node] * width, nodes[quantity + 2, node + 1] * width
+            rise = following - value
+            square, cube = 3 * rise - 2 * slope - slope_after, slope + slope_after - 2 * rise
+            out[quantity, k] = value + f * (slope + f * (square + f * cube))
+            out[quantity + 2, k] = (slope + f * (2 * square + 3 * f * cube)) / width
