@@ -45,7 +45,7 @@ def design(base: Path, instrument: str = INSTRUMENT, header: str = HEADER, more:
 def simulated(found: dataset.Dataset, model: ExtendedModel, out: Path, sensor: SensorModel = SENSOR, seed: int = 3):
     """Run the stage; what comes back is the file of expectations."""
     path = out.with_suffix(".nc")
-    simulation.simulate_extended(found, model, sensor, out, path, name="model.yaml", seed=seed, code="c", inputs=[])
+    simulation.simulate_extended(found, model, sensor, simulation.Destination(out, path, seed, "c", []), "model.yaml")
     with store.read(path) as ds:
         return ds.load()
 

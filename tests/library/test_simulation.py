@@ -41,7 +41,7 @@ def simulate(ds, law, fits, sensor, base, seed=3) -> xr.Dataset:
     """Run the stage; the folder is `base`, and what comes back is the file of mean images, checked on reading."""
     states = simulation.spot_states(ds, law, fits)
     path = base.with_suffix(".nc")
-    simulation.simulate(ds, states, sensor, FULL_SCALE, base, path, seed=seed, attributes={}, code="c", inputs=[])
+    simulation.simulate(ds, states, sensor, FULL_SCALE, simulation.Destination(base, path, seed, "c", []), {})
     with store.read(path) as out:
         return out.load()
 

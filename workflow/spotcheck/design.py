@@ -13,7 +13,7 @@ from spotcheck.model.light import ExposureLaw
 from spotcheck.model.model_file import ExtendedModel, read_model
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import check_sensor
-from spotcheck.simulation import CANVAS, simulate_extended
+from spotcheck.simulation import CANVAS, Destination, simulate_extended
 
 # What the model expects of every crop, beside the drawn frames.
 EXPECTED = "expected.nc"
@@ -86,10 +86,9 @@ def simulate_dataset(
     camera = data_sheet(given.instrument) if sensor is None else check_sensor(sensor)
     if not np.isfinite(camera.full_scale_dn):
         raise InputError("sensor: full_scale_dn is infinite; give the largest reading, such as 1023 for 10 bit")
-    simulate_extended(
-        given, own, camera, out, out / EXPECTED,
-        name=name, seed=seed, code=provenance.code_digest(__name__), inputs=[] if model is None else [model],
-    )  # fmt: skip
+    inputs = [] if model is None else [model]
+    destination = Destination(out, out / EXPECTED, seed, provenance.code_digest(__name__), inputs)
+    simulate_extended(given, own, camera, destination, name)
     return load(out)
 
 

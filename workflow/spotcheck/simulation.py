@@ -60,6 +60,17 @@ class SimulatedFrame:
     values: dict[str, Any]  # what the file of means holds of it, by variable
 
 
+@dataclass(frozen=True)
+class Destination:
+    """Files of a simulation, and how they are made."""
+
+    folder: Path  # dataset folder of the simulated frames
+    path: Path  # file of mean images
+    seed: int  # seed of all random numbers
+    code: str  # digest of the code
+    inputs: Sequence[str | Path]  # files that the simulation depends on
+
+
 def has_law(calibration: xr.Dataset) -> bool:
     """Return whether p1, p2 and the peak were found; else every frame is simulated at its own fit."""
     return "skipped" not in calibration.attrs and bool(np.isfinite(calibration["peak"].sel(estimator=USED)))
@@ -91,22 +102,17 @@ def simulate(
     states: dict[tuple[int, ...], SpotState],
     sensor: SensorModel | None,
     full_scale: int,
-    folder: Path,
-    path: Path,
-    *,
-    seed: int,
-    attributes: dict[str, str],
-    code: str,
-    inputs: Sequence[str | Path],
+    destination: Destination,
+    attributes: Mapping[str, str],
 ) -> None:
-    """Write the simulated dataset folder, and the mean images [grid, y, x] around the spot to `path`, frame by frame.
+    """Write the simulated dataset folder, and the mean images [grid, y, x] around the spot, frame by frame.
 
     Without a sensor model the frames are the rounded mean image and the attribute `noise` says so.
     """
     noise = "drawn" if sensor else "none: gain or read noise of the sensor is unknown"
-    frames = _baseline_frames(dataset, states, sensor, full_scale, seed)
-    _write(dataset, frames, VARIABLES, folder, path, {"noise": noise, "seed": seed} | attributes, code, inputs)
-    write_contract(dataset, folder, {"sensor": {"bit_depth": full_scale.bit_length()}})
+    frames = _baseline_frames(dataset, states, sensor, full_scale, destination.seed)
+    _write(dataset, frames, VARIABLES, destination, {"noise": noise} | dict(attributes))
+    write_contract(dataset, destination.folder, {"sensor": {"bit_depth": full_scale.bit_length()}})
 
 
 def _baseline_frames(
@@ -141,16 +147,11 @@ def simulate_extended(
     dataset: Dataset,
     model: ExtendedModel,
     sensor: SensorModel,
-    folder: Path,
-    path: Path,
-    *,
+    destination: Destination,
     name: str,
-    seed: int,
-    code: str,
-    inputs: Sequence[str | Path],
 ) -> None:
-    """Write the dataset folder that the extended model gives for the design of `dataset`, and to `path` what it expects
-    of the crop around each spot [grid, y, x]: means over everything that is random.
+    """Write the dataset folder that the extended model gives for the design of `dataset`, and what it expects of the
+    crop around each spot [grid, y, x]: means over everything that is random.
 
     Frames are a window of the sensor that holds all spots with a crop to every side, or the whole frame. `name` is the
     model file's; raises `InputError` for a model that does not fit the instrument or the design.
@@ -164,15 +165,14 @@ def simulate_extended(
     centres = _centres(dataset, model)
     # Positions stay the sensor's own: pedestals, fringes and smear refer to its whole frame.
     columns, rows = (_window(centres[:, k], side, size) for k, size in enumerate((model.columns, model.rows)))
-    frames = _extended_frames(dataset, model, baseline, sensor, centres, (columns, rows), name, seed)
+    frames = _extended_frames(dataset, model, baseline, sensor, centres, (columns, rows), name, destination.seed)
     effects = " ".join(applied.effect.name for applied in model.effects) or "none"
     window = {"window_left_px": columns.start, "window_top_px": rows.start}
-    attributes = {"noise": "drawn", "seed": seed, "effects": effects} | window
-    _write(dataset, frames, EXTENDED_VARIABLES, folder, path, attributes, code, inputs)
+    _write(dataset, frames, EXTENDED_VARIABLES, destination, {"noise": "drawn", "effects": effects} | window)
     profile = dataset.instrument.light.profile
     if profile is not None:
-        shutil.copyfile(profile, folder / LIGHT)
-    write_contract(dataset, folder, _simulated_instrument(dataset, sensor))
+        shutil.copyfile(profile, destination.folder / LIGHT)
+    write_contract(dataset, destination.folder, _simulated_instrument(dataset, sensor))
 
 
 def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sensor: SensorModel, name: str) -> None:
@@ -290,20 +290,19 @@ def _write(
     dataset: Dataset,
     frames: Iterator[SimulatedFrame],
     variables: Mapping[str, store.Variable],
-    folder: Path,
-    path: Path,
+    destination: Destination,
     attributes: Mapping[str, Any],
-    code: str,
-    inputs: Sequence[str | Path],
 ) -> None:
     """Write the stack of a simulated folder, and what is kept of each frame."""
-    extra = xr.Dataset(attrs=dict(attributes))
+    extra = xr.Dataset(attrs={"seed": destination.seed} | dict(attributes))
     for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
         pixel = np.arange(dataset.instrument.crop_px, dtype="i4")
         extra[name] = (name, pixel, {"units": "pixel", "long_name": text})
     with (
-        store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer,
-        _stack(folder / STACK) as stack,
+        store.frame_writer(
+            destination.path, dataset, extra, variables, code=destination.code, inputs=destination.inputs
+        ) as writer,
+        _stack(destination.folder / STACK) as stack,
     ):
         for frame in progress.over(frames, "simulating frames", len(dataset.spots)):
             stack.write(frame.readings, compression="zlib", contiguous=False, metadata=None, software="")

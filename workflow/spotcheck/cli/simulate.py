@@ -45,21 +45,12 @@ def _paper(args: argparse.Namespace, found: dataset.Dataset) -> None:
     if not args.calibration or not args.fits:
         raise InputError("simulate: what to simulate is missing; give --calibration and --fits, or --model")
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
-        lawful = simulation.has_law(calibration)
+        has_law = simulation.has_law(calibration)
         states = simulation.spot_states(found, calibration, fits)
         model, full_scale = model_of(sensor), int(sensor["full_scale_dn"])
-    simulation.simulate(
-        found,
-        states,
-        model,
-        full_scale,
-        Path(args.folder),
-        Path(args.output),
-        seed=args.seed,
-        attributes={"calibration": USED if lawful else "none: each frame's own fit"},
-        code=provenance.code_digest(__name__),
-        inputs=[args.calibration, args.fits, args.sensor],
-    )
+    attributes = {"calibration": USED if has_law else "none: each frame's own fit"}
+    destination = _destination(args, [args.calibration, args.fits, args.sensor])
+    simulation.simulate(found, states, model, full_scale, destination, attributes)
 
 
 def _extended(args: argparse.Namespace, found: dataset.Dataset) -> None:
@@ -69,17 +60,13 @@ def _extended(args: argparse.Namespace, found: dataset.Dataset) -> None:
     model = read_model(path)
     light = [path.with_name(LIGHT)] if model.lights else []
     with store.read(args.sensor) as sensor:
-        own = model_of(sensor)
-    if own is None:
+        camera = model_of(sensor)
+    if camera is None:
         raise InputError(f"{Path(args.sensor).name}: gain or read noise is unknown, and {path.name} cannot do without")
-    simulation.simulate_extended(
-        found,
-        model,
-        own,
-        Path(args.folder),
-        Path(args.output),
-        name=path.name,
-        seed=args.seed,
-        code=provenance.code_digest(__name__),
-        inputs=[args.model, args.sensor, *light, *args.effects],
-    )
+    destination = _destination(args, [args.model, args.sensor, *light, *args.effects])
+    simulation.simulate_extended(found, model, camera, destination, path.name)
+
+
+def _destination(args: argparse.Namespace, inputs: list[str | Path]) -> simulation.Destination:
+    code = provenance.code_digest(__name__)
+    return simulation.Destination(Path(args.folder), Path(args.output), args.seed, code, inputs)

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import pdtrc
+from scipy.stats import poisson
 
 from spotcheck.sensor.codes import (
     LARGEST_READING,
@@ -264,56 +266,49 @@ class ReadingDistribution:
         if mean_e[0] < 0:
             return self._probabilities_below_zero(mean_e)
         low, high = counts_within_reach(float(mean_e[0]))[0], counts_within_reach(float(mean_e[-1]))[1]
-        is_small = high * (2 * NOISE_SD * self.noise_dn + 3) < MOST_SHARED and not self.charge_levels
-        if is_small:
-            shared = _given_counts(replace(self, exposure_s=0.0), high.bit_length())
-            first, band = (part[low : high + 1] for part in shared)
-        else:
-            first, band = self._given_signal(self.charge_signal(np.arange(low, high + 1.0)))
-        lowest = int(first.min())
-        size = int(first.max()) + band.shape[1] - lowest
-        probability, slope = np.zeros((2, mean_e.size, size))
+        first, band = self._given_counts(low, high)
+        lowest, end = int(first.min()), int(first.max()) + band.shape[1]
+        if self.charge_levels:
+            shares, levels = np.transpose(self.charge_levels)
+            signal = self.charge_signal(np.arange(high + 1.0))
+            # From so many electrons on the pixels of a level are stopped there.
+            stop = np.searchsorted(signal, levels, side="right")
+            band = band * (shares @ (np.arange(low, high + 1) < stop[:, None]))[:, None]
+            # Levels above all signals stop no pixel; infinite ones are allowed.
+            stopped_first, stopped = self._given_signal(np.minimum(levels, signal[-1]))
+            lowest, end = min(lowest, int(stopped_first.min())), max(end, int(stopped_first.max()) + stopped.shape[1])
+        probability, slope = np.zeros((2, mean_e.size, end - lowest))
         sum_over_electrons(np.ascontiguousarray(mean_e), low, first, band, lowest, probability, slope)
+        if self.charge_levels:
+            at_levels = _dense(stopped_first - lowest, shares[:, None] * stopped, end - lowest)
+            probability += np.where(stop > 0, pdtrc(stop - 1.0, mean_e[:, None]), 1.0) @ at_levels
+            # d P(at least n)/dµ = P(n − 1).
+            slope += np.where(stop > 0, poisson.pmf(stop - 1.0, mean_e[:, None]), 0.0) @ at_levels
         # The weight of the first count is off by the rounding of n ln µ, which is many thousands: 1e-9 of itself.
         total = probability.sum(axis=1, keepdims=True)
-        probability /= total
-        slope /= total
-        return CodeProbabilities(lowest, probability, slope)
+        return CodeProbabilities(lowest, probability / total, slope / total)
+
+    def _given_counts(self, low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
+        """As `_given_signal`, of numbers of electrons from `low` to `high`, charge levels left out."""
+        if high * (2 * NOISE_SD * self.noise_dn + 3) > MOST_SHARED:
+            return self._given_signal(self.charge_signal(np.arange(low, high + 1.0)))
+        first, band = _given_all_counts(replace(self, exposure_s=0.0, charge_levels=()), high.bit_length())
+        return first[low : high + 1], band[low : high + 1]
 
     def _probabilities_below_zero(self, mean_e: np.ndarray) -> CodeProbabilities:
         """As `probabilities`, for light below 0: read noise alone, and its own slope."""
         step = 1e-4 * self.sensor.read_noise_e
         first, band = self._given_signal(self.charge_signal(np.concatenate([mean_e, mean_e - step, mean_e + step])))
         lowest = int(first.min())
-        size = int(first.max()) + band.shape[1] - lowest
-        dense = np.zeros((first.size, size))
-        np.put_along_axis(dense, (first - lowest)[:, None] + np.arange(band.shape[1]), band, axis=1)
+        dense = _dense(first - lowest, band, int(first.max()) + band.shape[1] - lowest)
         probability, before, after = np.split(dense, 3)
         return CodeProbabilities(lowest, probability, (after - before) / (2 * step) if step else 0 * probability)
 
     def _given_signal(self, signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first code of each signal [signal, DN], and the probability of those from it on [signal, code]."""
         lowest, edges = self._edges(signal)
-        first, band = self._given_one_level(signal, lowest, edges)
-        if not self.charge_levels:
-            return first, band
-        shares, levels = np.transpose(sorted(self.charge_levels, key=lambda pair: pair[1]))
-        # Levels above all signals stop no pixel; infinite ones are allowed.
-        stopped_first, stopped = self._given_one_level(np.minimum(levels, signal.max()), lowest, edges)
-        size = edges.size + 1 + max(band.shape[1], stopped.shape[1])
-        dense, at_levels = np.zeros((signal.size, size)), np.zeros((levels.size + 1, size))
-        np.put_along_axis(dense, (first - lowest)[:, None] + np.arange(band.shape[1]), band, axis=1)
-        columns = (stopped_first - lowest)[:, None] + np.arange(stopped.shape[1])
-        np.put_along_axis(at_levels[1:], columns, shares[:, None] * stopped, axis=1)
-        # How many of the levels lie below a signal: their pixels stop there, the others do not.
-        below = np.searchsorted(levels, signal)
-        uncut = 1 - np.concatenate([[0.0], np.cumsum(shares)])[below]
-        return np.full_like(first, lowest), uncut[:, None] * dense + np.cumsum(at_levels, axis=0)[below]
-
-    def _given_one_level(self, signal: np.ndarray, lowest: int, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.noise_dn == 0:
-            highest = lowest + edges.size
-            codes = np.clip(np.rint(self.converter_signal(signal)), lowest, highest).astype(np.int64)
+            codes = np.clip(np.rint(self.converter_signal(signal)), lowest, lowest + edges.size).astype(np.int64)
             return codes, np.ones((signal.size, 1))
         first, band = code_probabilities_given_signal(signal, self.noise_dn, edges)
         return first + lowest, band
@@ -325,8 +320,6 @@ class ReadingDistribution:
         """
         half_width = NOISE_SD * self.noise_dn
         low, high = float(np.min(signal)) - half_width, float(np.max(signal)) + half_width
-        if self.charge_levels:
-            low = min(low, min(level for _, level in self.charge_levels) - half_width)
         highest = int(np.rint(min(self.sensor.full_scale_dn, 2.0**53)))
         codes = np.clip(np.rint(self.converter_signal(np.array([low, high]))), 0, highest).astype(np.int64)
         ends = np.arange(codes[0], codes[1]) + 0.5
@@ -381,9 +374,15 @@ def invert_transfer(transfer: Transfer, targets: np.ndarray, low: float, high: f
     return np.select([is_certain, ~is_possible], [-np.inf, np.inf], above)
 
 
+def _dense(first: np.ndarray, band: np.ndarray, size: int) -> np.ndarray:
+    """Return an array [row, column] of `size` columns from the columns of each row from `first` on."""
+    dense = np.zeros((first.size, size))
+    np.put_along_axis(dense, first[:, None] + np.arange(band.shape[1]), band, axis=1)
+    return dense
+
+
 @lru_cache(maxsize=4)
-def _given_counts(distribution: ReadingDistribution, bits: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first code, and the probability of those from it on, of all counts of electrons below 2^bits."""
+def _given_all_counts(distribution: ReadingDistribution, bits: int) -> tuple[np.ndarray, np.ndarray]:
     return distribution._given_signal(distribution.charge_signal(np.arange(2.0**bits)))
 
 
