@@ -105,15 +105,15 @@ def fit_spots(
     >>> photons = 900 * np.exp(-(((x - 31.3) / 7) ** 2 + ((y - 22.6) / 5) ** 2) / 2)
     >>> fit = spotcheck.fit_spots(sensor.draw(photons, rng=1), sensor)
     >>> fit
-    fitted spot: ok, χ² per degree of freedom 1
-    amplitude           451.7 ± 1.6 DN
-    x_centre         31.296 ± 0.018 pixel
-    y_centre         22.615 ± 0.013 pixel
+    fitted spot: ok, χ² per degree of freedom 1.02
+    amplitude           454.0 ± 1.6 DN
+    x_centre         31.313 ± 0.018 pixel
+    y_centre         22.608 ± 0.013 pixel
     sigma_major       6.980 ± 0.015 pixel
-    sigma_minor       5.000 ± 0.011 pixel
-    orientation         0.14 ± 0.24 degree
-    offset           19.893 ± 0.057 DN
-    sigma_mean      5.9897 ± 0.0096 pixel
+    sigma_minor       4.977 ± 0.011 pixel
+    orientation       179.91 ± 0.24 degree
+    offset           19.962 ± 0.057 DN
+    sigma_mean      5.9790 ± 0.0095 pixel
     >>> print(f"{fit.sigma_major:.2f} ± {fit.sigma_major_stderr:.2f} px")
     6.98 ± 0.01 px
     """

@@ -205,10 +205,12 @@ def _stages(effect: Effect) -> str:
     if not effect.stages:
         return "Stage: profile (the baseline holds the learned shape)."
     texts = {}
-    for steps in effect.variants.values():
-        for step in steps:
-            drawn = f", drawn for each {step.scope.value}" if isinstance(step, RandomStep) else ""
-            texts[step.stage] = f"{step.stage.title} ({step.stage.value.action}{drawn})"
+    for stage in effect.stages:
+        steps = [step for variant in effect.variants.values() for step in variant if step.stage is stage]
+        scopes = {step.scope.value for step in steps if isinstance(step, RandomStep)}
+        drawn = f", drawn for each {' and '.join(sorted(scopes))}" if scopes else ""
+        some = " in some variants" if drawn and not all(isinstance(step, RandomStep) for step in steps) else ""
+        texts[stage] = f"{stage.title} ({stage.value.action}{drawn}{some})"
     return "Stage: " + "; ".join(texts[stage] for stage in effect.stages) + "."
 
 
