@@ -33,42 +33,44 @@ compiled = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"
 
 
 class Maps(NamedTuple):
-    """Of an image's pixels: offset [DN] and gain [1], and what one is uncertain by: variances [e-²] and [1]; and the
-    law of a faint reading between whole numbers, of a sensor whose DN are finer (`tabulate_between_codes`)."""
+    """Maps of an image's pixels for the compiled code."""
 
-    offsets: np.ndarray
-    gains: np.ndarray
-    offset_variance: float
-    gain_variance: float
-    fine: "Law"
+    offsets: np.ndarray  # how far each pixel reads above the black level [row, column, DN]
+    gains: np.ndarray  # gain of each pixel [row, column, 1]
+    offset_variance: float  # variance of the error of an offset [e-²]
+    gain_variance: float  # variance of the error of a gain [1]
+    fine: "Law"  # sensor with finer DN, for faint readings less an offset (`tabulate_between_codes`)
 
 
 class Law(NamedTuple):
-    """A sensor for the compiled code: gain [DN/e-], read variance and rounding variance [e-²], black level [DN], full
-    scale [DN], full well [e-], and the faint table: P and ∂P/∂ν × step [level, reading], 1/I [e-²], mean [DN] and
-    variance [DN²] of each level; and maps of the image's pixels. With maps it is another type to the compiler, so that
-    passes without them are as fast as if there were none."""
+    """A sensor for the compiled code, with its table for faint light.
 
-    gain: float
-    read_variance: float
-    rounding: float
-    black: float
-    full_scale: float
-    full_well: float
-    lowest: float
-    step: float
-    highest: float
-    probability: np.ndarray
-    slope: np.ndarray
-    inverse: np.ndarray
-    mean: np.ndarray
-    spread: np.ndarray
-    maps: Maps | None = None
+    With maps it is another type to the compiler, so that passes without them are as fast as if there were none.
+    """
+
+    gain: float  # K [DN/e-]
+    read_variance: float  # variance of the read noise [e-²]
+    rounding: float  # variance of the rounding [e-²]
+    black: float  # black level [DN]
+    full_scale: float  # largest reading [DN]
+    full_well: float  # full well [e-]
+    lowest: float  # mean electrons of the first level of the table [e-]
+    step: float  # distance of the levels [e-]
+    highest: float  # mean electrons of the last level [e-]
+    probability: np.ndarray  # probability of each reading [level, reading]
+    slope: np.ndarray  # its derivative by the mean electrons, times the step [level, reading]
+    inverse: np.ndarray  # reciprocal of the Fisher information [level, e-²]
+    mean: np.ndarray  # mean reading [level, DN]
+    spread: np.ndarray  # variance of the reading [level, DN²]
+    maps: Maps | None = None  # maps of the image's pixels
 
 
 def law_of(sensor: SensorModel | None, maps: PixelMaps | None = None) -> Law:
-    """Tables of a sensor, with the maps of an image's pixels; without a sensor a placeholder that equal weights never
-    look at. They are those of `SensorModel.without_curvature`, of readings that are `linearize`d."""
+    """Return a sensor for the compiled code, with the maps of an image's pixels.
+
+    It is that of `linearize`d readings (`SensorModel.without_curvature`). Without a sensor it is a placeholder, which
+    passes with equal weights do not use.
+    """
     if sensor is None:
         table, column = np.ones((2, 2)), np.ones(2)
         return Law(1.0, 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, 1.0, 0.0, table, table, column, column, column)
@@ -76,7 +78,7 @@ def law_of(sensor: SensorModel | None, maps: PixelMaps | None = None) -> Law:
     plain = _law_of(sensor, tabulate_faint_light(sensor), ROUNDING_VARIANCE / sensor.gain_dn_per_e**2)
     if maps is None:
         return plain
-    offsets, gains = (np.ascontiguousarray(own, float) for own in (maps.offset_dn, maps.gain))
+    offsets, gains = (np.ascontiguousarray(values, float) for values in (maps.offset_dn, maps.gain))
     uncertain = (float(maps.offset_stderr_dn) / plain.gain) ** 2
     fine = _law_of(*tabulate_between_codes(sensor, uncertain), plain.rounding)
     return plain._replace(maps=Maps(offsets, gains, uncertain, float(maps.gain_stderr) ** 2, fine))
@@ -173,7 +175,7 @@ def _at_well(signal, electrons, law):
     noise = law.read_variance + law.rounding
     sd = math.sqrt(electrons)
     total = electrons + noise
-    # Of the electrons given the reading: mean and standard deviation.
+    # Mean and standard deviation of the electrons given the reading.
     middle, width = (electrons * noise + signal * electrons) / total, math.sqrt(electrons * noise / total)
     u, w = (law.full_well - middle) / width, (law.full_well - electrons) / sd
     density = math.exp(-((signal - electrons) ** 2) / (2 * total)) / math.sqrt(total)
@@ -321,14 +323,14 @@ def _on_maps(readings, electrons, row, maps, law, weight, score):
             weight[k] = score[k] = 0.0
             continue
         gain, offset = maps.gains[row, k], maps.offsets[row, k]
-        own = gain * electrons[k]
-        uneven = maps.gain_variance * own * own
-        if own < maps.fine.highest:
-            pull, information, chi2 = _faint_between((reading - law.black - offset) / law.gain, own, maps.fine)
+        mean_e = gain * electrons[k]
+        uneven = maps.gain_variance * mean_e * mean_e
+        if mean_e < maps.fine.highest:
+            pull, information, chi2 = _faint_between((reading - law.black - offset) / law.gain, mean_e, maps.fine)
             share = 1 / (1 + uneven * information)
             pull, information, chi2 = share * pull, share * information, share * chi2
         else:
-            pull, information, chi2 = _bright(reading, own, _of_pixel(law, offset, maps.offset_variance + uneven))
+            pull, information, chi2 = _bright(reading, mean_e, _of_pixel(law, offset, maps.offset_variance + uneven))
         score[k], weight[k] = gain * pull, gain * gain * information
         if chi2 >= 0.0:
             total += chi2

@@ -27,7 +27,7 @@ from spotcheck.sensor.codes import (
     sum_over_electrons,
 )
 from spotcheck.sensor.response import apply_curvature, remove_curvature
-from spotcheck.sensor.sampling import sample_from_tables
+from spotcheck.sensor.sampling import NO_NUMBER, sample_from_tables
 from spotcheck.sensor.table import ReadingTable, tabulate_readings
 
 if TYPE_CHECKING:
@@ -211,12 +211,13 @@ class ReadingDistribution:
         pixels, or for few pixels, the chain is drawn step by step.
         """
         light = np.asarray(light, float)
-        if np.isnan(np.min(light, initial=0.0)):
-            raise ValueError("light: holds NaN; give the light of each pixel in DN")
-        is_plain = np.all(smear_e == 0.0) and np.all(charge_level == np.inf) and np.all(offset_dn == 0.0)
-        if is_plain and not self.charge_levels and light.size >= FEWEST_FOR_TABLES:
+        values = (smear_e, charge_level, offset_dn)
+        has_no_values = all(np.isscalar(value) for value in values) and values == (0.0, np.inf, 0.0)
+        if has_no_values and not self.charge_levels and light.size >= FEWEST_FOR_TABLES:
             return sample_from_tables(self, light, rng)
-        return self.sample_steps(light, rng, smear_e, charge_level, offset_dn)
+        if not np.isfinite(light).all():
+            raise ValueError(NO_NUMBER)
+        return self.sample_steps(light, rng, *values)
 
     def sample_steps(
         self, light: np.ndarray, rng: np.random.Generator, smear_e=0.0, charge_level=np.inf, offset_dn=0.0

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 # Sums may be taken in any order: that lets the compiler use vector instructions.
 compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 
+NO_NUMBER = "light: holds NaN or infinity; give the light of each pixel in DN"
 # Levels for each standard deviation of the light.
 LEVELS_PER_SD = 32
 # Smallest noise [e-] in the distance of levels.
@@ -57,7 +58,7 @@ class AliasTables(NamedTuple):
 def sample_from_tables(distribution: ReadingDistribution, light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return random readings [DN, uint16] at light [DN], an array of any shape."""
     # Tables are those of mean electrons, which do not depend on the exposure that dark electrons come from.
-    tables = _tables(replace(distribution, exposure_s=0.0))
+    tables = _tables(replace(distribution, exposure_s=0.0) if distribution.exposure_s else distribution)
     flat = np.ascontiguousarray(light, dtype=float).reshape(-1)
     readings = np.empty(flat.size, np.uint16)
     offset_e = tables.first_root**2 + distribution.mean_electrons(0.0)
@@ -65,6 +66,8 @@ def sample_from_tables(distribution: ReadingDistribution, light: np.ndarray, rng
     state = rng.integers(2**64, size=(4, LANES), dtype=np.uint64)
     grid = (1 / distribution.sensor.gain_dn_per_e, offset_e, tables.first_root, 1 / tables.step, last)
     highest = _look_up(flat, *grid, tables.width_bits, tables.words, state, readings)
+    if np.isnan(highest):
+        raise ValueError(NO_NUMBER)
     if highest >= last and not tables.is_complete:
         place = (np.sqrt(np.maximum(flat, 0) * grid[0] + offset_e) - tables.first_root) * grid[3]
         is_beyond = place >= last
@@ -74,12 +77,15 @@ def sample_from_tables(distribution: ReadingDistribution, light: np.ndarray, rng
 
 @compiled
 def _look_up(light, per_dn, offset_e, first_root, per_step, last, width_bits, words, state, readings):
-    """Fill readings [pixel] and return the highest place of a light among the levels, at most `last`."""
+    """Fill readings [pixel] and return the highest place of a light among the levels, NaN if one is no number."""
     place, number = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.uint64)
     highest = np.int32(0)
     for k in range(0, light.size, CHUNK):
         part = readings[k : k + CHUNK]
-        highest = max(highest, _places(light[k : k + CHUNK], per_dn, offset_e, first_root, per_step, last, place))
+        highest_of_part = _places(light[k : k + CHUNK], per_dn, offset_e, first_root, per_step, last, place)
+        if highest_of_part < 0:
+            return np.nan
+        highest = max(highest, highest_of_part)
         _random_bits(state, number)
         _read(place, number, width_bits, words, part)
     return highest / PLACES_PER_LEVEL
@@ -87,14 +93,19 @@ def _look_up(light, per_dn, offset_e, first_root, per_step, last, width_bits, wo
 
 @compiled
 def _places(light, per_dn, offset_e, first_root, per_step, last, place):
-    """Fill the place [pixel] of each light among the levels, at most `last`, in 65536ths; return the highest."""
+    """Fill the place [pixel] of each light among the levels, at most `last`, in 65536ths; return the highest.
+
+    The result is negative if a light is no finite number.
+    """
     for k in range(light.size):
         root = np.sqrt(max(light[k], 0.0) * per_dn + offset_e)
         place[k] = np.int32(min((root - first_root) * per_step, last) * PLACES_PER_LEVEL)
-    highest = np.int32(0)
+    highest, check = np.int32(0), 0.0
     for k in range(light.size):
         highest = max(highest, place[k])
-    return highest
+    for k in range(light.size):
+        check += 0.0 * light[k]
+    return highest if check == check else np.int32(-1)
 
 
 @compiled
