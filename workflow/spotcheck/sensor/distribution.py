@@ -215,7 +215,7 @@ class ReadingDistribution:
         has_no_values = all(np.isscalar(value) for value in values) and values == (0.0, np.inf, 0.0)
         if has_no_values and not self.charge_levels and light.size >= FEWEST_FOR_TABLES:
             return sample_from_tables(self, light, rng)
-        if not np.isfinite(light).all():
+        if np.isnan(np.min(light, initial=0.0)):
             raise ValueError(NO_NUMBER)
         return self.sample_steps(light, rng, *values)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # Sums may be taken in any order: that lets the compiler use vector instructions.
 compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 
-NO_NUMBER = "light: holds NaN or infinity; give the light of each pixel in DN"
+NO_NUMBER = "light: holds NaN; give the light of each pixel in DN"
 # Levels for each standard deviation of the light.
 LEVELS_PER_SD = 32
 # Smallest noise [e-] in the distance of levels.
@@ -95,17 +95,17 @@ def _look_up(light, per_dn, offset_e, first_root, per_step, last, width_bits, wo
 def _places(light, per_dn, offset_e, first_root, per_step, last, place):
     """Fill the place [pixel] of each light among the levels, at most `last`, in 65536ths; return the highest.
 
-    The result is negative if a light is no finite number.
+    The result is negative if a light is no number.
     """
     for k in range(light.size):
         root = np.sqrt(max(light[k], 0.0) * per_dn + offset_e)
         place[k] = np.int32(min((root - first_root) * per_step, last) * PLACES_PER_LEVEL)
-    highest, check = np.int32(0), 0.0
+    highest, missing = np.int32(0), 0
     for k in range(light.size):
         highest = max(highest, place[k])
     for k in range(light.size):
-        check += 0.0 * light[k]
-    return highest if check == check else np.int32(-1)
+        missing += light[k] != light[k]
+    return highest if missing == 0 else np.int32(-1)
 
 
 @compiled
