@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
-from spotcheck.sensor.codes import CodeProbabilities
 from spotcheck.sensor.table import saturating_electrons
 
 if TYPE_CHECKING:
@@ -49,7 +48,8 @@ class AliasTables(NamedTuple):
     first_root: float  # root of the first level [e-^½], the one without electrons
     step: float  # distance of the levels in the root [e-^½]
     is_complete: bool  # whether readings no longer change beyond the last level
-    width_bits: int  # each table has 2^width_bits entries
+    start: np.ndarray  # place of the first entry of each level among the words [level]
+    mask: np.ndarray  # number of entries of each level, a power of two, less 1 [level]
     # [entry] of all levels: bits 32 to 63 hold the probability that an entry stands for its own reading, bits 16 to 31
     # that reading, bits 0 to 15 the reading that it stands for else.
     words: np.ndarray
@@ -62,10 +62,10 @@ def sample_from_tables(distribution: ReadingDistribution, light: np.ndarray, rng
     flat = np.ascontiguousarray(light, dtype=float).reshape(-1)
     readings = np.empty(flat.size, np.uint16)
     offset_e = tables.first_root**2 + distribution.mean_electrons(0.0)
-    last = (tables.words.size >> tables.width_bits) - 2.0
+    last = tables.start.size - 2.0
     state = rng.integers(2**64, size=(4, LANES), dtype=np.uint64)
     grid = (1 / distribution.sensor.gain_dn_per_e, offset_e, tables.first_root, 1 / tables.step, last)
-    highest = _look_up(flat, *grid, tables.width_bits, tables.words, state, readings)
+    highest = _look_up(flat, *grid, tables.start, tables.mask, tables.words, state, readings)
     if np.isnan(highest):
         raise ValueError(NO_NUMBER)
     if highest >= last and not tables.is_complete:
@@ -76,7 +76,7 @@ def sample_from_tables(distribution: ReadingDistribution, light: np.ndarray, rng
 
 
 @compiled
-def _look_up(light, per_dn, offset_e, first_root, per_step, last, width_bits, words, state, readings):
+def _look_up(light, per_dn, offset_e, first_root, per_step, last, start, mask, words, state, readings):
     """Fill readings [pixel] and return the highest place of a light among the levels, NaN if one is no number."""
     place, number = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.uint64)
     highest = np.int32(0)
@@ -87,7 +87,7 @@ def _look_up(light, per_dn, offset_e, first_root, per_step, last, width_bits, wo
             return np.nan
         highest = max(highest, highest_of_part)
         _random_bits(state, number)
-        _read(place, number, width_bits, words, part)
+        _read(place, number, start, mask, words, part)
     return highest / PLACES_PER_LEVEL
 
 
@@ -125,14 +125,12 @@ def _random_bits(state, number):
 
 
 @compiled
-def _read(place, number, width_bits, words, readings):
+def _read(place, number, start, mask, words, readings):
     """Fill readings [pixel]: 16 random bits choose the level, the next the entry, 32 whether it stands for itself."""
-    entry_mask = np.uint64((1 << width_bits) - 1)
     for k in range(readings.size):
         bits = number[k]
         level = (np.int64(place[k]) + np.int64(bits >> np.uint64(48))) >> 16
-        entry = np.int64((bits >> np.uint64(32)) & entry_mask)
-        word = words[(level << width_bits) + entry]
+        word = words[start[level] + np.int64((bits >> np.uint64(32)) & mask[level])]
         is_itself = (bits & np.uint64(0xFFFFFFFF)) < (word >> np.uint64(32))
         readings[k] = np.uint16(word >> np.uint64(16)) if is_itself else np.uint16(word)
 
@@ -143,21 +141,22 @@ def _tables(distribution: ReadingDistribution) -> AliasTables:
     noise_e = max(distribution.sensor.read_noise_e, LEAST_NOISE_E)
     step = 1 / (2 * LEVELS_PER_SD)
     highest_e = saturating_electrons(distribution)
-    blocks: list[CodeProbabilities] = []
-    width_bits, levels, is_complete = 0, 0, False
+    words: list[np.ndarray] = []
+    levels, is_complete = 0, False
     while not is_complete:
         codes = distribution.probabilities((noise_e + step * (levels + np.arange(BLOCK))) ** 2 - noise_e**2)
-        width = int((codes.probability > LEFT_OUT).sum(axis=1).max())
-        bits = max(width_bits, (width - 1).bit_length())
-        if blocks and (levels + BLOCK > MOST_LEVELS or (levels + BLOCK) << bits > MOST_ENTRIES):
+        width = 1 << (int((codes.probability > LEFT_OUT).sum(axis=1).max()) - 1).bit_length()
+        entries = sum(part.size for part in words) + BLOCK * width
+        if words and (levels + BLOCK > MOST_LEVELS or entries > MOST_ENTRIES):
             break
-        blocks.append(codes)
-        width_bits, levels = bits, levels + BLOCK
+        words.append(np.empty((BLOCK, width), np.uint64))
+        _fill_words(codes.probability, codes.first_code, words[-1])
+        levels += BLOCK
         is_complete = noise_e + step * (levels - 2) > np.sqrt(highest_e + noise_e**2)
-    words = np.empty((levels, 1 << width_bits), np.uint64)
-    for k, codes in enumerate(blocks):
-        _fill_words(codes.probability, codes.first_code, words[BLOCK * k : BLOCK * (k + 1)])
-    return AliasTables(noise_e, step, is_complete, width_bits, words.reshape(-1))
+    widths = np.repeat([part.shape[1] for part in words], BLOCK)
+    start = np.cumsum(widths) - widths
+    mask = (widths - 1).astype(np.uint64)
+    return AliasTables(noise_e, step, is_complete, start, mask, np.concatenate([part.reshape(-1) for part in words]))
 
 
 @compiled
