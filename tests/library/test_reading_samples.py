@@ -133,14 +133,15 @@ def test_tables_hold_the_exact_distribution(reading):
     1.3e-4.
     """
     tables, top = _tables(reading), int(reading.sensor.full_scale_dn)
-    levels = tables.words.size >> tables.width_bits
+    levels = tables.start.size
     spread = math.sqrt(reading.noise_dn**2 + reading.sensor.gain_dn_per_e * upper_end(reading))
     compared = 0
-    size, noise_e = 1 << tables.width_bits, tables.first_root
+    noise_e = tables.first_root
     codes = np.arange(top + 1)
 
     def probability_of(level: int) -> np.ndarray:
-        words = tables.words[level * size : (level + 1) * size]
+        size = int(tables.mask[level]) + 1
+        words = tables.words[tables.start[level] : tables.start[level] + size]
         own = (words >> np.uint64(32)).astype(float) / 2.0**32
         first, other = ((words >> np.uint64(shift)) & np.uint64(0xFFFF) for shift in (16, 0))
         total = np.bincount(first.astype(int), own, top + 1) + np.bincount(other.astype(int), 1 - own, top + 1)
@@ -228,7 +229,7 @@ def test_beyond_the_tables():
     """
     reading = sensor(0.11, 2.0, 16, 100.0)
     tables = _tables(reading)
-    levels = tables.words.size >> tables.width_bits
+    levels = tables.start.size
     last = 0.11 * ((tables.first_root + tables.step * (levels - 2)) ** 2 - tables.first_root**2)
     assert not tables.is_complete
     assert last < 60_000

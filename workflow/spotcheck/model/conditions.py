@@ -41,7 +41,7 @@ class FrameConditions:
     y0: float  # row of the spot's centre [px]
     exposure_s: float  # nominal exposure [s]
     longest_s: float  # longest exposure of the dataset [s], at which the peak of the law is given
-    reference_s: float  # exposure [s] at which effects on the width leave it
+    reference_s: float  # reference exposure [s]: effects on the width leave the width at it unchanged
     angle: float = 0.0  # angle of the fibres [rad]
     order: float = 0.5  # place in the order of acquisition, from 0 to 1
     peak_dn: float = np.nan  # peak of the spot [DN] where no law gives it
@@ -50,7 +50,10 @@ class FrameConditions:
 
 @dataclass(frozen=True)
 class WidthLaw:
-    """Width of the spot over the exposure: σ_g = (p_b(t) + M σ_la/s_px) · factor."""
+    """Width of the spot over the exposure: σ_g = (p_b(t) + M σ_la/s_px) · factor.
+
+    Without a law of the exposure only `factor` is used, with the width of each frame.
+    """
 
     propagation_px: Callable[[float], float]  # p_b [px] as a function of the exposure [s]
     factor: float = 1.0  # factor on σ_g [1]

@@ -47,6 +47,13 @@ class Only(Enum):
     ONLY = ""
 
 
+class Pedestal(Enum):
+    """Variants of a pedestal: light, with shot noise, or electronics, without."""
+
+    LIGHT = "light"
+    ELECTRONIC = "electronic"
+
+
 @dataclass(frozen=True)
 class EffectScales:
     """Scales of a dataset, from which effects derive bounds, negligible sizes and starting values."""
@@ -101,8 +108,7 @@ class RandomStep:
     scope: Scope  # which frames share what is drawn
     # (rng, shape [rows, columns] of the frame, parameters by name) → random number or field
     draw: Callable[..., Any]
-    # (parameters by name) → values [node] or [node, component] and weights [node] that average over what is drawn in
-    # one pixel; weights sum to 1
+    # (parameters by name) → quadrature values [node] and weights [node] of the draw in one pixel; weights sum to 1
     quadrature: Callable[..., tuple[np.ndarray, np.ndarray]]
 
     def keyword_names(self) -> tuple[str, ...]:
@@ -124,7 +130,7 @@ class Effect:
     starts : starting values of all parameters for a fit, one or more, from the scales of a dataset.
     reference : where the formula comes from.
     number : place in the vocabulary, from 1; 0 for the next free one. Random draws depend on it.
-    vanishes_at : strength at which the effect vanishes; infinity for a level, NaN for its lowest strength.
+    vanishes_at : value of the strength without effect; infinity for a clip, NaN if it depends on the dataset.
     noun : what the strength is the size of, as in "no clip below 930 DN"; by default the name of the parameter.
     is_share : whether the strength is a part of something, which is written in per cent.
     is_static_shape : whether it changes the shape of the light in the same way in every frame.

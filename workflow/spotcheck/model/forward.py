@@ -31,7 +31,7 @@ from spotcheck.sensor import ReadingDistribution, ReadingMoments, ReadingTable, 
 
 # Random steps at these stages act on the reading of each pixel through a table of its own.
 TABULATED = (Stage.SPECKLE_FIELD, Stage.WELL)
-# Stages behind the light: their parameters are differentiated through new tables, all others through their slopes.
+# Stages whose parameters are differentiated through new tables, all others through the slopes of one table.
 SENSOR_STAGES = tuple(Stage)[tuple(Stage).index(Stage.PIXEL_GAIN) :]
 # Brightest grain that tables of granular light are made for [mean]; the table behind it is constant beyond.
 BRIGHTEST_GRAIN = 16.0
@@ -206,8 +206,8 @@ class ForwardModel:
         grains = [step for step in steps_at(Stage.SPECKLE_FIELD, self.effects) if step.random and step not in drawn]
         if not grains:
             return plain(total)
-        # ASSUME: uneven pedestals, gains of pixels and smear are faint beside the light that bends, so that they add
-        # up with the grains.
+        # ASSUME: uneven pedestals, gains of pixels and smear are small beside the light that clips, so that their
+        # changes of the moments add to those of the grains.
         even = float(np.mean(light.pedestal))
         highest = float(np.max(light.spot))
         table = distribution.tabulate(BRIGHTEST_GRAIN * highest)

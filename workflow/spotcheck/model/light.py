@@ -1,7 +1,7 @@
 """The light of a frame: stages from the exposure to the gains of pixels, walked in their order.
 
-`drawn` gives what the random steps of effects have drawn, by step; a step that is not in it is left out, so that what
-remains is the mean of the light over that step, except for what bends behind it.
+`drawn` gives what the random steps of effects have drawn, by step. Steps without a draw are skipped. That gives the
+mean light only if their factor has the mean 1 and later stages are linear.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

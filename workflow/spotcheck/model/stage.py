@@ -14,7 +14,11 @@ class StageDescription:
 
 
 class Stage(Enum):
-    """A stage of the chain. Members are in the order in which they act; every function gets and returns means.
+    """A stage of the chain. Members are in the order in which they act.
+
+    Up to the smear functions act on expected values, and those of the sensor on the signal of a pixel with its noise
+    (well, response, digital) or on a variance (read noise). A `RandomStep` gets what it drew as one argument more. Only
+    the blur and the smear do not pass a value on: blurs are convolved with each other, and smear adds up.
 
     `frame` is a `FrameConditions`. Light is in DN: K times the mean electrons. Lengths are in px of the sensor.
     """

@@ -59,9 +59,9 @@ class ReadingDistribution:
 
     y = clip(round(digital(response(charge(K (N + smear)) + K σ_d z) + black level)), 0, full scale)
 
-    Light below 0 has no electrons to draw: N is then its negative mean itself. Fits need it where a black level was
-    stated too high; `sample` takes it for no light. Terms beyond 8.5 standard deviations, of probability 1e-17, are
-    left out.
+    The full well is part of `charge`, and the curvature part of `response`. For negative mean electrons, as in fits
+    with a black level stated too high, N is that mean without shot noise; `sample` takes it for 0. Tails beyond 8.5
+    standard deviations, of probability 1e-17, are left out.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ class ReadingDistribution:
     # Sums.
 
     def probabilities(self, mean_e: np.ndarray) -> CodeProbabilities:
-        """Return the probability of all codes at means [level, e-], in increasing order and all below 0 or none."""
+        """Return the probability of all codes at means [level, e-], sorted and either all below 0 or none."""
         if mean_e[0] < 0:
             return self._probabilities_below_zero(mean_e)
         low, high = counts_within_reach(float(mean_e[0]))[0], counts_within_reach(float(mean_e[-1]))[1]

@@ -84,9 +84,9 @@ def _from_zero(parts: list[CodeProbabilities], name: str) -> np.ndarray:
 def tabulate_between_codes(sensor: SensorModel, extra_e2: float) -> tuple[SensorModel, FaintTable]:
     """Return a sensor whose DN are `PARTS` times as fine, and its table, for readings less offsets of their own.
 
-    A pixel whose black level is higher by f reads y as often as another one would read y − f, were there such a number.
-    So tables for black levels that differ by 1/`PARTS` interleave. The read noise has `extra_e2` [e-²] more of
-    variance. The black level is put where it clips nothing.
+    Tables for black levels 1/`PARTS` DN apart are interleaved: they give the distribution of y − f for offsets f that
+    are multiples of 1/`PARTS` DN. The read noise has `extra_e2` [e-²] more of variance. The black level is put where it
+    clips nothing.
     """
     noise = float(np.sqrt(sensor.read_noise_e**2 + extra_e2))
     black = float(np.ceil(2 * CLIP_REACH * (sensor.gain_dn_per_e * noise + 1)))
@@ -101,12 +101,11 @@ def tabulate_between_codes(sensor: SensorModel, extra_e2: float) -> tuple[Sensor
         / PARTS
         for name in ("probability", "slope")
     )
-    readings = PARTS * 1.0 - (PARTS - 1) + np.arange(probability.shape[1])
+    # The first is PARTS − (PARTS − 1).
+    readings = 1.0 + np.arange(probability.shape[1])
     mean = probability @ readings
     variance = probability @ readings**2 - mean**2
     # As if the first reading were 0.
-    fine = replace(
-        common, gain_dn_per_e=PARTS * sensor.gain_dn_per_e, black_level_dn=PARTS * black - float(readings[0])
-    )
-    table = FaintTable(tables[0].lowest_e, tables[0].step_e, probability, slope, mean - readings[0], variance)
+    fine = replace(common, gain_dn_per_e=PARTS * sensor.gain_dn_per_e, black_level_dn=PARTS * black - 1.0)
+    table = FaintTable(tables[0].lowest_e, tables[0].step_e, probability, slope, mean - 1.0, variance)
     return fine, table

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
-from scipy.special import gammaln
 
 if TYPE_CHECKING:
     from spotcheck.sensor.distribution import ReadingDistribution
@@ -36,8 +35,12 @@ LOWEST_EXPONENT = -3.0
 # Step of the second derivative in smeared light, in standard deviations, and the least share of the variance that is
 # left where the shot noise of smear is taken off.
 SMEAR_STEP, LEAST_SHARE = 0.25, 0.2
-# Step in ln g of the average over grains, in contrasts and at most, and probability of those left out at either end.
-GRAIN_STEP, LARGEST_GRAIN_STEP, LEFT_OUT = 0.05, 0.01, 1e-9
+# Step in ln g of the average over grains, in units of the contrast.
+GRAIN_STEP = 0.05
+# Upper limit of that step.
+LARGEST_GRAIN_STEP = 0.01
+# Probability of darker grains, which are left out.
+LEFT_OUT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -83,8 +86,9 @@ class ReadingTable:
     def moments(self, light: np.ndarray, smear_e: np.ndarray | float = 0.0) -> ReadingMoments:
         """Return mean and variance of readings and their slopes at light [DN], an array of any shape.
 
-        `smear_e` are electrons [e-] that are added without shot noise, to first order: a charge of the same mean has
-        the variance s more with shot noise, which adds s/2 times the second derivative to each moment of a reading.
+        `smear_e` are electrons [e-] that are added without shot noise. Mean and variance are corrected to first order
+        in them, slopes are not: a charge of the same mean has the variance s more with shot noise, which adds s/2 times
+        the second derivative to each moment of a reading.
         """
         if np.ndim(smear_e) == 0 and smear_e == 0.0:
             return ReadingMoments(*self._interpolate(light, self.nodes))
@@ -167,8 +171,7 @@ def grain_quadrature(contrast: float) -> tuple[np.ndarray, np.ndarray]:
     lowest = np.log(LEFT_OUT) / shape - 6 * contrast
     highest = np.log1p(8 * contrast + 25 * contrast**2)
     ln_g = step * np.arange(np.floor(lowest / step), np.ceil(highest / step) + 1)
-    ln_density = shape * (np.log(shape) + ln_g - np.exp(ln_g)) - gammaln(shape)
-    weight = np.exp(ln_density)
+    weight = np.exp(shape * (ln_g - np.expm1(ln_g)))
     return np.exp(ln_g), weight / weight.sum()
 
 

@@ -1,17 +1,8 @@
 """Background gradient: a pedestal that rises across the frame."""
 
-from enum import Enum
-
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, Stage, Step
-
-
-class Variant(Enum):
-    """Whether the pedestal is light, with shot noise, or electronics, without."""
-
-    LIGHT = "light"
-    ELECTRONIC = "electronic"
+from spotcheck.model.effect import Effect, Parameter, Pedestal, Stage, Step
 
 
 def add_slope(frame, pedestal_dn, *, slope, level, direction):
@@ -33,8 +24,8 @@ EFFECT = Effect(
         Parameter("direction", "deg", -np.inf, np.inf),
     ),
     variants={
-        Variant.LIGHT: (Step(Stage.PEDESTAL, add_slope),),
-        Variant.ELECTRONIC: (Step(Stage.BLACK_LEVEL, add_slope),),
+        Pedestal.LIGHT: (Step(Stage.PEDESTAL, add_slope),),
+        Pedestal.ELECTRONIC: (Step(Stage.BLACK_LEVEL, add_slope),),
     },
     starts=lambda scales: [(0.5, 1.0, direction) for direction in (0.0, 90.0, 180.0, 270.0)],
     special_cases=("dark_offset",),

@@ -1,15 +1,6 @@
 """Dark offset: a uniform pedestal, of ambient light or of the black level."""
 
-from enum import Enum
-
-from spotcheck.model.effect import Effect, Parameter, Stage, Step
-
-
-class Variant(Enum):
-    """Whether the pedestal is light, with shot noise, or electronics, without."""
-
-    LIGHT = "light"
-    ELECTRONIC = "electronic"
+from spotcheck.model.effect import Effect, Parameter, Pedestal, Stage, Step
 
 
 def add_level(frame, pedestal_dn, *, level):
@@ -19,7 +10,7 @@ def add_level(frame, pedestal_dn, *, level):
 
 def raise_black_level(sensor, variant, *, level):
     """Return the black level that an electronic pedestal makes; light is no number of the sensor."""
-    return {"sensor.black_level_dn": sensor.black_level_dn + level} if variant is Variant.ELECTRONIC else {}
+    return {"sensor.black_level_dn": sensor.black_level_dn + level} if variant is Pedestal.ELECTRONIC else {}
 
 
 EFFECT = Effect(
@@ -29,8 +20,8 @@ EFFECT = Effect(
     noun="uniform pedestal",
     parameters=(Parameter("level", "DN", 0.0, lambda scales: 0.5 * scales.full_scale_dn, negligible=0.1),),
     variants={
-        Variant.LIGHT: (Step(Stage.PEDESTAL, add_level, {"level": lambda frame, pedestal_dn: 1.0}),),
-        Variant.ELECTRONIC: (Step(Stage.BLACK_LEVEL, add_level),),
+        Pedestal.LIGHT: (Step(Stage.PEDESTAL, add_level, {"level": lambda frame, pedestal_dn: 1.0}),),
+        Pedestal.ELECTRONIC: (Step(Stage.BLACK_LEVEL, add_level),),
     },
     starts=lambda scales: [(1.0,)],
     hidden_in_flats="",

@@ -20,8 +20,7 @@ class Variant(Enum):
 
 def fix_to_spot(frame, light_dn, *, d, period, direction, phase):
     """Return the light [DN] with stripes that are counted from the spot's centre; phase in deg."""
-    x, y = frame.pixels.x - frame.x0, frame.pixels.y - frame.y0
-    return light_dn * stripes(x, y, d, period, direction, np.deg2rad(phase))
+    return fix_to_site(frame, light_dn, np.deg2rad(phase), d=d, period=period, direction=direction)
 
 
 def fix_to_sensor(frame, light_dn, *, d, period, direction, phase):

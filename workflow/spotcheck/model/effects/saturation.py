@@ -34,9 +34,9 @@ def stop_at(signal_dn, level_dn):
 
 
 def stop_softly(signal_dn, *, level, knee):
-    """Return x − w ln[(1 + exp(x/w − 1/knee))/(1 + exp(−1/knee))], which begins as x and ends at the level.
+    """Return x − w ln[(1 + exp(x/w − 1/knee))/(1 + exp(−1/knee))] with w = level/ln(1 + exp(1/knee)).
 
-    The knee is a logarithmic one, some `knee` times the level wide: w = level/ln(1 + exp(1/knee)).
+    It tends to the level, over a width of about `knee` times the level. Its slope at 0 is 1/(1 + exp(−1/knee)).
     """
     width = level / np.logaddexp(0.0, 1 / knee)
     bent = np.logaddexp(0.0, signal_dn / width - 1 / knee) - np.log1p(np.exp(-1 / knee))
