@@ -75,10 +75,8 @@ def simulate_dataset(
     if model is None:
         if None in law:
             raise InputError("simulate_dataset: p1_px, p2_px or peak_dn is missing; give all three, or a model.yaml")
-        name, own = (
-            "simulate_dataset",
-            _plain(given, ExposureLaw(*(float(value) for value in law if value is not None))),
-        )
+        numbers = [float(value) for value in law if value is not None]
+        name, own = "simulate_dataset", _plain(given, ExposureLaw(*numbers))
     else:
         if law != [None] * 3:
             raise InputError("simulate_dataset: a model has p1_px, p2_px and peak_dn of its own; give it or these")

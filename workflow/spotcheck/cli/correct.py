@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> None:
     found, known = dataset.load(args.dataset), known_in(args.results)
     count = write(found, known, args.output)
     sensor, maps = known.sensor, known.maps
-    response = ", ".join(own.effect.name for own in known.effects) or "straight"
+    response = ", ".join(applied.effect.name for applied in known.effects) or "straight"
     mapped = "no maps of pixels" if maps is None else f"maps of offset{' and gain' if maps.gain else ''}"
     print(f"{found.name}: {count} frames in electrons, in {args.output}")
     print(

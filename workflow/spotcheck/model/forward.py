@@ -27,7 +27,7 @@ from spotcheck.model.light import (
     true_exposure,
 )
 from spotcheck.model.stage import Stage
-from spotcheck.sensor import ReadingDistribution, ReadingMoments, ReadingTable, SensorModel
+from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments, ReadingTable, SensorModel
 
 # Random steps at these stages act on the reading of each pixel through a table of its own.
 TABULATED = (Stage.SPECKLE_FIELD, Stage.WELL)
@@ -315,7 +315,7 @@ def moments_with_offsets(
     if np.ndim(offset_dn) == 0:
         return distribution.tabulate(highest).moments(light, smear_e)
     offset_dn = np.broadcast_to(offset_dn, np.shape(light))
-    step = max(np.sqrt(distribution.noise_dn**2 + 1 / 12) / 4, 1e-3)
+    step = max(np.sqrt(distribution.noise_dn**2 + ROUNDING_VARIANCE) / 4, 1e-3)
     place = offset_dn / step
     low = np.floor(place).astype(int)
     fraction = place - low

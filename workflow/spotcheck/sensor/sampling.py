@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
-from spotcheck.sensor.table import saturating_electrons
+from spotcheck.sensor.table import LEAST_NOISE_E, saturating_electrons
 
 if TYPE_CHECKING:
     from spotcheck.sensor.distribution import ReadingDistribution
@@ -26,8 +26,6 @@ compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc"
 NO_NUMBER = "light: holds NaN; give the light of each pixel in DN"
 # Levels for each standard deviation of the light.
 LEVELS_PER_SD = 32
-# Smallest noise [e-] in the distance of levels.
-LEAST_NOISE_E = 0.25
 # Most entries of a sensor's tables, 8 bytes each; readings under brighter light are drawn step by step.
 MOST_ENTRIES = 8_000_000
 # Levels that are made at a time.
