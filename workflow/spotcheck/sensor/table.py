@@ -28,8 +28,8 @@ SATURATED_SD = 10.0
 FAR_E = 1e12
 # Light of the last node at most, in terms of the light that saturates.
 MOST_SATURATION = 64.0
-# Smallest noise [e-] in the distance of nodes, and of the levels of random readings: the Poisson distribution changes on
-# the scale of one electron.
+# Smallest noise [e-] in the distance of nodes, and of the levels of random readings: the Poisson distribution changes
+# on the scale of one electron.
 LEAST_NOISE_E = 0.25
 # Smallest exponent of the variance below no light; see `ReadingTable`.
 LOWEST_EXPONENT = -3.0
