@@ -1,10 +1,12 @@
-"""Draws two pictures for workflow/docs/architecture.md as SVG, and writes its table of the stages of the model.
+"""Draws three pictures for workflow/docs/architecture.md as SVG, and writes its table of the stages of the model.
 
-`python -m tests.draw_architecture` does both. The floors are those that test_architecture.py holds; stages of the
-workflow, their files and arrows are held to the rules by tests/library/test_docs.py, which also makes all three again.
-The table of the model's stages is made from `spotcheck.model.stage.Stage` and the vocabulary of effects.
+`python -m tests.draw_architecture` does all of it. The floors are those that test_architecture.py holds; stages of the
+workflow, their files and arrows are held to the rules by tests/library/test_docs.py, which also makes all four again.
+The picture and the table of the model's stages are made from `spotcheck.model.stage.Stage` and the effects.
 """
 
+import re
+import textwrap
 from pathlib import Path
 from typing import NamedTuple
 
@@ -108,7 +110,7 @@ MONO = "font-family='DejaVu Sans Mono, Menlo, Consolas, monospace'"
 
 
 def main() -> None:
-    """Write both pictures, and the table into its page."""
+    """Write the pictures, and the table into its page."""
     for name, text in pictures().items():
         (DOCS / name).write_text(text, encoding="utf-8")
     page = DOCS / "architecture.md"
@@ -146,7 +148,7 @@ def _link(effect: Effect, stage: ModelStage) -> str:
 
 def pictures() -> dict[str, str]:
     """Content of the pictures by file name."""
-    return {"floors.svg": floors(), "stages.svg": stages()}
+    return {"floors.svg": floors(), "stages.svg": stages(), "forward_model.svg": forward_model()}
 
 
 def floors() -> str:
@@ -205,6 +207,61 @@ def stages() -> str:
     parts.append(text(x - 14, y + 20, "from all the files above:", size=10.5, colour=FAINT, end=True))
     width, height = 20 + 7 * STEP[0] + BOX[0], 20 + 4 * STEP[1] + BOX[1]
     return sheet(width, height, "Stages of the workflow and the files that they write", parts)
+
+
+# Columns of the picture of the model, size of a box and distance from box to box [px].
+MODEL_COLUMNS, MODEL_BOX, MODEL_STEP = 4, (206, 76), (226, 98)
+# Letters of a line in such a box.
+MODEL_LETTERS = 38
+
+
+def forward_model() -> str:
+    """The stages of the forward model, to and fro in rows, with the effects that act at each."""
+    parts = []
+    members = list(ModelStage)
+    first_of_sensor = members.index(ModelStage.CHARGE)
+    for k, stage in enumerate(members):
+        x, y, step = *_model_corner(k), _model_corner(k + 1)
+        fill = "#fff6e5" if k < first_of_sensor else FILL
+        parts.append(box(x, y, *MODEL_BOX, fill=fill))
+        parts.append(
+            text(x + 9, y + 18, f"{k + 1}  {stage.title}", size=11.5 if len(stage.title) < 22 else 10, bold=True)
+        )
+        unit = re.search(r"\[(.*?)\]", stage.value.returns)
+        assert unit is not None
+        parts.append(text(x + MODEL_BOX[0] - 9, y + 18, unit.group(1), size=10, colour=FAINT, end=True))
+        names = [effect.name for effect in built_in().values() if stage in effect.stages]
+        lines = textwrap.wrap(", ".join(names) or "–", MODEL_LETTERS)
+        parts += [text(x + 9, y + 43 + 12 * n, line, size=9.5, colour=FAINT) for n, line in enumerate(lines)]
+        if k + 1 < len(members):
+            parts.append(_model_arrow((x, y), step))
+    rows = -(-len(members) // MODEL_COLUMNS)
+    x, y = _model_corner(len(members))
+    parts.append(_model_arrow(_model_corner(len(members) - 1), (x, y)))
+    parts.append(box(x, y, *MODEL_BOX, fill="white"))
+    parts.append(text(x + 9, y + 18, "rounding, 0 … full scale", size=11.5, bold=True))
+    parts.append(text(x + 9, y + 43, "reading [DN], by ReadingDistribution", size=9.5, colour=FAINT))
+    title = "Stages of the forward model, unit of what each passes on, and the effects that act there"
+    width = 20 + (MODEL_COLUMNS - 1) * MODEL_STEP[0] + MODEL_BOX[0]
+    return sheet(width, 20 + (rows - 1) * MODEL_STEP[1] + MODEL_BOX[1], title, parts)
+
+
+def _model_corner(k: int) -> tuple[float, float]:
+    """Upper left corner of box k: rows run to the right and to the left in turn."""
+    row, column = divmod(k, MODEL_COLUMNS)
+    return 10 + (MODEL_COLUMNS - 1 - column if row % 2 else column) * MODEL_STEP[0], 10 + row * MODEL_STEP[1]
+
+
+def _model_arrow(start: tuple[float, float], end: tuple[float, float]) -> str:
+    """An arrow from a box to the next one beside or below it."""
+    (x1, y1), (x2, y2) = start, end
+    if x1 == x2:
+        x1, y1, x2, y2 = x1 + MODEL_BOX[0] / 2, y1 + MODEL_BOX[1], x2 + MODEL_BOX[0] / 2, y2 - 2
+    else:
+        y1, y2 = y1 + MODEL_BOX[1] / 2, y2 + MODEL_BOX[1] / 2
+        x1, x2 = (x1 + MODEL_BOX[0], x2 - 2) if x2 > x1 else (x1, x2 + MODEL_BOX[0] + 2)
+    path = f"M{x1:g},{y1:g} L{x2:g},{y2:g}"
+    return f"<path d='{path}' fill='none' stroke='{LINE}' stroke-width='1.3' marker-end='url(#tip)'/>\n"
 
 
 def folder() -> str:

@@ -17,7 +17,7 @@ from spotcheck.model.conditions import FrameConditions, PixelGrid, crop_grid
 from spotcheck.model.effect import AppliedEffect, AppliedStep, EffectScales, RandomStep
 from spotcheck.model.effects import Choice, vocabulary
 from spotcheck.model.forward import ForwardModel
-from spotcheck.model.light import ExposureLaw, frame_light
+from spotcheck.model.light import ExposureLaw
 from spotcheck.sensor import SensorModel
 
 
@@ -301,7 +301,7 @@ def model_light(cases, budget="linear", cut=False, frames=FRAMES) -> np.ndarray:
         steps = [step for step in effect.effect.variants[effect.variant] if isinstance(step, RandomStep)]
         values = DRAWN[effect.effect.name] if steps else ()
         drawn |= {AppliedStep(step, effect): value for step, value in zip(steps, values, strict=True)}
-    lights = [frame_light(frame, model.baseline, model.law, model.effects, drawn).total for frame in frames]
+    lights = [model.light(frame, drawn).total for frame in frames]
     return np.array([light * np.ones((frame.pixels.y.size, frame.pixels.x.size)) for light, frame in
                      zip(lights, frames, strict=True)])  # fmt: skip
 

@@ -15,17 +15,7 @@ import numpy as np
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions
 from spotcheck.model.effect import AppliedEffect, AppliedStep, RandomStep, Scope, Step
-from spotcheck.model.light import (
-    Drawn,
-    ExposureLaw,
-    Light,
-    SpotState,
-    apply_stage,
-    frame_light,
-    spot_state,
-    steps_at,
-    true_exposure,
-)
+from spotcheck.model.light import NOTHING_DRAWN, Drawn, ExposureLaw, Light, LightStages
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments, ReadingTable, SensorModel
 
@@ -82,7 +72,7 @@ class RandomStreams:
 
 
 @dataclass(frozen=True)
-class ForwardModel:
+class ForwardModel(LightStages):
     """A baseline, effects, and the camera that sees them.
 
     Parameters
@@ -102,14 +92,6 @@ class ForwardModel:
     sensor: SensorModel
     law: ExposureLaw | None = None
     effects: tuple[AppliedEffect, ...] = ()
-
-    def spot(self, frame: FrameConditions) -> SpotState:
-        """Return peak and width of a frame's spot without what is random."""
-        return spot_state(frame, self.baseline, self.law, self.effects, {})
-
-    def light(self, frame: FrameConditions) -> Light:
-        """Return the light of a frame [DN] without what is random."""
-        return frame_light(frame, self.baseline, self.law, self.effects, {})
 
     def expected(self, frame: FrameConditions) -> ExpectedReading:
         """Return mean and variance of every reading of a frame.
@@ -166,17 +148,17 @@ class ForwardModel:
     # Stages of the sensor.
 
     def _sensor_input(self, frame: FrameConditions, drawn: Drawn) -> SensorInput:
-        light = frame_light(frame, self.baseline, self.law, self.effects, drawn)
-        exposure_s = true_exposure(frame, self.effects, drawn)
+        light = self.light(frame, drawn)
+        exposure_s = self.true_exposure(frame, drawn)
         sensor = self.sensor
         dark_e = sensor.dark_current_e_per_s * exposure_s
         # The distribution adds the dark electrons itself, so only what effects add to the charge counts here.
         mean_e = light.total / sensor.gain_dn_per_e + dark_e
-        charge_e = apply_stage(Stage.CHARGE, self.effects, drawn, frame, mean_e)
+        charge_e = self.apply_stage(Stage.CHARGE, drawn, frame, mean_e)
         light = replace(light, pedestal=light.pedestal + sensor.gain_dn_per_e * (charge_e - mean_e))
-        smear_e = sum((step(frame, charge_e) for step in steps_at(Stage.SMEAR, self.effects)), 0.0)
-        offset_dn: Any = apply_stage(Stage.BLACK_LEVEL, self.effects, drawn, frame, 0.0)
-        offset_dn = apply_stage(Stage.ROW_NOISE_AND_HOT_PIXELS, self.effects, drawn, frame, offset_dn)
+        smear_e = sum((step(frame, charge_e) for step in self.steps_at(Stage.SMEAR)), 0.0)
+        offset_dn: Any = self.apply_stage(Stage.BLACK_LEVEL, drawn, frame, 0.0)
+        offset_dn = self.apply_stage(Stage.ROW_NOISE_AND_HOT_PIXELS, drawn, frame, offset_dn)
         if np.ndim(offset_dn) == 0:
             sensor = replace(sensor, black_level_dn=sensor.black_level_dn + float(offset_dn))
             offset_dn = 0.0
@@ -185,9 +167,9 @@ class ForwardModel:
     def distribution(self, exposure_s: float = 0.0) -> ReadingDistribution:
         """Return the distribution of a reading given its light, with the effects on the sensor's stages."""
         sensor = self.sensor
-        variance = apply_stage(Stage.READ_NOISE, self.effects, {}, None, sensor.read_noise_e**2)
-        well = list(steps_at(Stage.WELL, self.effects))
-        response = steps_at(Stage.RESPONSE, self.effects)
+        variance = self.apply_stage(Stage.READ_NOISE, NOTHING_DRAWN, None, sensor.read_noise_e**2)
+        well = self.steps_at(Stage.WELL)
+        response = self.steps_at(Stage.RESPONSE)
         levels = [zip(*reversed(step.average()), strict=True) for step in well if step.random]
         return ReadingDistribution(
             replace(sensor, read_noise_e=float(np.sqrt(variance))),
@@ -195,7 +177,7 @@ class ForwardModel:
             charge=tuple(step for step in well if not step.random),
             charge_levels=tuple(levels[0]) if levels else (),
             response=tuple(replace(step, full_scale_dn=sensor.full_scale_dn) for step in response),
-            digital=tuple(steps_at(Stage.DIGITAL, self.effects)),
+            digital=tuple(self.steps_at(Stage.DIGITAL)),
         )
 
     def _moments(self, frame: FrameConditions, drawn: Drawn) -> ReadingMoments:
@@ -203,7 +185,7 @@ class ForwardModel:
         at = self._sensor_input(frame, drawn)
         light, distribution, total = at.light, at.distribution, at.light.total
         plain = partial(moments_with_offsets, distribution, smear_e=at.smear_e, offset_dn=at.offset_dn)
-        grains = [step for step in steps_at(Stage.SPECKLE_FIELD, self.effects) if step.random and step not in drawn]
+        grains = [step for step in self.steps_at(Stage.SPECKLE_FIELD) if step.random and step not in drawn]
         if not grains:
             return plain(total)
         # ASSUME: uneven pedestals, gains of pixels and smear are small beside the light that clips, so that their
@@ -227,7 +209,7 @@ class ForwardModel:
 
     def _random_steps(self) -> Iterator[tuple[AppliedStep, RandomStep]]:
         for stage in Stage:
-            yield from ((step, step.random) for step in steps_at(stage, self.effects) if step.random)
+            yield from ((step, step.random) for step in self.steps_at(stage) if step.random)
 
     def _averages(self) -> Iterator[tuple[float, Drawn]]:
         """Yield what random steps draw and with which weight; grains and levels are left to their tables."""
@@ -244,7 +226,7 @@ class ForwardModel:
         stages = {step.stage for applied in self.effects if applied.effect.name == effect
                   for step in applied.effect.variants[applied.variant]}  # fmt: skip
         # Charge and smear of a pixel follow the light of others.
-        mixing = [step for stage in (Stage.CHARGE, Stage.SMEAR) for step in steps_at(stage, self.effects)]
+        mixing = [step for stage in (Stage.CHARGE, Stage.SMEAR) for step in self.steps_at(stage)]
         if mixing or any(self._random_steps()) or stages & {Stage.EXPOSURE, *SENSOR_STAGES}:
             low, high, step = self._neighbours(frame, name, SENSOR_STEP)
             before, after = low[0].expected(low[1]), high[0].expected(high[1])
@@ -253,21 +235,21 @@ class ForwardModel:
         if slope is None:
             low, high, step = self._neighbours(frame, name, LIGHT_STEP)
             slope = (high[0].light(high[1]).total - low[0].light(low[1]).total) / step
-        moments = self._moments(frame, {})
+        moments = self._moments(frame, NOTHING_DRAWN)
         return moments.mean_slope * slope, moments.variance_slope * slope
 
     def _registered_slope(self, frame: FrameConditions, name: str) -> np.ndarray | None:
         """Return the derivative of the light [DN] in closed form; None if no step registers one."""
         effect, _, parameter = name.rpartition(".")
         for stage in (Stage.BRIGHTNESS, Stage.PEDESTAL):
-            steps = list(steps_at(stage, self.effects))
+            steps = self.steps_at(stage)
             for step in steps:
                 derivatives = step.step.derivatives if isinstance(step.step, Step) else {}
                 if step.applied.effect.name != effect or parameter not in derivatives:
                     continue
                 if stage is Stage.PEDESTAL:
                     slope = step.call(derivatives[parameter], frame, 0.0) * np.ones_like(self.light(frame).total)
-                    return apply_stage(Stage.PIXEL_GAIN, self.effects, {}, frame, slope)
+                    return self.apply_stage(Stage.PIXEL_GAIN, NOTHING_DRAWN, frame, slope)
                 if len(steps) == 1:
                     without = replace(self, effects=tuple(a for a in self.effects if a is not step.applied))
                     slope = step.call(derivatives[parameter], frame, without.spot(frame).peak_dn)

@@ -4,8 +4,9 @@
 mean light only if their factor has the mean 1 and later stages are linear.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from spotcheck.model.stage import Stage
 
 # Number or field that each random step has drawn.
 Drawn = Mapping[AppliedStep, Any]
+NOTHING_DRAWN: Drawn = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -50,92 +52,87 @@ class Light:
         return self.spot + self.pedestal
 
 
-def apply_stage(stage: Stage, effects: Sequence[AppliedEffect], drawn: Drawn, frame: FrameConditions | None, *value):
-    """Return what the steps of all effects at a stage make of a value, or of a pair of values."""
-    result: Any = value if len(value) > 1 else value[0]
-    for step in steps_at(stage, effects):
-        arguments = result if isinstance(result, tuple) else (result,)
-        if frame is not None:
-            arguments = (frame, *arguments)
-        if step.random is None:
-            result = step(*arguments)
-        elif step in drawn:
-            result = step(*arguments, drawn[step])
-    return result
+class LightStages:
+    """The stages up to the pixels, as methods of a model with a baseline, a law and effects.
 
+    `drawn` holds the number or field of each random step that was drawn; the others leave the light as it is.
+    """
 
-def steps_at(stage: Stage, effects: Sequence[AppliedEffect]) -> Iterator[AppliedStep]:
-    """Yield the steps of all effects at a stage, in the order of the effects' numbers."""
-    for applied in sorted(effects, key=lambda applied: applied.effect.number):
-        yield from applied.steps_at(stage)
+    baseline: Baseline
+    law: ExposureLaw | None
+    effects: tuple[AppliedEffect, ...]
 
+    def steps_at(self, stage: Stage) -> list[AppliedStep]:
+        """Return the steps of all effects at a stage, in the order of the effects' numbers."""
+        ordered = sorted(self.effects, key=lambda applied: applied.effect.number)
+        return [step for applied in ordered for step in applied.steps_at(stage)]
 
-def true_exposure(frame: FrameConditions, effects: Sequence[AppliedEffect], drawn: Drawn) -> float:
-    """Return the exposure [s] that light, dark current and motion had."""
-    return apply_stage(Stage.EXPOSURE, effects, drawn, frame, frame.exposure_s)
+    def apply_stage(self, stage: Stage, drawn: Drawn, frame: FrameConditions | None, *value: Any) -> Any:
+        """Return what the steps of all effects at a stage make of a value, or of a pair of values."""
+        result: Any = value if len(value) > 1 else value[0]
+        for step in self.steps_at(stage):
+            arguments = result if isinstance(result, tuple) else (result,)
+            if frame is not None:
+                arguments = (frame, *arguments)
+            if step.random is None:
+                result = step(*arguments)
+            elif step in drawn:
+                result = step(*arguments, drawn[step])
+        return result
 
+    def true_exposure(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> float:
+        """Return the exposure [s] that light, dark current and motion had."""
+        return self.apply_stage(Stage.EXPOSURE, drawn, frame, frame.exposure_s)
 
-def spot_state(
-    frame: FrameConditions,
-    baseline: Baseline,
-    law: ExposureLaw | None,
-    effects: Sequence[AppliedEffect],
-    drawn: Drawn,
-) -> SpotState:
-    """Return peak and width of a frame's spot; without a law those of the frame's conditions."""
-    if law is None:
-        width = apply_stage(Stage.WIDTH, effects, drawn, frame, WidthLaw(lambda exposure_s: frame.sigma_px))
-        peak, sigma = frame.peak_dn, frame.sigma_px * width.factor
-    else:
-        width = WidthLaw(lambda exposure_s: baseline.propagation(exposure_s, law.p1, law.p2))
-        width = apply_stage(Stage.WIDTH, effects, drawn, frame, width)
-        exposure_s = true_exposure(frame, effects, drawn)
-        propagation = width.propagation_px(exposure_s)
-        longest = baseline.peak_law(frame.longest_s, width.propagation_px(frame.longest_s))
-        peak = law.peak_dn * baseline.peak_law(exposure_s, propagation) / longest
-        sigma = (propagation + baseline.laser_px) * width.factor
-    return SpotState(apply_stage(Stage.BRIGHTNESS, effects, drawn, frame, peak), sigma)
+    def spot(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> SpotState:
+        """Return peak and width of a frame's spot; without a law those of the frame's conditions."""
+        baseline, law = self.baseline, self.law
+        if law is None:
+            width = self.apply_stage(Stage.WIDTH, drawn, frame, WidthLaw(lambda exposure_s: frame.sigma_px))
+            peak, sigma = frame.peak_dn, frame.sigma_px * width.factor
+        else:
+            width = WidthLaw(lambda exposure_s: baseline.propagation(exposure_s, law.p1, law.p2))
+            width = self.apply_stage(Stage.WIDTH, drawn, frame, width)
+            exposure_s = self.true_exposure(frame, drawn)
+            propagation = width.propagation_px(exposure_s)
+            longest = baseline.peak_law(frame.longest_s, width.propagation_px(frame.longest_s))
+            peak = law.peak_dn * baseline.peak_law(exposure_s, propagation) / longest
+            sigma = (propagation + baseline.laser_px) * width.factor
+        return SpotState(self.apply_stage(Stage.BRIGHTNESS, drawn, frame, peak), sigma)
 
+    def light(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Light:
+        """Return the light of a frame [DN]."""
+        baseline, state, pixels = self.baseline, self.spot(frame, drawn), frame.pixels
+        has_coordinates, has_profile = (bool(self.steps_at(s)) for s in (Stage.COORDINATES, Stage.PROFILE))
 
-def frame_light(
-    frame: FrameConditions,
-    baseline: Baseline,
-    law: ExposureLaw | None,
-    effects: Sequence[AppliedEffect],
-    drawn: Drawn,
-) -> Light:
-    """Return the light of a frame."""
-    state, pixels = spot_state(frame, baseline, law, effects, drawn), frame.pixels
+        def sharp(shift_x: float, shift_y: float) -> np.ndarray:
+            """Return the light [DN] of the spot displaced by so many px, in front of the blur."""
+            dx, dy = pixels.x - frame.x0 - shift_x, pixels.y - frame.y0 - shift_y
+            if has_coordinates:
+                dx, dy = self.apply_stage(Stage.COORDINATES, drawn, frame, dx, dy)
+            if not has_profile:
+                return baseline.spot(dx, dy, state.peak_dn, state.sigma_px)
+            half_square = (dx * dx + dy * dy) / (2 * state.sigma_px**2)
+            exponent = self.apply_stage(Stage.PROFILE, drawn, frame, half_square)
+            return baseline.finish(state.peak_dn * np.exp(-exponent), dx, dy, state.peak_dn, state.sigma_px)
 
-    def sharp(shift_x: float, shift_y: float) -> np.ndarray:
-        """Return the light [DN] of the spot displaced by so many px, in front of the blur."""
-        dx, dy = pixels.x - frame.x0 - shift_x, pixels.y - frame.y0 - shift_y
-        if any(steps_at(Stage.COORDINATES, effects)):
-            dx, dy = apply_stage(Stage.COORDINATES, effects, drawn, frame, dx, dy)
-        if not any(steps_at(Stage.PROFILE, effects)):
-            return baseline.spot(dx, dy, state.peak_dn, state.sigma_px)
-        half_square = (dx * dx + dy * dy) / (2 * state.sigma_px**2)
-        exponent = apply_stage(Stage.PROFILE, effects, drawn, frame, half_square)
-        return baseline.finish(state.peak_dn * np.exp(-exponent), dx, dy, state.peak_dn, state.sigma_px)
+        exposed = replace(frame, exposure_s=self.true_exposure(frame, drawn))
+        path = np.array([[0.0], [0.0], [1.0]])
+        for step in self.steps_at(Stage.BLUR):
+            path = convolve_paths(path, step(exposed))
+        if baseline.pixel_integration:
+            path = convolve_paths(path, np.transpose(PIXEL))
 
-    exposed = replace(frame, exposure_s=true_exposure(frame, effects, drawn))
-    path = np.array([[0.0], [0.0], [1.0]])
-    for step in steps_at(Stage.BLUR, effects):
-        path = convolve_paths(path, step(exposed))
-    if baseline.pixel_integration:
-        path = convolve_paths(path, np.transpose(PIXEL))
+        def blurred(shift_x: float, shift_y: float) -> np.ndarray:
+            return sum(weight * sharp(shift_x + dx, shift_y + dy) for dx, dy, weight in path.T)
 
-    def blurred(shift_x: float, shift_y: float) -> np.ndarray:
-        return sum(weight * sharp(shift_x + dx, shift_y + dy) for dx, dy, weight in path.T)
-
-    total = blurred(0.0, 0.0)
-    spot = BlurredSpot(blurred, state.peak_dn, state.sigma_px)
-    for step in steps_at(Stage.ADDED_LIGHT, effects):
-        total = step(frame, total, spot)
-    total = apply_stage(Stage.MODULATION, effects, drawn, frame, total)
-    total = apply_stage(Stage.SPECKLE_FIELD, effects, drawn, frame, total)
-    pedestal = apply_stage(Stage.PEDESTAL, effects, drawn, frame, 0.0)
-    return Light(*(apply_stage(Stage.PIXEL_GAIN, effects, drawn, frame, part) for part in (total, pedestal)))
+        total, spot = blurred(0.0, 0.0), BlurredSpot(blurred, state.peak_dn, state.sigma_px)
+        for step in self.steps_at(Stage.ADDED_LIGHT):
+            total = step(frame, total, spot)
+        for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD):
+            total = self.apply_stage(stage, drawn, frame, total)
+        pedestal = self.apply_stage(Stage.PEDESTAL, drawn, frame, 0.0)
+        return Light(*(self.apply_stage(Stage.PIXEL_GAIN, drawn, frame, part) for part in (total, pedestal)))
 
 
 def convolve_paths(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -6,10 +6,9 @@ import numpy as np
 def beam_propagation(exposure_s, p1, p2):
     """Beam propagation parameter p_b [px] at an exposure [s] (Eq. 8): p1 ln(t / 1 s) + p2, both in px.
 
-    # ASSUME: the irradiance of the laser is constant, so that ln E_la,σ is part of p2 (Section 3.3). The paper labels
-    # p1
-    and p2 as metres; only pixels give its widths, contrasts and bounds.
+    The paper labels p1 and p2 as metres; only pixels give its widths, contrasts and bounds.
     """
+    # ASSUME: the irradiance of the laser is constant, so that ln E_la,σ is part of p2 (Section 3.3).
     return p1 * np.log(exposure_s) + p2
 
 

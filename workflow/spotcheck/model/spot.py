@@ -64,10 +64,8 @@ def photon_distribution(x, y, sigma_x, sigma_y, correlation, magnification: floa
 
 
 def pixel_mean_photons(x, y, peak_photons, sigma_x, sigma_y, correlation, magnification: float):
-    """µ_θ,k [photons] as Eq. 27 prints it: µ_p,max f_θ, sampled at the pixel's centre instead of integrated (Eq. 26).
-
+    """µ_θ,k [photons] as Eq. 27 prints it: µ_p,max f_θ at the pixel's centre, not integrated (Eq. 26)."""
     # ASSUME: the light is constant during the exposure, which turns the time integral of Eq. 26 into a factor.
-    """
     return peak_photons * photon_distribution(x, y, sigma_x, sigma_y, correlation, magnification)
 
 
