@@ -79,9 +79,9 @@ def test_the_vocabulary_is_the_contracts():
 def test_an_effect_is_well_formed(name):
     """Keys and units are the contract's; and what the rest of the library relies on."""
     effect = vocabulary()[name]
-    assert {p.name: p.unit for p in effect.parameters if not p.describes_variant} == CONTRACT[name]
+    assert {p.name: p.unit for p in effect.parameters if not p.is_variant_specific} == CONTRACT[name]
     # The strength is one that a person is told.
-    assert not effect.parameters[0].describes_variant
+    assert not effect.parameters[0].is_variant_specific
     assert effect.sentence[0].islower() and not effect.sentence.endswith(".")
     assert len({variant.value for variant in effect.variants}) == len(effect.variants) > 0
     assert set(effect.replaces) <= set(LAW_PARAMETERS)

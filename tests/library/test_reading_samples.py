@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2, norm
 
 from spotcheck.sensor import ReadingDistribution, SensorModel
-from spotcheck.sensor.sampling import LEAST_NOISE_E, LEVELS_PER_SD, _tables
+from spotcheck.sensor.sampling import CODE_SHIFT, LEAST_NOISE_E, NODES_PER_SD, WORD_SHIFT, AliasTables, tabulate_aliases
 
 SAMPLES = 1_000_000
 LIGHTS = 20
@@ -64,10 +64,10 @@ def upper_end(reading: ReadingDistribution) -> float:
     return min(model.full_well_e * model.gain_dn_per_e, model.full_scale_dn - model.black_level_dn)
 
 
-def lights_between_levels(reading: ReadingDistribution) -> np.ndarray:
-    """Return lights [DN] from near black through the upper end, each in the middle between two levels of the sampler.
+def lights_between_nodes(reading: ReadingDistribution) -> np.ndarray:
+    """Return lights [DN] from near black through the upper end, each in the middle between two nodes of the sampler.
 
-    Readings come from one of both levels there, so that the sampled variance is largest against the true one.
+    Readings come from one of both nodes there, so that the sampled variance is largest against the true one.
     """
     gain, end = reading.sensor.gain_dn_per_e, upper_end(reading)
     spread = math.sqrt(reading.noise_dn**2 + gain * end)
@@ -76,8 +76,8 @@ def lights_between_levels(reading: ReadingDistribution) -> np.ndarray:
     light = np.concatenate([near_black, end * np.array([0.03, 0.1, 0.23, 0.41, 0.6, 0.8]), near_end, [1.5 * end]])
     assert light.size == LIGHTS
     noise_e = max(reading.sensor.read_noise_e, LEAST_NOISE_E)
-    level = np.floor((np.sqrt(light / gain + noise_e**2) - noise_e) * 2 * LEVELS_PER_SD) + 0.5
-    return gain * ((noise_e + level / (2 * LEVELS_PER_SD)) ** 2 - noise_e**2)
+    node = np.floor((np.sqrt(light / gain + noise_e**2) - noise_e) * 2 * NODES_PER_SD) + 0.5
+    return gain * ((noise_e + node / (2 * NODES_PER_SD)) ** 2 - noise_e**2)
 
 
 def p_value(readings: np.ndarray, probability: np.ndarray) -> float:
@@ -116,51 +116,53 @@ def test_histograms(reading):
     rng = np.random.default_rng(11)
     codes = np.arange(int(reading.sensor.full_scale_dn) + 1)
     values = []
-    for light in lights_between_levels(reading):
+    for light in lights_between_nodes(reading):
         readings = reading.sample(np.full(SAMPLES, light), rng)
         assert readings.dtype == np.uint16
         values.append(p_value(readings, reading.pmf(codes, light)))
     assert_p_values(values)
 
 
+def probability_of_node(tables: AliasTables, node: int, top: int) -> np.ndarray:
+    """Return the probability of the codes 0 … `top` at a node, from its alias table."""
+    packed = tables.nodes[node]
+    start, first_code = int(packed >> WORD_SHIFT), int(packed >> CODE_SHIFT) & 0xFFFF
+    width = int(packed) & ((1 << int(CODE_SHIFT)) - 1)
+    words = tables.words[start : start + width]
+    other, own = words & tables.mask, np.arange(width)
+    share = (words - other) / 2.0**32
+    probability = (np.bincount(own, share, width) + np.bincount(other, 1 - share, width)) / width
+    return np.pad(probability, (first_code, top + 1 - first_code - width))
+
+
 @pytest.mark.parametrize("reading", SENSORS.values(), ids=SENSORS)
 def test_tables_hold_the_exact_distribution(reading):
-    """The alias tables give each code its probability, and the mixture of two levels is as close as promised.
+    """The alias tables give each code its probability, and the mixture of two nodes is as close as promised.
 
-    An alias table holds probabilities to 2^-32 in each of its entries and leaves out what is less probable than 1e-13.
-    Halfway between two levels, a probability is off by 1.3e-4 |z² − 1| of itself, z standard deviations from the mean,
-    where light is bright enough for a nearly normal distribution and no clip is near; terms of higher order are below
-    1.3e-4.
+    An alias table rounds the probability in a word to 2^(b−32), if b bits number a code, and leaves out what is less
+    probable than 1e-13 at either end. Halfway between two nodes, a probability is off by 1.3e-4 |z² − 1| of itself, z
+    standard deviations from the mean, where light is bright enough for a nearly normal distribution and no clip is
+    near; terms of higher order are below 1.3e-4.
     """
-    tables, top = _tables(reading), int(reading.sensor.full_scale_dn)
-    levels = tables.start.size
+    tables, top = tabulate_aliases(reading), int(reading.sensor.full_scale_dn)
     spread = math.sqrt(reading.noise_dn**2 + reading.sensor.gain_dn_per_e * upper_end(reading))
     compared = 0
     noise_e = tables.first_root
     codes = np.arange(top + 1)
-
-    def probability_of(level: int) -> np.ndarray:
-        size = int(tables.mask[level]) + 1
-        words = tables.words[tables.start[level] : tables.start[level] + size]
-        own = (words >> np.uint64(32)).astype(float) / 2.0**32
-        first, other = ((words >> np.uint64(shift)) & np.uint64(0xFFFF) for shift in (16, 0))
-        total = np.bincount(first.astype(int), own, top + 1) + np.bincount(other.astype(int), 1 - own, top + 1)
-        return total / size
-
     gain = reading.sensor.gain_dn_per_e
     dark_dn = gain * reading.sensor.dark_current_e_per_s
-    for light in lights_between_levels(reading):
-        level = round((math.sqrt((light + dark_dn) / gain + noise_e**2) - noise_e) / tables.step - 0.5)
-        if level + 1 >= levels:
+    for light in lights_between_nodes(reading):
+        node = round((math.sqrt((light + dark_dn) / gain + noise_e**2) - noise_e) / tables.step - 0.5)
+        if node + 1 >= tables.nodes.size:
             assert tables.is_complete and light > upper_end(reading) - 5 * spread
             continue
-        at_levels = gain * ((noise_e + tables.step * np.array([level, level + 1])) ** 2 - noise_e**2) - dark_dn
-        pair = np.array([probability_of(level), probability_of(level + 1)])
-        exact = reading.pmf(codes, np.maximum(at_levels, -dark_dn)[:, None])
-        np.testing.assert_allclose(pair, exact, rtol=1e-6, atol=2e-9)
+        at_nodes = gain * ((noise_e + tables.step * np.array([node, node + 1])) ** 2 - noise_e**2) - dark_dn
+        pair = np.array([probability_of_node(tables, node, top), probability_of_node(tables, node + 1, top)])
+        exact = reading.pmf(codes, np.maximum(at_nodes, -dark_dn)[:, None])
+        np.testing.assert_allclose(pair, exact, rtol=1e-6, atol=(int(tables.mask) + 1) / 2.0**32)
         if 20 * gain < light < upper_end(reading) - 5 * spread:
-            middle = reading.pmf(codes, at_levels.mean())
-            z = (codes - reading.mean(at_levels.mean())) / math.sqrt(reading.variance(at_levels.mean()))
+            middle = reading.pmf(codes, at_nodes.mean())
+            z = (codes - reading.mean(at_nodes.mean())) / math.sqrt(reading.variance(at_nodes.mean()))
             near = (np.abs(z) < 4) & (middle > 1e-6)
             error = np.abs(pair.mean(axis=0) - middle)
             assert np.all((error < 1.3e-4 * (z**2 + 1) * middle)[near])
@@ -225,12 +227,11 @@ def test_steps_and_tables_agree_for_unequal_light():
 def test_beyond_the_tables():
     """A 16-bit sensor's tables end before full scale; brighter readings follow the exact distribution as well.
 
-    Lights lie below, around and beyond the last level, alone and mixed in one call; false-alarm rate 1e-4.
+    Lights lie below, around and beyond the last node, alone and mixed in one call; false-alarm rate 1e-4.
     """
     reading = sensor(0.11, 2.0, 16, 100.0)
-    tables = _tables(reading)
-    levels = tables.start.size
-    last = 0.11 * ((tables.first_root + tables.step * (levels - 2)) ** 2 - tables.first_root**2)
+    tables = tabulate_aliases(reading)
+    last = 0.11 * ((tables.first_root + tables.step * (tables.nodes.size - 2)) ** 2 - tables.first_root**2)
     assert not tables.is_complete
     assert last < 60_000
     rng, codes = np.random.default_rng(7), np.arange(65536)
@@ -243,12 +244,25 @@ def test_beyond_the_tables():
     assert np.all(reading.sample(np.full(100, np.inf), rng) == 65535)
 
 
+def test_without_full_scale():
+    """Without a full scale, codes above the largest 16-bit integer are stored as that; false-alarm rate 1e-4."""
+    reading = ReadingDistribution(SensorModel(300.0, 2.0))
+    light, rng, codes = 65_100.0, np.random.default_rng(16), np.arange(65_535)
+    probability = np.append(reading.pmf(codes, light), 1 - reading.cdf(65_534, light))
+    readings = reading.sample(np.full(SAMPLES, light), rng)
+    assert 0.2 < probability[-1] < 0.8
+    assert_p_values(
+        [p_value(readings, probability), p_value(reading.sample_steps(np.full(SAMPLES, light), rng), probability)]
+    )
+    assert np.all(reading.sample(np.full(5000, 1e6), rng) == 65535)
+
+
 def test_independence_of_pixels():
     """Readings of one call are uncorrelated at lags 1 … 2048, and with those of the next call of the generator.
 
-    The correlation of N independent pairs is normal with a variance of 1/N; squares are tested as well. Lags are the
-    lanes of the generator (16), half and twice of it, and the pixels that share a buffer (2048). False-alarm rate 1e-4
-    over all 28 correlations.
+    The correlation of N independent pairs is normal with a variance of 1/N; squares are tested as well. Lags are powers
+    of two with their neighbours, as the compiler takes pixels together, and the pixels that share a buffer (2048).
+    False-alarm rate 1e-4 over all 28 correlations.
     """
     reading, size = sensor(0.11, 13.0, 10, 40.0), 4_000_000
     rng = np.random.default_rng(8)

@@ -5,12 +5,11 @@ The folder keeps the dataset contract, so that simulated frames pass the same st
 """
 
 import csv
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tifffile
@@ -22,13 +21,12 @@ from spotcheck.dataset import Dataset
 from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.fits import preferred
-from spotcheck.manifest import Frame
 from spotcheck.model.baseline import Baseline, of_instrument
-from spotcheck.model.conditions import FrameConditions, crop_grid
+from spotcheck.model.conditions import FrameConditions, PixelGrid, crop_grid
 from spotcheck.model.forward import ForwardModel, RandomStreams
 from spotcheck.model.light import SpotState
 from spotcheck.model.light_shape import LIGHT
-from spotcheck.model.model_file import ExtendedModel, Site, check_bounds, scales_of, site_of
+from spotcheck.model.model_file import ExtendedModel, Site, Spot, check_bounds, scales_of, site_of
 from spotcheck.sensor import SensorModel
 
 # All simulated frames, one page each, in the order of the manifest.
@@ -36,12 +34,16 @@ STACK = "frames/simulated.tif"
 # Frames are larger than the crop by this factor, so that a crop at a maximum anywhere on the plateau stays inside.
 CANVAS = 2
 
+# Peak and width of the spot of every frame, by the frame's cell of the grid of the dataset.
+SpotStates = Mapping[tuple[int, ...], SpotState]
+# Variables of a file of mean images by name.
+Variables = Mapping[str, store.Variable]
+
 VARIABLES = {
     "mean_light": store.Variable(("y", "x"), "f4", "DN", "mean light of the simulated spot"),
     "amplitude": store.Variable((), "f8", "DN", "peak of the Gaussian before the top hat"),
     "sigma": store.Variable((), "f8", "pixel", "sigma_g, standard deviation of the Gaussian"),
 }
-
 
 EXTENDED_VARIABLES = VARIABLES | {
     "mean_light": store.Variable(("y", "x"), "f4", "DN", "mean light of the extended model; NaN beyond the frame"),
@@ -51,18 +53,29 @@ EXTENDED_VARIABLES = VARIABLES | {
 }
 
 
-@dataclass(frozen=True)
-class SimulatedFrame:
-    """A simulated frame."""
+class SimulatedFrame(NamedTuple):
+    """A frame to simulate: its model and its conditions."""
 
-    place: tuple[int, ...]  # place on the grid of the dataset
-    readings: np.ndarray  # [row, column, DN]
-    values: dict[str, Any]  # what the file of means holds of it, by variable
+    model: ForwardModel  # model that the frame follows
+    conditions: FrameConditions  # conditions at which the model is evaluated
+    spot: SpotState  # peak and width for the file of mean images; the peak is NaN for a frame without a usable spot
+
+    def values(self, side: int, variables: Variables) -> dict[str, Any]:
+        """Return the values of `variables` by name; images are crops [side, side] around the spot."""
+        model, frame, spot = self
+        pixels, column, row = frame.pixels, round(frame.x0), round(frame.y0)
+        centre = spotfinding.Spot(row - int(pixels.y[0, 0]), column - int(pixels.x[0, 0]), True)
+        light = spotfinding.cut(np.broadcast_to(model.light(frame).total, (pixels.y.size, pixels.x.size)), centre, side)
+        values: dict[str, Any] = {"mean_light": light, "amplitude": spot.peak_dn, "sigma": spot.sigma_px}
+        if "mean_reading" in variables:
+            reading = spotfinding.cut(model.expected(frame).mean, centre, side)
+            values |= {"mean_reading": reading, "left": column - side // 2, "top": row - side // 2}
+        return values
 
 
 @dataclass(frozen=True)
 class Destination:
-    """Files of a simulation, and how they are made."""
+    """Files of a simulation: where they are, what they are made from, and how they are written."""
 
     folder: Path  # dataset folder of the simulated frames
     path: Path  # file of mean images
@@ -70,109 +83,139 @@ class Destination:
     code: str  # digest of the code
     inputs: Sequence[str | Path]  # files that the simulation depends on
 
+    def write_frames(
+        self, dataset: Dataset, frames: Iterable[SimulatedFrame], variables: Variables, attributes: Mapping[str, Any]
+    ) -> None:
+        """Draw the frames, one for each spot of the dataset; write their stack and the file of mean images.
+
+        `variables` and `attributes` are those of the file of mean images. Equal frames and seeds give equal files.
+        """
+        side = dataset.instrument.crop_px
+        extra = xr.Dataset(attrs={"seed": self.seed, **attributes})
+        for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
+            extra[name] = (name, np.arange(side, dtype="i4"), {"units": "pixel", "long_name": text})
+        sites: dict[Site, int] = {}
+        frames = progress.over(frames, "simulating frames", len(dataset.spots))
+        with (
+            store.frame_writer(self.path, dataset, extra, variables, code=self.code, inputs=self.inputs) as writer,
+            store.appearing_whole(self.folder / STACK) as scratch,
+            tifffile.TiffWriter(scratch) as stack,
+        ):
+            for number, (frame, (cell, row)) in enumerate(zip(frames, dataset.cells(), strict=True)):
+                # A site is the same at all its exposures.
+                site = sites.setdefault(site_of(row, dataset.instrument.conditions, has_law=True), len(sites))
+                readings = frame.model.sample(frame.conditions, RandomStreams(self.seed, number, site))
+                stack.write(readings, compression="zlib", contiguous=False, metadata=None, software="")
+                writer.put(cell, frame.values(side, variables))
+
+    def write_contract(self, dataset: Dataset, instrument: Mapping[str, Any]) -> None:
+        """Write manifest.csv with the measured design, and instrument.yaml with the keys that were simulated."""
+        columns = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *dataset.instrument.conditions]
+        table = io.StringIO()
+        writer = csv.DictWriter(table, columns, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        for page, row in enumerate(dataset.spots):
+            writer.writerow({**vars(row), **row.extra, "file": STACK, "page": page})
+        store.write_text(self.folder / "manifest.csv", table.getvalue())
+        content = {"name": f"{dataset.title} (simulated)", "crop_px": dataset.instrument.crop_px}
+        keys = _without_missing({**content, "conditions": list(dataset.instrument.conditions), **instrument})
+        store.write_text(self.folder / "instrument.yaml", yaml.safe_dump(keys, sort_keys=False))
+
+
+def _without_missing(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Return keys of instrument.yaml, and those of its sections, that are neither None nor infinite nor empty."""
+    known = {key: _without_missing(value) if isinstance(value, dict) else value for key, value in keys.items()}
+    return {key: value for key, value in known.items() if value not in (None, np.inf, [], {})}
+
+
+class NoiseFreeModel(ForwardModel):
+    """A forward model for a sensor whose gain or read noise is unknown: it reads the rounded mean light."""
+
+    def sample(self, frame: FrameConditions, streams: RandomStreams) -> np.ndarray:
+        """Return the frame [row, column] in DN (uint16); `streams` is not used."""
+        return np.clip(np.rint(self.light(frame).total), 0, self.sensor.full_scale_dn).astype(np.uint16)
+
 
 def has_law(calibration: xr.Dataset) -> bool:
     """Return whether p1, p2 and the peak were found; else every frame is simulated at its own fit."""
     return "skipped" not in calibration.attrs and bool(np.isfinite(calibration["peak"].sel(estimator=USED)))
 
 
-def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> dict[tuple[int, ...], SpotState]:
-    """Return peak and width of every frame of the grid: by the baseline's law, or by its own fit where none was found.
+def spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> SpotStates:
+    """Return peak and width of every frame by the baseline's law, or those of its own fit if no law was found.
 
-    A frame without a usable spot has the peak NaN.
+    The peak is NaN for a frame without a usable spot.
     """
+    if not has_law(calibration):
+        fit = preferred(fits)
+        is_usable = (fit["amplitude"] > 0) & (fit["status"] & store.UNTRUSTED == 0)
+        peaks, widths = fit["amplitude"].where(is_usable).values, fit["sigma_mean"].values
+        return {cell: SpotState(float(peaks[cell]), float(widths[cell])) for cell, _ in dataset.cells()}
     baseline = of_instrument(dataset.instrument, dataset.exposures)
-    states = {}
-    fit = preferred(fits)
-    for index, row in dataset.cells():
-        if not has_law(calibration):
-            at = fit.isel(dict(zip(store.grid_dims(fits), index, strict=True)))
-            peak = float(at["amplitude"])
-            is_usable = peak > 0 and not int(at["status"]) & store.UNTRUSTED
-            states[index] = SpotState(peak if is_usable else np.nan, float(at["sigma_mean"]))
-        else:
-            p1, p2, peak = (float(calibration[n].sel(estimator=USED)) for n in ("p1_mean", "p2_mean", "peak"))
-            peak = peak * baseline.relative_peak(row.exposure_s, p1, p2)
-            states[index] = SpotState(peak, baseline.sigma(row.exposure_s, p1, p2))
-    return states
+    p1, p2, peak = (float(calibration[name].sel(estimator=USED)) for name in ("p1_mean", "p2_mean", "peak"))
+    return {
+        cell: SpotState(peak * baseline.relative_peak(row.exposure_s, p1, p2), baseline.sigma(row.exposure_s, p1, p2))
+        for cell, row in dataset.cells()
+    }
 
 
 def simulate(
     dataset: Dataset,
-    states: dict[tuple[int, ...], SpotState],
+    states: SpotStates,
     sensor: SensorModel | None,
     full_scale: int,
     destination: Destination,
     attributes: Mapping[str, str],
 ) -> None:
-    """Write the simulated dataset folder, and the mean images [grid, y, x] around the spot, frame by frame.
+    """Simulate the paper's model: write the dataset folder, and the mean images [grid, y, x] around the spots.
 
     Without a sensor model the frames are the rounded mean image and the attribute `noise` says so.
     """
-    noise = "drawn" if sensor else "none: gain or read noise of the sensor is unknown"
-    frames = _baseline_frames(dataset, states, sensor, full_scale, destination.seed)
-    _write(dataset, frames, VARIABLES, destination, {"noise": noise} | dict(attributes))
-    write_contract(dataset, destination.folder, {"sensor": {"bit_depth": full_scale.bit_length()}})
-
-
-def _baseline_frames(
-    dataset: Dataset,
-    states: dict[tuple[int, ...], SpotState],
-    sensor: SensorModel | None,
-    full_scale: int,
-    seed: int,
-) -> Iterator[SimulatedFrame]:
-    # The paper's model, without what is known of the light's shape beyond it.
+    # The paper's model has no learned light shape.
     baseline = replace(of_instrument(dataset.instrument, dataset.exposures), learned=None)
-    side = dataset.instrument.crop_px
-    canvas = CANVAS * side
-    inner = slice(canvas // 2 - side // 2, canvas // 2 - side // 2 + side)
-    grid = crop_grid(range(canvas), range(canvas), canvas, canvas)
-    model = ForwardModel(baseline, sensor or SensorModel(1.0, 0.0, full_scale_dn=full_scale))
-    for number, (index, row) in enumerate(dataset.cells()):
-        peak, sigma = states[index].peak_dn, states[index].sigma_px
+    unknown = SensorModel(1.0, 0.0, full_scale_dn=full_scale)
+    model = ForwardModel(baseline, sensor) if sensor else NoiseFreeModel(baseline, unknown)
+    attributes = {"noise": "drawn" if sensor else "none: gain or read noise of the sensor is unknown", **attributes}
+    destination.write_frames(dataset, _baseline_frames(dataset, states, model), VARIABLES, attributes)
+    destination.write_contract(dataset, {"sensor": {"bit_depth": full_scale.bit_length()}})
+
+
+def _baseline_frames(dataset: Dataset, states: SpotStates, model: ForwardModel) -> Iterator[SimulatedFrame]:
+    """Yield every frame with its spot in the middle of the canvas."""
+    side = CANVAS * dataset.instrument.crop_px
+    grid, middle = crop_grid(range(side), range(side), side, side), side // 2
+    for cell, row in dataset.cells():
         # A frame without a usable spot is simulated as one without light.
-        spot = (peak, sigma) if np.isfinite(peak) else (0.0, 1.0)
-        exposure_s = row.exposure_s or 0.0
-        frame = FrameConditions(grid, canvas // 2, canvas // 2, exposure_s, 1.0, 1.0, 0.0, 0.5, *spot)
-        light = model.light(frame).total
-        if sensor is None:
-            readings = np.clip(np.rint(light), 0, full_scale).astype(np.uint16)
-        else:
-            readings = model.sample(frame, RandomStreams(seed, number, number))
-        yield SimulatedFrame(index, readings, {"mean_light": light[inner, inner], "amplitude": peak, "sigma": sigma})
+        spot = states[cell] if np.isfinite(states[cell].peak_dn) else SpotState(0.0, 1.0)
+        conditions = FrameConditions(grid, middle, middle, row.exposure_s or 0.0, 1.0, 1.0, **asdict(spot))
+        yield SimulatedFrame(model, conditions, states[cell])
 
 
 def simulate_extended(
-    dataset: Dataset,
-    model: ExtendedModel,
-    sensor: SensorModel,
-    destination: Destination,
-    name: str,
+    dataset: Dataset, model: ExtendedModel, sensor: SensorModel, destination: Destination, name: str
 ) -> None:
-    """Write the dataset folder that the extended model gives for the design of `dataset`, and what it expects of the
-    crop around each spot [grid, y, x]: means over everything that is random.
+    """Simulate the extended model: write the dataset folder, and the expected crop around each spot [grid, y, x].
 
-    Frames are a window of the sensor that holds all spots with a crop to every side, or the whole frame. `name` is the
-    model file's; raises `InputError` for a model that does not fit the instrument or the design.
+    Expected values are means over everything that is random. Frames are a window of the sensor that holds all spots
+    with a crop to every side, or the whole frame. `name` is the model file's; raises `InputError` for a model that does
+    not fit the instrument or the design.
     """
-    baseline = of_instrument(dataset.instrument, dataset.exposures)
     if not dataset.exposures:
         # As in the verdict: without exposures nobody knows what a dark current per second brings.
         sensor = replace(sensor, dark_current_e_per_s=0.0)
-    side = dataset.instrument.crop_px
-    check_model(dataset, model, baseline, sensor, name)
-    centres = _centres(dataset, model)
+    forward = ForwardModel(of_instrument(dataset.instrument, dataset.exposures), sensor, model.law, model.effects)
+    check_model(dataset, model, forward.baseline, sensor, name)
+    spots, side = _spots_of_frames(dataset, model), dataset.instrument.crop_px
     # Positions stay the sensor's own: pedestals, fringes and smear refer to its whole frame.
-    columns, rows = (_window(centres[:, k], side, size) for k, size in enumerate((model.columns, model.rows)))
-    frames = _extended_frames(dataset, model, baseline, sensor, centres, (columns, rows), name, destination.seed)
+    columns = _window([spot.x_px for spot in spots], side, model.columns)
+    rows = _window([spot.y_px for spot in spots], side, model.rows)
+    frames = _extended_frames(dataset, model, forward, spots, crop_grid(columns, rows, model.columns, model.rows), name)
     effects = " ".join(applied.effect.name for applied in model.effects) or "none"
-    window = {"window_left_px": columns.start, "window_top_px": rows.start}
-    _write(dataset, frames, EXTENDED_VARIABLES, destination, {"noise": "drawn", "effects": effects} | window)
-    profile = dataset.instrument.light.profile
-    if profile is not None:
-        shutil.copyfile(profile, destination.folder / LIGHT)
-    write_contract(dataset, destination.folder, _simulated_instrument(dataset, sensor))
+    attributes = {"noise": "drawn", "effects": effects, "window_left_px": columns.start, "window_top_px": rows.start}
+    destination.write_frames(dataset, frames, EXTENDED_VARIABLES, attributes)
+    destination.write_contract(dataset, _simulated_instrument(dataset, sensor))
+    if (profile := dataset.instrument.light.profile) is not None:
+        (destination.folder / LIGHT).write_bytes(Path(profile).read_bytes())
 
 
 def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sensor: SensorModel, name: str) -> None:
@@ -187,148 +230,59 @@ def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sens
     check_bounds(model, scales_of(model, baseline, sensor, crop, dataset.exposures), name)
 
 
-def _centres(dataset: Dataset, model: ExtendedModel) -> np.ndarray:
-    """Return the centre of every frame's spot [frame, (x, y)] in px of the sensor.
+def _spots_of_frames(dataset: Dataset, model: ExtendedModel) -> list[Spot]:
+    """Return the spot of every frame, in px of the sensor.
 
-    A site that the model does not know lies where the others lie on average.
+    A site that the model does not know lies at the mean position of the others, without a peak of its own.
     """
-    known = [(spot.x_px, spot.y_px) for spot in model.spots.values()]
-    middle = np.mean(known, axis=0) if known else ((model.columns - 1) / 2, (model.rows - 1) / 2)
-    spots = [model.spots.get(_site(dataset, row, model)) for row in dataset.spots]
-    return np.array([middle if spot is None else (spot.x_px, spot.y_px) for spot in spots], float)
+    centres = [(spot.x_px, spot.y_px) for spot in model.spots.values()]
+    unknown = Spot(*np.mean(centres or [((model.columns - 1) / 2, (model.rows - 1) / 2)], axis=0))
+    sites = (site_of(row, dataset.instrument.conditions, model.law is not None) for row in dataset.spots)
+    return [model.spots.get(site, unknown) for site in sites]
 
 
-def _site(dataset: Dataset, row: Frame, model: ExtendedModel) -> Site:
-    return site_of(row, dataset.instrument.conditions, model.law is not None)
-
-
-def _window(centre: np.ndarray, side: int, pixels: int) -> range:
-    """Return the pixels of a window along one axis."""
-    low = int(np.clip(np.floor(centre.min()) - side, 0, pixels - side))
-    return range(low, int(np.clip(np.ceil(centre.max()) + side + 1, low + side, pixels)))
+def _window(centres_px: Sequence[float], side: int, pixels: int) -> range:
+    """Return the pixels along one axis that hold a crop to every side of all centres; `pixels` is the sensor's size."""
+    low = int(np.clip(np.floor(min(centres_px)) - side, 0, pixels - side))
+    return range(low, int(np.clip(np.ceil(max(centres_px)) + side + 1, low + side, pixels)))
 
 
 def _extended_frames(
-    dataset: Dataset,
-    extended: ExtendedModel,
-    baseline: Baseline,
-    sensor: SensorModel,
-    centres: np.ndarray,
-    window: tuple[range, range],
-    name: str,
-    seed: int,
+    dataset: Dataset, extended: ExtendedModel, model: ForwardModel, spots: Sequence[Spot], grid: PixelGrid, name: str
 ) -> Iterator[SimulatedFrame]:
-    side, count = dataset.instrument.crop_px, len(dataset.spots)
-    grid = crop_grid(*window, extended.columns, extended.rows)
-    has_order = dataset.instrument.order_known and count > 1
-    sites: dict[Site, int] = {}
-    for k, (index, row) in enumerate(dataset.cells()):
-        spot = extended.spots.get(_site(dataset, row, extended))
-        # Without a law, a frame without a usable spot is simulated as one without light.
-        peak, width = (0.0, 1.0) if spot is None or spot.peak_dn is None else (spot.peak_dn, spot.sigma_px)
-        frame = FrameConditions(
+    """Yield every frame at its spot; raises `InputError` for a peak or width that no spot has."""
+    last = len(spots) - 1
+    for number, (row, spot) in enumerate(zip(dataset.spots, spots, strict=True)):
+        conditions = FrameConditions(
             pixels=grid,
-            x0=float(centres[k, 0]),
-            y0=float(centres[k, 1]),
+            x0=float(spot.x_px),
+            y0=float(spot.y_px),
             # Exposures that were not recorded count as one second, and an unknown order as its middle, as in the
             # verdict.
             exposure_s=1.0 if row.exposure_s is None else row.exposure_s,
             longest_s=extended.longest_s,
             reference_s=extended.reference_s,
             angle=float(np.deg2rad(row.angle_deg or 0.0)),
-            order=k / (count - 1) if has_order else 0.5,
-            peak_dn=float(peak),
-            sigma_px=float(width or 1.0),
+            order=number / last if dataset.instrument.order_known and last else 0.5,
+            # Without a law, a frame without a usable spot is simulated as one without light.
+            peak_dn=float(spot.peak_dn or 0.0),
+            sigma_px=float(spot.sigma_px or 1.0),
         )
-        learned = extended.light_of(spot) if extended.lights else baseline.learned
-        model = ForwardModel(replace(baseline, learned=learned), sensor, extended.law, extended.effects)
-        state = model.spot(frame)
-        if not (
-            np.isfinite(state.peak_dn) and state.peak_dn >= 0 and np.isfinite(state.sigma_px) and state.sigma_px > 0
-        ):
-            raise InputError(
-                f"{name}: gives {row.label} a spot of {state.peak_dn:g} DN and width {state.sigma_px:g} px; both must"
-                " be above 0"
-            )
-        # A site is the same at all its exposures.
-        site = sites.setdefault(site_of(row, dataset.instrument.conditions, True), len(sites))
-        readings = model.sample(frame, RandomStreams(seed, k, site))
-        left, top = (pixels.start for pixels in window)
-        at = spotfinding.Spot(round(frame.y0) - top, round(frame.x0) - left, True)
-        values = {
-            "mean_light": spotfinding.cut(np.broadcast_to(model.light(frame).total, readings.shape), at, side),
-            "mean_reading": spotfinding.cut(model.expected(frame).mean, at, side),
-            "amplitude": float(state.peak_dn),
-            "sigma": float(state.sigma_px),
-            "left": at.column - side // 2 + left,
-            "top": at.row - side // 2 + top,
-        }
-        yield SimulatedFrame(index, readings, values)
+        learned = extended.light_of(spot) or model.baseline.learned
+        frame_model = replace(model, baseline=replace(model.baseline, learned=learned))
+        state = frame_model.spot(conditions)
+        peak, width = state.peak_dn, state.sigma_px
+        if not (0 <= peak < np.inf and 0 < width < np.inf):
+            raise InputError(f"{name}: gives {row.label} peak {peak:g} DN and width {width:g} px; both must be above 0")
+        yield SimulatedFrame(frame_model, conditions, state)
 
 
 def _simulated_instrument(dataset: Dataset, sensor: SensorModel) -> dict[str, Any]:
-    """Return the sections of instrument.yaml that the extended model ran with, so that its frames can be judged."""
-    instrument = dataset.instrument
-    pitch, depth = instrument.sensor.pixel_pitch_m, int(sensor.full_scale_dn).bit_length()
-    keys: dict[str, Any] = {} if pitch is None else {"pixel_pitch_m": pitch}
-    keys |= {"bit_depth": depth} | asdict(sensor)
-    if sensor.full_scale_dn < 2**depth - 1:
-        keys["full_scale_dn"] = int(sensor.full_scale_dn)
-    else:
-        del keys["full_scale_dn"]
-    if not np.isfinite(sensor.full_well_e):
-        del keys["full_well_e"]
-    sections = {"sensor": keys}
-    for name in ("optics", "laser", "material", "model"):
-        sections[name] = {key: value for key, value in asdict(getattr(instrument, name)).items() if value is not None}
-    if instrument.light.profile is not None:
-        sections["light"] = {"profile": LIGHT}
-    return {"order_known": instrument.order_known} | {name: section for name, section in sections.items() if section}
-
-
-def _write(
-    dataset: Dataset,
-    frames: Iterator[SimulatedFrame],
-    variables: Mapping[str, store.Variable],
-    destination: Destination,
-    attributes: Mapping[str, Any],
-) -> None:
-    """Write the stack of a simulated folder, and what is kept of each frame."""
-    extra = xr.Dataset(attrs={"seed": destination.seed} | dict(attributes))
-    for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
-        pixel = np.arange(dataset.instrument.crop_px, dtype="i4")
-        extra[name] = (name, pixel, {"units": "pixel", "long_name": text})
-    with (
-        store.frame_writer(
-            destination.path, dataset, extra, variables, code=destination.code, inputs=destination.inputs
-        ) as writer,
-        _stack(destination.folder / STACK) as stack,
-    ):
-        for frame in progress.over(frames, "simulating frames", len(dataset.spots)):
-            stack.write(frame.readings, compression="zlib", contiguous=False, metadata=None, software="")
-            writer.put(frame.place, frame.values)
-
-
-@contextmanager
-def _stack(path: Path) -> Iterator[tifffile.TiffWriter]:
-    """A multi-page TIFF that appears whole or not at all, and equal for equal pages."""
-    with store.appearing_whole(path) as scratch, tifffile.TiffWriter(scratch) as stack:
-        yield stack
-
-
-def write_contract(dataset: Dataset, folder: Path, simulated: Mapping[str, Any]) -> None:
-    """Write manifest.csv and instrument.yaml of the simulated folder: the measured design, and the keys of
-    instrument.yaml that were `simulated`."""
-    conditions = dataset.instrument.conditions
-    header = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *conditions]
-    table = folder / "manifest.csv"
-    with store.appearing_whole(table) as scratch, scratch.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
-        for page, (_, row) in enumerate(dataset.cells()):
-            numbers = ("" if v is None else v for v in (row.angle_deg, row.exposure_s, row.repeat))
-            writer.writerow([STACK, page, "spot", *numbers, *(row.extra[c] for c in conditions)])
-    content: dict = {"name": f"{dataset.title} (simulated)", "crop_px": dataset.instrument.crop_px}
-    if conditions:
-        content["conditions"] = list(conditions)
-    store.write_text(folder / "instrument.yaml", yaml.safe_dump(content | dict(simulated), sort_keys=False))
+    """Return the keys of instrument.yaml that the extended model ran with, so that its frames can be judged."""
+    instrument, full_scale = dataset.instrument, int(sensor.full_scale_dn)
+    bit_depth = full_scale.bit_length()
+    keys = {"pixel_pitch_m": instrument.sensor.pixel_pitch_m, "bit_depth": bit_depth} | asdict(sensor)
+    keys["full_scale_dn"] = full_scale if full_scale < 2**bit_depth - 1 else None
+    sections = {name: asdict(getattr(instrument, name)) for name in ("optics", "laser", "material", "model")}
+    light = {"profile": instrument.light.profile and LIGHT}
+    return {"order_known": instrument.order_known, "sensor": keys, **sections, "light": light}

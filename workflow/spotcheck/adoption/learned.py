@@ -6,7 +6,8 @@ from what fits left out, and effects from the verdict by what they say of themse
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -149,15 +150,13 @@ def _by_effects(verdict: Mapping[str, Any], camera: SensorModel | None) -> tuple
         effect = vocabulary().get(own["name"])
         if effect is None or not effect.stages:
             continue
-        numbers, rivals = own["parameters"], own["candidates"][1:]
-        values, errors = (
-            tuple(_known(numbers.get(p.name, {}).get(part), default) for p in effect.parameters)
-            for part, default in (("value", np.nan), ("stderr", 0.0))
-        )
-        variant = effect.variant_named(own["form"])
-        keys = []
-        if camera is not None and variant is not None and not rivals:
-            keys = list(_keys(AppliedEffect(effect, variant, values), errors, camera))
+        numbers, rivals, keys = own["parameters"], own["candidates"][1:], []
+        if camera is not None and not rivals:
+            # No key holds an effect that lacks a constant of its variant.
+            with suppress(ValueError):
+                applied = effect.apply({name: _of(one, "value") for name, one in numbers.items()}, own["form"])
+                errors = {name: _known(one["stderr"], 0.0) for name, one in numbers.items()}
+                keys = list(_keys(applied, errors, camera))
         found += keys
         if not keys:
             told = ((name, one) for name, one in numbers.items() if one["value"] is not None)
@@ -169,15 +168,12 @@ def _by_effects(verdict: Mapping[str, Any], camera: SensorModel | None) -> tuple
     return found, left
 
 
-def _keys(applied: AppliedEffect, errors: Sequence[float], camera: SensorModel) -> Iterator[Learned]:
+def _keys(applied: AppliedEffect, errors: Mapping[str, float], camera: SensorModel) -> Iterator[Learned]:
     """What an effect says of keys, with the errors that its parameters' errors make."""
+    moved = [applied.with_value(name, applied.parameters[name] + STEP * error) for name, error in errors.items()]
     for key, value in applied.instrument_keys(camera).items():
-        moved = [0.0]
-        for k, error in enumerate(errors):
-            near = [v + STEP * error * (m == k) for m, v in enumerate(applied.values)]
-            then = replace(applied, values=tuple(near)).instrument_keys(camera).get(key, np.nan)
-            moved.append((then - value) / STEP if error else 0.0)
-        stderr = float(np.hypot.reduce(moved)) or np.nan
+        changes = [(other.instrument_keys(camera).get(key, np.nan) - value) / STEP for other in moved]
+        stderr = float(np.hypot.reduce(changes)) or np.nan
         # A converter stops at a whole number.
         own = round(value) if key == "sensor.full_scale_dn" else value
         yield Learned(key, own, stderr, _unit(key), f"{applied.effect.name} (verdict.json)", True)

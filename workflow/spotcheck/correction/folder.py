@@ -5,6 +5,7 @@ import io
 import json
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -86,20 +87,16 @@ def _sensor_effects(results: Path) -> list[AppliedEffect]:
     """Effects on well and response: those of model.yaml, which holds constants of a form too; of flats and darks alone
     those of the verdict that lack none."""
     model, verdict = results / "model.yaml", results / "verdict.json"
+    effects: list[AppliedEffect] = []
     if model.is_file() and not reason_without_model(model):
-        found = list(read_model(model).effects)
+        effects += read_model(model).effects
     elif verdict.is_file():
-        found = []
-        for own in json.loads(verdict.read_text(encoding="utf-8"))["effects"]:
-            if effect := vocabulary().get(own["name"]):
-                values = {name: one["value"] for name, one in own["parameters"].items()}
-                variant = effect.variant_named(own["form"])
-                if variant and all(p.name in values for p in effect.parameters_of(variant)):
-                    numbers = tuple(values.get(parameter.name, np.nan) for parameter in effect.parameters)
-                    found.append(AppliedEffect(effect, variant, numbers))
-    else:
-        found = []
-    return [applied for applied in found if {Stage.WELL, Stage.RESPONSE} & set(applied.effect.stages)]
+        for entry in json.loads(verdict.read_text(encoding="utf-8"))["effects"]:
+            values = {name: parameter["value"] for name, parameter in entry["parameters"].items()}
+            # An effect that is not known here, or lacks a value, cannot be corrected for.
+            with suppress(KeyError, TypeError, ValueError):
+                effects.append(vocabulary()[entry["name"]].apply(values, entry["form"]))
+    return [applied for applied in effects if {Stage.WELL, Stage.RESPONSE} & set(applied.effect.stages)]
 
 
 def write(dataset: Dataset, known: Known, folder: Path) -> int:

@@ -14,6 +14,7 @@ class PixelGrid:
     y: np.ndarray  # rows of the pixels [px], such as [row, 1]
     sensor_columns: int  # columns of the sensor's frame
     sensor_rows: int  # rows of the sensor's frame
+    row_share: np.ndarray | float = 1.0  # rows of the sensor that each row of the grid stands for, in sums over columns
 
     @property
     def centre_x(self) -> float:

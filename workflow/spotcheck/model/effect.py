@@ -31,6 +31,8 @@ class Need(Enum):
 
 # Properties of the spot that an effect may be a law of.
 PROPERTIES = ("brightness", "width")
+# Starting values [deg] of a direction after which half a turn changes nothing.
+DIRECTIONS = (0.0, 45.0, 90.0, 135.0)
 
 
 class Scope(Enum):
@@ -78,10 +80,10 @@ class Parameter:
 
     name: str  # name, which the functions take it by
     unit: str  # unit, 1 for none
-    low: Bound  # lowest value, a number or a function of the scales
-    high: Bound  # highest value
+    low: Bound = -np.inf  # lowest value, a number or a function of the scales; a direction has no bounds
+    high: Bound = np.inf  # highest value
     negligible: Bound = 0.0  # distance from where the effect vanishes below which a user would call it nothing
-    describes_variant: bool = False  # whether it is a constant of the variant: fitted, and reported as part of it
+    is_variant_specific: bool = False  # whether it is a constant of the variant: fitted, and reported as part of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +115,7 @@ class RandomStep:
 
     def keyword_names(self) -> tuple[str, ...]:
         """Return the names of the parameters that it takes."""
-        functions = (self.function, self.draw, self.quadrature)
-        return tuple(name for function in functions for name in keyword_names_of(function))
+        return keyword_names_of(self.function, self.draw, self.quadrature)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +142,7 @@ class Effect:
     replaces : parameters of the baseline that lose their meaning.
     hidden_in_flats : why levels of flats and darks cannot show it; "" where they can.
     instrument_keys : from a sensor, the variant and the parameters by name: values of the keys of instrument.yaml with
-        which the baseline does what the effect does; {} for none.
+        which the baseline does what the effect does; {} for none. None if no variant has any.
     """
 
     name: str
@@ -171,14 +172,35 @@ class Effect:
 
     def parameters_of(self, variant: Enum) -> list[Parameter]:
         """Return the parameters that a variant has: of the constants of variants, those that its functions take."""
-        named = {name for step in self.variants[variant] for name in step.keyword_names()}
-        return [
-            parameter for parameter in self.parameters if not parameter.describes_variant or parameter.name in named
-        ]
+        used = {name for step in self.variants[variant] for name in step.keyword_names()}
+        return [p for p in self.parameters if not p.is_variant_specific or p.name in used]
 
-    def variant_named(self, text: str) -> Enum | None:
+    def variant_named(self, text: str | None) -> Enum | None:
         """Return the variant of a text in files; None if there is none."""
         return next((variant for variant in self.variants if variant.value == text), None)
+
+    def apply(self, values: Mapping[str, float], form: str | None = None) -> "AppliedEffect":
+        """Return the effect with values of all parameters that its variant has.
+
+        Parameters
+        ----------
+        values : values by the names of parameters, each in its unit.
+        form : text of the variant in files; None if there is only one.
+
+        Raises
+        ------
+        ValueError
+            If there is no such variant, or if its parameters are others; the text says what would be right.
+        """
+        forms = [variant.value for variant in self.variants]
+        variant = self.variant_named(forms[0] if form is None and len(forms) == 1 else form)
+        if variant is None:
+            remedy = f"it must be one of {', '.join(forms)}" if len(forms) > 1 else "leave it out"
+            raise ValueError(f"the form of {self.name} is {form or 'missing'}; {remedy}")
+        names = [parameter.name for parameter in self.parameters_of(variant)]
+        if set(values) != set(names):
+            raise ValueError(f"{self.name} needs the parameters {', '.join(names)}, not {', '.join(values) or 'none'}")
+        return AppliedEffect(self, variant, tuple(float(values.get(p.name, np.nan)) for p in self.parameters))
 
     def bounds(self, scales: EffectScales) -> np.ndarray:
         """Return the lowest and the highest value of each parameter [parameter, 2]."""
@@ -188,15 +210,11 @@ class Effect:
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect in a model."""
+    """An effect in a model, as `Effect.apply` makes it."""
 
     effect: Effect
     variant: Enum  # one of its variants
     values: tuple[float, ...]  # values of all parameters, in their order; NaN for those that the variant does not have
-
-    def __post_init__(self) -> None:
-        if self.variant not in self.effect.variants or len(self.values) != len(self.effect.parameters):
-            raise ValueError(f"{self.effect.name}: has no variant {self.variant!r} with {len(self.values)} parameters")
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -208,16 +226,13 @@ class AppliedEffect:
         return replace(self, values=tuple((self.parameters | {name: value}).values()))
 
     def steps_at(self, stage: Stage) -> Iterator["AppliedStep"]:
-        """Yield the steps of the variant at a stage."""
-        for step in self.effect.variants[self.variant]:
-            if step.stage is stage:
-                yield AppliedStep(step, self)
+        """Return the steps of the variant at a stage."""
+        return (AppliedStep(step, self) for step in self.effect.variants[self.variant] if step.stage is stage)
 
     def instrument_keys(self, sensor: SensorModel) -> Mapping[str, float]:
         """Return the values of keys of instrument.yaml with which a sensor does what the effect does; {} for none."""
-        if self.effect.instrument_keys is None:
-            return {}
-        return self.effect.instrument_keys(sensor, self.variant, **self.parameters)
+        keys_of = self.effect.instrument_keys
+        return {} if keys_of is None else keys_of(sensor, self.variant, **self.parameters)
 
 
 @dataclass(frozen=True)
@@ -251,12 +266,9 @@ class AppliedStep:
 
 
 @cache
-def keyword_names_of(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the names of the parameters of an effect that a function takes: its keyword-only arguments."""
-    if hasattr(function, "parameter_names"):
-        return function.parameter_names
-    parameters = inspect.signature(function).parameters.values()
-    return tuple(parameter.name for parameter in parameters if parameter.kind is inspect.Parameter.KEYWORD_ONLY)
+def keyword_names_of(*functions: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the names of the parameters of an effect that functions take: their keyword-only arguments."""
+    return tuple(name for function in functions for name in inspect.getfullargspec(function).kwonlyargs)
 
 
 def multiply(frame, value, factor):
@@ -264,7 +276,7 @@ def multiply(frame, value, factor):
     return value * factor
 
 
-def normal_draws(name: str, transform: Callable[[Any], Any], size: Callable[[Sequence[int]], Any] = lambda shape: ()):
+def normal_draws(name: str, transform: Callable[..., Any] = np.asarray, size: Callable[..., Any] = lambda shape: ()):
     """Return `draw` and `quadrature` of a random step whose values are a function of normal numbers.
 
     Parameters
@@ -272,7 +284,7 @@ def normal_draws(name: str, transform: Callable[[Any], Any], size: Callable[[Seq
     name : str
         Parameter that is the standard deviation of the normal numbers; their mean is 0.
     transform : function
-        Makes values of normal numbers.
+        Makes values of normal numbers; by default the numbers themselves.
     size : function
         Size of what is drawn, from the shape [rows, columns] of the frame; by default one number.
     """
@@ -285,5 +297,6 @@ def normal_draws(name: str, transform: Callable[[Any], Any], size: Callable[[Seq
         nodes, weights = np.polynomial.hermite_e.hermegauss(5)
         return transform(parameters[name] * nodes), weights / weights.sum()
 
-    draw.parameter_names = quadrature.parameter_names = (name,)  # type: ignore[attr-defined]
+    signature = inspect.Signature([inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY)])
+    draw.__signature__ = quadrature.__signature__ = signature  # type: ignore[attr-defined]
     return draw, quadrature

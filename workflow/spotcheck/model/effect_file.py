@@ -1,34 +1,25 @@
 """An effect from a file outside the library, checked as a whole before anything runs with it."""
 
-import hashlib
 import inspect
 import re
-import sys
+import runpy
 import traceback
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
 from spotcheck.errors import InputError
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, crop_grid
-from spotcheck.model.effect import (
-    PROPERTIES,
-    AppliedEffect,
-    Effect,
-    EffectScales,
-    Need,
-    Parameter,
-    RandomStep,
-    Step,
-    keyword_names_of,
-)
+from spotcheck.model.effect import PROPERTIES, AppliedEffect, Effect, EffectScales, RandomStep, Step, keyword_names_of
 from spotcheck.model.forward import LAW_PARAMETERS, ForwardModel, RandomStreams
 from spotcheck.model.stage import Stage
+from spotcheck.provenance import file_digest
 from spotcheck.schema import read_schema
 from spotcheck.sensor import SensorModel
 
@@ -36,6 +27,12 @@ from spotcheck.sensor import SensorModel
 EXAMPLE = EffectScales(18.0, 640.0, 1023.0, 240.0, 1e-4, 13.0, 0.11, 0.17, 9e-4)
 SENSOR = SensorModel(0.11, 13.0, black_level_dn=12.0, full_scale_dn=1023.0)
 ROWS, COLUMNS = 10, 12
+GRID = crop_grid(range(COLUMNS), range(ROWS), COLUMNS, ROWS)
+# A small spot, and the same with another exposure, another angle and another place in the order of acquisition.
+FRAME = FrameConditions(GRID, 5.3, 4.6, 1e-4, 2e-4, 2e-4, angle=0.0, order=0.0, peak_dn=640.0, sigma_px=3.0)
+FRAMES = (FRAME, replace(FRAME, exposure_s=2e-4, angle=np.pi / 2, order=1.0))
+# The model without an effect.
+PLAIN = ForwardModel(Baseline(0.0, "free", False, 2e-4), SENSOR)
 # Stages whose functions are called without anything drawn.
 NEVER_RANDOM = (Stage.BLUR, Stage.ADDED_LIGHT, Stage.SMEAR, Stage.READ_NOISE, Stage.RESPONSE, Stage.DIGITAL)
 # Random numbers of one step, and how far their mean and deviation may be from those of its quadrature [deviations].
@@ -50,199 +47,155 @@ def read_effect(path: Path) -> tuple[Effect, str]:
     if not path.is_file():
         raise InputError(f"{path}: is no file; name a Python file that defines EFFECT")
     try:
-        source = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); name a Python file that defines EFFECT") from None
-    digest = hashlib.sha256(source).hexdigest()
-    effect = _run(path, source, f"effect_{digest[:12]}")
-    if effect is None:
-        raise InputError(f"{path}: defines no EFFECT; it must say EFFECT = Effect(name=…, …)")
-    if not isinstance(effect, Effect):
-        kind = type(effect).__name__
-        raise InputError(f"{path}: EFFECT is of type {kind}; it must be a spotcheck.model.effect.Effect")
-    if fault := next(_faults(effect), None):
-        raise InputError(f"{path}: {fault}")
+        with _explain_errors("", "it must be Python that can be run without an error"):
+            digest = file_digest(path)
+            # No bytecode is kept beside the user's file.
+            effect: Any = runpy.run_path(str(path)).get("EFFECT")
+        with _explain_errors("EFFECT: ", "its attributes must be as spotcheck.model.effect.Effect says"):
+            _check_attributes(effect)
+            _check_variants(effect)
+            for start in _check_starts(effect):
+                for variant in effect.variants:
+                    _check_use(AppliedEffect(effect, variant, start))
+    except InputError as fault:
+        cause = fault.__cause__
+        frames = traceback.extract_tb(cause.__traceback__ if cause else None)
+        lines = [frame.lineno for frame in frames if frame.filename == str(path)] or [getattr(cause, "lineno", None)]
+        raise InputError(f"{path} line {lines[-1]}: {fault}" if lines[-1] else f"{path}: {fault}") from None
     return effect, digest
 
 
-def _run(path: Path, source: bytes, name: str) -> Any:
-    """Return EFFECT of a file, None if it defines none. No bytecode is kept beside the user's file."""
-    module = ModuleType(name)
-    module.__file__ = str(path)
-    # Classes of the file look their module up.
-    sys.modules[name] = module
+@contextmanager
+def _explain_errors(what: str, remedy: str) -> Iterator[None]:
+    """Turn an error of the user's code into an `InputError` that says what raised it and what would be right."""
     try:
-        exec(compile(source, str(path), "exec"), vars(module))
-    except SyntaxError as error:
-        where = f" line {error.lineno}" if error.lineno else ""
-        raise InputError(f"{path}{where}: {error.msg}; it must be Python that can be run") from None
+        yield
+    except InputError:
+        raise
     except (Exception, SystemExit) as error:
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-        where = f" line {lines[-1]}" if lines else ""
-        text = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(": ")
-        raise InputError(f"{path}{where}: {text}; it must be Python that runs without an error") from None
-    return vars(module).get("EFFECT")
+        # The whole text of a syntax error repeats the name of the file.
+        text = f"{type(error).__name__}: {getattr(error, 'msg', error)}".splitlines()[0].rstrip(": ")
+        raise InputError(f"{what}{text}; {remedy}") from error
 
 
-def _faults(effect: Effect) -> Iterator[str]:
-    """Yield what is wrong with an effect and what would be right; only the first is to be trusted."""
+# Checks raise `InputError`, without the path, for the first fault: what is wrong, and what would be right.
+
+
+def _check_attributes(effect: Any) -> None:
+    """Check what the attributes of an effect are, but for variants, bounds and starts."""
+    if not isinstance(effect, Effect):
+        what = "defines no EFFECT" if effect is None else f"EFFECT is of type {type(effect).__name__}"
+        raise InputError(f"{what}; it must say EFFECT = Effect(name=…, …) with spotcheck.model.effect.Effect")
     # A verdict speaks of `all` effects in the place of a name.
     if not isinstance(effect.name, str) or not re.fullmatch(r"(?!all$)[a-z][a-z0-9_]*", effect.name):
-        yield f"name is {effect.name!r}; it must be a word of small letters, digits and _, and not all"
-    if not isinstance(effect.sentence, str) or not effect.sentence.strip() or effect.sentence.endswith("."):
-        yield f"sentence is {effect.sentence!r}; it must say what the effect does, without a full stop"
+        raise InputError(f"name is {effect.name!r}; it must be a word of small letters, digits and _, and not all")
+    if not isinstance(effect.sentence, str) or not re.search(r"[^.\s]$", effect.sentence):
+        raise InputError(f"sentence is {effect.sentence!r}; it must say what the effect does, without a full stop")
     if isinstance(effect.number, bool) or not isinstance(effect.number, int) or effect.number < 0:
-        yield f"number is {effect.number!r}; leave it out, and the next free one is taken"
-    yield from _faults_of_parameters(effect)
-    for field, kinds, words in (
-        ("needs", Need, "members of Need"),
-        ("replaces", str, f"words out of {', '.join(LAW_PARAMETERS)}"),
-        ("special_cases", str, "names of effects"),
-    ):
-        values = getattr(effect, field)
-        is_known = field != "replaces" or set(values) <= set(LAW_PARAMETERS)
-        if not isinstance(values, tuple) or not all(isinstance(value, kinds) for value in values) or not is_known:
-            yield f"{field} is {values!r}; it must be a tuple of {words}"
+        raise InputError(f"number is {effect.number!r}; leave it out, and the next free one is taken")
     if effect.law_of not in ("", *PROPERTIES):
-        yield f"law_of is {effect.law_of!r}; it must be one of {', '.join(PROPERTIES)}, or left out"
-    yield from _faults_of_variants(effect)
-    yield from _faults_of_starts(effect)
-    for variant in effect.variants:
-        for start in effect.starts(EXAMPLE):
-            yield from _faults_of_use(AppliedEffect(effect, variant, tuple(map(float, start))))
-
-
-def _faults_of_parameters(effect: Effect) -> Iterator[str]:
-    parameters = effect.parameters
-    if not isinstance(parameters, tuple) or not parameters or not all(isinstance(p, Parameter) for p in parameters):
-        yield "parameters must be a tuple of Parameter(name, unit, low, high), the strength first: (Parameter(…),)"
-    names = [parameter.name for parameter in parameters]
-    for name, unit in ((parameter.name, parameter.unit) for parameter in parameters):
+        raise InputError(f"law_of is {effect.law_of!r}; it must be one of {', '.join(PROPERTIES)}, or left out")
+    for attribute in ("parameters", "needs", "replaces", "special_cases"):
+        values, (kind, _) = getattr(effect, attribute), get_args(get_type_hints(Effect)[attribute])
+        if not isinstance(values, tuple) or not all(isinstance(value, kind) for value in values):
+            raise InputError(f"{attribute} is {values!r}; it must be a tuple of {kind.__name__}: (…,)")
+    if not set(effect.replaces) <= set(LAW_PARAMETERS):
+        raise InputError(f"replaces is {effect.replaces}; it must hold words out of {', '.join(LAW_PARAMETERS)}")
+    names = [parameter.name for parameter in effect.parameters]
+    for name, unit in ((parameter.name, parameter.unit) for parameter in effect.parameters):
         if not isinstance(name, str) or not name.isidentifier() or names.count(name) > 1:
-            yield f"parameters: {name!r} must be a word that stands once"
+            raise InputError(f"parameters: {name!r} must be a word that stands once")
         if not isinstance(unit, str) or not unit:
-            yield f"parameters: the unit of {name} is {unit!r}; it must be text, such as px, or 1 for none"
-    if parameters[0].describes_variant:
-        yield f"parameters: {names[0]} describes a variant; the first must be the strength, which a person is told"
-    try:
-        bounds = effect.bounds(EXAMPLE)
-    except Exception as error:
-        yield f"parameters: bounds raise {_text_of(error)}; they must be numbers or functions of the EffectScales"
-    for name, (low, high) in zip(names, bounds, strict=True):
-        if not low < high:
-            yield f"parameters: {name} goes from {low:g} to {high:g}; the lowest must be below the highest"
+            raise InputError(f"parameters: the unit of {name} is {unit!r}; it must be text, such as px, or 1 for none")
+    if not names or effect.parameters[0].is_variant_specific:
+        raise InputError("parameters: the first must be the strength, which cannot be specific to a variant")
 
 
-def _faults_of_variants(effect: Effect) -> Iterator[str]:
-    names = {parameter.name for parameter in effect.parameters}
+def _check_variants(effect: Effect) -> None:
+    """Check the steps of each variant, and the arguments of their functions."""
+    names = [parameter.name for parameter in effect.parameters]
     if not isinstance(effect.variants, dict) or not effect.variants:
-        yield "variants must be a dict from members of an Enum to tuples of Step or RandomStep"
+        raise InputError("variants must be a dict from members of an Enum to tuples of Step or RandomStep")
     for variant, steps in effect.variants.items():
         if not isinstance(variant, Enum) or not isinstance(variant.value, str):
-            yield f"variants: {variant!r} must be a member of an Enum whose value is text, such as Only.ONLY"
+            raise InputError(f"variants: {variant!r} must be a member of an Enum whose value is text, as Only.ONLY")
         if not isinstance(steps, tuple) or not steps or not all(isinstance(step, Step | RandomStep) for step in steps):
-            yield f"variants: {variant!r} must have a tuple of Step or RandomStep: (Step(Stage.…, function),)"
+            raise InputError(f"variants: {variant} must have a tuple of Step or RandomStep: (Step(Stage.…, function),)")
         for step in steps:
             if not isinstance(step.stage, Stage):
-                yield f"variants: {step.stage!r} must be a member of Stage"
-            if isinstance(step, RandomStep) and step.stage in NEVER_RANDOM:
-                yield f"a RandomStep cannot act at the stage {step.stage.title}; make it a Step, or take another stage"
-            arguments = (*step.stage.value.arguments, *(("drawn",) if isinstance(step, RandomStep) else ()))
-            try:
+                raise InputError(f"variants: {step.stage!r} must be a member of Stage")
+            where, is_random = f"at the stage {step.stage.title}", isinstance(step, RandomStep)
+            if is_random and step.stage in NEVER_RANDOM:
+                raise InputError(f"a RandomStep cannot act {where}; make it a Step, or take another stage")
+            arguments = [*step.stage.value.arguments, *(["drawn"] if is_random else [])]
+            with _explain_errors(f"function {where}: ", f"it must be f({', '.join([*arguments, '*', *names])})"):
                 inspect.signature(step.function).bind(*arguments, **dict.fromkeys(keyword_names_of(step.function)))
-            except (TypeError, ValueError):
-                yield f"a function at the stage {step.stage.title} must be f({', '.join([*arguments, '*', *names])})"
-            if unknown := sorted(set(step.keyword_names()) - names - {"full_scale_dn"}):
-                yield f"a function at the stage {step.stage.title} takes {unknown[0]}, which is no parameter"
+            if unknown := sorted({*step.keyword_names()} - {*names, "full_scale_dn"}):
+                raise InputError(f"a function {where} takes {unknown[0]}, which is no parameter; name it in parameters")
 
 
-def _faults_of_starts(effect: Effect) -> Iterator[str]:
-    try:
-        starts = [tuple(start) for start in effect.starts(EXAMPLE)]
-    except Exception as error:
-        yield f"starts raises {_text_of(error)}; it must be a function of the EffectScales that gives a list of tuples"
+def _check_starts(effect: Effect) -> list[tuple[float, ...]]:
+    """Check bounds and starting values, and return the latter."""
+    names = [parameter.name for parameter in effect.parameters]
+    with _explain_errors("parameters: bounds raise ", "they must be numbers or functions of the EffectScales"):
+        low, high = effect.bounds(EXAMPLE).T
+    for name, lowest, highest in zip(names, low, high, strict=True):
+        if not lowest < highest:
+            raise InputError(f"{name} goes from {lowest:g} to {highest:g}; the lowest must be below the highest")
+    with _explain_errors("starts raises ", "it must be a function of the EffectScales that gives a list of tuples"):
+        starts = [tuple(map(float, start)) for start in effect.starts(EXAMPLE)]
     if not starts:
-        yield "starts gives none; it must give at least one tuple of values"
-    names = ", ".join(parameter.name for parameter in effect.parameters)
-    low, high = effect.bounds(EXAMPLE).T
+        raise InputError("starts gives none; it must give at least one tuple of values")
     for start in starts:
-        if len(start) != len(effect.parameters) or not np.isfinite(start).all():
-            yield f"starts gives {start}; each must hold a number for {names}"
-        if (np.array(start) < low).any() or (np.array(start) > high).any():
-            yield f"starts gives {start}, outside the bounds of {names}"
+        if len(start) != len(names) or not (np.isfinite(start) & (low <= start) & (start <= high)).all():
+            words = f"a number for {', '.join(names)}, none outside the bounds of a parameter"
+            raise InputError(f"starts gives {start}; each must hold {words}")
+    return starts
 
 
-def _faults_of_use(applied: AppliedEffect) -> Iterator[str]:
-    """Yield what is wrong with keys of instrument.yaml, draws, and readings of a small frame."""
-    sections = read_schema("instrument")["properties"]
-    try:
-        keys = list(applied.instrument_keys(SENSOR))
-        wrong = [key for key in keys if key.partition(".")[2] not in sections[key.partition(".")[0]]["properties"]]
-    except Exception as error:
-        yield f"instrument_keys raises {_text_of(error)}; it must be f(sensor, variant, *, …) and give sensor.key"
-    if wrong:
-        yield f"instrument_keys names {wrong[0]}, which is no key of instrument.yaml"
-    values = ", ".join(f"{name} = {value:g}" for name, value in applied.parameters.items())
-    gone = applied.with_value(applied.effect.parameters[0].name, applied.effect.vanishes_at)
-    try:
-        for step in applied.effect.variants[applied.variant]:
-            yield from _faults_of_draws(applied, step)
-        model = _example(applied)
-        if not all(np.isfinite(model.light(_example_frame(number)).total).all() for number in range(2)):
-            yield f"function returns what is not finite at {values}; it must return numbers"
+def _check_use(applied: AppliedEffect) -> None:
+    """Check keys of instrument.yaml, draws, and readings of a small frame."""
+    effect, values = applied.effect, ", ".join(f"{name} = {value:g}" for name, value in applied.parameters.items())
+    sections = read_schema("instrument")["properties"].items()
+    with _explain_errors("instrument_keys raises ", "it must be f(sensor, variant, *, …) and give sensor.key"):
+        keys = set(applied.instrument_keys(SENSOR))
+    if keys := keys - {f"{name}.{key}" for name, section in sections for key in section.get("properties", ())}:
+        raise InputError(f"instrument_keys names {keys.pop()}, which is no key of instrument.yaml")
+    remedy = f"at {values} it must return finite numbers that broadcast over rows and columns"
+    with _explain_errors("function raises ", remedy):
+        model = replace(PLAIN, effects=(applied,))
         signal, distribution = np.linspace(-0.1, 3.0, 2000) * SENSOR.full_scale_dn, model.distribution()
         for transfer in (*distribution.charge, *distribution.response, *distribution.digital):
             if np.any(np.diff(transfer(signal)) < -1e-9 * SENSOR.full_scale_dn):
-                yield f"function returns less for a larger signal at {values}; at this stage it must never decrease"
-        expected = [model.expected(_example_frame(number)) for number in range(2)]
-        drawn = model.sample(_example_frame(0), RandomStreams(1, 0, 0))
-        has_zero = np.isfinite(applied.effect.vanishes_at) and not applied.effect.special_cases
-        nothing = _example(gone) if has_zero else _example()
-        change = nothing.expected(_example_frame(0)).mean - _example().expected(_example_frame(0)).mean
-    except Exception as error:
-        yield f"function raises {_text_of(error)} at {values}; it must broadcast over rows and columns"
-    parts = [drawn, *(part for reading in expected for part in (reading.mean, reading.variance))]
-    if any(np.shape(part) != (ROWS, COLUMNS) for part in parts):
-        yield f"function returns an array that does not broadcast to rows and columns at {values}"
-    if not all(np.isfinite(part).all() for part in parts):
-        yield f"function returns what is not finite at {values}; it must return numbers"
-    if np.max(np.abs(change)) > 1e-6 * SENSOR.full_scale_dn:
-        yield f"vanishes_at is {applied.effect.vanishes_at:g}, but with it the function still changes readings"
+                raise InputError(f"function returns less for a larger signal at {values}; it must never decrease there")
+        readings = [model.sample(FRAME, RandomStreams(1, 0, 0))]
+        readings += [part for frame in FRAMES for part in vars(model.expected(frame)).values()]
+        if not all(np.shape(part) == (ROWS, COLUMNS) and np.isfinite(part).all() for part in readings):
+            raise InputError(f"function makes readings that are not finite or not one for each pixel; {remedy}")
+        for stage in effect.stages:
+            _check_draws(applied, stage)
+        if np.isfinite(effect.vanishes_at) and not effect.special_cases:
+            model = replace(PLAIN, effects=(applied.with_value(effect.parameters[0].name, effect.vanishes_at),))
+            change = model.expected(FRAME).mean - PLAIN.expected(FRAME).mean
+            if np.max(np.abs(change)) > 1e-6 * SENSOR.full_scale_dn:
+                raise InputError(f"vanishes_at is {effect.vanishes_at:g}, but it still changes readings there")
 
 
-def _faults_of_draws(applied: AppliedEffect, step: Step | RandomStep) -> Iterator[str]:
-    """Yield a difference between what a random step draws and the quadrature that stands for it."""
-    if not isinstance(step, RandomStep):
-        return
-    bound = next(other for other in applied.steps_at(step.stage) if other.step is step)
-    rng, drawn = np.random.default_rng(1), np.empty(0)
-    while drawn.size < DRAWS:
-        drawn = np.append(drawn, bound.call(step.draw, rng, (ROWS, COLUMNS)))
-    values, weights = bound.average()
-    mean = float(weights @ values)
-    deviation = float(np.sqrt(weights @ (values - mean) ** 2))
-    is_off = abs(drawn.mean() - mean) > MEAN_OFF * deviation or abs(drawn.std() - deviation) > DEVIATION_OFF * deviation
-    if is_off or not np.isclose(np.sum(weights), 1.0):
-        yield (
-            f"draw at the stage {step.stage.title} has the mean {drawn.mean():.3g} and the deviation {drawn.std():.3g},"
-            f" but its quadrature has {mean:.3g} and {deviation:.3g}, with weights whose sum is {np.sum(weights):.3g};"
-            " both must agree, and weights sum to 1"
-        )
-
-
-def _example(*effects: AppliedEffect) -> ForwardModel:
-    return ForwardModel(Baseline(0.0, "free", False, 2e-4), SENSOR, None, effects)
-
-
-def _example_frame(number: int) -> FrameConditions:
-    """Return one of two frames of a small spot: other exposures, angles and places in the order of acquisition."""
-    grid = crop_grid(range(COLUMNS), range(ROWS), COLUMNS, ROWS)
-    exposure_s = 1e-4 * (1 + number)
-    return FrameConditions(grid, 5.3, 4.6, exposure_s, 2e-4, 2e-4, np.pi / 2 * number, float(number), 640.0, 3.0)
-
-
-def _text_of(error: Exception) -> str:
-    """Return an exception in one line, with the line of the user's file."""
-    frames = traceback.extract_tb(error.__traceback__)
-    text = f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}".rstrip(": ")
-    return f"{text} (line {frames[-1].lineno})" if frames else text
+def _check_draws(applied: AppliedEffect, stage: Stage) -> None:
+    """Check that what the random steps at a stage draw agrees with the quadratures that stand for it."""
+    for step in applied.steps_at(stage):
+        if step.random:
+            rng, drawn = np.random.default_rng(1), np.empty(0)
+            while drawn.size < DRAWS:
+                drawn = np.append(drawn, step.call(step.random.draw, rng, (ROWS, COLUMNS)))
+            values, weights = step.average()
+            mean = float(weights @ values)
+            deviation, total = float(np.sqrt(weights @ (values - mean) ** 2)), np.sum(weights)
+            is_off = abs(drawn.mean() - mean) > MEAN_OFF * deviation
+            is_off |= abs(drawn.std() - deviation) > DEVIATION_OFF * deviation
+            if is_off or not np.isclose(total, 1.0):
+                raise InputError(
+                    f"draw at the stage {stage.title} has the mean {drawn.mean():.3g} and the deviation"
+                    f" {drawn.std():.3g}, but its quadrature has {mean:.3g} and {deviation:.3g}, with weights whose sum"
+                    f" is {total:.3g}; both must agree, and weights sum to 1"
+                )

@@ -98,7 +98,7 @@ class ForwardModel(LightStages):
 
         Both are over everything that is random, so that they are those of frames that `sample` draws with other seeds.
         """
-        parts = [(weight, self._moments(frame, drawn)) for weight, drawn in self._averages()]
+        parts = [(weight, self.moments(self.sensor_input(frame, drawn), drawn)) for weight, drawn in self._averages()]
         mean = sum(weight * moments.mean for weight, moments in parts)
         variance = sum(weight * (moments.variance + (moments.mean - mean) ** 2) for weight, moments in parts)
         return ExpectedReading(np.asarray(mean), np.asarray(variance))
@@ -112,7 +112,7 @@ class ForwardModel(LightStages):
             drawn[step] = _draw(step, shape, streams.seed, streams.key(random.scope))
             if random.stage is Stage.WELL:
                 levels = np.minimum(levels, drawn[step])
-        at = self._sensor_input(frame, drawn)
+        at = self.sensor_input(frame, drawn)
         # The levels of all pixels are drawn.
         distribution = replace(at.distribution, charge_levels=())
         light = np.broadcast_to(at.light.total, shape)
@@ -147,42 +147,41 @@ class ForwardModel(LightStages):
 
     # Stages of the sensor.
 
-    def _sensor_input(self, frame: FrameConditions, drawn: Drawn) -> SensorInput:
-        light = self.light(frame, drawn)
-        exposure_s = self.true_exposure(frame, drawn)
-        sensor = self.sensor
-        dark_e = sensor.dark_current_e_per_s * exposure_s
-        # The distribution adds the dark electrons itself, so only what effects add to the charge counts here.
-        mean_e = light.total / sensor.gain_dn_per_e + dark_e
+    def sensor_input(
+        self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN, light: Light | None = None
+    ) -> SensorInput:
+        """Return what the sensor gets in a frame; `light` is that of the frame if it is known already."""
+        light, sensor = light or self.light(frame, drawn), self.sensor
+        mean_e = light.total / sensor.gain_dn_per_e + sensor.dark_current_e_per_s * self.true_exposure(frame, drawn)
         charge_e = self.apply_stage(Stage.CHARGE, drawn, frame, mean_e)
-        light = replace(light, pedestal=light.pedestal + sensor.gain_dn_per_e * (charge_e - mean_e))
+        # Dark electrons count as a pedestal, so that frames of all exposures share one distribution.
+        light = replace(light, pedestal=sensor.gain_dn_per_e * charge_e - light.spot)
         smear_e = sum((step(frame, charge_e) for step in self.steps_at(Stage.SMEAR)), 0.0)
         offset_dn: Any = self.apply_stage(Stage.BLACK_LEVEL, drawn, frame, 0.0)
         offset_dn = self.apply_stage(Stage.ROW_NOISE_AND_HOT_PIXELS, drawn, frame, offset_dn)
         if np.ndim(offset_dn) == 0:
             sensor = replace(sensor, black_level_dn=sensor.black_level_dn + float(offset_dn))
             offset_dn = 0.0
-        return SensorInput(replace(self, sensor=sensor).distribution(exposure_s), light, smear_e, offset_dn)
+        return SensorInput(replace(self, sensor=sensor).distribution(), light, smear_e, offset_dn)
 
-    def distribution(self, exposure_s: float = 0.0) -> ReadingDistribution:
-        """Return the distribution of a reading given its light, with the effects on the sensor's stages."""
-        sensor = self.sensor
+    def distribution(self) -> ReadingDistribution:
+        """Return the distribution of a reading given its light and dark signal, with the effects on the sensor's
+        stages."""
+        sensor = replace(self.sensor, dark_current_e_per_s=0.0)
         variance = self.apply_stage(Stage.READ_NOISE, NOTHING_DRAWN, None, sensor.read_noise_e**2)
         well = self.steps_at(Stage.WELL)
         response = self.steps_at(Stage.RESPONSE)
         levels = [zip(*reversed(step.average()), strict=True) for step in well if step.random]
         return ReadingDistribution(
             replace(sensor, read_noise_e=float(np.sqrt(variance))),
-            exposure_s,
             charge=tuple(step for step in well if not step.random),
             charge_levels=tuple(levels[0]) if levels else (),
             response=tuple(replace(step, full_scale_dn=sensor.full_scale_dn) for step in response),
             digital=tuple(self.steps_at(Stage.DIGITAL)),
         )
 
-    def _moments(self, frame: FrameConditions, drawn: Drawn) -> ReadingMoments:
-        """Return moments of readings for what was drawn in front of the sensor; grains and levels are averaged."""
-        at = self._sensor_input(frame, drawn)
+    def moments(self, at: SensorInput, drawn: Drawn = NOTHING_DRAWN) -> ReadingMoments:
+        """Return mean and variance of readings and their slopes by the light; grains and levels are averaged over."""
         light, distribution, total = at.light, at.distribution, at.light.total
         plain = partial(moments_with_offsets, distribution, smear_e=at.smear_e, offset_dn=at.offset_dn)
         grains = [step for step in self.steps_at(Stage.SPECKLE_FIELD) if step.random and step not in drawn]
@@ -235,7 +234,7 @@ class ForwardModel(LightStages):
         if slope is None:
             low, high, step = self._neighbours(frame, name, LIGHT_STEP)
             slope = (high[0].light(high[1]).total - low[0].light(low[1]).total) / step
-        moments = self._moments(frame, NOTHING_DRAWN)
+        moments = self.moments(self.sensor_input(frame))
         return moments.mean_slope * slope, moments.variance_slope * slope
 
     def _registered_slope(self, frame: FrameConditions, name: str) -> np.ndarray | None:

@@ -124,7 +124,7 @@ class LightStages:
             path = convolve_paths(path, np.transpose(PIXEL))
 
         def blurred(shift_x: float, shift_y: float) -> np.ndarray:
-            return sum(weight * sharp(shift_x + dx, shift_y + dy) for dx, dy, weight in path.T)
+            return sum(weight * sharp(shift_x + dx, shift_y + dy) for dx, dy, weight in np.moveaxis(path, 0, 1))
 
         total, spot = blurred(0.0, 0.0), BlurredSpot(blurred, state.peak_dn, state.sigma_px)
         for step in self.steps_at(Stage.ADDED_LIGHT):
@@ -136,7 +136,12 @@ class LightStages:
 
 
 def convolve_paths(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return every pair of displacements of two paths [3, point]: dx and dy add up, weights multiply."""
-    shift = first[:2, :, None] + second[:2, None, :]
-    weight = first[2, :, None] * second[2, None, :]
-    return np.concatenate([shift, weight[None]]).reshape(3, -1)
+    """Return every pair of displacements of two paths [3, point, …]: dx and dy add up, weights multiply.
+
+    Further axes are those of frames, if paths differ between frames.
+    """
+    axes = max(first.ndim, second.ndim)
+    first, second = (path.reshape(path.shape + (1,) * (axes - path.ndim)) for path in (first, second))
+    first, second = first[:, :, None], second[:, None]
+    paths = np.concatenate([first[:2] + second[:2], first[2:] * second[2:]])
+    return paths.reshape(3, -1, *paths.shape[3:])

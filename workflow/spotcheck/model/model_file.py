@@ -74,19 +74,18 @@ def scales_of(
     model: ExtendedModel, baseline: Baseline, sensor: SensorModel, crop_px: int, exposures_s: Sequence[float]
 ) -> EffectScales:
     """Return the scales from which bounds of effects derive, for a simulation at `exposures_s`."""
-    exponent, law, full_scale = 0.0, model.law, sensor.full_scale_dn
+    law = model.law
     if law is not None:
-        exponent = float(law.p1 / baseline.propagation(model.reference_s, law.p1, law.p2))
-        sigma, peak = float(baseline.sigma(model.longest_s, law.p1, law.p2)), law.peak_dn
+        exponent = law.p1 / baseline.propagation(model.reference_s, law.p1, law.p2)
+        sigma, peak = baseline.sigma(model.longest_s, law.p1, law.p2), law.peak_dn
     else:
-        spots = list(model.spots.values())
-        sigma = float(np.median([spot.sigma_px for spot in spots]))
+        exponent, sigma = 0.0, np.median([spot.sigma_px for spot in model.spots.values()])
         # No reading lies above full scale, however bright the light of a spot is.
-        peak = min(max(float(spot.peak_dn or 0.0) for spot in spots), full_scale)
-    shortest = float(min(exposures_s, default=1.0))
+        peak = min(max(spot.peak_dn or 0.0 for spot in model.spots.values()), sensor.full_scale_dn)
     return EffectScales(
-        sigma, float(baseline.plateau(peak)), min(full_scale, 65535.0), float(crop_px), shortest, sensor.read_noise_e,
-        sensor.gain_dn_per_e, exponent, model.longest_s,
+        sigma_px=float(sigma), peak_dn=float(baseline.plateau(peak)), full_scale_dn=min(sensor.full_scale_dn, 65535.0),
+        crop_px=float(crop_px), shortest_s=float(min(exposures_s, default=1.0)), longest_s=model.longest_s,
+        read_noise_e=sensor.read_noise_e, gain_dn_per_e=sensor.gain_dn_per_e, width_exponent=float(exponent),
     )  # fmt: skip
 
 
@@ -97,10 +96,8 @@ def check_bounds(model: ExtendedModel, scales: EffectScales, name: str) -> None:
         for parameter, value, (low, high) in zip(applied.effect.parameters, applied.values, bounds, strict=True):
             if value < low - SLACK * abs(low) or value > high + SLACK * abs(high):
                 unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-                raise InputError(
-                    f"{name}: {parameter.name} of {applied.effect.name} is {value:g}{unit}; it must be from {low:g} to"
-                    f" {high:g}"
-                )
+                what = f"{name}: {parameter.name} of {applied.effect.name} is {value:g}{unit}"
+                raise InputError(f"{what}; it must be from {low:g} to {high:g}")
 
 
 def reason_without_model(path: Path) -> str:
@@ -124,19 +121,12 @@ def read_model(path: Path) -> ExtendedModel:
         raise InputError(f"{path.name}: effect {twice[0]} stands twice; keep one of them")
     lights = _lights(path, content.get("light"), effects)
     for k, spot in enumerate(spots.values()):
-        if len(lights) > 1 and not 0 <= (-1 if spot.light is None else spot.light) < len(lights):
+        if len(lights) > 1 and spot.light not in range(len(lights)):
             raise InputError(f"{path.name}: spots.{k}.light must say which of {len(lights)} lights it has, from 0 on")
-    frame, exposure = content["frame"], content["exposure"]
-    return ExtendedModel(
-        None if law is None else ExposureLaw(float(law["p1_px"]), float(law["p2_px"]), float(law["peak_dn"])),
-        float(exposure["longest_s"]),
-        float(exposure["reference_s"]),
-        int(frame["rows_px"]),
-        int(frame["columns_px"]),
-        effects,
-        spots,
-        lights,
-    )
+    law = law and ExposureLaw(float(law["p1_px"]), float(law["p2_px"]), float(law["peak_dn"]))
+    longest_s, reference_s = (float(content["exposure"][key]) for key in ("longest_s", "reference_s"))
+    rows, columns = (int(content["frame"][key]) for key in ("rows_px", "columns_px"))
+    return ExtendedModel(law, longest_s, reference_s, rows, columns, effects, spots, lights)
 
 
 def _spots(path: Path, content: Mapping[str, Any]) -> dict[Site, Spot]:
@@ -159,36 +149,18 @@ def _lights(path: Path, file: str | None, effects: Sequence[AppliedEffect]) -> t
     """Return the learned shapes of a file, which an effect without steps stands for."""
     learned = [applied.effect.name for applied in effects if not applied.effect.stages]
     if learned and file is None:
-        raise InputError(
-            f"{path.name}: key light is missing; {learned[0]} needs the file of its shape, such as {LIGHT}"
-        )
-    if file is None:
-        return ()
-    if not learned:
-        raise InputError(
-            f"{path.name}: key light names {file}, but no effect stands for its shape; add one, or drop it"
-        )
-    return read_lights(path.parent / file)
+        raise InputError(f"{path.name}: key light is missing; {learned[0]} needs the file of its shape ({LIGHT})")
+    if file is not None and not learned:
+        raise InputError(f"{path.name}: key light names {file}, but no effect stands for its shape; drop the key")
+    return () if file is None else read_lights(path.parent / file)
 
 
 def _applied(keys: Mapping[str, Any], where: str) -> AppliedEffect:
+    """Return the effect of an entry under `effects`; `where` is the name of the entry."""
     effect = vocabulary().get(keys["name"])
     if effect is None:
-        known = ", ".join(vocabulary())
-        raise InputError(f"{where}.name is {keys['name']}, which is no effect; known effects: {known}")
-    texts = [str(variant.value) for variant in effect.variants]
-    text = keys.get("form", texts[0] if len(texts) == 1 else None)
-    if text is None:
-        raise InputError(f"{where}: {effect.name} lacks its form; it must be one of {', '.join(texts)}")
-    variant = effect.variant_named(text)
-    if variant is None:
-        known = ", ".join(filter(None, texts))
-        raise InputError(f"{where}.form is {text}; " + (f"it must be one of {known}" if known else "it has no forms"))
-    values, names = keys["parameters"], [parameter.name for parameter in effect.parameters_of(variant)]
-    if unknown := [name for name in values if name not in names]:
-        raise InputError(f"{where}.parameters has no key {unknown[0]} in {effect.name}; its keys: {', '.join(names)}")
-    if missing := [name for name in names if name not in values]:
-        raise InputError(f"{where}.parameters.{missing[0]} is missing; {effect.name} needs {', '.join(names)}")
-    return AppliedEffect(
-        effect, variant, tuple(float(values.get(parameter.name, np.nan)) for parameter in effect.parameters)
-    )
+        raise InputError(f"{where}.name is {keys['name']}, which is no effect; known are {', '.join(vocabulary())}")
+    try:
+        return effect.apply(keys["parameters"], keys.get("form"))
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None

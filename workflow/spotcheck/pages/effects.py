@@ -191,7 +191,7 @@ def bound(end: float | Callable[[EffectScales], float]) -> str:
 
 
 def _row(parameter: Parameter, vanishes_at: float | None) -> str:
-    notes = ["of the variant"] if parameter.describes_variant else []
+    notes = ["of the variant"] if parameter.is_variant_specific else []
     if vanishes_at is not None and not math.isnan(vanishes_at):
         notes.append("vanishes at " + ("∞" if math.isinf(vanishes_at) else _text(vanishes_at)))
     if parameter.negligible:

@@ -1,4 +1,7 @@
-"""Probability of each code under Poisson electrons, compiled, and the cumulants that follow from it."""
+"""Probability of each code under Poisson electrons, compiled, and the cumulants that follow from it.
+
+Arrays have an axis of mean numbers of electrons, [mean], and one of codes, [code].
+"""
 
 import math
 from typing import NamedTuple
@@ -7,34 +10,21 @@ import numpy as np
 from numba import njit
 from scipy.special import ndtr
 
+# For all compiled functions of the package.
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 # Largest reading [DN] of the 16-bit integers that images are stored in.
 LARGEST_READING = 65535
+# More electrons than any converter reads [e-], where every clip has set in; Poisson draws of larger means overflow.
+MOST_ELECTRONS = 1e12
 # Standard deviations beyond which Poisson and Gaussian noise are left out: a probability of 1e-17.
 NOISE_SD = 8.5
-# Electrons beyond that reach, for means near 0, where the Poisson distribution is skewed.
+# Electrons beyond that distance, for means near 0, where the Poisson distribution is skewed.
 POISSON_MARGIN = 14
 
 
-class CodeProbabilities(NamedTuple):
-    """Probability of the codes [DN] from `first_code` on at each of some levels of light.
-
-    All codes that occur are included, so that each row of `probability` sums to 1.
-    """
-
-    first_code: int
-    probability: np.ndarray  # [level, code]
-    slope: np.ndarray  # derivative of the probability by the mean number of electrons [level, code, 1/e-]
-
-    @property
-    def codes(self) -> np.ndarray:
-        """Codes [DN] of the columns."""
-        return self.first_code + np.arange(self.probability.shape[1])
-
-
 class Cumulants(NamedTuple):
-    """Cumulants of a reading and what follows from them, each [level]; slopes are by the mean electrons."""
+    """Cumulants of a reading and what follows from them, each [mean]; slopes are by the mean electrons."""
 
     mean: np.ndarray  # [DN]
     variance: np.ndarray  # [DN²]
@@ -45,15 +35,46 @@ class Cumulants(NamedTuple):
     information: np.ndarray  # Fisher information on the mean electrons [1/e-²]
 
 
-def counts_within_reach(mean_e: float) -> tuple[int, int]:
+class CodeProbabilities(NamedTuple):
+    """Probability of the codes [DN] from `first_code` on at each of some mean numbers of electrons.
+
+    All codes that occur are included, so that each row of `probability` sums to 1.
+    """
+
+    first_code: int
+    probability: np.ndarray  # [mean, code]
+    slope: np.ndarray  # derivative of the probability by the mean number of electrons [mean, code, 1/e-]
+
+    @property
+    def codes(self) -> np.ndarray:
+        """Codes [DN] of the columns."""
+        return self.first_code + np.arange(self.probability.shape[1])
+
+    def score(self) -> np.ndarray:
+        """Return ∂ ln P/∂ν by the mean electrons ν [mean, code, 1/e-]; NaN where P is 0 or too small for the ratio."""
+        is_possible = self.probability > 1e-300
+        return np.where(is_possible, self.slope, np.nan) / np.where(is_possible, self.probability, 1.0)
+
+    def cumulants(self) -> Cumulants:
+        """Return the cumulants of readings at each mean."""
+        mean = self.probability @ self.codes
+        deviation = self.codes - mean[:, None]
+        square = deviation**2
+        powers = square, square * deviation, square**2
+        second, third, fourth = ((self.probability * power).sum(axis=1) for power in powers)
+        mean_slope, variance_slope = ((self.slope * power).sum(axis=1) for power in (deviation, square))
+        information = np.nansum(self.slope * self.score(), axis=1)
+        return Cumulants(mean, second, third, fourth - 3 * second**2, mean_slope, variance_slope, information)
+
+
+@compiled
+def find_possible_counts(mean_e):
     """Return the lowest and the highest number of electrons that a Poisson mean [e-] gives."""
     half_width = NOISE_SD * math.sqrt(mean_e) + POISSON_MARGIN
     return max(math.floor(mean_e - half_width), 0), math.ceil(mean_e + half_width)
 
 
-def code_probabilities_given_signal(
-    signal: np.ndarray, noise: float, edges: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def integrate_read_noise(signal: np.ndarray, noise: float, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the first code of each signal [signal] and the probability of the codes from it on [signal, code].
 
     A code is at most k if signal plus noise lie below `edges[k]` [DN], increasing, and at most len(edges) in any case.
@@ -72,19 +93,15 @@ def code_probabilities_given_signal(
 
 @compiled
 def sum_over_electrons(mean_e, lowest_count, first, band, first_code, probability, slope):
-    """Fill the probability of each code and its slope by the mean, both [level, code] and 0 before.
+    """Fill the probability of each code and its slope by the mean, both [mean, code] and 0 before.
 
-    mean_e [level, e-], at least 0; `first` and `band` say for each number of electrons from `lowest_count` on which
+    mean_e [mean, e-], at least 0; `first` and `band` say for each number of electrons from `lowest_count` on which
     code is the first and how probable the codes from it on are; columns start at `first_code`.
     """
     for i in range(mean_e.size):
         mean = mean_e[i]
-        half_width = NOISE_SD * math.sqrt(mean) + POISSON_MARGIN
-        low, high = max(math.floor(mean - half_width), 0), math.ceil(mean + half_width)
-        if mean == 0.0:
-            weight = 1.0 if low == 0 else 0.0
-        else:
-            weight = math.exp(low * math.log(mean) - mean - math.lgamma(low + 1.0))
+        low, high = find_possible_counts(mean)
+        weight = math.exp((low * math.log(mean) if low > 0 else 0.0) - mean - math.lgamma(low + 1.0))
         before = 0.0
         for count in range(low, high + 1):
             row = count - lowest_count
@@ -95,16 +112,3 @@ def sum_over_electrons(mean_e, lowest_count, first, band, first_code, probabilit
                 slope[i, column + j] += rise * band[row, j]
             before = weight
             weight *= mean / (count + 1.0)
-
-
-def cumulants_of(codes: CodeProbabilities) -> Cumulants:
-    """Return the cumulants of readings from the probability of their codes."""
-    probability, slope = codes.probability, codes.slope
-    mean = probability @ codes.codes
-    deviation = codes.codes - mean[:, None]
-    second, third, fourth = ((probability * deviation**power).sum(axis=1) for power in (2, 3, 4))
-    mean_slope = (slope * deviation).sum(axis=1)
-    variance_slope = (slope * deviation**2).sum(axis=1)
-    is_possible = probability > np.finfo(float).tiny
-    information = (np.where(is_possible, slope, 0.0) ** 2 / np.where(is_possible, probability, 1.0)).sum(axis=1)
-    return Cumulants(mean, second, third, fourth - 3 * second**2, mean_slope, variance_slope, information)

@@ -18,12 +18,12 @@ from scipy.stats import poisson
 
 from spotcheck.sensor.codes import (
     LARGEST_READING,
+    MOST_ELECTRONS,
     NOISE_SD,
     CodeProbabilities,
     Cumulants,
-    code_probabilities_given_signal,
-    counts_within_reach,
-    cumulants_of,
+    find_possible_counts,
+    integrate_read_noise,
     sum_over_electrons,
 )
 from spotcheck.sensor.response import apply_curvature, remove_curvature
@@ -38,15 +38,13 @@ Transfer = Callable[[np.ndarray], np.ndarray]
 
 # Steps of the bisection that inverts a response: each halves the interval.
 BISECTIONS = 80
-# More electrons than any converter reads; beyond, Poisson draws overflow.
-MOST_ELECTRONS = 1e12
-# Probabilities of codes given the electrons that all levels of light share, at most.
+# Probabilities of codes given the electrons that all lights share, at most.
 MOST_SHARED = 2_000_000
 # Pixels from which on tables pay for a call of `sample`.
 FEWEST_FOR_TABLES = 4096
-# Levels of light that are summed at a time; they share the probabilities of codes given the electrons.
+# Mean numbers of electrons that are summed at a time; they share the probabilities of codes given the electrons.
 BLOCK = 64
-# Standard deviations of light that one such block may span.
+# Standard deviations of the electrons that one such block may span.
 BLOCK_SPAN = 20.0
 
 
@@ -106,7 +104,7 @@ class ReadingDistribution:
 
     def pmf(self, reading: ArrayLike, light: ArrayLike) -> np.ndarray:
         """Return P(y | L) of whole readings [DN] at light [DN]; both broadcast."""
-        return self._at_readings(reading, light, lambda codes: codes.probability)
+        return self._at_readings(reading, light, lambda codes: codes.probability, (0.0, 0.0))
 
     def cdf(self, reading: ArrayLike, light: ArrayLike) -> np.ndarray:
         """Return P(at most y | L) of readings [DN] at light [DN]; both broadcast."""
@@ -117,52 +115,30 @@ class ReadingDistribution:
 
         NaN where a reading is so improbable, below about 1e-17, that no number is known.
         """
-
-        def score(codes: CodeProbabilities) -> np.ndarray:
-            is_possible = codes.probability > 1e-300
-            ratio = codes.slope / np.where(is_possible, codes.probability, 1.0)
-            return np.where(is_possible, ratio, np.nan) / self.sensor.gain_dn_per_e
-
-        return self._at_readings(reading, light, score, (np.nan, np.nan))
+        return self._at_readings(reading, light, CodeProbabilities.score, (np.nan, np.nan)) / self.sensor.gain_dn_per_e
 
     # Moments.
 
     def mean(self, light: ArrayLike) -> np.ndarray:
         """Return the mean reading [DN] at light [DN]."""
-        return self.cumulants(light).mean[()]
+        return self.cumulants(light).mean
 
     def variance(self, light: ArrayLike) -> np.ndarray:
         """Return the variance [DN²] of the reading at light [DN]."""
-        return self.cumulants(light).variance[()]
-
-    def third_cumulant(self, light: ArrayLike) -> np.ndarray:
-        """Return the third cumulant [DN³] of the reading at light [DN]."""
-        return self.cumulants(light).third[()]
-
-    def fourth_cumulant(self, light: ArrayLike) -> np.ndarray:
-        """Return the fourth cumulant [DN⁴] of the reading at light [DN]; 0 for a normal distribution."""
-        return self.cumulants(light).fourth[()]
-
-    def mean_slope(self, light: ArrayLike) -> np.ndarray:
-        """Return d mean/dL [1] at light [DN]."""
-        return self.cumulants(light).mean_slope[()] / self.sensor.gain_dn_per_e
-
-    def variance_slope(self, light: ArrayLike) -> np.ndarray:
-        """Return d variance/dL [DN] at light [DN]."""
-        return self.cumulants(light).variance_slope[()] / self.sensor.gain_dn_per_e
+        return self.cumulants(light).variance
 
     def fisher_information(self, light: ArrayLike) -> np.ndarray:
         """Return the Fisher information [1/DN²] of a reading on the light, at light [DN]."""
-        return self.cumulants(light).information[()] / self.sensor.gain_dn_per_e**2
+        return self.cumulants(light).information / self.sensor.gain_dn_per_e**2
 
     def cumulants(self, light: ArrayLike) -> Cumulants:
-        """Return all cumulants at light [DN] in one pass, in the shape of `light`; slopes are by the mean electrons."""
+        """Return all cumulants at light [DN] in one pass, in its shape; slopes are by the mean electrons."""
         light = np.asarray(light, float)
-        mean_e, place = np.unique(self.mean_electrons(light), return_inverse=True)
+        mean_e, index = np.unique(self.mean_electrons(light), return_inverse=True)
         out = np.empty((len(Cumulants._fields), mean_e.size))
         for part, codes in self._blocks(mean_e):
-            out[:, part] = cumulants_of(codes)
-        return Cumulants(*(row[place].reshape(light.shape) for row in out))
+            out[:, part] = codes.cumulants()
+        return Cumulants(*out[:, index.reshape(light.shape)])
 
     def expected_maximum(self, light: ArrayLike) -> float:
         """Return the mean of the largest reading [DN] of independent pixels at light [DN]: Σ_k [1 − Π P(at most k)]."""
@@ -182,7 +158,7 @@ class ReadingDistribution:
 
         The table goes at least that far: `light_max` is rounded up to a power of two, so that images share tables.
         """
-        return _tabulate(self, 2.0 ** np.ceil(np.log2(max(light_max, 1.0))))
+        return tabulate_readings(self, 2.0 ** np.ceil(np.log2(max(light_max, 1.0))))
 
     def sample(
         self,
@@ -225,8 +201,8 @@ class ReadingDistribution:
         """Draw the chain step by step in numpy; arguments as for `sample`."""
         electrons = rng.poisson(np.minimum(self.mean_electrons(np.maximum(light, 0.0)), MOST_ELECTRONS))
         if self.charge_levels:
-            shares, levels = np.transpose(self.charge_levels)
-            charge_level = np.minimum(charge_level, rng.choice(levels, light.shape, p=shares / shares.sum()))
+            shares, charge_levels = np.transpose(self.charge_levels)
+            charge_level = np.minimum(charge_level, rng.choice(charge_levels, light.shape, p=shares / shares.sum()))
         signal = np.minimum(self.charge_signal(electrons + smear_e), charge_level)
         signal = signal + self.noise_dn * rng.standard_normal(light.shape)
         highest = np.rint(min(self.sensor.full_scale_dn, LARGEST_READING))
@@ -263,55 +239,55 @@ class ReadingDistribution:
     # Sums.
 
     def probabilities(self, mean_e: np.ndarray) -> CodeProbabilities:
-        """Return the probability of all codes at means [level, e-], sorted and either all below 0 or none."""
+        """Return the probability of all codes at means [mean, e-], sorted and either all below 0 or none."""
         if mean_e[0] < 0:
             return self._probabilities_below_zero(mean_e)
-        low, high = counts_within_reach(float(mean_e[0]))[0], counts_within_reach(float(mean_e[-1]))[1]
-        first, band = self._given_counts(low, high)
+        low, high = find_possible_counts(mean_e[0])[0], find_possible_counts(mean_e[-1])[1]
+        first, band = self._pmf_given_counts(low, high)
         lowest, end = int(first.min()), int(first.max()) + band.shape[1]
         if self.charge_levels:
-            shares, levels = np.transpose(self.charge_levels)
+            shares, charge_levels = np.transpose(self.charge_levels)
             signal = self.charge_signal(np.arange(high + 1.0))
-            # From so many electrons on the pixels of a level are stopped there.
-            stop = np.searchsorted(signal, levels, side="right")
+            # From so many electrons on the charge of a pixel stops at its charge level.
+            stop = np.searchsorted(signal, charge_levels, side="right")
             band = band * (shares @ (np.arange(low, high + 1) < stop[:, None]))[:, None]
-            # Levels above all signals stop no pixel; infinite ones are allowed.
-            stopped_first, stopped = self._given_signal(np.minimum(levels, signal[-1]))
+            # Charge levels above all signals stop no pixel; infinite ones are allowed.
+            stopped_first, stopped = self._pmf_given_signal(np.minimum(charge_levels, signal[-1]))
             lowest, end = min(lowest, int(stopped_first.min())), max(end, int(stopped_first.max()) + stopped.shape[1])
         probability, slope = np.zeros((2, mean_e.size, end - lowest))
         sum_over_electrons(np.ascontiguousarray(mean_e), low, first, band, lowest, probability, slope)
         if self.charge_levels:
-            at_levels = _dense(stopped_first - lowest, shares[:, None] * stopped, end - lowest)
-            probability += np.where(stop > 0, pdtrc(stop - 1.0, mean_e[:, None]), 1.0) @ at_levels
+            at_stop = _fill_columns(stopped_first - lowest, shares[:, None] * stopped, end - lowest)
+            probability += np.where(stop > 0, pdtrc(stop - 1.0, mean_e[:, None]), 1.0) @ at_stop
             # d P(at least n)/dµ = P(n − 1).
-            slope += np.where(stop > 0, poisson.pmf(stop - 1.0, mean_e[:, None]), 0.0) @ at_levels
+            slope += np.where(stop > 0, poisson.pmf(stop - 1.0, mean_e[:, None]), 0.0) @ at_stop
         # The weight of the first count is off by the rounding of n ln µ, which is many thousands: 1e-9 of itself.
         total = probability.sum(axis=1, keepdims=True)
         return CodeProbabilities(lowest, probability / total, slope / total)
 
-    def _given_counts(self, low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
-        """As `_given_signal`, of numbers of electrons from `low` to `high`, charge levels left out."""
+    def _pmf_given_counts(self, low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
+        """As `_pmf_given_signal`, of numbers of electrons from `low` to `high`, charge levels left out."""
         if high * (2 * NOISE_SD * self.noise_dn + 3) > MOST_SHARED:
-            return self._given_signal(self.charge_signal(np.arange(low, high + 1.0)))
-        first, band = _given_all_counts(replace(self, exposure_s=0.0, charge_levels=()), high.bit_length())
+            return self._pmf_given_signal(self.charge_signal(np.arange(low, high + 1.0)))
+        first, band = _pmf_given_all_counts(replace(self, exposure_s=0.0, charge_levels=()), high.bit_length())
         return first[low : high + 1], band[low : high + 1]
 
     def _probabilities_below_zero(self, mean_e: np.ndarray) -> CodeProbabilities:
         """As `probabilities`, for light below 0: read noise alone, and its own slope."""
         step = 1e-4 * self.sensor.read_noise_e
-        first, band = self._given_signal(self.charge_signal(np.concatenate([mean_e, mean_e - step, mean_e + step])))
+        first, band = self._pmf_given_signal(self.charge_signal(np.concatenate([mean_e, mean_e - step, mean_e + step])))
         lowest = int(first.min())
-        dense = _dense(first - lowest, band, int(first.max()) + band.shape[1] - lowest)
-        probability, before, after = np.split(dense, 3)
+        columns = _fill_columns(first - lowest, band, int(first.max()) + band.shape[1] - lowest)
+        probability, before, after = np.split(columns, 3)
         return CodeProbabilities(lowest, probability, (after - before) / (2 * step) if step else 0 * probability)
 
-    def _given_signal(self, signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _pmf_given_signal(self, signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first code of each signal [signal, DN], and the probability of those from it on [signal, code]."""
         lowest, edges = self._edges(signal)
         if self.noise_dn == 0:
             codes = np.clip(np.rint(self.converter_signal(signal)), lowest, lowest + edges.size).astype(np.int64)
             return codes, np.ones((signal.size, 1))
-        first, band = code_probabilities_given_signal(signal, self.noise_dn, edges)
+        first, band = integrate_read_noise(signal, self.noise_dn, edges)
         return first + lowest, band
 
     def _edges(self, signal: np.ndarray) -> tuple[int, np.ndarray]:
@@ -341,23 +317,21 @@ class ReadingDistribution:
             start = end
 
     def _at_readings(
-        self,
-        reading: ArrayLike,
-        light: ArrayLike,
-        values_of: Callable[[CodeProbabilities], np.ndarray],
-        outside: tuple[float, float] = (0.0, 0.0),
+        self, reading: ArrayLike, light: ArrayLike, values_of: Callable, outside: tuple[float, float]
     ) -> np.ndarray:
-        """Return values [level, code] at readings; `outside` holds those below and above all codes of a level."""
+        """Return values at readings, in the shape of reading and light.
+
+        `values_of` turns `CodeProbabilities` into values [mean, code]; `outside` holds those below and above all codes.
+        """
         reading, light = np.broadcast_arrays(np.asarray(reading), np.asarray(light, float))
-        mean_e, place = np.unique(self.mean_electrons(light), return_inverse=True)
-        place = place.reshape(light.shape)
+        mean_e, index = np.unique(self.mean_electrons(light), return_inverse=True)
+        index = index.reshape(light.shape)
         out = np.zeros(light.shape)
         for part, codes in self._blocks(mean_e):
-            is_here = (place >= part.start) & (place < part.stop)
-            column = np.floor(reading[is_here]).astype(np.int64) - codes.first_code
-            values = values_of(codes)
-            inside = values[place[is_here] - part.start, np.clip(column, 0, values.shape[1] - 1)]
-            out[is_here] = np.select([column < 0, column >= values.shape[1]], outside, inside)
+            is_here = (index >= part.start) & (index < part.stop)
+            values = np.pad(values_of(codes), ((0, 0), (1, 1)), constant_values=((0, 0), outside))
+            column = np.clip(np.floor(reading[is_here]) - codes.first_code + 1, 0, values.shape[1] - 1)
+            out[is_here] = values[index[is_here] - part.start, column.astype(np.int64)]
         return out[()]
 
 
@@ -375,18 +349,13 @@ def invert_transfer(transfer: Transfer, targets: np.ndarray, low: float, high: f
     return np.select([is_certain, ~is_possible], [-np.inf, np.inf], above)
 
 
-def _dense(first: np.ndarray, band: np.ndarray, size: int) -> np.ndarray:
-    """Return an array [row, column] of `size` columns from the columns of each row from `first` on."""
-    dense = np.zeros((first.size, size))
-    np.put_along_axis(dense, first[:, None] + np.arange(band.shape[1]), band, axis=1)
-    return dense
+def _fill_columns(first: np.ndarray, band: np.ndarray, size: int) -> np.ndarray:
+    """Return an array [row, column] of `size` columns that has the band [row, …] from column `first` [row] on."""
+    columns = np.zeros((first.size, size))
+    np.put_along_axis(columns, first[:, None] + np.arange(band.shape[1]), band, axis=1)
+    return columns
 
 
 @lru_cache(maxsize=4)
-def _given_all_counts(distribution: ReadingDistribution, bits: int) -> tuple[np.ndarray, np.ndarray]:
-    return distribution._given_signal(distribution.charge_signal(np.arange(2.0**bits)))
-
-
-@lru_cache(maxsize=32)
-def _tabulate(distribution: ReadingDistribution, light_max: float) -> ReadingTable:
-    return tabulate_readings(distribution, light_max)
+def _pmf_given_all_counts(distribution: ReadingDistribution, bits: int) -> tuple[np.ndarray, np.ndarray]:
+    return distribution._pmf_given_signal(distribution.charge_signal(np.arange(2.0**bits)))

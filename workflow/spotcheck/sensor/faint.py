@@ -43,11 +43,6 @@ class FaintTable:
         """Mean electrons of the levels [e-]."""
         return self.lowest_e + self.step_e * np.arange(len(self.probability))
 
-    @property
-    def highest_e(self) -> float:
-        """Mean electrons of the last level [e-]."""
-        return float(self.levels[-1])
-
 
 @lru_cache(maxsize=8)
 def tabulate_faint_light(sensor: SensorModel) -> FaintTable:
@@ -60,24 +55,17 @@ def tabulate_faint_light(sensor: SensorModel) -> FaintTable:
     first = -int(np.ceil(below / step))
     levels = step * np.arange(first, np.ceil(min(highest, LARGEST_TABLE_E) / step) + 1)
     distribution = ReadingDistribution(replace(sensor, dark_current_e_per_s=0.0))
-    parts = [distribution.probabilities(levels[-first:])]
-    if first < 0:
-        parts.insert(0, distribution.probabilities(levels[:-first]))
-    probability, slope = (_from_zero(parts, name) for name in ("probability", "slope"))
-    readings = np.arange(probability.shape[1])
-    mean = probability @ readings
-    variance = probability @ readings.astype(float) ** 2 - mean**2
-    return FaintTable(float(levels[0]), step, probability, slope, mean, np.maximum(variance, 0.0))
+    parts = [distribution.probabilities(part) for part in (levels[:-first], levels[-first:]) if part.size]
+    # Columns are the readings 0, 1, 2 … of probability and slope.
+    size = max(part.codes[-1] for part in parts) + 1
+    padded = [np.pad(part[1:], ((0, 0), (0, 0), (part.first_code, size - 1 - part.codes[-1]))) for part in parts]
+    return _add_moments(float(levels[0]), step, *np.concatenate(padded, axis=1))
 
 
-def _from_zero(parts: list[CodeProbabilities], name: str) -> np.ndarray:
-    """Return one array [level, reading] of several parts, whose columns are the readings 0, 1, 2 …"""
-    size = max(part.first_code + part.probability.shape[1] for part in parts)
-    rows = []
-    for part in parts:
-        values = getattr(part, name)
-        rows.append(np.pad(values, ((0, 0), (part.first_code, size - part.first_code - values.shape[1]))))
-    return np.concatenate(rows)
+def _add_moments(lowest_e: float, step_e: float, probability: np.ndarray, slope: np.ndarray) -> FaintTable:
+    """Return the table of probabilities of the readings 0, 1, 2 … and their slopes, both [level, reading]."""
+    cumulants = CodeProbabilities(0, probability, slope).cumulants()
+    return FaintTable(lowest_e, step_e, probability, slope, cumulants.mean, cumulants.variance)
 
 
 @lru_cache(maxsize=8)
@@ -94,18 +82,8 @@ def tabulate_between_codes(sensor: SensorModel, extra_e2: float) -> tuple[Sensor
     tables = [tabulate_faint_light(replace(common, black_level_dn=black + m / PARTS)) for m in range(PARTS)]
     size = min(table.probability.shape[1] for table in tables) - 1
     # Reading y of the table for f = m/PARTS stands at PARTS y − m; nothing reads as little as 0.
-    probability, slope = (
-        np.stack([getattr(table, name)[:, 1 : size + 1] for table in tables[::-1]], axis=2).reshape(
-            len(tables[0].mean), -1
-        )
-        / PARTS
-        for name in ("probability", "slope")
-    )
-    # The first is PARTS − (PARTS − 1).
-    readings = 1.0 + np.arange(probability.shape[1])
-    mean = probability @ readings
-    variance = probability @ readings**2 - mean**2
-    # As if the first reading were 0.
+    parts = np.array([(table.probability[:, 1 : size + 1], table.slope[:, 1 : size + 1]) for table in tables[::-1]])
+    probability, slope = np.moveaxis(parts, 0, -1).reshape(2, len(tables[0].mean), -1) / PARTS
+    # The first reading is PARTS − (PARTS − 1); the table has it at 0.
     fine = replace(common, gain_dn_per_e=PARTS * sensor.gain_dn_per_e, black_level_dn=PARTS * black - 1.0)
-    table = FaintTable(tables[0].lowest_e, tables[0].step_e, probability, slope, mean - 1.0, variance)
-    return fine, table
+    return fine, _add_moments(tables[0].lowest_e, tables[0].step_e, probability, slope)

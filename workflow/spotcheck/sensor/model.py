@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from spotcheck.sensor.distribution import ReadingDistribution
 from spotcheck.sensor.response import remove_curvature
-
-if TYPE_CHECKING:
-    from spotcheck.sensor.table import ReadingTable
+from spotcheck.sensor.table import ReadingMoments
 
 # Variance [DN²] of the error of rounding to whole DN, where noise spreads readings over several DN (EMVA 1288).
 ROUNDING_VARIANCE = 1 / 12
@@ -94,23 +93,18 @@ class SensorModel:
         ValueError
             If a number of photons is below 0, or if no sensor has this gain or read noise.
         """
-        light = self.light_of_photons(photons)
-        return self._table(light, exposure_s).mean(light)[()]
+        return self._moments(photons, exposure_s).mean[()]
 
     def variance(self, photons: ArrayLike, *, exposure_s: float = 0.0) -> np.ndarray:
         """Return the variance [DN²] of the reading of each pixel; see `mean`."""
-        light = self.light_of_photons(photons)
-        return self._table(light, exposure_s).variance(light)[()]
+        return self._moments(photons, exposure_s).variance[()]
 
     def draw(self, photons: ArrayLike, rng: np.random.Generator | int, *, exposure_s: float = 0.0) -> np.ndarray:
         """Return random readings [DN, uint16] of each pixel; see `mean`.
 
         `rng` is a generator or a seed; equal seeds give equal readings.
         """
-        from spotcheck.sensor.distribution import ReadingDistribution
-
-        light = self.light_of_photons(photons)
-        return ReadingDistribution(self, exposure_s=exposure_s).sample(light, np.random.default_rng(rng))
+        return ReadingDistribution(self, exposure_s).sample(self.light_of_photons(photons), np.random.default_rng(rng))
 
     def light_of_photons(self, photons: ArrayLike) -> np.ndarray:
         """Return the light K η µ_p [DN] of a mean number of photons; raises ValueError as `mean` does."""
@@ -120,10 +114,9 @@ class SensorModel:
             raise ValueError("photons: holds a number that is not 0 or above; give the mean number on each pixel")
         return self.gain_dn_per_e * photo_electrons(photons, self.quantum_efficiency)
 
-    def _table(self, light: np.ndarray, exposure_s: float) -> ReadingTable:
-        from spotcheck.sensor.distribution import ReadingDistribution
-
-        return ReadingDistribution(self, exposure_s=exposure_s).tabulate(float(np.max(light, initial=0.0)))
+    def _moments(self, photons: ArrayLike, exposure_s: float) -> ReadingMoments:
+        light = self.light_of_photons(photons)
+        return ReadingDistribution(self, exposure_s).tabulate(float(np.max(light, initial=0.0))).moments(light)
 
 
 def check_sensor(sensor: SensorModel) -> SensorModel:
@@ -135,8 +128,7 @@ def check_sensor(sensor: SensorModel) -> SensorModel:
     return sensor
 
 
-@dataclass(frozen=True)
-class NoiseLine:
+class NoiseLine(NamedTuple):
     """Variance of a reading as a straight line in its mean, as photon transfer has it without the converter's ends."""
 
     at_zero: float  # variance [DN²] of a mean reading of 0 DN

@@ -1,201 +1,190 @@
 """Random readings: one random number and one look-up in a table for each pixel.
 
-Tables hold the distribution of the reading at levels of light 1/32 of a standard deviation apart. A reading between two
-levels comes from one of them, chosen at random so that the mean light is right: each probability is then off by about
-1.3e-4 (z² + 1) of itself, z standard deviations from the mean, and by some times that next to a clip. Within a level,
-an alias table (Walker 1977, doi:10.1145/355744.355749) turns the rest of the random number into a reading.
+Tables hold the distribution of the reading at nodes of light 1/32 of a standard deviation apart. A reading between two
+nodes comes from one of them, chosen at random so that the mean light is right: each probability is then off by about
+1.3e-4 (z² + 1) of itself, z standard deviations from the mean, and by some times that next to a clip. At a node, an
+alias table (Walker 1977, doi:10.1145/355744.355749) turns the rest of the random number into a reading.
+
+An alias table has a word of 32 bits for each code. Its b low bits number another code, where b bits suffice for the
+widest node of the sensor; the others hold the probability of the word's own code against that one, to 2^(b−32). As it
+is compared with a random number of 32 bits, the probability of a code is off by less than 2^(b−31) in all, which is
+1.2e-7 for nodes of up to 256 codes.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from spotcheck.sensor.codes import LARGEST_READING, compiled
 from spotcheck.sensor.table import LEAST_NOISE_E, saturating_electrons
 
 if TYPE_CHECKING:
     from spotcheck.sensor.distribution import ReadingDistribution
 
-# Sums may be taken in any order: that lets the compiler use vector instructions.
-compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
-
 NO_NUMBER = "light: holds NaN; give the light of each pixel in DN"
-# Levels for each standard deviation of the light.
-LEVELS_PER_SD = 32
-# Most entries of a sensor's tables, 8 bytes each; readings under brighter light are drawn step by step.
-MOST_ENTRIES = 8_000_000
-# Levels that are made at a time.
+# Nodes for each standard deviation of the light.
+NODES_PER_SD = 32
+# Most words of a sensor's tables, 4 bytes each, and most nodes, whose positions then fit in 31 bits. Readings under
+# brighter light are drawn step by step.
+MOST_WORDS, MOST_NODES = 6_000_000, 32_000
+# Nodes that are made at a time.
 BLOCK = 64
-# Probability of a code that is left out.
+# Probability of a code that is left out at either end of the codes of a node.
 LEFT_OUT = 1e-13
 # Pixels at a time: their buffers stay in the fastest cache.
 CHUNK = 2048
-# Generators side by side, which the compiler turns into vector instructions.
-LANES = 16
-# Parts of the distance of two levels that a light is rounded to, and most levels whose places then fit in 31 bits.
-PLACES_PER_LEVEL, MOST_LEVELS = 65536, 32_000
+# Binary digits behind the point of the position of a light among the nodes.
+POSITION_BITS = 16
+# A node is packed into 64 bits: its number of codes in the 17 low bits, its first code from bit 17 on, and the index of
+# its first word from bit 33 on.
+CODE_SHIFT, WORD_SHIFT = np.uint64(17), np.uint64(33)
 
 
-class AliasTables(NamedTuple):
-    """Alias tables of all levels; levels are uniform in the root of (mean electrons + noise²)."""
+@dataclass(frozen=True, eq=False)
+class AliasTables:
+    """Alias tables of all nodes; nodes are uniform in the root of (mean electrons + noise²)."""
 
-    first_root: float  # root of the first level [e-^½], the one without electrons
-    step: float  # distance of the levels in the root [e-^½]
-    is_complete: bool  # whether readings no longer change beyond the last level
-    start: np.ndarray  # place of the first entry of each level among the words [level]
-    mask: np.ndarray  # number of entries of each level, a power of two, less 1 [level]
-    # [entry] of all levels: bits 32 to 63 hold the probability that an entry stands for its own reading, bits 16 to 31
-    # that reading, bits 0 to 15 the reading that it stands for else.
-    words: np.ndarray
+    first_root: float  # root of the first node [e-^½], the one without electrons
+    step: float  # distance of the nodes in the root [e-^½]
+    is_complete: bool  # whether readings no longer change beyond the last node
+    nodes: np.ndarray  # packed as said at `CODE_SHIFT` [node]
+    words: np.ndarray  # of all codes of all nodes [word]
+    mask: np.uint32  # low bits of a word, which number the other code, counted from the first code of the node
 
 
 def sample_from_tables(distribution: ReadingDistribution, light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return random readings [DN, uint16] at light [DN], an array of any shape."""
     # Tables are those of mean electrons, which do not depend on the exposure that dark electrons come from.
-    tables = _tables(replace(distribution, exposure_s=0.0) if distribution.exposure_s else distribution)
+    tables = tabulate_aliases(replace(distribution, exposure_s=0.0) if distribution.exposure_s else distribution)
     flat = np.ascontiguousarray(light, dtype=float).reshape(-1)
     readings = np.empty(flat.size, np.uint16)
-    offset_e = tables.first_root**2 + distribution.mean_electrons(0.0)
-    last = tables.start.size - 2.0
-    state = rng.integers(2**64, size=(4, LANES), dtype=np.uint64)
-    grid = (1 / distribution.sensor.gain_dn_per_e, offset_e, tables.first_root, 1 / tables.step, last)
-    highest = _look_up(flat, *grid, tables.start, tables.mask, tables.words, state, readings)
-    if np.isnan(highest):
+    gain, offset_e = distribution.sensor.gain_dn_per_e, tables.first_root**2 + distribution.mean_electrons(0.0)
+    # Light at the last node but one is the brightest that has a node above.
+    last = tables.nodes.size - 2.0
+    grid = (1 / gain, offset_e, tables.first_root, 1 / tables.step, last)
+    # Two raw numbers, as some generators give 32 bits at a time.
+    low, high = rng.bit_generator.random_raw(2)
+    if not _draw_readings(flat, grid, tables.nodes, tables.words, tables.mask, low ^ (high << np.uint64(32)), readings):
         raise ValueError(NO_NUMBER)
-    if highest >= last and not tables.is_complete:
-        place = (np.sqrt(np.maximum(flat, 0) * grid[0] + offset_e) - tables.first_root) * grid[3]
-        is_beyond = place >= last
+    if not tables.is_complete:
+        is_beyond = flat >= gain * ((tables.first_root + last * tables.step) ** 2 - offset_e)
         readings[is_beyond] = distribution.sample_steps(flat[is_beyond], rng)
     return readings.reshape(np.shape(light))[()]
 
 
 @compiled
-def _look_up(light, per_dn, offset_e, first_root, per_step, last, start, mask, words, state, readings):
-    """Fill readings [pixel] and return the highest place of a light among the levels, NaN if one is no number."""
-    place, number = np.empty(CHUNK, np.int32), np.empty(CHUNK, np.uint64)
-    highest = np.int32(0)
+def _draw_readings(light, grid, nodes, words, mask, seed, readings):
+    """Fill readings [pixel]; return False, with readings unfinished, if a light is no number."""
+    node, bits = np.empty(CHUNK, np.uint32), np.empty(CHUNK, np.uint64)
     for k in range(0, light.size, CHUNK):
-        part = readings[k : k + CHUNK]
-        highest_of_part = _places(light[k : k + CHUNK], per_dn, offset_e, first_root, per_step, last, place)
-        if highest_of_part < 0:
-            return np.nan
-        highest = max(highest, highest_of_part)
-        _random_bits(state, number)
-        _read(place, number, start, mask, words, part)
-    return highest / PLACES_PER_LEVEL
+        if not _choose_nodes(light[k : k + CHUNK], grid, seed + np.uint64(k), bits, node):
+            return False
+        _draw_codes(node, bits, nodes, words, mask, readings[k : k + CHUNK])
+    return True
 
 
 @compiled
-def _places(light, per_dn, offset_e, first_root, per_step, last, place):
-    """Fill the place [pixel] of each light among the levels, at most `last`, in 65536ths; return the highest.
+def _random_bits(counter):
+    """Return 64 random bits for a counter: splitmix64 (Steele et al. 2014, doi:10.1145/2660193.2660195).
 
-    The result is negative if a light is no number.
+    A call starts at a random counter: two calls for n pixels each share counters with a probability of n/2^63.
     """
-    for k in range(light.size):
-        root = np.sqrt(max(light[k], 0.0) * per_dn + offset_e)
-        place[k] = np.int32(min((root - first_root) * per_step, last) * PLACES_PER_LEVEL)
-    highest, missing = np.int32(0), 0
-    for k in range(light.size):
-        highest = max(highest, place[k])
-    for k in range(light.size):
-        missing += light[k] != light[k]
-    return highest if missing == 0 else np.int32(-1)
+    bits = counter * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return bits ^ (bits >> np.uint64(31))
 
 
 @compiled
-def _random_bits(state, number):
-    """Fill 64 random bits each, from generators side by side: sfc64 (Doty-Humphrey, PractRand), as numpy has it."""
-    a, b, c, count = state[0].copy(), state[1].copy(), state[2].copy(), state[3].copy()
-    for k in range(0, number.size, LANES):
-        out = number[k : k + LANES]
-        for lane in range(LANES):
-            total = a[lane] + b[lane] + count[lane]
-            count[lane] += np.uint64(1)
-            a[lane] = b[lane] ^ (b[lane] >> np.uint64(11))
-            b[lane] = c[lane] + (c[lane] << np.uint64(3))
-            c[lane] = ((c[lane] << np.uint64(24)) | (c[lane] >> np.uint64(40))) + total
-            out[lane] = total
-    state[0], state[1], state[2], state[3] = a, b, c, count
+def _choose_nodes(light, grid, seed, bits, node):
+    """Fill 64 random bits [pixel] and the node [pixel]; return False if a light is no number.
+
+    16 of the bits choose between the next node below and the next above the light.
+    """
+    per_dn, offset_e, first_root, per_step, last = grid
+    are_numbers = True
+    for k in range(light.size):
+        are_numbers &= light[k] == light[k]
+        bits[k] = _random_bits(seed + np.uint64(k))
+        position = min((np.sqrt(max(light[k], 0.0) * per_dn + offset_e) - first_root) * per_step, last)
+        fraction = np.int32(bits[k] & np.uint64(2**POSITION_BITS - 1))
+        node[k] = (np.int32(position * 2**POSITION_BITS) + fraction) >> POSITION_BITS
+    return are_numbers
 
 
 @compiled
-def _read(place, number, start, mask, words, readings):
-    """Fill readings [pixel]: 16 random bits choose the level, the next the entry, 32 whether it stands for itself."""
+def _draw_codes(node, bits, nodes, words, mask, readings):
+    """Fill readings [pixel] at nodes [pixel] by the 32 high of the random bits [pixel], which are overwritten.
+
+    Those bits times the number of codes of the node give, above bit 32, a word, and below, what its probability is
+    compared with. Look-ups have loops of their own, so that the compiler turns the rest into vector instructions.
+    """
+    record, word = np.empty(CHUNK, np.uint64), np.empty(CHUNK, np.uint32)
     for k in range(readings.size):
-        bits = number[k]
-        level = (np.int64(place[k]) + np.int64(bits >> np.uint64(48))) >> 16
-        word = words[start[level] + np.int64((bits >> np.uint64(32)) & mask[level])]
-        is_itself = (bits & np.uint64(0xFFFFFFFF)) < (word >> np.uint64(32))
-        readings[k] = np.uint16(word >> np.uint64(16)) if is_itself else np.uint16(word)
+        record[k] = nodes[node[k]]
+    for k in range(readings.size):
+        width = record[k] & ((np.uint64(1) << CODE_SHIFT) - np.uint64(1))
+        bits[k] = (bits[k] >> np.uint64(32)) * width
+        word[k] = np.uint32(record[k] >> WORD_SHIFT) + np.uint32(bits[k] >> np.uint64(32))
+    for k in range(readings.size):
+        word[k] = words[word[k]]
+    for k in range(readings.size):
+        own, other = np.uint32(bits[k] >> np.uint64(32)), word[k] & mask
+        code = own if np.uint32(bits[k]) < word[k] - other else other
+        readings[k] = np.uint16(np.uint32(record[k] >> CODE_SHIFT) + code)
 
 
 @lru_cache(maxsize=8)
-def _tables(distribution: ReadingDistribution) -> AliasTables:
-    """Return the tables of a distribution, up to saturation or `MOST_ENTRIES`."""
-    noise_e = max(distribution.sensor.read_noise_e, LEAST_NOISE_E)
-    step = 1 / (2 * LEVELS_PER_SD)
-    highest_e = saturating_electrons(distribution)
-    words: list[np.ndarray] = []
-    levels, is_complete = 0, False
+def tabulate_aliases(distribution: ReadingDistribution) -> AliasTables:
+    """Return the alias tables of a distribution, up to saturation, `MOST_WORDS` or `MOST_NODES`."""
+    noise_e = float(max(distribution.sensor.read_noise_e, LEAST_NOISE_E))
+    step = 1 / (2 * NODES_PER_SD)
+    saturated_root = np.sqrt(saturating_electrons(distribution) + noise_e**2)
+    rows: list[np.ndarray] = []
+    first_codes: list[int] = []
+    size, is_complete = 0, False
     while not is_complete:
-        codes = distribution.probabilities((noise_e + step * (levels + np.arange(BLOCK))) ** 2 - noise_e**2)
-        width = 1 << (int((codes.probability > LEFT_OUT).sum(axis=1).max()) - 1).bit_length()
-        entries = sum(part.size for part in words) + BLOCK * width
-        if words and (levels + BLOCK > MOST_LEVELS or entries > MOST_ENTRIES):
+        codes = distribution.probabilities((noise_e + step * (len(rows) + np.arange(BLOCK))) ** 2 - noise_e**2)
+        if rows and (len(rows) + BLOCK > MOST_NODES or size + codes.probability.size > MOST_WORDS):
             break
-        words.append(np.empty((BLOCK, width), np.uint64))
-        _fill_words(codes.probability, codes.first_code, words[-1])
-        levels += BLOCK
-        is_complete = noise_e + step * (levels - 2) > np.sqrt(highest_e + noise_e**2)
-    widths = np.repeat([part.shape[1] for part in words], BLOCK)
-    start = np.cumsum(widths) - widths
-    mask = (widths - 1).astype(np.uint64)
-    return AliasTables(noise_e, step, is_complete, start, mask, np.concatenate([part.reshape(-1) for part in words]))
+        # Higher codes are stored as the largest reading.
+        first_code = min(codes.first_code, LARGEST_READING)
+        stored = np.arange(min(codes.probability.shape[1], LARGEST_READING + 1 - first_code))
+        for row in np.add.reduceat(codes.probability, stored, axis=1):
+            likely = np.flatnonzero(row > LEFT_OUT)
+            rows.append(row[likely[0] : likely[-1] + 1])
+            first_codes.append(first_code + likely[0])
+            size += rows[-1].size
+        is_complete = noise_e + step * (len(rows) - 2) > saturated_root
+    widths = np.array([row.size for row in rows], np.uint64)
+    nodes = ((np.cumsum(widths) - widths) << WORD_SHIFT) | (np.array(first_codes, np.uint64) << CODE_SHIFT) | widths
+    other_bits = int(widths.max() - 1).bit_length()
+    words = np.empty(size, np.uint32)
+    _fill_words(np.concatenate(rows), widths.astype(np.int64), other_bits, words)
+    return AliasTables(noise_e, step, is_complete, nodes, words, np.uint32(2**other_bits - 1))
 
 
 @compiled
-def _fill_words(probability, first_code, words):
-    """Fill the alias table [level, entry] of each level from the probability of its codes [level, code]."""
-    size = words.shape[1]
-    share, other, code = np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64)
-    small, large = np.empty(size, np.int64), np.empty(size, np.int64)
-    for level in range(probability.shape[0]):
-        row = probability[level]
-        total, used = 0.0, 0
-        share[:] = 0.0
-        code[:] = 0
-        for k in range(row.size):
-            if row[k] > LEFT_OUT:
-                share[used], code[used] = row[k], min(first_code + k, 65535)
-                total += row[k]
-                used += 1
-        few = many = 0
-        for k in range(size):
-            share[k] *= size / total
-            other[k] = k
-            if share[k] < 1:
-                small[few] = k
-                few += 1
-            else:
-                large[many] = k
-                many += 1
-        while few > 0 and many > 0:
-            poor, rich = small[few - 1], large[many - 1]
-            few -= 1
-            other[poor] = rich
-            share[rich] -= 1 - share[poor]
-            if share[rich] < 1:
-                many -= 1
-                small[few] = rich
-                few += 1
-        for k in range(few):
-            # What rounding leaves over stands for itself.
-            share[small[k]] = 1.0
-        for k in range(size):
-            threshold = np.uint64(min(share[k], 1.0) * 4294967295.0)
-            word = (threshold << np.uint64(32)) | (np.uint64(code[k]) << np.uint64(16))
-            words[level, k] = word | np.uint64(code[other[k]])
+def _fill_words(probability, widths, other_bits, words):
+    """Fill the words of all nodes from the probability of their codes [word], by Vose's form of Walker's method."""
+    end = 0
+    for width in widths:
+        start, end = end, end + width
+        share = probability[start:end] * (width / np.sum(probability[start:end]))
+        # A word without another code stands for its own alone.
+        other = np.arange(width)
+        small = [k for k in range(width) if share[k] < 1]
+        large = [k for k in range(width) if share[k] >= 1]
+        while len(small) > 0 and len(large) > 0:
+            low, high = small.pop(), large[-1]
+            other[low] = high
+            share[high] -= 1 - share[low]
+            if share[high] < 1:
+                small.append(large.pop())
+        parts = 2.0 ** (32 - other_bits)
+        for k in range(width):
+            words[start + k] = (np.int64(min(np.rint(share[k] * parts), parts - 1)) << other_bits) | other[k]

@@ -9,27 +9,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from spotcheck.sensor.codes import MOST_ELECTRONS, compiled
 
 if TYPE_CHECKING:
     from spotcheck.sensor.distribution import ReadingDistribution
-
-compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 # Nodes for each standard deviation of the light.
 NODES_PER_SD = 6
 # Standard deviations beyond the upper end of the converter at which a reading no longer changes.
 SATURATED_SD = 10.0
-# Electrons far beyond any light, where every clip has set in [e-].
-FAR_E = 1e12
 # Light of the last node at most, in terms of the light that saturates.
 MOST_SATURATION = 64.0
-# Smallest noise [e-] in the distance of nodes, and of the levels of random readings: the Poisson distribution changes
-# on the scale of one electron.
+# Smallest noise [e-] in the distance of nodes, here and for random readings: the Poisson distribution changes on the
+# scale of one electron.
 LEAST_NOISE_E = 0.25
 # Smallest exponent of the variance below no light; see `ReadingTable`.
 LOWEST_EXPONENT = -3.0
@@ -44,8 +41,7 @@ LARGEST_GRAIN_STEP = 0.01
 LEFT_OUT = 1e-9
 
 
-@dataclass(frozen=True)
-class ReadingMoments:
+class ReadingMoments(NamedTuple):
     """Mean and variance of readings and their slopes by the light, each in the shape of the light."""
 
     mean: np.ndarray  # [DN]
@@ -64,8 +60,7 @@ class ReadingTable:
     """
 
     gain: float  # K [DN/e-]
-    shift_e: float  # µ_d + s² [e-]
-    first_root: float  # u of the first node [e-^½], that of no light
+    first_root: float  # u of the first node [e-^½], that of no light: √(µ_d + s²)
     step: float  # distance of the nodes in u [e-^½]
     nodes: np.ndarray  # mean [DN], variance [DN²], d mean/dL [1], d variance/dL [DN]; [quantity, node]
     node_information: np.ndarray  # Fisher information on the light [1/DN²]; [node]
@@ -92,17 +87,19 @@ class ReadingTable:
         the second derivative to each moment of a reading.
         """
         if np.ndim(smear_e) == 0 and smear_e == 0.0:
-            return ReadingMoments(*self._interpolate(light, self.nodes))
+            light = np.asarray(light, float)
+            out = np.empty((4, light.size))
+            interpolate(light.reshape(-1), self.gain, self.first_root, self.step, self.nodes, out)
+            return ReadingMoments(*out.reshape(4, *light.shape))
         light = light + self.gain * smear_e
-        step = SMEAR_STEP * self.gain * np.sqrt(np.maximum(light / self.gain, 0.0) + self.shift_e)
+        step = SMEAR_STEP * self.gain * np.sqrt(np.maximum(light / self.gain, 0.0) + self.first_root**2)
         at, low, high = (self.moments(light + shift) for shift in (0.0, -step, step))
         excess = self.gain * (self.gain * smear_e)
         mean_curvature = (high.mean_slope - low.mean_slope) / (2 * step)
         variance_curvature = (high.variance_slope - low.variance_slope) / (2 * step)
         variance = at.variance - excess * (at.mean_slope**2 + variance_curvature / 2)
-        return replace(
-            at, mean=at.mean - excess * mean_curvature / 2, variance=np.maximum(variance, LEAST_SHARE * at.variance)
-        )
+        mean, variance = at.mean - excess * mean_curvature / 2, np.maximum(variance, LEAST_SHARE * at.variance)
+        return ReadingMoments(mean, variance, at.mean_slope, at.variance_slope)
 
     def information(self, light: np.ndarray) -> np.ndarray:
         """Return the Fisher information [1/DN²] of a reading on the light, at light [DN].
@@ -111,13 +108,6 @@ class ReadingTable:
         more than half an electron.
         """
         return 1 / np.interp(light, self.light, 1 / np.maximum(self.node_information, 1e-300))
-
-    def _interpolate(self, light: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        light = np.asarray(light, float)
-        out = np.empty((4, light.size))
-        grid = (self.gain, self.first_root, self.step)
-        interpolate(np.ascontiguousarray(light).reshape(-1), *grid, np.ascontiguousarray(nodes), out)
-        return out.reshape(4, *light.shape)
 
     def with_granular_light(self, contrast: float, pedestal_dn: float = 0.0) -> ReadingTable:
         """Return the table of readings under light that a granular field multiplies.
@@ -176,44 +166,41 @@ def grain_quadrature(contrast: float) -> tuple[np.ndarray, np.ndarray]:
     return np.exp(ln_g), weight / weight.sum()
 
 
+@lru_cache(maxsize=32)
 def tabulate_readings(distribution: ReadingDistribution, light_max: float) -> ReadingTable:
-    """Return the table of a reading's distribution from no light to `light_max` [DN], or to where readings are
-    saturated."""
+    """Return the table of a reading from no light to `light_max` [DN], or to where readings are saturated."""
     sensor = distribution.sensor
     gain, dark_e = sensor.gain_dn_per_e, float(distribution.mean_electrons(0.0))
     highest_e = min(light_max / gain + dark_e, saturating_electrons(distribution))
     # A clip of the charge bends the mean within the shot noise, however strong the read noise behind it.
     noise_e = max(min(sensor.read_noise_e, np.sqrt(max(min(highest_e, sensor.full_well_e), 1.0))), LEAST_NOISE_E)
-    shift_e = noise_e**2
-    first_root, last_root = np.sqrt(dark_e + shift_e), np.sqrt(max(highest_e, dark_e + 1.0) + shift_e)
+    first_root, last_root = np.sqrt(dark_e + noise_e**2), np.sqrt(max(highest_e, dark_e + 1.0) + noise_e**2)
     step = 1 / (2 * NODES_PER_SD)
     root = first_root + step * np.arange(np.ceil((last_root - first_root) / step) + 1)
     at = distribution.cumulants(gain * (root**2 - first_root**2))
     nodes = np.stack([at.mean, at.variance, at.mean_slope / gain, at.variance_slope / gain])
     # Saturated nodes up to the light that was asked for: dark grains of such light are not saturated.
     farthest_e = max(min(light_max / gain + dark_e, MOST_SATURATION * highest_e), highest_e)
-    saturated = max(math.ceil((np.sqrt(farthest_e + shift_e) - root[-1]) / step), 0)
+    saturated = max(math.ceil((np.sqrt(farthest_e + noise_e**2) - root[-1]) / step), 0)
     nodes = np.concatenate([nodes, np.repeat(nodes[:, -1:] * [[1.0], [1.0], [0.0], [0.0]], saturated, axis=1)], axis=1)
     information = np.concatenate([at.information, np.zeros(saturated)]) / gain**2
-    return ReadingTable(gain, dark_e + shift_e, first_root, step, nodes, information)
+    return ReadingTable(gain, first_root, step, nodes, information)
 
 
 def saturating_electrons(distribution: ReadingDistribution) -> float:
     """Return the mean electrons [e-] from which on readings no longer change; infinite if there are none."""
     sensor = distribution.sensor
-    ends = [sensor.full_well_e]
+    end = sensor.full_well_e
     if np.isfinite(sensor.full_scale_dn):
         electrons = np.geomspace(1e-2, 64.0, 400) * (sensor.full_scale_dn + 1.0) / sensor.gain_dn_per_e
-        charge = distribution.charge_signal(np.append(electrons, FAR_E))
+        charge = distribution.charge_signal(np.append(electrons, MOST_ELECTRONS))
         if distribution.charge_levels:
             charge = np.minimum(charge, max(level for _, level in distribution.charge_levels))
         noise = SATURATED_SD * distribution.noise_dn
         # Full scale, a stage behind the read noise or a clip of the charge sets the highest reading.
         highest = min(sensor.full_scale_dn, float(distribution.converter_signal(charge[-1:] + noise)[0]))
         is_over = (distribution.converter_signal(charge - noise) >= highest) | (charge >= charge[-1])
-        over = electrons[is_over[:-1]]
-        ends.append(over[0] if over.size else np.inf)
-    end = min(ends)
+        end = np.min(electrons[is_over[:-1]], initial=end)
     return end + SATURATED_SD * math.sqrt(end) + SATURATED_SD**2 if np.isfinite(end) else np.inf
 
 
@@ -230,18 +217,14 @@ def interpolate(light, gain, first_root, step, nodes, out):
         if at < 0.0:
             rate = nodes[3, 0] / nodes[1, 0] if nodes[1, 0] > 0.0 else 0.0
             out[0, k], out[2, k] = nodes[0, 0] + at * nodes[2, 0], nodes[2, 0]
-            exponent = rate * at
-            if exponent > LOWEST_EXPONENT:
-                out[1, k] = nodes[1, 0] * math.exp(exponent)
-                out[3, k] = rate * out[1, k]
-            else:
-                out[1, k], out[3, k] = nodes[1, 0] * math.exp(LOWEST_EXPONENT), 0.0
+            out[1, k] = nodes[1, 0] * math.exp(max(rate * at, LOWEST_EXPONENT))
+            out[3, k] = rate * out[1, k] if rate * at > LOWEST_EXPONENT else 0.0
             continue
-        place = (math.sqrt(at / gain + offset) - first_root) / step
-        if place >= last:
+        position = (math.sqrt(at / gain + offset) - first_root) / step
+        if position >= last:
             out[0, k], out[1, k], out[2, k], out[3, k] = nodes[0, last], nodes[1, last], 0.0, 0.0
             continue
-        node = int(place)
+        node = int(position)
         low, high = first_root + node * step, first_root + (node + 1) * step
         start, width = gain * (low * low - offset), gain * (high * high - low * low)
         f = (at - start) / width

@@ -8,7 +8,7 @@ a file cannot be sent to them).
 
 import importlib
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -32,25 +32,21 @@ LIBRARY = Choice()
 _choice = LIBRARY
 
 
-class Vocabulary(NamedTuple):
-    """The vocabulary of a run."""
-
-    effects: Mapping[str, Effect]  # effects by name, in the order of their numbers
-    added: tuple[dict[str, str], ...]  # name, file and sha256 of each effect from a file
-    left_out: tuple[str, ...]  # names of the effects that were left out
-
-
 @cache
 def built_in() -> dict[str, Effect]:
     """Return the effects of this folder by name, in the order of their numbers."""
-    names = [found.name for found in pkgutil.iter_modules(__path__)]
-    effects = [importlib.import_module(f"{__name__}.{name}").EFFECT for name in names]
+    modules = (importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__))
+    return _sort_by_number(module.EFFECT for module in modules)
+
+
+def _sort_by_number(effects: Iterable[Effect]) -> dict[str, Effect]:
+    """Return effects by name, in the order of their numbers."""
     return {effect.name: effect for effect in sorted(effects, key=lambda effect: effect.number)}
 
 
 def vocabulary() -> Mapping[str, Effect]:
     """Return the effects of this run by name, in the order of their numbers."""
-    return _gather(_choice).effects
+    return _gather(_choice)[0]
 
 
 def choose(choice: Choice = LIBRARY) -> None:
@@ -75,24 +71,21 @@ def record() -> dict[str, Any]:
 
     `own` holds name, file and digest of the effects from files, `left_out` the names of effects that were left out.
     """
-    found = _gather(_choice)
-    added = [keys for keys in found.added if keys["name"] in found.effects]
-    return {"own": added, "left_out": list(found.left_out)} if added or found.left_out else {}
+    difference = _gather(_choice)[1]
+    return difference if any(difference.values()) else {}
 
 
 @cache
-def _gather(choice: Choice) -> Vocabulary:
+def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
+    """Return the effects of a choice by name, in the order of their numbers, and the keys of `record`."""
     effects, added = dict(built_in()), []
     for file in choice.files:
         effect, digest = read_effect(Path(file))
         numbers = {other.number: other.name for other in effects.values()}
         if effect.name in effects:
             raise InputError(f"{file}: its effect is called {effect.name}, as another is; give it a name of its own")
-        if effect.number in numbers:
-            other = numbers[effect.number]
-            raise InputError(
-                f"{file}: number {effect.number} is that of {other}; leave it out, and the next free one is taken"
-            )
+        if other := numbers.get(effect.number):
+            raise InputError(f"{file}: number {effect.number} is that of {other}; leave it out for the next free one")
         effects[effect.name] = replace(effect, number=effect.number or max(numbers) + 1)
         added.append({"name": effect.name, "file": Path(file).name, "sha256": digest})
     known = f"known effects: {', '.join(effects)}"
@@ -104,8 +97,9 @@ def _gather(choice: Choice) -> Vocabulary:
     for key, names in (("only", choice.only), ("without", choice.without)):
         for name in sorted(set(names) - set(effects)):
             raise InputError(f"vocabulary: {key} names {name}, which is no effect; {known}")
-    kept = {name: effects[name] for name in choice.only or effects if name not in choice.without}
-    if not kept:
+    kept_names = set(choice.only or effects) - set(choice.without)
+    if not kept_names:
         raise InputError("vocabulary: without names every effect; leave at least one")
-    ordered = dict(sorted(kept.items(), key=lambda item: item[1].number))
-    return Vocabulary(ordered, tuple(added), tuple(name for name in effects if name not in kept))
+    kept = _sort_by_number(effects[name] for name in kept_names)
+    added = [keys for keys in added if keys["name"] in kept]
+    return kept, {"own": added, "left_out": [name for name in effects if name not in kept]}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
+from spotcheck.model.effect import DIRECTIONS, Effect, Need, Only, Parameter, Stage, Step
 
 
 def follow_angle(frame, peak_dn, *, d, gamma0):
@@ -16,9 +16,9 @@ EFFECT = Effect(
     sentence="the spot's brightness, not its shape, follows the fibre angle",
     noun="change of brightness with the fibre angle",
     is_share=True,
-    parameters=(Parameter("d", "1", 0.0, 0.95, negligible=0.005), Parameter("gamma0", "deg", -np.inf, np.inf)),
+    parameters=(Parameter("d", "1", 0.0, 0.95, negligible=0.005), Parameter("gamma0", "deg")),
     variants={Only.ONLY: (Step(Stage.BRIGHTNESS, follow_angle),)},
-    starts=lambda scales: [(0.02, gamma0) for gamma0 in (0.0, 45.0, 90.0, 135.0)],
+    starts=lambda scales: [(0.02, gamma0) for gamma0 in DIRECTIONS],
     law_of="brightness",
     needs=(Need.ANGLES, Need.LAW),
 )

@@ -21,7 +21,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("slope", "DN per 100 px", 0.0, lambda scales: 0.3 * scales.full_scale_dn, negligible=0.1),
         Parameter("level", "DN", 0.0, lambda scales: 0.5 * scales.full_scale_dn),
-        Parameter("direction", "deg", -np.inf, np.inf),
+        Parameter("direction", "deg"),
     ),
     variants={
         Pedestal.LIGHT: (Step(Stage.PEDESTAL, add_slope),),

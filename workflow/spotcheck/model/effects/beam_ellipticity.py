@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
+from spotcheck.model.effect import DIRECTIONS, Effect, Only, Parameter, Stage, Step
 from spotcheck.model.ellipse import make_round
 
 
@@ -16,9 +16,9 @@ EFFECT = Effect(
     name="beam_ellipticity",
     sentence="the spot is an ellipse that keeps its direction on the camera",
     noun="ratio of axes that stay on the camera",
-    parameters=(Parameter("ratio", "1", 1.0, 4.0, negligible=0.005), Parameter("direction", "deg", -np.inf, np.inf)),
+    parameters=(Parameter("ratio", "1", 1.0, 4.0, negligible=0.005), Parameter("direction", "deg")),
     variants={Only.ONLY: (Step(Stage.COORDINATES, stretch),)},
-    starts=lambda scales: [(1.02, direction) for direction in (0.0, 45.0, 90.0, 135.0)],
+    starts=lambda scales: [(1.02, direction) for direction in DIRECTIONS],
     vanishes_at=1.0,
     is_static_shape=True,
 )

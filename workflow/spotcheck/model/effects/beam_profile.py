@@ -9,11 +9,8 @@ EFFECT = Effect(
     " brightness",
     noun="light elsewhere than declared",
     is_share=True,
-    parameters=(
-        # Share of the light that lies elsewhere than declared, and the azimuthal order that has most of it.
-        Parameter("power", "1", 0.0, 1.0, negligible=0.005),
-        Parameter("order", "1", 0.0, 8.0),
-    ),
+    # Share of the light that lies elsewhere than declared, and the azimuthal order that has most of it.
+    parameters=(Parameter("power", "1", 0.0, 1.0, negligible=0.005), Parameter("order", "1", 0.0, 8.0)),
     # The baseline holds the learned shape.
     variants={Only.ONLY: ()},
     starts=lambda scales: [],

@@ -1,7 +1,5 @@
 """Excess read noise: more signal-independent white noise than stated."""
 
-import numpy as np
-
 from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
@@ -10,9 +8,19 @@ def replace_noise(variance_e2, *, total):
     return total * total
 
 
-def state_noise(sensor, variant, *, total):
-    """Return the read noise."""
-    return {"sensor.read_noise_e": total}
+def lowest_noise(scales):
+    """Return the stated read noise [e- rms]."""
+    return scales.read_noise_e
+
+
+def highest_noise(scales):
+    """Return the highest read noise [e- rms], which is above 0 even if the stated one is 0."""
+    return 1000 * (scales.read_noise_e + 1)
+
+
+def negligible_excess(scales):
+    """Return the excess over the stated read noise [e- rms] that a user would call nothing."""
+    return 0.03 * scales.read_noise_e
 
 
 EFFECT = Effect(
@@ -20,19 +28,11 @@ EFFECT = Effect(
     name="excess_read_noise",
     sentence="the sensor's signal-independent noise is larger than stated",
     noun="read noise",
-    parameters=(
-        Parameter(
-            "total",
-            "e-",
-            lambda scales: scales.read_noise_e,
-            lambda scales: 1000 * (scales.read_noise_e + 1),
-            negligible=lambda scales: 0.03 * scales.read_noise_e,
-        ),
-    ),
+    parameters=(Parameter("total", "e-", lowest_noise, highest_noise, negligible=negligible_excess),),
     variants={Only.ONLY: (Step(Stage.READ_NOISE, replace_noise),)},
     starts=lambda scales: [(1.05 * scales.read_noise_e + 0.1,)],
-    vanishes_at=np.nan,
+    vanishes_at=float("nan"),
     acts_on_noise=True,
     hidden_in_flats="the noise of the darks is the measured one",
-    instrument_keys=state_noise,
+    instrument_keys=lambda sensor, variant, total: {"sensor.read_noise_e": total},
 )

@@ -4,7 +4,7 @@ from enum import Enum
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Need, Parameter, Stage, Step
+from spotcheck.model.effect import DIRECTIONS, Effect, Need, Parameter, Stage, Step
 from spotcheck.model.ellipse import make_round
 
 
@@ -32,13 +32,13 @@ EFFECT = Effect(
     noun="ratio of axes that turn with the fibres",
     parameters=(
         Parameter("ratio", "1", 1.0, 4.0, negligible=0.005),
-        Parameter("zero", "deg", -np.inf, np.inf, describes_variant=True),
+        Parameter("zero", "deg", is_variant_specific=True),
     ),
     variants={
         Variant.SAME_SENSE: (Step(Stage.COORDINATES, stretch_along),),
         Variant.OPPOSITE_SENSE: (Step(Stage.COORDINATES, stretch_against),),
     },
-    starts=lambda scales: [(1.02, zero) for zero in (0.0, 45.0, 90.0, 135.0)],
+    starts=lambda scales: [(1.02, zero) for zero in DIRECTIONS],
     vanishes_at=1.0,
     needs=(Need.ANGLES,),
 )

@@ -4,7 +4,7 @@ from enum import Enum
 
 import numpy as np
 
-from spotcheck.model.effect import Effect, Parameter, RandomStep, Scope, Stage, Step
+from spotcheck.model.effect import DIRECTIONS, Effect, Parameter, RandomStep, Scope, Stage, Step
 
 # Phases that average the stripes of a site whose phase is unknown; exact for a sum of as many harmonics.
 PHASES = 16
@@ -58,8 +58,8 @@ EFFECT = Effect(
     parameters=(
         Parameter("d", "1", 0.0, 1.0, negligible=0.003),
         Parameter("period", "px", 2.0, lambda scales: 1.5 * scales.crop_px),
-        Parameter("direction", "deg", -np.inf, np.inf),
-        Parameter("phase", "deg", -np.inf, np.inf, describes_variant=True),
+        Parameter("direction", "deg"),
+        Parameter("phase", "deg", is_variant_specific=True),
     ),
     variants={
         Variant.SITE: (RandomStep(Stage.MODULATION, fix_to_site, Scope.SITE, draw_phase, average_phases),),
@@ -69,6 +69,6 @@ EFFECT = Effect(
     starts=lambda scales: [
         (0.02, max(period * scales.sigma_px, 2.0), direction, 0.0)
         for period in (0.5, 1.0, 2.0)
-        for direction in (0.0, 45.0, 90.0, 135.0)
+        for direction in DIRECTIONS
     ],
 )

@@ -37,7 +37,7 @@ EFFECT = Effect(
     is_share=True,
     parameters=(
         Parameter("total", "1", -0.95, 5.0, negligible=0.005),
-        Parameter("rate", "1", -5.0, 20.0, describes_variant=True),
+        Parameter("rate", "1", -5.0, 20.0, is_variant_specific=True),
     ),
     variants={
         Variant.LINEAR: (Step(Stage.BRIGHTNESS, drift_linearly),),

@@ -9,11 +9,6 @@ def bend(signal_dn, *, q, full_scale_dn):
     return apply_curvature(signal_dn, q / full_scale_dn)
 
 
-def add_curvature(sensor, variant, *, q):
-    """Return the curvature of the data sheet plus what comes on top: to first order they add up."""
-    return {"sensor.response_bend": sensor.response_bend + q}
-
-
 EFFECT = Effect(
     number=2,
     name="nonlinearity",
@@ -24,5 +19,6 @@ EFFECT = Effect(
     variants={Only.ONLY: (Step(Stage.RESPONSE, bend),)},
     starts=lambda scales: [(0.02,)],
     hidden_in_flats="",
-    instrument_keys=add_curvature,
+    # To first order the curvature adds to that of the data sheet.
+    instrument_keys=lambda sensor, variant, q: {"sensor.response_bend": sensor.response_bend + q},
 )

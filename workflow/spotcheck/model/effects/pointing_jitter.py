@@ -13,8 +13,8 @@ def shift_y(frame, dx, dy, offset):
     return dx, dy - offset
 
 
-# Displacement of the centre in one frame [px].
-OFFSETS = normal_draws("rms", lambda deviation: deviation)
+# Each draws the displacement of the centre in one frame [px].
+STEPS = tuple(RandomStep(Stage.COORDINATES, shift, Scope.FRAME, *normal_draws("rms")) for shift in (shift_x, shift_y))
 
 EFFECT = Effect(
     number=21,
@@ -22,9 +22,7 @@ EFFECT = Effect(
     sentence="the spot's centre scatters between the exposures of a site",
     noun="scatter of the centre",
     parameters=(Parameter("rms", "px", 0.0, lambda scales: scales.crop_px / 4, negligible=0.1),),
-    variants={
-        Only.ONLY: tuple(RandomStep(Stage.COORDINATES, shift, Scope.FRAME, *OFFSETS) for shift in (shift_x, shift_y))
-    },
+    variants={Only.ONLY: STEPS},
     starts=lambda scales: [(0.2,)],
     needs=(Need.EXPOSURES,),
 )

@@ -9,7 +9,7 @@ def add(frame, offset_dn, rows_dn):
 
 
 # Offset [rows, 1] of each row [DN].
-OFFSETS = normal_draws("rms", lambda deviation: deviation, size=lambda shape: (shape[0], 1))
+OFFSETS = normal_draws("rms", size=lambda shape: (shape[0], 1))
 
 EFFECT = Effect(
     number=23,

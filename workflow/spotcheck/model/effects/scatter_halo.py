@@ -44,7 +44,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("fraction", "1", 0.0, 0.6, negligible=0.002),
         Parameter("radius", "px", lambda scales: 0.3 * scales.sigma_px, lambda scales: 4 * scales.crop_px),
-        Parameter("tail", "1", 0.5, 8.0, describes_variant=True),
+        Parameter("tail", "1", 0.5, 8.0, is_variant_specific=True),
     ),
     variants={
         Variant.EXPONENTIAL: (Step(Stage.ADDED_LIGHT, add_exponential),),

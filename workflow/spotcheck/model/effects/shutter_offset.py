@@ -8,20 +8,17 @@ def add_offset(frame, exposure_s, *, offset):
     return exposure_s + offset
 
 
+def times_shortest(factor):
+    """Return a function of the scales: `factor` times the shortest exposure [s]."""
+    return lambda scales: factor * scales.shortest_s
+
+
 EFFECT = Effect(
     number=12,
     name="shutter_offset",
     sentence="the true exposure is the nominal one plus a constant",
     noun="offset of the exposure",
-    parameters=(
-        Parameter(
-            "offset",
-            "s",
-            lambda scales: -0.5 * scales.shortest_s,
-            lambda scales: 0.5 * scales.shortest_s,
-            negligible=lambda scales: 0.005 * scales.shortest_s,
-        ),
-    ),
+    parameters=(Parameter("offset", "s", times_shortest(-0.5), times_shortest(0.5), negligible=times_shortest(0.005)),),
     variants={Only.ONLY: (Step(Stage.EXPOSURE, add_offset),)},
     starts=lambda scales: [(0.02 * scales.shortest_s,)],
     law_of="brightness",

@@ -12,6 +12,12 @@ def scale_width(frame, width, factor):
     return replace(width, factor=width.factor * factor)
 
 
+# What each site draws: the factor on its width, then that on its brightness.
+STEPS = (
+    RandomStep(Stage.WIDTH, scale_width, Scope.SITE, *normal_draws("width", np.exp)),
+    RandomStep(Stage.BRIGHTNESS, multiply, Scope.SITE, *normal_draws("brightness", np.exp)),
+)
+
 EFFECT = Effect(
     number=26,
     name="site_variation",
@@ -23,12 +29,7 @@ EFFECT = Effect(
         Parameter("brightness", "1", 0.0, 1.0, negligible=0.003),
         Parameter("width", "1", 0.0, 0.5, negligible=0.001),
     ),
-    variants={
-        Only.ONLY: (
-            RandomStep(Stage.WIDTH, scale_width, Scope.SITE, *normal_draws("width", np.exp)),
-            RandomStep(Stage.BRIGHTNESS, multiply, Scope.SITE, *normal_draws("brightness", np.exp)),
-        )
-    },
+    variants={Only.ONLY: STEPS},
     starts=lambda scales: [(0.02, 0.01)],
     vanishes_at=np.nan,
     needs=(Need.SITES, Need.LAW),

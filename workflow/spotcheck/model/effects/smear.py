@@ -6,12 +6,11 @@ from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
 def spread_columns(frame, mean_e, *, fraction):
-    """Return `fraction` of the electrons of each column, spread over all rows of the sensor [e-].
-
+    """Return `fraction` of the electrons of each column, spread over all rows of the sensor [e-]."""
     # ASSUME: the charge comes on top (it is not taken from the column), as frame-transfer read-out leaves it. Its own
     # noise, that of a sum over a column, is small beside that of a pixel.
-    """
-    return fraction * np.sum(mean_e, axis=-2, keepdims=True) / frame.pixels.sensor_rows
+    column_sum = np.sum(mean_e * frame.pixels.row_share, axis=-2, keepdims=True)
+    return fraction * column_sum / frame.pixels.sensor_rows
 
 
 EFFECT = Effect(

@@ -11,16 +11,15 @@ MOST_PATTERNS = 12
 
 
 def draw_field(rng, shape, *, contrast, grain):
-    """Return a factor [rows, columns] of mean 1 and relative scatter `contrast`, correlated as exp(−d²/2 grain²).
-
-    # ASSUME: `grain` [px] is the standard deviation of the correlation; contracts and books also call the full width
-    # so. Intensities follow a gamma distribution, as sums of independent speckle patterns do.
-    """
+    """Return a factor [rows, columns] of mean 1 and relative scatter `contrast`, correlated as exp(−d²/2 grain²)."""
     if contrast <= 0:
         return np.ones(shape)
     total = np.zeros(shape)
+    # ASSUME: intensities follow a gamma distribution, as sums of independent speckle patterns do.
     for _ in range(min(max(round(1 / contrast**2), 1), MOST_PATTERNS)):
         # A field smoothed with s correlates as exp(−d²/4 s²), its intensity as the square of that: s is the grain.
+        # ASSUME: the grain [px] is the standard deviation of the correlation; contracts and books also call the full
+        # width so.
         parts = [ndimage.gaussian_filter(rng.standard_normal(shape), grain, mode="wrap") for _ in range(2)]
         total += sum(part**2 / np.mean(part**2) for part in parts) / 2
     deviation = total / total.mean() - 1

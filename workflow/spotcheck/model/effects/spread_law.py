@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
@@ -24,7 +22,7 @@ EFFECT = Effect(
     parameters=(Parameter("exponent", "1", -1.5, 1.5, negligible=0.01),),
     variants={Only.ONLY: (Step(Stage.WIDTH, follow_power),)},
     starts=lambda scales: [(scales.width_exponent,)],
-    vanishes_at=np.nan,
+    vanishes_at=float("nan"),
     law_of="width",
     replaces=("p1",),
     needs=(Need.THREE_EXPOSURES, Need.LAW),
