@@ -22,6 +22,7 @@ ROOMS = {
     "cli": "one subcommand for each stage: parse, call, write",
     "first_look": "images that nobody described",
     "figures": "one module a family of figures",
+    "discrepancy": "what the model is missing, written anew",
     "old_engine": "what the model is missing: the verdict",
     "views": "each model beside each frame",
     "pages": "report and tables as HTML, page of effects",
@@ -133,7 +134,7 @@ def stage_table() -> str:
     """Return the stages of the forward model, in the order in which they act, as a table in Markdown."""
     rows = []
     for stage in ModelStage:
-        arguments = ", ".join(f"`{argument}`" for argument in stage.value.arguments)
+        arguments = ", ".join(f"`{argument}`" for argument in stage.value.arguments.split(", "))
         effects = ", ".join(_link(effect, stage) for effect in built_in().values() if stage in effect.stages)
         rows.append(f"| {stage.title} | {arguments} | {stage.value.returns} | {effects or '–'} |\n")
     return "| stage | a function gets | it returns | effects |\n|---|---|---|---|\n" + "".join(rows)

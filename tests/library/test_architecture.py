@@ -22,7 +22,7 @@ FLOORS = {
     3: ("model",),
     4: ("estimate", "metrics", "pairs", "simulation", "design"),
     5: (
-        *("first_look", "figures", "old_engine", "comparison", "views", "pages", "paper", "origin"),
+        *("first_look", "figures", "discrepancy", "old_engine", "comparison", "views", "pages", "paper", "origin"),
         *("adoption", "correction"),
     ),
     6: ("cli",),

@@ -13,7 +13,7 @@ from scipy import stats
 
 from spotcheck.errors import InputError
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.conditions import BlurredSpot, FrameConditions, WidthLaw, crop_grid
+from spotcheck.model.conditions import FrameConditions, SpotState, WidthLaw, crop_grid
 from spotcheck.model.effect import AppliedEffect, Effect, Only, Parameter, Scope, Step
 from spotcheck.model.effect_file import NEVER_RANDOM, read_effect
 from spotcheck.model.effects import vocabulary
@@ -375,7 +375,7 @@ BODIES = {
     Stage.COORDINATES: "(dx * (1 + a), dy / (1 + a))",
     Stage.PROFILE: "half_square * (1 + a / (1 + half_square))",
     Stage.BLUR: "np.array([[-8 * a, 8 * a], [4 * a, 0], [0.5, 0.5]])",
-    Stage.ADDED_LIGHT: "light_dn + a * (spot.displaced(5.0, -3.0) + spot.peak_dn / spot.sigma_px)",
+    Stage.ADDED_LIGHT: "light_dn + a * spot.peak_dn / spot.sigma_px",
     Stage.MODULATION: "light_dn * (1 + a * np.cos(frame.pixels.x))",
     Stage.SPECKLE_FIELD: "light_dn * (1 + a * np.cos(frame.pixels.y))",
     Stage.PEDESTAL: "light_dn + a * (50 + frame.pixels.x)",
@@ -420,7 +420,7 @@ def effect_from_file(folder, stage: Stage, step: str, a: float, drawn: bool = Fa
     named = [name for name in ("full_scale_dn",) if name in BODIES[stage]]
     last = ["a"] if drawn else ["*", "a"]
     named = ["*", *named] if drawn and named else named
-    arguments = ", ".join([*stage.value.arguments, *last, *named])
+    arguments = ", ".join([stage.value.arguments, *last, *named])
     path = written(folder, "own", FILE.format(arguments=arguments, body=BODIES[stage], step=step))
     effect, _ = read_effect(path)
     return AppliedEffect(effect, Only.ONLY, (a,))
@@ -433,7 +433,7 @@ def slow_readings(stage: Stage, act, count: int) -> np.ndarray:
     def at(here: Stage, *value, frame=FRAME):
         if here is not stage:
             return value if len(value) > 1 else value[0]
-        is_of_frame = here.value.arguments[0] == "frame"
+        is_of_frame = here.value.arguments.startswith("frame")
         return act(*((frame, *value) if is_of_frame else value))
 
     exposure_s = at(Stage.EXPOSURE, FRAME.exposure_s)
@@ -455,7 +455,7 @@ def slow_readings(stage: Stage, act, count: int) -> np.ndarray:
 
     light = spot(0.0, 0.0)
     if stage is Stage.ADDED_LIGHT:
-        light = act(FRAME, light, BlurredSpot(spot, peak, sigma))
+        light = act(FRAME, light, SpotState(peak, sigma))
     light = at(Stage.SPECKLE_FIELD, at(Stage.MODULATION, light)) + at(Stage.PEDESTAL, 0.0)
     mean_e = at(Stage.PIXEL_GAIN, light) / gain + SENSOR.dark_current_e_per_s * exposure_s
     mean_e = at(Stage.CHARGE, mean_e)

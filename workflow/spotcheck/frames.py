@@ -161,7 +161,7 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     >>> dataset = spotcheck.read_dataset("my-frames")
     >>> image = spotcheck.read_image(dataset, dataset.spots[-1])
     >>> image.shape, image.dtype, int(image.max())
-    ((96, 96), dtype('uint16'), 619)
+    ((96, 96), dtype('uint16'), 620)
     """
     pixels = files.pixels(dataset.folder / frame.file, frame.page, frame.label, colour_of(dataset.instrument))
     sensor = dataset.instrument.sensor

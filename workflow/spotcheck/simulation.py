@@ -22,9 +22,8 @@ from spotcheck.errors import InputError
 from spotcheck.estimate.calibration import USED
 from spotcheck.estimate.fits import preferred
 from spotcheck.model.baseline import Baseline, of_instrument
-from spotcheck.model.conditions import FrameConditions, PixelGrid, crop_grid
+from spotcheck.model.conditions import FrameConditions, PixelGrid, SpotState, crop_grid
 from spotcheck.model.forward import ForwardModel, RandomStreams
-from spotcheck.model.light import SpotState
 from spotcheck.model.light_shape import LIGHT
 from spotcheck.model.model_file import ExtendedModel, Site, Spot, check_bounds, scales_of, site_of
 from spotcheck.sensor import SensorModel

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,20 +34,24 @@ def crop_grid(columns: range, rows: range, sensor_columns: int, sensor_rows: int
     return PixelGrid(x[None, :], y[:, None], sensor_columns, sensor_rows)
 
 
+# A number, or an array [frame, 1, 1] that broadcasts with the pixels [frame, row, column] of several frames.
+PerFrame = Any
+
+
 @dataclass(frozen=True)
 class FrameConditions:
-    """Conditions of one frame: where its spot lies and under which it was taken."""
+    """Conditions of one frame, or of several: where the spot lies and under which it was taken."""
 
     pixels: PixelGrid  # where the model is evaluated
-    x0: float  # column of the spot's centre [px]
-    y0: float  # row of the spot's centre [px]
-    exposure_s: float  # nominal exposure [s]
+    x0: PerFrame  # column of the spot's centre [px]
+    y0: PerFrame  # row of the spot's centre [px]
+    exposure_s: PerFrame  # nominal exposure [s]
     longest_s: float  # longest exposure of the dataset [s], at which the peak of the law is given
     reference_s: float  # reference exposure [s]: effects on the width leave the width at it unchanged
-    angle: float = 0.0  # angle of the fibres [rad]
-    order: float = 0.5  # place in the order of acquisition, from 0 to 1
-    peak_dn: float = np.nan  # peak of the spot [DN] where no law gives it
-    sigma_px: float = np.nan  # width σ_g of the spot [px] where no law gives it
+    angle: PerFrame = 0.0  # angle of the fibres [rad]
+    order: PerFrame = 0.5  # place in the order of acquisition, from 0 to 1
+    peak_dn: PerFrame = np.nan  # peak of the spot [DN] where no law gives it
+    sigma_px: PerFrame = np.nan  # width σ_g of the spot [px] where no law gives it
 
 
 @dataclass(frozen=True)
@@ -61,9 +66,8 @@ class WidthLaw:
 
 
 @dataclass(frozen=True)
-class BlurredSpot:
-    """The spot of a frame behind the stages up to the blur, for effects that add light."""
+class SpotState:
+    """The spot of a frame behind the stages exposure, width and brightness."""
 
-    displaced: Callable[[float, float], np.ndarray]  # light [DN] of the spot displaced by dx, dy [px]
-    peak_dn: float  # peak of the spot [DN]
-    sigma_px: float  # width σ_g of the spot [px]
+    peak_dn: float  # peak of the Gaussian before the top hat [DN]
+    sigma_px: float  # width σ_g [px]

@@ -127,7 +127,7 @@ def _check_variants(effect: Effect) -> None:
             where, is_random = f"at the stage {step.stage.title}", isinstance(step, RandomStep)
             if is_random and step.stage in NEVER_RANDOM:
                 raise InputError(f"a RandomStep cannot act {where}; make it a Step, or take another stage")
-            arguments = [*step.stage.value.arguments, *(["drawn"] if is_random else [])]
+            arguments = [*step.stage.value.arguments.split(", "), *(["drawn"] if is_random else [])]
             with _explain_errors(f"function {where}: ", f"it must be f({', '.join([*arguments, '*', *names])})"):
                 inspect.signature(step.function).bind(*arguments, **dict.fromkeys(keyword_names_of(step.function)))
             if unknown := sorted({*step.keyword_names()} - {*names, "full_scale_dn"}):
@@ -169,7 +169,7 @@ def _check_use(applied: AppliedEffect) -> None:
             if np.any(np.diff(transfer(signal)) < -1e-9 * SENSOR.full_scale_dn):
                 raise InputError(f"function returns less for a larger signal at {values}; it must never decrease there")
         readings = [model.sample(FRAME, RandomStreams(1, 0, 0))]
-        readings += [part for frame in FRAMES for part in vars(model.expected(frame)).values()]
+        readings += [part for frame in FRAMES for part in model.expected(frame)]
         if not all(np.shape(part) == (ROWS, COLUMNS) and np.isfinite(part).all() for part in readings):
             raise InputError(f"function makes readings that are not finite or not one for each pixel; {remedy}")
         for stage in effect.stages:

@@ -4,11 +4,11 @@
 those of the sensor, which become one `ReadingDistribution`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial, reduce
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,8 +32,7 @@ LIGHT_STEP, SENSOR_STEP = 1e-5, 1e-3
 LAW_PARAMETERS = ("p1", "p2", "peak_dn")
 
 
-@dataclass(frozen=True)
-class ExpectedReading:
+class ExpectedReading(NamedTuple):
     """Mean and variance of the readings of a frame over everything that is random."""
 
     mean: np.ndarray  # [row, column, DN]
@@ -194,15 +193,10 @@ class ForwardModel(LightStages):
         table = distribution.tabulate(BRIGHTEST_GRAIN * highest)
         # Rounded, so that frames share tables.
         highest = 2.0 ** np.ceil(np.log2(max(highest, 1.0)))
-        granular = _granular_table(table, tuple(grains), even, highest).moments(light.spot)
-        full, alone = plain(total), moments_with_offsets(distribution, light.spot + even)
-        variance = granular.variance + full.variance - alone.variance
-        return ReadingMoments(
-            granular.mean + full.mean - alone.mean,
-            np.maximum(variance, 0.1 * granular.variance),
-            granular.mean_slope + full.mean_slope - alone.mean_slope,
-            granular.variance_slope + full.variance_slope - alone.variance_slope,
-        )
+        granular = np.array(_granular_table(table, tuple(grains), even, highest).moments(light.spot))
+        alone = np.array(moments_with_offsets(distribution, light.spot + even))
+        mean, variance, *slopes = granular + np.array(plain(total)) - alone
+        return ReadingMoments(mean, np.maximum(variance, 0.1 * granular[1]), *slopes)
 
     # What is random.
 
@@ -227,13 +221,11 @@ class ForwardModel(LightStages):
         # Charge and smear of a pixel follow the light of others.
         mixing = [step for stage in (Stage.CHARGE, Stage.SMEAR) for step in self.steps_at(stage)]
         if mixing or any(self._random_steps()) or stages & {Stage.EXPOSURE, *SENSOR_STAGES}:
-            low, high, step = self._neighbours(frame, name, SENSOR_STEP)
-            before, after = low[0].expected(low[1]), high[0].expected(high[1])
-            return (after.mean - before.mean) / step, (after.variance - before.variance) / step
+            mean, variance = self._difference(frame, name, SENSOR_STEP, lambda model, at: np.array(model.expected(at)))
+            return mean, variance
         slope = self._registered_slope(frame, name)
         if slope is None:
-            low, high, step = self._neighbours(frame, name, LIGHT_STEP)
-            slope = (high[0].light(high[1]).total - low[0].light(low[1]).total) / step
+            slope = self._difference(frame, name, LIGHT_STEP, lambda model, at: model.light(at).total)
         moments = self.moments(self.sensor_input(frame))
         return moments.mean_slope * slope, moments.variance_slope * slope
 
@@ -255,33 +247,32 @@ class ForwardModel(LightStages):
                     return self.light(frame).spot * slope / self.spot(frame).peak_dn
         return None
 
-    def _neighbours(self, frame: FrameConditions, name: str, relative: float):
-        """Return model and frame with a parameter one step below and above its value, and the distance of both."""
+    def _difference(self, frame: FrameConditions, name: str, relative: float, function: Callable) -> np.ndarray:
+        """Return the central difference of a function of model and frame in a parameter."""
         effect, _, parameter = name.rpartition(".")
-        holder: Any = frame if self.law is None or name not in LAW_PARAMETERS else self.law
-        if effect:
-            holder = {applied.effect.name: applied for applied in self.effects}[effect]
-        value = (holder.parameters if effect else vars(holder))[parameter]
+        applied = {applied.effect.name: applied for applied in self.effects}[effect] if effect else None
+        in_law = self.law is not None and name in LAW_PARAMETERS
+        value = (applied.parameters if applied else vars(self.law if in_law else frame))[parameter]
         if np.isnan(value):
             raise KeyError(name)
+
+        def moved(value: float) -> np.ndarray:
+            change: dict[str, Any] = {name: value}
+            if applied:
+                other = applied.with_value(parameter, value)
+                return function(replace(self, effects=tuple(other if a is applied else a for a in self.effects)), frame)
+            if self.law is not None and in_law:
+                return function(replace(self, law=replace(self.law, **change)), frame)
+            return function(self, replace(frame, **change))
+
         # Scale on which readings change.
-        scale = max(abs(value), 1e-3 if effect else 1.0)
+        scale = max(abs(value), 1e-3 if applied else 1.0)
         if name in ("x0", "y0"):
             scale = self.spot(frame).sigma_px
-        elif effect and {p.name: p.unit for p in holder.effect.parameters}[parameter] == "s":
+        elif applied and {p.name: p.unit for p in applied.effect.parameters}[parameter] == "s":
             scale = frame.exposure_s
         step = relative * scale
-        pairs: list[tuple[ForwardModel, FrameConditions]] = []
-        for moved in (value - step, value + step):
-            if effect:
-                other = holder.with_value(parameter, moved)
-                effects = tuple(other if applied is holder else applied for applied in self.effects)
-                pairs.append((replace(self, effects=effects), frame))
-            elif self.law is not None and holder is self.law:
-                pairs.append((replace(self, law=replace(self.law, **{name: moved})), frame))
-            else:
-                pairs.append((self, replace(frame, **{name: moved})))
-        return *pairs, 2 * step
+        return (moved(value + step) - moved(value - step)) / (2 * step)
 
 
 def moments_with_offsets(
@@ -309,8 +300,7 @@ def moments_with_offsets(
         smear = np.broadcast_to(smear_e, np.shape(light))[is_near]
         moments = shifted.tabulate(highest).moments(light[is_near], smear)
         weight = _lagrange(fraction[is_near], distance[is_near])
-        for part, values in zip(parts, (moments.mean, moments.variance, moments.mean_slope, moments.variance_slope),
-                                strict=True):  # fmt: skip
+        for part, values in zip(parts, moments, strict=True):
             part[is_near] += weight * values
     return ReadingMoments(*parts)
 

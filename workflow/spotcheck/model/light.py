@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.conditions import BlurredSpot, FrameConditions, WidthLaw
+from spotcheck.model.conditions import FrameConditions, SpotState, WidthLaw
 from spotcheck.model.effect import AppliedEffect, AppliedStep
 from spotcheck.model.spot import PIXEL
 from spotcheck.model.stage import Stage
@@ -29,14 +29,6 @@ class ExposureLaw:
     p1: float  # rise of p_b with ln(t / 1 s) [px]
     p2: float  # p_b at 1 s [px]
     peak_dn: float  # peak of the spot at the longest exposure [DN]
-
-
-@dataclass(frozen=True)
-class SpotState:
-    """The spot of a frame behind the stages exposure, width and brightness."""
-
-    peak_dn: float  # peak of the Gaussian before the top hat [DN]
-    sigma_px: float  # width σ_g [px]
 
 
 @dataclass(frozen=True)
@@ -102,7 +94,7 @@ class LightStages:
 
     def light(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Light:
         """Return the light of a frame [DN]."""
-        baseline, state, pixels = self.baseline, self.spot(frame, drawn), frame.pixels
+        baseline, spot, pixels = self.baseline, self.spot(frame, drawn), frame.pixels
         has_coordinates, has_profile = (bool(self.steps_at(s)) for s in (Stage.COORDINATES, Stage.PROFILE))
 
         def sharp(shift_x: float, shift_y: float) -> np.ndarray:
@@ -111,10 +103,10 @@ class LightStages:
             if has_coordinates:
                 dx, dy = self.apply_stage(Stage.COORDINATES, drawn, frame, dx, dy)
             if not has_profile:
-                return baseline.spot(dx, dy, state.peak_dn, state.sigma_px)
-            half_square = (dx * dx + dy * dy) / (2 * state.sigma_px**2)
+                return baseline.spot(dx, dy, spot.peak_dn, spot.sigma_px)
+            half_square = (dx * dx + dy * dy) / (2 * spot.sigma_px**2)
             exponent = self.apply_stage(Stage.PROFILE, drawn, frame, half_square)
-            return baseline.finish(state.peak_dn * np.exp(-exponent), dx, dy, state.peak_dn, state.sigma_px)
+            return baseline.finish(spot.peak_dn * np.exp(-exponent), dx, dy, spot.peak_dn, spot.sigma_px)
 
         exposed = replace(frame, exposure_s=self.true_exposure(frame, drawn))
         path = np.array([[0.0], [0.0], [1.0]])
@@ -122,11 +114,7 @@ class LightStages:
             path = convolve_paths(path, step(exposed))
         if baseline.pixel_integration:
             path = convolve_paths(path, np.transpose(PIXEL))
-
-        def blurred(shift_x: float, shift_y: float) -> np.ndarray:
-            return sum(weight * sharp(shift_x + dx, shift_y + dy) for dx, dy, weight in np.moveaxis(path, 0, 1))
-
-        total, spot = blurred(0.0, 0.0), BlurredSpot(blurred, state.peak_dn, state.sigma_px)
+        total = sum(weight * sharp(dx, dy) for dx, dy, weight in np.moveaxis(path, 0, 1))
         for step in self.steps_at(Stage.ADDED_LIGHT):
             total = step(frame, total, spot)
         for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD):

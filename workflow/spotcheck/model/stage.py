@@ -8,7 +8,7 @@ from enum import Enum
 class StageDescription:
     """What the functions of effects at a stage get and return."""
 
-    arguments: tuple[str, ...]  # arguments of a function, in this order; parameters of the effect follow by name
+    arguments: str  # arguments of a function, in this order; parameters of the effect follow by name
     returns: str  # what it returns, with its unit
     action: str  # what an effect does there, in words that follow the name of the effect
 
@@ -20,58 +20,36 @@ class Stage(Enum):
     (well, response, digital) or on a variance (read noise). A `RandomStep` gets what it drew as one argument more. Only
     the blur and the smear do not pass a value on: blurs are convolved with each other, and smear adds up.
 
-    `frame` is a `FrameConditions`. Light is in DN: K times the mean electrons. Lengths are in px of the sensor.
+    `frame` is a `FrameConditions` and `spot` a `SpotState`. Light is in DN: K times the mean electrons. Lengths are in
+    px of the sensor.
     """
 
-    EXPOSURE = StageDescription(
-        ("frame", "exposure_s"), "true exposure [s] of light, dark current and motion", "sets the true exposure"
-    )
-    WIDTH = StageDescription(
-        ("frame", "width"), "`WidthLaw`: p_b [px] as a function of the exposure [s]", "changes the width of the spot"
-    )
-    BRIGHTNESS = StageDescription(("frame", "peak_dn"), "peak of the spot [DN]", "changes the brightness of the spot")
-    COORDINATES = StageDescription(
-        ("frame", "dx", "dy"),
-        "displacements [px] from the centre at which the round spot has the light of this point",
-        "stretches or moves the spot",
-    )
-    PROFILE = StageDescription(
-        ("frame", "half_square"), "exponent of the profile exp(−…) [1], from ρ²/2", "changes the profile of the spot"
-    )
-    BLUR = StageDescription(
-        ("frame",), "displacements dx, dy [px] and weights [3, point] that the spot is averaged over", "blurs the spot"
-    )
-    ADDED_LIGHT = StageDescription(
-        ("frame", "light_dn", "spot"), "light [DN] of the spot and what belongs to it", "adds light to the spot"
-    )
-    MODULATION = StageDescription(("frame", "light_dn"), "light of the spot [DN]", "modulates the light of the spot")
+    EXPOSURE = StageDescription("frame, exposure_s", "true exposure [s] of light and dark current", "sets the exposure")
+    WIDTH = StageDescription("frame, width", "`WidthLaw`: p_b [px] over the exposure", "changes the width of the spot")
+    BRIGHTNESS = StageDescription("frame, peak_dn", "peak of the spot [DN]", "changes the brightness of the spot")
+    # A round spot has the light of a pixel at these displacements from its centre.
+    COORDINATES = StageDescription("frame, dx, dy", "displacements on a round spot [px]", "stretches or moves the spot")
+    PROFILE = StageDescription("frame, half_square", "E [1] of the profile exp(−E), from ρ²/2", "changes the profile")
+    BLUR = StageDescription("frame", "dx, dy [px] and weights of copies [3, copy]", "blurs or copies the spot")
+    ADDED_LIGHT = StageDescription("frame, light_dn, spot", "light of the spot [DN]", "adds light to the spot")
+    MODULATION = StageDescription("frame, light_dn", "light of the spot [DN]", "modulates the light of the spot")
     # What a random step draws here multiplies the light, whatever its function does.
-    SPECKLE_FIELD = StageDescription(("frame", "light_dn"), "light of the spot [DN]", "makes the light granular")
-    PEDESTAL = StageDescription(("frame", "light_dn"), "light with pedestals [DN]", "adds light under the spot")
+    SPECKLE_FIELD = StageDescription("frame, light_dn", "light of the spot [DN]", "makes the light granular")
+    PEDESTAL = StageDescription("frame, light_dn", "light with pedestals [DN]", "adds light under the spot")
     # A function here is proportional to the light, since it acts on the spot and on pedestals apart.
-    PIXEL_GAIN = StageDescription(
-        ("frame", "light_dn"), "light that pixels convert [DN]", "changes the gains of pixels"
-    )
-    CHARGE = StageDescription(
-        ("frame", "mean_e"), "mean electrons of light and dark current [e-]", "changes the charge"
-    )
-    SMEAR = StageDescription(
-        ("frame", "mean_e"),
-        "electrons that are added behind the Poisson draw [e-]",
-        "adds electrons without shot noise",
-    )
+    PIXEL_GAIN = StageDescription("frame, light_dn", "light that pixels convert [DN]", "changes the gains of pixels")
+    CHARGE = StageDescription("frame, mean_e", "mean electrons of light and dark current [e-]", "changes the charge")
+    SMEAR = StageDescription("frame, mean_e", "electrons without shot noise [e-]", "adds electrons without shot noise")
     # What a random step draws here is the level [DN] at which the charge of each pixel stops.
-    WELL = StageDescription(("signal_dn",), "signal [DN] in front of the read noise", "limits the charge")
-    READ_NOISE = StageDescription(("variance_e2",), "variance of the read noise [e-²]", "changes the read noise")
+    WELL = StageDescription("signal_dn", "signal [DN] in front of the read noise", "limits the charge")
+    READ_NOISE = StageDescription("variance_e2", "variance of the read noise [e-²]", "changes the read noise")
     # A function may also name `full_scale_dn`, the largest reading [DN].
-    RESPONSE = StageDescription(("signal_dn",), "signal [DN] without black level", "bends the response")
-    BLACK_LEVEL = StageDescription(
-        ("frame", "offset_dn"), "offset beside the black level [DN]", "moves the black level"
-    )
+    RESPONSE = StageDescription("signal_dn", "signal [DN] without black level", "bends the response")
+    BLACK_LEVEL = StageDescription("frame, offset_dn", "offset beside the black level [DN]", "moves the black level")
     ROW_NOISE_AND_HOT_PIXELS = StageDescription(
-        ("frame", "offset_dn"), "offset beside the black level [DN]", "adds noise to rows or pixels"
+        "frame, offset_dn", "offset [DN] as above", "adds noise to rows or pixels"
     )
-    DIGITAL = StageDescription(("signal_dn",), "signal [DN] in front of the rounding", "cuts the faint end")
+    DIGITAL = StageDescription("signal_dn", "signal [DN] in front of the rounding", "cuts the faint end")
 
     @property
     def title(self) -> str:

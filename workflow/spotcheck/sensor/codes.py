@@ -24,15 +24,15 @@ POISSON_MARGIN = 14
 
 
 class Cumulants(NamedTuple):
-    """Cumulants of a reading and what follows from them, each [mean]; slopes are by the mean electrons."""
+    """Cumulants of a reading and what follows from them, each [mean]; slopes are by the light."""
 
     mean: np.ndarray  # [DN]
     variance: np.ndarray  # [DN²]
     third: np.ndarray  # third cumulant [DN³]
     fourth: np.ndarray  # fourth cumulant [DN⁴]
-    mean_slope: np.ndarray  # [DN/e-]
-    variance_slope: np.ndarray  # [DN²/e-]
-    information: np.ndarray  # Fisher information on the mean electrons [1/e-²]
+    mean_slope: np.ndarray  # d mean/dL [1]
+    variance_slope: np.ndarray  # d variance/dL [DN]
+    information: np.ndarray  # Fisher information on the light [1/DN²]
 
 
 class CodeProbabilities(NamedTuple):
@@ -55,15 +55,15 @@ class CodeProbabilities(NamedTuple):
         is_possible = self.probability > 1e-300
         return np.where(is_possible, self.slope, np.nan) / np.where(is_possible, self.probability, 1.0)
 
-    def cumulants(self) -> Cumulants:
-        """Return the cumulants of readings at each mean."""
+    def cumulants(self, gain_dn_per_e: float = 1.0) -> Cumulants:
+        """Return the cumulants of readings at each mean; the gain turns slopes by electrons into those by the light."""
         mean = self.probability @ self.codes
         deviation = self.codes - mean[:, None]
         square = deviation**2
         powers = square, square * deviation, square**2
         second, third, fourth = ((self.probability * power).sum(axis=1) for power in powers)
-        mean_slope, variance_slope = ((self.slope * power).sum(axis=1) for power in (deviation, square))
-        information = np.nansum(self.slope * self.score(), axis=1)
+        mean_slope, variance_slope = ((self.slope * power).sum(axis=1) / gain_dn_per_e for power in (deviation, square))
+        information = np.nansum(self.slope * self.score(), axis=1) / gain_dn_per_e**2
         return Cumulants(mean, second, third, fourth - 3 * second**2, mean_slope, variance_slope, information)
 
 

@@ -63,7 +63,7 @@ class ReadingTable:
     first_root: float  # u of the first node [e-^½], that of no light: √(µ_d + s²)
     step: float  # distance of the nodes in u [e-^½]
     nodes: np.ndarray  # mean [DN], variance [DN²], d mean/dL [1], d variance/dL [DN]; [quantity, node]
-    node_information: np.ndarray  # Fisher information on the light [1/DN²]; [node]
+    distribution: ReadingDistribution | None = None  # of the readings; None if the light has a random factor
 
     @cached_property
     def light(self) -> np.ndarray:
@@ -107,7 +107,18 @@ class ReadingTable:
         Its reciprocal is interpolated: without clips it is a straight line in the light. The error is below 2 % for
         more than half an electron.
         """
-        return 1 / np.interp(light, self.light, 1 / np.maximum(self.node_information, 1e-300))
+        return 1 / np.interp(light, self.light, 1 / np.maximum(self._node_information, 1e-300))
+
+    @cached_property
+    def _node_information(self) -> np.ndarray:
+        """Fisher information on the light at the nodes [1/DN²]; 0 from where readings no longer change."""
+        _, variance, slope, variance_slope = self.nodes
+        if self.distribution is None:
+            return slope**2 / np.maximum(variance, 1e-12)
+        changes = (slope != 0) | (variance_slope != 0)
+        information = np.zeros(slope.size)
+        information[changes] = self.distribution.fisher_information(self.light[changes])
+        return information
 
     def with_granular_light(self, contrast: float, pedestal_dn: float = 0.0) -> ReadingTable:
         """Return the table of readings under light that a granular field multiplies.
@@ -146,7 +157,7 @@ class ReadingTable:
             variance = weight @ (at.variance + deviation**2)
             variance_slope = weight @ (factor * at.variance_slope + 2 * deviation * slope_deviation)
             mixed[:, k] = mean, variance, slope, variance_slope
-        return replace(self, nodes=mixed, node_information=mixed[2] ** 2 / np.maximum(mixed[1], 1e-12))
+        return replace(self, nodes=mixed, distribution=None)
 
 
 def grain_quadrature(contrast: float) -> tuple[np.ndarray, np.ndarray]:
@@ -177,14 +188,12 @@ def tabulate_readings(distribution: ReadingDistribution, light_max: float) -> Re
     first_root, last_root = np.sqrt(dark_e + noise_e**2), np.sqrt(max(highest_e, dark_e + 1.0) + noise_e**2)
     step = 1 / (2 * NODES_PER_SD)
     root = first_root + step * np.arange(np.ceil((last_root - first_root) / step) + 1)
-    at = distribution.cumulants(gain * (root**2 - first_root**2))
-    nodes = np.stack([at.mean, at.variance, at.mean_slope / gain, at.variance_slope / gain])
+    nodes = np.stack(distribution.moments(gain * (root**2 - first_root**2)))
     # Saturated nodes up to the light that was asked for: dark grains of such light are not saturated.
     farthest_e = max(min(light_max / gain + dark_e, MOST_SATURATION * highest_e), highest_e)
     saturated = max(math.ceil((np.sqrt(farthest_e + noise_e**2) - root[-1]) / step), 0)
     nodes = np.concatenate([nodes, np.repeat(nodes[:, -1:] * [[1.0], [1.0], [0.0], [0.0]], saturated, axis=1)], axis=1)
-    information = np.concatenate([at.information, np.zeros(saturated)]) / gain**2
-    return ReadingTable(gain, first_root, step, nodes, information)
+    return ReadingTable(gain, first_root, step, nodes, distribution)
 
 
 def saturating_electrons(distribution: ReadingDistribution) -> float:

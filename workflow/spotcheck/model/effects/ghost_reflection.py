@@ -5,9 +5,9 @@ import numpy as np
 from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
-def add_copy(frame, light_dn, spot, *, fraction, dx, dy):
-    """Return the light [DN] plus a copy of the spot, `fraction` as bright, displaced by dx, dy [px]."""
-    return light_dn + fraction * spot.displaced(dx, dy)
+def copy(frame, *, fraction, dx, dy):
+    """Return the spot itself, and a copy `fraction` as bright that is displaced by dx, dy [px]."""
+    return np.array([[0.0, dx], [0.0, dy], [1.0, fraction]])
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
         Parameter("dx", "px", lambda scales: -1.5 * scales.crop_px, lambda scales: 1.5 * scales.crop_px),
         Parameter("dy", "px", lambda scales: -1.5 * scales.crop_px, lambda scales: 1.5 * scales.crop_px),
     ),
-    variants={Only.ONLY: (Step(Stage.ADDED_LIGHT, add_copy),)},
+    variants={Only.ONLY: (Step(Stage.BLUR, copy),)},
     starts=lambda scales: [
         (0.01, distance * scales.sigma_px * np.cos(angle), distance * scales.sigma_px * np.sin(angle))
         for distance in (1.2, 2.2, 3.4)

@@ -1,0 +1,17 @@
+"""Thresholds that decide what a verdict names. "Drop" is a drop of −2 ln L."""
+
+# Least drop for a name: 5 standard errors.
+MIN_GAIN = 25.0
+# Least z of laws and of scatter.
+MIN_Z = 5.0
+# Subtracted from a drop for each fitted parameter when candidates are compared.
+PARAMETER_PRICE = 6.0
+# Variants of one effect within this drop are tied, and the first in the effect's list is named.
+VARIANT_TIE = 10.0
+# Consistency: Cochran's Q may exceed its degrees of freedom by so many standard deviations, or by this part of z². True
+# effects stay below 0.017 of z², false ones lie above 0.2.
+CELL_SLACK, CELL_MISFIT = 8.0, 0.02
+# Most effects of the mean image in one search.
+MOST_EFFECTS = 5
+# Sets of laws within this χ² of the best are its rivals.
+LAW_TIE = 10.0

@@ -1,0 +1,235 @@
+"""Tests of fitted effects: gain, robust Wald test and consistency over the spot, and the covariance they rest on."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN
+from spotcheck.discrepancy.frames import Design
+from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
+from spotcheck.discrepancy.normal_equations import Column, Evaluation, columns_of, evaluate, map_batches, solve_positive
+from spotcheck.model.effect import AppliedEffect, EffectScales
+
+# Sites from which on the scores of a site and sector are the clusters of the covariance; with fewer, blocks of pixels.
+MANY_SITES, BLOCK_PX = 8, 16
+# Sectors of the spot, and the radius [σ] that divides its information into two rings of about the same.
+SECTORS, RING_RADIUS = 8, 1.2
+# Part of the information below which a cell of the consistency test is left out.
+LEAST_CELL_SHARE = 1e-4
+# Eigenvalues of an information matrix with a unit diagonal below which a direction carries no information.
+NULL_EIGENVALUE = 1e-12
+# Wald z² beyond which the gain is not measured by a fit without the effect.
+CERTAIN = 1e4
+# Effort of a fit without an effect: its drop must be known to about 1.
+WITHOUT_TOLERANCE, WITHOUT_ITERATIONS = 0.3, 12
+
+Labels = Callable[[JointModel, Evaluation, slice], np.ndarray]
+
+
+@dataclass(frozen=True)
+class EffectTest:
+    """Evidence for one fitted effect."""
+
+    gain: float  # drop of −2 ln L by the effect; its Wald z² if that exceeds `CERTAIN`
+    wald: float  # z² of the effect's strength under the cluster-robust covariance
+    heterogeneity: float  # Cochran's Q of the strength over cells of the spot
+    cells: int  # number of cells
+    limit: float  # largest Q of a consistent effect
+    is_negligible: bool  # whether a user would call the strength nothing
+
+    @property
+    def passes(self) -> bool:
+        """Whether the effect is kept."""
+        return min(self.gain, self.wald) >= MIN_GAIN and self.heterogeneity <= self.limit and not self.is_negligible
+
+    @property
+    def badness(self) -> float:
+        """Of effects that fail, the one with the largest badness is removed first: those without evidence first."""
+        return self.heterogeneity / self.limit + (1e3 if min(self.gain, self.wald) < MIN_GAIN else 0.0)
+
+
+def estimate_covariance(fit: JointFit) -> np.ndarray:
+    """Return the covariance [free, free] of the fitted parameters of sensor and effects.
+
+    It is robust against misfit that is common to a cluster of pixels: with the information I of the parameters beside
+    the spots, and the score G_c that the pixels of a cluster c give, the sandwich is I⁻¹ (Σ_c G_c G_c') I⁻¹. Clusters
+    are sectors of a site (its frames may share a field), cells of the spot (a misfit of the shape is common to all
+    sites), and rows of a frame. The standard error of each parameter is the largest of these and of the model-based
+    one; correlations are those of the first division.
+
+    References
+    ----------
+    Cameron & Miller (2015), A practitioner's guide to cluster-robust inference.
+    """
+    count = len(fit.model.free)
+    if count == 0:
+        return np.zeros((0, 0))
+    targets = np.arange(count) + 4 * fit.equations.frames
+    information = information_beside(fit, targets)
+    model_based = invert_information(information)
+    estimates = []
+    for scores, _ in sum_by_clusters(fit, targets, (label_sites, label_cells, label_rows)):
+        scores = scores - scores.mean(axis=0)
+        factor = len(scores) / max(len(scores) - 1, 1)
+        estimates.append(model_based @ (scores.T @ scores * factor) @ model_based)
+    largest = np.max([np.diag(estimate) for estimate in (*estimates, model_based)], axis=0)
+    inflation = np.sqrt(largest / np.maximum(np.diag(estimates[0]), 1e-300))
+    return estimates[0] * inflation[:, None] * inflation
+
+
+def assess_effect(
+    fit: JointFit, name: str, covariance: np.ndarray, scales: EffectScales, known_gain: float | None = None
+) -> EffectTest:
+    """Test one effect of a fit; `known_gain` is the drop of −2 ln L by it if a fit without it exists."""
+    applied = fit.model.effect_named(name)
+    strength = applied.effect.parameters[0].name
+    position = next(k for k, p in enumerate(fit.model.free) if (p.effect, p.name) == (name, strength))
+    distance = distance_from_nothing(applied)
+    wald = distance**2 / max(covariance[position, position], 1e-300) if np.isfinite(distance) else np.inf
+    target = 4 * fit.equations.frames + position
+    ((score, information),) = sum_by_clusters(fit, np.array([target]), (label_cells,))
+    score, information = score[:, 0], information[:, 0]
+    used = information > LEAST_CELL_SHARE * information.sum()
+    pooled = score[used].sum() ** 2 / information[used].sum()
+    heterogeneity = float(np.sum(score[used] ** 2 / information[used]) - pooled)
+    gain = measure_gain(fit, name, wald) if known_gain is None else known_gain
+    cells, evidence = int(used.sum()), min(gain, wald)
+    limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * (cells - 1)), CELL_MISFIT * evidence)
+    return EffectTest(gain, wald, heterogeneity, cells, float(limit), is_negligible(applied, scales))
+
+
+def measure_gain(fit: JointFit, name: str, wald: float) -> float:
+    """Return the drop of −2 ln L by an effect: from a fit without it, or `wald` if that leaves no doubt."""
+    if CERTAIN < wald < np.inf:
+        return wald
+    without = fit_jointly(
+        fit.model.without_effect(name), fit.pixels, tolerance=WITHOUT_TOLERANCE, iterations=WITHOUT_ITERATIONS
+    )
+    return without.deviance - fit.deviance
+
+
+def distance_from_nothing(applied: AppliedEffect) -> float:
+    """Return how far the strength is from where the effect vanishes; infinite for a clip, NaN if nobody knows."""
+    return abs(applied.values[0] - applied.effect.vanishes_at)
+
+
+def is_negligible(applied: AppliedEffect, scales: EffectScales) -> bool:
+    """Return whether a user would call the strength of an effect nothing."""
+    low = applied.effect.parameters[0].negligible
+    return bool(distance_from_nothing(applied) < (low(scales) if callable(low) else low))
+
+
+# Sums over clusters of pixels
+
+
+def sum_by_clusters(
+    fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return, for each division into clusters, score and information of the targets [cluster, target].
+
+    Targets are numbers of unknowns behind the spots; their columns are projected off all other unknowns, but not off
+    each other.
+    """
+    model, equations = fit.model, fit.equations
+    others = np.setdiff1d(np.arange(equations.size), targets)
+    absorbed = solve_positive(
+        equations.information[np.ix_(others, others)], equations.information[np.ix_(others, targets)]
+    )
+    coefficients = np.zeros((equations.size, len(targets)))
+    coefficients[others] = absorbed
+
+    def of_batch(part: slice) -> list[tuple[np.ndarray, ...]]:
+        at = evaluate(model, fit.pixels, part)
+        fitted = columns_of(model, at)
+        used = at.weight > 0
+        projected = [_project_column(at, fitted, part, t, coefficients[:, k], equations.frames)
+                     for k, t in enumerate(targets)]  # fmt: skip
+        scores = [(dm * at.residual * at.weight + dv * at.variance_score)[used] for dm, dv in projected]
+        informations = [(dm**2 * at.weight + (dv * at.weight) ** 2 / 2)[used] for dm, dv in projected]
+        out = []
+        for label in labels:
+            keys, index = np.unique(np.broadcast_to(label(model, at, part), used.shape)[used], return_inverse=True)
+            sums = (
+                np.stack([np.bincount(index, values, len(keys)) for values in rows], 1)
+                for rows in (scores, informations)
+            )
+            out.append((keys, *sums))
+        return out
+
+    parts = map_batches(of_batch, fit.pixels)
+    return [_merge([part[k] for part in parts]) for k in range(len(labels))]
+
+
+def _project_column(
+    at: Evaluation, fitted: Sequence[Column], part: slice, target: int, coefficients: np.ndarray, frames: int
+) -> Column:
+    """Return the column of an unknown less what others take of it."""
+    of_spots = coefficients[4 * part.start : 4 * part.stop].reshape(-1, 4)
+    light = np.einsum("fa,afhw->fhw", of_spots, at.slopes)
+    mean, variance = fitted[target - 4 * frames]
+    mean, variance = mean - at.moments.mean_slope * light, variance - at.moments.variance_slope * light
+    for k, (other_mean, other_variance) in enumerate(fitted):
+        share = coefficients[4 * frames + k]
+        if share:
+            mean, variance = mean - share * other_mean, variance - share * other_variance
+    return mean, variance
+
+
+def _merge(parts: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums over the batches by cluster."""
+    keys, index = np.unique(np.concatenate([part[0] for part in parts]), return_inverse=True)
+    out = []
+    for k in (1, 2):
+        rows = np.concatenate([part[k] for part in parts])
+        total = np.zeros((len(keys), rows.shape[1]))
+        np.add.at(total, index, rows)
+        out.append(total)
+    return out[0], out[1]
+
+
+def label_cells(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:
+    """Return the cell of each pixel: sector × ring × condition."""
+    sector, ring = divide_spot(at)
+    condition = model.design.condition[part][:, None, None]
+    return sector + SECTORS * (ring + 2 * condition)
+
+
+def label_sites(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:
+    """Return the cluster of each pixel: site × sector, or blocks of a frame if sites are few."""
+    design: Design = model.design
+    if len(np.unique(design.site)) >= MANY_SITES:
+        return design.site[part][:, None, None] * SECTORS + divide_spot(at)[0]
+    pixels = at.conditions.pixels
+    block = (pixels.y // BLOCK_PX) * 10_000 + pixels.x // BLOCK_PX
+    return (np.arange(part.start, part.stop)[:, None, None] * 10**8 + block).astype(np.int64)
+
+
+def label_rows(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:
+    """Return the cluster of each pixel: row of a frame."""
+    frame = np.arange(part.start, part.stop)[:, None, None]
+    return (frame * 10**6 + at.conditions.pixels.y).astype(np.int64)
+
+
+def divide_spot(at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
+    """Return sector 0 … 7 of 45° and ring 0 or 1 of each pixel about the centre of its spot."""
+    conditions = at.conditions
+    dx, dy = conditions.pixels.x - conditions.x0, conditions.pixels.y - conditions.y0
+    turn = (np.arctan2(dy, dx) + np.pi) / (2 * np.pi)
+    sector = np.minimum((turn * SECTORS).astype(int), SECTORS - 1)
+    return sector, (np.hypot(dx, dy) > RING_RADIUS * conditions.sigma_px).astype(int)
+
+
+def information_beside(fit: JointFit, targets: np.ndarray) -> np.ndarray:
+    """Return the Fisher information of unknowns beside all others [target, target]."""
+    matrix = fit.equations.information
+    others = np.setdiff1d(np.arange(fit.equations.size), targets)
+    cross = matrix[np.ix_(others, targets)]
+    return matrix[np.ix_(targets, targets)] - cross.T @ solve_positive(matrix[np.ix_(others, others)], cross)
+
+
+def invert_information(information: np.ndarray) -> np.ndarray:
+    """Return the inverse of an information matrix, scaled to a unit diagonal first: units differ by many orders."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * scale[:, None] * scale
+    return np.linalg.pinv(scaled, rcond=NULL_EIGENVALUE, hermitian=True) * scale[:, None] * scale

@@ -1,0 +1,48 @@
+"""Hot pixels: isolated pixels of the sensor that stand out in the mean over frames."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from spotcheck.discrepancy.fields import MOST_CANVAS
+from spotcheck.discrepancy.frames import FrameSet
+from spotcheck.discrepancy.residuals import place_on_sensor
+from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
+
+# Standard deviations and part of the light by which a hot pixel exceeds its neighbours.
+LEAST_Z, LEAST_SHARE = 8.0, 0.03
+# Part of the highest mean above which pixels show the relative scatter of the light.
+LIT_SHARE = 0.3
+# Neighbourhoods of a pixel [px] for its level and for the scatter about it.
+LEVEL_PX, SCATTER_PX = 5, 11
+# Standard deviation of a Gaussian over its median absolute deviation.
+MAD_TO_SD = 1.4826
+
+
+def mask_hot_pixels(frames: FrameSet, sensor: SensorModel) -> tuple[FrameSet, int]:
+    """Return the frames without hot pixels, and the number of these; none if spots lie far apart or in one frame."""
+    _, rows, columns = frames.readings.shape
+    extent = (int(np.ptp(frames.top)) + rows, int(np.ptp(frames.left)) + columns)
+    if len(frames) < 2 or np.prod(extent) > MOST_CANVAS * rows * columns:
+        return frames, 0
+    is_known = np.isfinite(frames.readings)
+    total = place_on_sensor(np.where(is_known, frames.readings, 0.0), frames.left, frames.top).sum(axis=0, dtype=float)
+    count = place_on_sensor(is_known, frames.left, frames.top).sum(axis=0)
+    mean = total / np.maximum(count, 1)
+    mean[count == 0] = np.median(mean[count > 0])
+    light = np.maximum(mean - sensor.black_level_dn, 0.0)
+    variance = (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + sensor.gain_dn_per_e * light + ROUNDING_VARIANCE
+    excess = mean - ndimage.median_filter(mean, LEVEL_PX)
+    lit = light > LIT_SHARE * light.max()
+    relative = MAD_TO_SD * np.median(np.abs(excess[lit] / light[lit]))
+    local = MAD_TO_SD * ndimage.median_filter(np.abs(excess), SCATTER_PX)
+    deviation = np.sqrt(variance / np.maximum(count, 1) + (relative * light) ** 2 + local**2)
+    is_hot = (excess > LEAST_Z * deviation + LEAST_SHARE * light) & (count > len(frames) / 2)
+    if not is_hot.any():
+        return frames, 0
+    readings = frames.readings.copy()
+    down, right = frames.top - frames.top.min(), frames.left - frames.left.min()
+    for f in range(len(frames)):
+        readings[f][is_hot[down[f] : down[f] + rows, right[f] : right[f] + columns]] = np.nan
+    return replace(frames, readings=readings), int(is_hot.sum())

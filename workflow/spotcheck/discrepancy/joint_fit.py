@@ -1,0 +1,199 @@
+"""Joint maximum-likelihood fit of frame parameters, sensor and effects by damped Fisher scoring.
+
+The fit minimises −2 ln L = Σ [(y − m)²/v + ln v] over the pixels, with mean m and variance v of a reading by the
+forward model. `normal_equations` gives one step, this module the loop of steps and the test of convergence.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spotcheck.discrepancy.frames import Design, FrameParameters, Pixels
+from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
+from spotcheck.model.effect import AppliedEffect, EffectScales
+from spotcheck.model.forward import ForwardModel
+
+# Newton decrement of the effects beside all nuisance parameters below which a fit has converged [−2 ln L]: the effects
+# are within 0.2 standard errors of the optimum.
+EFFECT_TOLERANCE = 0.03
+# The same of all parameters.
+TOTAL_TOLERANCE = 0.1
+# Most iterations of a fit.
+ITERATIONS = 40
+# Part of the promised drop of −2 ln L that a step must keep.
+LEAST_GAIN = 0.05
+# Decrement below which a step may raise −2 ln L by rounding, and by how much.
+ROUNDING_DECREMENT, ROUNDING_RISE = 0.3, 0.05
+# Part of the diagonal of the information that is added where steps fail: at first, and from try to try.
+FIRST_DAMPING, DAMPING_FACTOR, TRIES = 1e-3, 10.0, 9
+# Largest steps of ln peak and ln σ [1], and of the centre [σ].
+LARGEST_STEPS = (0.7, 0.4, 1.0)
+# Part of the stated read noise that the fitted one is at least and at most.
+READ_NOISE_RANGE = (0.5, 3.0)
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter of the sensor or of an effect that is fitted."""
+
+    effect: str  # name of the effect; "" for the sensor
+    name: str  # name of the parameter, or of the field of `SensorModel`
+    low: float  # lowest value
+    high: float  # highest value
+
+
+@dataclass(frozen=True)
+class JointModel:
+    """Parameters of a joint fit: the forward model, the spot of each frame, and what is fitted beside the spots."""
+
+    forward: ForwardModel  # baseline, sensor and effects; without a law
+    spots: FrameParameters  # spot of each frame
+    design: Design  # conditions of the frames
+    free: tuple[FreeParameter, ...] = ()  # fitted parameters of sensor and effects
+
+    def value_of(self, parameter: FreeParameter) -> float:
+        """Return the value of a fitted parameter."""
+        if not parameter.effect:
+            return getattr(self.forward.sensor, parameter.name)
+        return self.effect_named(parameter.effect).parameters[parameter.name]
+
+    def effect_named(self, name: str) -> AppliedEffect:
+        """Return an effect of the model."""
+        return next(applied for applied in self.forward.effects if applied.effect.name == name)
+
+    def with_value(self, parameter: FreeParameter, value: float) -> "JointModel":
+        """Return the model with another value of a fitted parameter."""
+        if not parameter.effect:
+            sensor = replace(self.forward.sensor, **{parameter.name: value})
+            return replace(self, forward=replace(self.forward, sensor=sensor))
+        effects = tuple(
+            applied.with_value(parameter.name, value) if applied.effect.name == parameter.effect else applied
+            for applied in self.forward.effects
+        )
+        return replace(self, forward=replace(self.forward, effects=effects))
+
+    def with_effect(self, applied: AppliedEffect, scales: EffectScales) -> "JointModel":
+        """Return the model with an effect whose parameters are fitted."""
+        bounds = dict(zip(applied.parameters, applied.effect.bounds(scales), strict=True))
+        free = tuple(
+            FreeParameter(applied.effect.name, parameter.name, *map(float, bounds[parameter.name]))
+            for parameter in applied.effect.parameters_of(applied.variant)
+        )
+        forward = replace(self.forward, effects=(*self.forward.effects, applied))
+        return replace(self, forward=forward, free=(*self.free, *free))
+
+    def without_effect(self, name: str) -> "JointModel":
+        """Return the model without an effect."""
+        effects = tuple(applied for applied in self.forward.effects if applied.effect.name != name)
+        free = tuple(parameter for parameter in self.free if parameter.effect != name)
+        return replace(self, forward=replace(self.forward, effects=effects), free=free)
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Names of the effects in the order in which they were added."""
+        return tuple(applied.effect.name for applied in self.forward.effects)
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Result of a joint fit."""
+
+    model: JointModel  # at the last step
+    pixels: Pixels  # that were fitted
+    equations: NormalEquations  # normal equations at the model
+    has_converged: bool  # whether the Newton decrements are below their tolerances
+    iterations: int  # number of steps
+
+    @property
+    def deviance(self) -> float:
+        """−2 ln L but for a constant."""
+        return self.equations.deviance
+
+
+def fit_jointly(
+    model: JointModel,
+    pixels: Pixels,
+    *,
+    tolerance: float = EFFECT_TOLERANCE,
+    iterations: int = ITERATIONS,
+    rival: float | None = None,
+) -> JointFit:
+    """Fit spots, sensor and effects to the pixels.
+
+    Parameters
+    ----------
+    model : JointModel
+        Starting values.
+    pixels : Pixels
+        Readings of all frames of the model's design.
+    tolerance : float
+        Newton decrement of the effects beside all nuisance parameters below which the fit has converged; that of all
+        parameters is scaled in proportion. Both grow with the dispersion (mean squared standardised residual).
+    iterations : int
+        Most steps.
+    rival : float, optional
+        −2 ln L of a model to compare with: the fit also ends, not converged, when a step promises less than 1 % of the
+        drop below it.
+    """
+    equations = assemble(model, pixels)
+    damping, count, has_converged = 0.0, 0, False
+    total_tolerance = TOTAL_TOLERANCE * tolerance / EFFECT_TOLERANCE
+    while True:
+        held = _held_parameters(model, equations)
+        step = equations.solve(0.0, held)
+        decrement, of_effects = equations.decrements(step, held)
+        dispersion = max(equations.dispersion, 1.0)
+        has_converged = decrement < total_tolerance * dispersion and of_effects < tolerance * dispersion
+        is_hopeless = rival is not None and decrement < 0.01 * (rival - equations.deviance)
+        if has_converged or is_hopeless or count == iterations:
+            break
+        moved = None
+        for attempt in range(TRIES):
+            if damping:
+                step = equations.solve(damping, held)
+            trial = _move(model, equations, step)
+            new = assemble(trial, pixels)
+            gain = equations.deviance - new.deviance
+            is_rounding = decrement < ROUNDING_DECREMENT and gain > -ROUNDING_RISE
+            if np.isfinite(gain) and (gain > LEAST_GAIN * equations.promise(step) or is_rounding):
+                moved = trial
+                damping = damping / DAMPING_FACTOR**2 if damping > FIRST_DAMPING and attempt == 0 else damping
+                damping = 0.0 if damping <= FIRST_DAMPING and attempt == 0 else damping
+                break
+            damping = max(damping * DAMPING_FACTOR, FIRST_DAMPING)
+        if moved is None:
+            break
+        model, equations, count = moved, new, count + 1
+    return JointFit(model, pixels, equations, bool(has_converged), count)
+
+
+def _held_parameters(model: JointModel, equations: NormalEquations) -> np.ndarray:
+    """Return which of all parameters are at a bound that their step would cross: these are held."""
+    held = np.zeros(equations.size, bool)
+    first = equations.size - len(model.free)
+    for _ in range(3):
+        step = equations.solve(0.0, held)
+        for k, parameter in enumerate(model.free):
+            value = model.value_of(parameter)
+            is_outward = (value <= parameter.low and step[first + k] < 0) or (
+                value >= parameter.high and step[first + k] > 0
+            )
+            held[first + k] |= is_outward
+    return held
+
+
+def _move(model: JointModel, equations: NormalEquations, step: np.ndarray) -> JointModel:
+    """Return the model after a step, each parameter limited to what a linear step can know."""
+    frames = len(model.spots.x)
+    of_spots = step[: 4 * frames].reshape(frames, 4).T
+    sigma = np.exp(model.spots.log_sigma)
+    limits = (LARGEST_STEPS[0], LARGEST_STEPS[1], LARGEST_STEPS[2] * sigma, LARGEST_STEPS[2] * sigma)
+    rows = [
+        values + np.clip(change, -limit, limit)
+        for values, change, limit in zip(model.spots.as_rows(), of_spots, limits, strict=True)
+    ]
+    model = replace(model, spots=FrameParameters(*rows))
+    for parameter, change in zip(model.free, step[4 * frames :], strict=True):
+        value = float(np.clip(model.value_of(parameter) + change, parameter.low, parameter.high))
+        model = model.with_value(parameter, value)
+    return model

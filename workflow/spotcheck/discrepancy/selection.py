@@ -1,0 +1,176 @@
+"""Selection of the effects of the mean image: forward by score tests and refits, backward by the tests of fits."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spotcheck.discrepancy.candidates import Candidate, list_starts, screen_candidates
+from spotcheck.discrepancy.criteria import MIN_GAIN, MOST_EFFECTS, PARAMETER_PRICE, VARIANT_TIE
+from spotcheck.discrepancy.evidence import EffectTest, assess_effect, estimate_covariance, is_negligible
+from spotcheck.discrepancy.frames import Pixels, thin_pixels
+from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
+from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
+
+# Effort of fits that only rank candidates: decrement of the effects and most iterations.
+SCREEN_TOLERANCE, SCREEN_ITERATIONS = 0.1, 8
+REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 14
+# Candidates below this part of the best score are not refitted.
+SCORE_SHARE = 0.01
+# Candidates that are refitted in one step, and starts of one variant among them.
+MOST_REFITS, MOST_STARTS = 6, 1
+# Variants of one effect among the leading refits, and refits that are fitted to all pixels.
+MOST_VARIANTS, MOST_FULL_FITS = 2, 4
+# Refits that may still win on all pixels: another variant within this drop, another effect with this part of it.
+VARIANT_MARGIN, RIVAL_SHARE = 50.0, 0.9
+# Most iterations of a candidate on all pixels.
+FULL_ITERATIONS = 25
+
+Log = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A candidate that was fitted to the thinned pixels."""
+
+    candidate: Candidate  # its start
+    model: JointModel  # the fitted model
+    value: float  # drop of −2 ln L scaled to all pixels, less the price of its parameters
+
+
+@dataclass(frozen=True)
+class SelectedEffects:
+    """Final model of the mean image with the tests of its effects."""
+
+    fit: JointFit  # fit to all pixels
+    covariance: np.ndarray  # of the fitted parameters of sensor and effects
+    tests: dict[str, EffectTest]  # by effect
+
+
+def select_effects(
+    fit: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log = lambda text: None
+) -> SelectedEffects:
+    """Select the effects of the mean image beside the model of a fit."""
+    path = select_forward(fit, effects, scales, log)
+    return eliminate_backward(path, scales, log)
+
+
+def select_forward(
+    fit: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log
+) -> list[tuple[JointFit, float]]:
+    """Return the fits from none to the last effect, each with the drop of −2 ln L by its last effect."""
+    thin, path = thin_pixels(fit.pixels), [(fit, np.nan)]
+    for _ in range(MOST_EFFECTS):
+        present = path[-1][0]
+        absent = [effect for effect in effects if effect.name not in present.model.effect_names]
+        best = add_best_effect(present, absent, thin, scales, log)
+        if best is None:
+            break
+        path.append((best, present.deviance - best.deviance))
+    return path
+
+
+def add_best_effect(
+    present: JointFit, effects: Sequence[Effect], thin: Pixels, scales: EffectScales, log: Log
+) -> JointFit | None:
+    """Return the fit with the effect that gains most, or None if none gains enough."""
+    ratio = present.pixels.count / thin.count
+    thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
+    candidates = screen_candidates(thinned, list_starts(effects, scales))
+    log("screen " + ", ".join(f"{_text(c.start)} {c.score * ratio:.0f}" for c in candidates[:5]))
+    if not candidates or candidates[0].score * ratio < MIN_GAIN / 2:
+        return None
+    refits = refit_candidates(thinned, candidates, ratio, scales, log)
+    best: JointFit | None = None
+    best_value, best_place = -np.inf, -1
+    for refit in refits[:MOST_FULL_FITS]:
+        name = refit.candidate.start.effect.name
+        if refit.value < MIN_GAIN / 2 or is_negligible(refit.model.effect_named(name), scales):
+            continue
+        if best is not None:
+            is_variant = name == best.model.effect_names[-1]
+            margin = max(VARIANT_MARGIN, 0.01 * refits[0].value)
+            if refit.value < (refits[0].value - margin if is_variant else RIVAL_SHARE * refits[0].value):
+                continue
+        full = fit_jointly(refit.model, present.pixels, iterations=FULL_ITERATIONS)
+        value = present.deviance - full.deviance - price_of(refit.candidate)
+        log(f"  {_text(refit.candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
+        if not full.has_converged or value < MIN_GAIN - PARAMETER_PRICE:
+            continue
+        if is_negligible(full.model.effect_named(name), scales):
+            continue
+        is_tied = best is not None and name == best.model.effect_names[-1] and abs(value - best_value) < VARIANT_TIE
+        if refit.candidate.place < best_place if is_tied else value > best_value:
+            best, best_value, best_place = full, value, refit.candidate.place
+    return best
+
+
+def price_of(candidate: Candidate) -> float:
+    """Return what a candidate pays in −2 ln L for its parameters."""
+    start = candidate.start
+    return PARAMETER_PRICE * len(start.effect.parameters_of(start.variant))
+
+
+def refit_candidates(
+    thinned: JointFit, candidates: Sequence[Candidate], ratio: float, scales: EffectScales, log: Log
+) -> list[Refit]:
+    """Refit the leading candidates and all variants of the best effect; the best first."""
+    refits: list[Refit] = []
+    tried: dict[tuple, int] = {}
+    for candidate in candidates:
+        start = candidate.start
+        variant = (start.effect.name, start.variant)
+        variants = len({key for key in tried if key[0] == start.effect.name} - {variant})
+        if candidate.score < SCORE_SHARE * candidates[0].score or len(refits) >= MOST_REFITS:
+            break
+        if candidate.score * ratio < MIN_GAIN or tried.get(variant, 0) >= MOST_STARTS or variants >= MOST_VARIANTS:
+            continue
+        refits.append(refit_candidate(thinned, candidate, ratio, scales, log))
+        tried[variant] = tried.get(variant, 0) + 1
+    if not refits:
+        return []
+    leader = max(refits, key=lambda refit: refit.value).candidate.start.effect.name
+    for candidate in candidates:
+        variant = (candidate.start.effect.name, candidate.start.variant)
+        if variant[0] == leader and variant not in tried and candidate.score * ratio > MIN_GAIN:
+            refits.append(refit_candidate(thinned, candidate, ratio, scales, log))
+            tried[variant] = 1
+    return sorted(refits, key=lambda refit: -refit.value)
+
+
+def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scales: EffectScales, log: Log) -> Refit:
+    """Fit the present model with a candidate to the thinned pixels."""
+    fit = fit_jointly(
+        thinned.model.with_effect(candidate.start, scales), thinned.pixels, tolerance=REFIT_TOLERANCE,
+        iterations=REFIT_ITERATIONS, rival=thinned.deviance,
+    )  # fmt: skip
+    drop = (thinned.deviance - fit.deviance) * ratio
+    log(f"    {_text(candidate.start)}: promised {candidate.score * ratio:.0f}, got {drop:.0f}, {fit.iterations} steps")
+    return Refit(candidate, fit.model, drop - price_of(candidate))
+
+
+def eliminate_backward(path: Sequence[tuple[JointFit, float]], scales: EffectScales, log: Log) -> SelectedEffects:
+    """Remove effects that fail their test, the worst first, until all pass."""
+    path = list(path)
+    while True:
+        fit, gain = path[-1]
+        covariance = estimate_covariance(fit)
+        names = fit.model.effect_names
+        known = gain if len(names) == 1 and np.isfinite(gain) else None
+        tests = {name: assess_effect(fit, name, covariance, scales, known) for name in names}
+        for name, test in tests.items():
+            log(f"  test {name}: gain {test.gain:.0f} wald {test.wald:.0f} Q {test.heterogeneity:.0f}"
+                f" limit {test.limit:.0f} {'passes' if test.passes else 'FAILS'}")  # fmt: skip
+        failed = {name: test.badness for name, test in tests.items() if not test.passes}
+        if not failed:
+            return SelectedEffects(fit, covariance, tests)
+        worst = max(failed, key=lambda name: failed[name])
+        if worst == names[-1] and len(path) > 1:
+            path.pop()
+        else:
+            path = [(fit_jointly(fit.model.without_effect(worst), fit.pixels), np.nan)]
+
+
+def _text(start: AppliedEffect) -> str:
+    values = ", ".join(f"{name} {value:.4g}" for name, value in start.parameters.items())
+    return f"{start.effect.name} {start.variant.value} ({values})"
