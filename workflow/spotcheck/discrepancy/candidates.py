@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spotcheck.discrepancy.joint_fit import JointFit, JointModel
-from spotcheck.discrepancy.normal_equations import (
+from spotcheck.discrepancy.evaluation import (
     SENSOR,
     Column,
     Evaluation,
@@ -14,9 +13,11 @@ from spotcheck.discrepancy.normal_equations import (
     columns_of,
     evaluate,
     map_batches,
-    solve_positive,
     stages_of,
 )
+from spotcheck.discrepancy.joint_fit import JointFit, JointModel
+from spotcheck.discrepancy.normal_equations import solve_positive
+from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep
 from spotcheck.model.stage import Stage
 
@@ -122,19 +123,28 @@ def project_changes(
         fitted = columns_of(model, at)
         cross = np.zeros((equations.size, len(starts)))
         score, alone = np.zeros(len(starts)), np.zeros(len(starts))
+        equivalents = []
         for k, start in enumerate(starts):
             column = change_by(model, start, at)
             score[k] = at.score(column)
             alone[k] = at.information_of(column, column)
-            equivalent = at.light_equivalent(column)
-            cross[4 * part.start : 4 * part.stop, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalent).ravel()
+            equivalents.append(at.light_equivalent(column))
+            cross[4 * part.start : 4 * part.stop, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalents[-1]).ravel()
             cross[4 * frames :, k] = [at.information_of(column, other) for other in fitted]
-        return cross, score, alone
+        if model.grid is None:
+            return cross, score, alone
+        return cross, score, alone, ShapeSums(model, at).products(np.stack(equivalents))
 
     parts = map_batches(of_batch, fit.pixels)
     cross, score, alone = (sum(part[k] for part in parts) for k in range(3))
+    beside = alone.copy()
+    if equations.shape is not None:
+        half = equations.shape.factor.half_solve(sum(part[3] for part in parts))
+        cross = cross - equations.shape.cross.T @ half
+        score = score - half.T @ equations.shape.score
+        beside -= np.sum(half**2, axis=0)
     absorbed = solve_positive(equations.information, cross)
-    return score - absorbed.T @ equations.gradient, alone - np.sum(cross * absorbed, axis=0), alone
+    return score - absorbed.T @ equations.gradient, beside - np.sum(cross * absorbed, axis=0), alone
 
 
 def change_by(model: JointModel, start: AppliedEffect, at: Evaluation) -> Column:

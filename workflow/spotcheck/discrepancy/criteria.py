@@ -15,3 +15,13 @@ CELL_SLACK, CELL_MISFIT = 8.0, 0.02
 MOST_EFFECTS = 5
 # Sets of laws within this χ² of the best are its rivals.
 LAW_TIE = 10.0
+# Least drop of −2 ln L beside a free shape: structure finer than its nodes gives 40 to 300 by chance on real beams.
+MIN_GAIN_BESIDE_SHAPE = 400.0
+# Rms of a free shape [peak] below which the declared one is kept.
+SHAPE_FLOOR = 0.002
+# Part of what a free shape takes that the 1st, 2nd, 3rd effect beside the declared shape must take.
+SHAPE_SHARES = (0.4, 0.6, 0.8)
+# Part of what a free shape takes that named static shapes must take to stand for it, and that one, two, three of them
+# must take for the search to go on.
+EXPLAINED_SHARE = 0.9
+EXPLAINED_STEPS = (0.3, 0.6, 0.9)

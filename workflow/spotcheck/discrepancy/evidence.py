@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN
+from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_BESIDE_SHAPE
+from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches
 from spotcheck.discrepancy.frames import Design
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.normal_equations import Column, Evaluation, columns_of, evaluate, map_batches, solve_positive
+from spotcheck.discrepancy.normal_equations import solve_positive
+from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect, EffectScales
 
 # Sites from which on the scores of a site and sector are the clusters of the covariance; with fewer, blocks of pixels.
@@ -37,16 +39,22 @@ class EffectTest:
     cells: int  # number of cells
     limit: float  # largest Q of a consistent effect
     is_negligible: bool  # whether a user would call the strength nothing
+    least_gain: float = MIN_GAIN  # drop that the model asks for
 
     @property
     def passes(self) -> bool:
         """Whether the effect is kept."""
-        return min(self.gain, self.wald) >= MIN_GAIN and self.heterogeneity <= self.limit and not self.is_negligible
+        return self.has_evidence and self.heterogeneity <= self.limit and not self.is_negligible
+
+    @property
+    def has_evidence(self) -> bool:
+        """Whether likelihood and robust Wald test both speak for the effect."""
+        return self.gain >= self.least_gain and self.wald >= MIN_GAIN
 
     @property
     def badness(self) -> float:
-        """Of effects that fail, the one with the largest badness is removed first: those without evidence first."""
-        return self.heterogeneity / self.limit + (1e3 if min(self.gain, self.wald) < MIN_GAIN else 0.0)
+        """The effect with the largest badness is removed first: those without evidence before inconsistent ones."""
+        return self.heterogeneity / self.limit + (0.0 if self.has_evidence else 1e3)
 
 
 def estimate_covariance(fit: JointFit) -> np.ndarray:
@@ -56,7 +64,7 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
     the spots, and the score G_c that the pixels of a cluster c give, the sandwich is I⁻¹ (Σ_c G_c G_c') I⁻¹. Clusters
     are sectors of a site (its frames may share a field), cells of the spot (a misfit of the shape is common to all
     sites), and rows of a frame. The standard error of each parameter is the largest of these and of the model-based
-    one; correlations are those of the first division.
+    one; correlations are those of the first division. The variance of a parameter without information is infinite.
 
     References
     ----------
@@ -75,7 +83,13 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
         estimates.append(model_based @ (scores.T @ scores * factor) @ model_based)
     largest = np.max([np.diag(estimate) for estimate in (*estimates, model_based)], axis=0)
     inflation = np.sqrt(largest / np.maximum(np.diag(estimates[0]), 1e-300))
-    return estimates[0] * inflation[:, None] * inflation
+    covariance = estimates[0] * inflation[:, None] * inflation
+    # The pseudo-inverse would give a variance of 0 to parameters that the pixels say nothing about, such as the
+    # brightness of a ghost outside the crops.
+    unknown = np.diag(information) <= 0
+    covariance[unknown], covariance[:, unknown] = 0.0, 0.0
+    covariance[unknown, unknown] = np.inf
+    return covariance
 
 
 def assess_effect(
@@ -96,7 +110,13 @@ def assess_effect(
     gain = measure_gain(fit, name, wald) if known_gain is None else known_gain
     cells, evidence = int(used.sum()), min(gain, wald)
     limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * (cells - 1)), CELL_MISFIT * evidence)
-    return EffectTest(gain, wald, heterogeneity, cells, float(limit), is_negligible(applied, scales))
+    is_nothing = is_negligible(applied, scales)
+    return EffectTest(gain, wald, heterogeneity, cells, float(limit), is_nothing, least_gain(fit.model))
+
+
+def least_gain(model: JointModel) -> float:
+    """Return the drop of −2 ln L that a name needs."""
+    return MIN_GAIN if model.grid is None else MIN_GAIN_BESIDE_SHAPE
 
 
 def measure_gain(fit: JointFit, name: str, wald: float) -> float:
@@ -138,12 +158,18 @@ def sum_by_clusters(
     )
     coefficients = np.zeros((equations.size, len(targets)))
     coefficients[others] = absorbed
+    of_shape = None
+    if equations.shape is not None:
+        cross = equations.shape.cross
+        of_shape = equations.shape.factor.back_solve(cross[:, targets] - cross[:, others] @ absorbed)
 
     def of_batch(part: slice) -> list[tuple[np.ndarray, ...]]:
         at = evaluate(model, fit.pixels, part)
         fitted = columns_of(model, at)
         used = at.weight > 0
-        projected = [_project_column(at, fitted, part, t, coefficients[:, k], equations.frames)
+        light = None if of_shape is None else ShapeSums(model, at).values(of_shape)
+        projected = [_project_column(at, fitted, part, t, coefficients[:, k], equations.frames,
+                                     None if light is None else light[k])
                      for k, t in enumerate(targets)]  # fmt: skip
         scores = [(dm * at.residual * at.weight + dv * at.variance_score)[used] for dm, dv in projected]
         informations = [(dm**2 * at.weight + (dv * at.weight) ** 2 / 2)[used] for dm, dv in projected]
@@ -162,11 +188,19 @@ def sum_by_clusters(
 
 
 def _project_column(
-    at: Evaluation, fitted: Sequence[Column], part: slice, target: int, coefficients: np.ndarray, frames: int
+    at: Evaluation,
+    fitted: Sequence[Column],
+    part: slice,
+    target: int,
+    coefficients: np.ndarray,
+    frames: int,
+    of_shape: np.ndarray | None,
 ) -> Column:
-    """Return the column of an unknown less what others take of it."""
+    """Return the column of an unknown less what others take of it; `of_shape` [DN] is what the shape takes."""
     of_spots = coefficients[4 * part.start : 4 * part.stop].reshape(-1, 4)
     light = np.einsum("fa,afhw->fhw", of_spots, at.slopes)
+    if of_shape is not None:
+        light = light + of_shape
     mean, variance = fitted[target - 4 * frames]
     mean, variance = mean - at.moments.mean_slope * light, variance - at.moments.variance_slope * light
     for k, (other_mean, other_variance) in enumerate(fitted):

@@ -66,8 +66,8 @@ class FieldEstimate:
 
 def measure_fields(images: ResidualImages) -> FieldCovariances:
     """Return the covariances of the residuals of a fit."""
-    lit = images.spot > LIT_SHARE * images.spot.max(axis=(1, 2), keepdims=True)
-    factors = [images.residual * images.spot * images.weight * lit, images.spot**2 * images.weight * lit]
+    is_lit = images.spot > LIT_SHARE * images.spot.max(axis=(1, 2), keepdims=True)
+    factors = [images.residual * images.spot * images.weight * is_lit, images.spot**2 * images.weight * is_lit]
     site, shape = images.design.site, images.residual.shape[1:]
     extent = [int(np.ptp(corner)) + length for corner, length in zip((images.top, images.left), shape, strict=True)]
     # Sites whose spots lie far apart share no pixels.

@@ -1,6 +1,7 @@
 """Spot frames with their conditions, held-out repeats, and the pixels that fits use."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -100,6 +101,7 @@ class Pixels:
     row_share: np.ndarray  # rows of the sensor that each row stands for [frame, h, 1]
     sensor_columns: int  # columns of the sensor's frame
     sensor_rows: int  # rows of the sensor's frame
+    share: float = 1.0  # part of the pixels of a fit; the penalty of a free shape is scaled by it
 
     @property
     def count(self) -> int:
@@ -136,8 +138,8 @@ def conditions_of(design: Design, spots: FrameParameters, pixels: Pixels) -> Fra
 def select_pixels(frames: FrameSet, spots: FrameParameters) -> Pixels:
     """Return the pixels of a fit: dense near each spot, every `OUTER_STRIDE`-th row and column beyond."""
     _, rows, columns = frames.readings.shape
-    reach = INNER_REACH * float(np.exp(np.max(spots.log_sigma)))
-    inner = [min(2 * int(reach) + 1, size) for size in (rows, columns)]
+    near_px = INNER_REACH * float(np.exp(np.max(spots.log_sigma)))
+    inner = [min(2 * int(near_px) + 1, size) for size in (rows, columns)]
     outer = [-(-(size - near) // OUTER_STRIDE) for size, near in zip((rows, columns), inner, strict=True)]
     count = len(frames) * (inner[0] + outer[0]) * (inner[1] + outer[1])
     stride = max(int(np.ceil(np.sqrt(count / MOST_PIXELS))), 1)
@@ -159,8 +161,13 @@ def thin_pixels(pixels: Pixels, count: int = THINNED_PIXELS) -> Pixels:
     y = np.take_along_axis(pixels.y[:, :, 0], row, axis=1)
     x = np.take_along_axis(pixels.x[:, 0, :], column, axis=1)
     share_of_rows = _row_share(y, pixels.y[:, :, 0], pixels.row_share[:, :, 0])
-    return replace(pixels, x=x[:, None, :], y=y[:, :, None], readings=pixels.readings[at], is_used=pixels.is_used[at],
-                   row_share=share_of_rows[:, :, None])  # fmt: skip
+    selected: dict[str, Any] = {
+        "readings": pixels.readings[at],
+        "is_used": pixels.is_used[at],
+        "row_share": share_of_rows[:, :, None],
+    }
+    thinned = replace(pixels, x=x[:, None, :], y=y[:, :, None], **selected)
+    return replace(thinned, share=pixels.share * thinned.count / max(pixels.count, 1))
 
 
 def _axis_indices(centre: float, size: int, inner: int, stride: int, frame: int) -> np.ndarray:

@@ -34,8 +34,8 @@ def mask_hot_pixels(frames: FrameSet, sensor: SensorModel) -> tuple[FrameSet, in
     light = np.maximum(mean - sensor.black_level_dn, 0.0)
     variance = (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + sensor.gain_dn_per_e * light + ROUNDING_VARIANCE
     excess = mean - ndimage.median_filter(mean, LEVEL_PX)
-    lit = light > LIT_SHARE * light.max()
-    relative = MAD_TO_SD * np.median(np.abs(excess[lit] / light[lit]))
+    is_lit = light > LIT_SHARE * light.max()
+    relative = MAD_TO_SD * np.median(np.abs(excess[is_lit] / light[is_lit]))
     local = MAD_TO_SD * ndimage.median_filter(np.abs(excess), SCATTER_PX)
     deviation = np.sqrt(variance / np.maximum(count, 1) + (relative * light) ** 2 + local**2)
     is_hot = (excess > LEAST_Z * deviation + LEAST_SHARE * light) & (count > len(frames) / 2)

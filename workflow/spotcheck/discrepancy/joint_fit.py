@@ -9,15 +9,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spotcheck.discrepancy.frames import Design, FrameParameters, Pixels
-from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
+from spotcheck.discrepancy.normal_equations import NormalEquations, ShapePart, assemble
+from spotcheck.discrepancy.shape_grid import ShapeGrid
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.model.forward import ForwardModel
+from spotcheck.model.light_shape import LightShape
 
 # Newton decrement of the effects beside all nuisance parameters below which a fit has converged [−2 ln L]: the effects
 # are within 0.2 standard errors of the optimum.
 EFFECT_TOLERANCE = 0.03
 # The same of all parameters.
 TOTAL_TOLERANCE = 0.1
+# The same with a free shape: some 7,000 coefficients, far below what a gain must reach.
+SHAPE_TOLERANCE = 1.5
+# Steps that one factor of the shape's information serves; it is made anew where a step gains less than this part of its
+# promise, or promises more than this.
+FACTOR_STEPS, FACTOR_GAIN, FACTOR_DECREMENT = 4, 0.8, 1e3
 # Most iterations of a fit.
 ITERATIONS = 40
 # Part of the promised drop of −2 ln L that a step must keep.
@@ -50,6 +57,24 @@ class JointModel:
     spots: FrameParameters  # spot of each frame
     design: Design  # conditions of the frames
     free: tuple[FreeParameter, ...] = ()  # fitted parameters of sensor and effects
+    grid: ShapeGrid | None = None  # nodes of the free light shape that the baseline holds; None: it is not fitted
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """Coefficients of the free light shape, row after row [coefficient, peak]."""
+        learned = self.forward.baseline.learned
+        assert learned is not None
+        return learned.coefficients.ravel()
+
+    def with_coefficients(self, coefficients: np.ndarray) -> "JointModel":
+        """Return the model with other coefficients of the light shape."""
+        assert self.grid is not None
+        shape = LightShape(self.grid.step, coefficients.reshape(self.grid.nodes, self.grid.nodes))
+        return replace(self, forward=replace(self.forward, baseline=replace(self.forward.baseline, learned=shape)))
+
+    def with_free_shape(self, grid: ShapeGrid) -> "JointModel":
+        """Return the model with a light shape that is fitted, from the declared one on."""
+        return replace(self, grid=grid).with_coefficients(np.zeros(grid.nodes**2))
 
     def value_of(self, parameter: FreeParameter) -> float:
         """Return the value of a fitted parameter."""
@@ -117,6 +142,7 @@ def fit_jointly(
     tolerance: float = EFFECT_TOLERANCE,
     iterations: int = ITERATIONS,
     rival: float | None = None,
+    reuse: ShapePart | None = None,
 ) -> JointFit:
     """Fit spots, sensor and effects to the pixels.
 
@@ -134,56 +160,76 @@ def fit_jointly(
     rival : float, optional
         −2 ln L of a model to compare with: the fit also ends, not converged, when a step promises less than 1 % of the
         drop below it.
+    reuse : ShapePart, optional
+        Factor of the shape's information with which the fit begins.
     """
-    equations = assemble(model, pixels)
-    damping, count, has_converged = 0.0, 0, False
-    total_tolerance = TOTAL_TOLERANCE * tolerance / EFFECT_TOLERANCE
+    equations = assemble(model, pixels, reuse)
+    damping, count, age = 0.0, 0, 0
+    total_tolerance = (TOTAL_TOLERANCE if model.grid is None else SHAPE_TOLERANCE) * tolerance / EFFECT_TOLERANCE
     while True:
-        held = _held_parameters(model, equations)
-        step = equations.solve(0.0, held)
-        decrement, of_effects = equations.decrements(step, held)
+        fixed = _held_parameters(model, equations)
+        step = equations.solve(0.0, fixed)
+        decrement, of_effects = equations.decrements(step, fixed)
         dispersion = max(equations.dispersion, 1.0)
         has_converged = decrement < total_tolerance * dispersion and of_effects < tolerance * dispersion
         is_hopeless = rival is not None and decrement < 0.01 * (rival - equations.deviance)
         if has_converged or is_hopeless or count == iterations:
             break
-        moved = None
-        for attempt in range(TRIES):
-            if damping:
-                step = equations.solve(damping, held)
-            trial = _move(model, equations, step)
-            new = assemble(trial, pixels)
-            gain = equations.deviance - new.deviance
-            is_rounding = decrement < ROUNDING_DECREMENT and gain > -ROUNDING_RISE
-            if np.isfinite(gain) and (gain > LEAST_GAIN * equations.promise(step) or is_rounding):
-                moved = trial
-                damping = damping / DAMPING_FACTOR**2 if damping > FIRST_DAMPING and attempt == 0 else damping
-                damping = 0.0 if damping <= FIRST_DAMPING and attempt == 0 else damping
-                break
-            damping = max(damping * DAMPING_FACTOR, FIRST_DAMPING)
+        moved, damping = _try_steps(model, pixels, equations, damping, fixed)
+        if moved is None and age > 0:
+            # A factor that was taken over is too old.
+            equations, age = assemble(model, pixels), 0
+            continue
         if moved is None:
             break
-        model, equations, count = moved, new, count + 1
+        gain, (model, new) = equations.deviance - moved[1].deviance, moved
+        is_old = age + 1 >= FACTOR_STEPS or gain < FACTOR_GAIN * equations.promise(step) or decrement > FACTOR_DECREMENT
+        if model.grid is not None and is_old:
+            new = assemble(model, pixels)
+        equations, count, age = new, count + 1, 0 if is_old else age + 1
     return JointFit(model, pixels, equations, bool(has_converged), count)
 
 
+def _try_steps(
+    model: JointModel, pixels: Pixels, equations: NormalEquations, damping: float, fixed: np.ndarray
+) -> tuple[tuple[JointModel, NormalEquations] | None, float]:
+    """Return model and equations after the first step that lowers −2 ln L enough, or None, and the damping then."""
+    decrement = equations.promise(equations.solve(0.0, fixed))
+    for attempt in range(TRIES):
+        step = equations.solve(damping, fixed)
+        part = 1.0 if attempt == 0 or damping else 0.5
+        trial = _move(model, equations, part * step, part)
+        new = assemble(trial, pixels, equations.shape)
+        gain = equations.deviance - new.deviance
+        is_rounding = decrement < ROUNDING_DECREMENT and gain > -ROUNDING_RISE
+        if np.isfinite(gain) and (gain > LEAST_GAIN * part * equations.promise(step) or is_rounding):
+            is_first = attempt == 0
+            eased = damping / DAMPING_FACTOR**2 if is_first else damping
+            return (trial, new), eased if eased > FIRST_DAMPING / 2 else 0.0
+        damping = max(damping * DAMPING_FACTOR, FIRST_DAMPING)
+    return None, damping
+
+
 def _held_parameters(model: JointModel, equations: NormalEquations) -> np.ndarray:
-    """Return which of all parameters are at a bound that their step would cross: these are held."""
-    held = np.zeros(equations.size, bool)
+    """Return which of all parameters are at a bound that their step would cross: these are fixed."""
+    fixed = np.zeros(equations.size, bool)
     first = equations.size - len(model.free)
     for _ in range(3):
-        step = equations.solve(0.0, held)
+        step = equations.solve(0.0, fixed)
         for k, parameter in enumerate(model.free):
             value = model.value_of(parameter)
             is_outward = (value <= parameter.low and step[first + k] < 0) or (
                 value >= parameter.high and step[first + k] > 0
             )
-            held[first + k] |= is_outward
-    return held
+            fixed[first + k] |= is_outward
+    return fixed
 
 
-def _move(model: JointModel, equations: NormalEquations, step: np.ndarray) -> JointModel:
-    """Return the model after a step, each parameter limited to what a linear step can know."""
+def _move(model: JointModel, equations: NormalEquations, step: np.ndarray, part: float) -> JointModel:
+    """Return the model after a step, each parameter limited to what a linear step can know; `part` of the shape's."""
+    if model.grid is not None:
+        change = equations.shape_step(step / part)
+        model = model.with_coefficients(model.coefficients + part * change)
     frames = len(model.spots.x)
     of_spots = step[: 4 * frames].reshape(frames, 4).T
     sigma = np.exp(model.spots.log_sigma)

@@ -146,16 +146,16 @@ class LawSearch:
     def all_components(self) -> dict[str, np.ndarray]:
         """Return the covariance [2F, 2F] of each component at a variance of 1."""
         site = _one_hot(self.design.site)
-        same_site, one, zero = site @ site.T, np.eye(self.frames), np.zeros((self.frames, self.frames))
+        same_site, identity, zero = site @ site.T, np.eye(self.frames), np.zeros((self.frames, self.frames))
         out = {
-            "frame brightness": np.block([[one, zero], [zero, zero]]),
-            "frame width": np.block([[zero, zero], [zero, one]]),
+            "frame brightness": np.block([[identity, zero], [zero, zero]]),
+            "frame width": np.block([[zero, zero], [zero, identity]]),
         }
         if same_site.sum() > self.frames:
             out["site brightness"] = np.block([[same_site, zero], [zero, zero]])
             out["site width"] = np.block([[zero, zero], [zero, same_site]])
-        # Where errors of the numbers are understated, ln peak and ln σ scatter along their common ridge.
-        out["frame noise"] = np.block([[one, one], [one, one]]) * self.noise
+        # If errors of the numbers are understated, ln peak and ln σ scatter along their common ridge.
+        out["frame noise"] = np.block([[identity, identity], [identity, identity]]) * self.noise
         return out
 
     def _needed_components(self) -> dict[str, np.ndarray]:

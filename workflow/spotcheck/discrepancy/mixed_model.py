@@ -115,7 +115,9 @@ def deviation_interval(variance: float, variance_of_it: float) -> Interval:
     """
     spread = np.sqrt(max(variance_of_it, 0.0))
     sd = np.sqrt(max(variance, 0.0))
-    dof = 2 * variance**2 / variance_of_it if variance_of_it > 0 else np.inf
+    if spread == 0:
+        return Interval(float(sd), 0.0, float(sd), float(sd))
+    dof = 2 * variance**2 / variance_of_it
     if dof < LEAST_DOF or sd == 0:
         high = np.sqrt(max(variance, 0.0) + 1.96 * spread)
         return Interval(float(sd), float(high / 1.96), 0.0, float(high))

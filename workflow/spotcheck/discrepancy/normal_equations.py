@@ -1,131 +1,98 @@
-"""Normal equations of Fisher scoring, and projections off the nuisance parameters.
+"""Normal equations of Fisher scoring.
 
-Unknowns are ln peak, ln σ, x and y of each frame, then the fitted parameters of sensor and effects. A column is the
-pair of derivatives of mean and variance (dm, dv) of the readings by one unknown. Two columns have the Fisher
-information Σ [dm₁ dm₂/v + dv₁ dv₂/(2 v²)], and a column has the score Σ [dm r/v + dv (r²/v − 1)/(2 v)] with the
-residual r = y − m.
+Unknowns are the coefficients of a free light shape, if there is one; ln peak, ln σ, x and y of each frame; then the
+fitted parameters of sensor and effects. The shape's coefficients are eliminated (Schur complement). Their information B
+is banded and factored as L L'. With its cross terms C and score b, the other unknowns have the information
+H − (L⁻¹C)'(L⁻¹C) and the score h − (L⁻¹C)'L⁻¹b.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import linalg
 
-from spotcheck.discrepancy.frames import Pixels, conditions_of
-from spotcheck.model.conditions import FrameConditions
-from spotcheck.model.effect import AppliedEffect
-from spotcheck.model.forward import SENSOR_STAGES, ForwardModel
-from spotcheck.model.light import Light
-from spotcheck.model.stage import Stage
-from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments
+from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches
+from spotcheck.discrepancy.frames import Pixels
+from spotcheck.discrepancy.shape_grid import BlockFactor
+from spotcheck.discrepancy.shape_sums import ShapeSums
 
 if TYPE_CHECKING:
-    from spotcheck.discrepancy.joint_fit import FreeParameter, JointModel
+    from spotcheck.discrepancy.joint_fit import JointModel
 
-# Pixels of the frames that are evaluated together: their arrays stay in the cache of a core.
-BATCH_PIXELS = 100_000
-# Steps of forward differences: ln σ [1] and centre [σ]; other parameters in terms of their scale. The score of a step h
-# is that at h/2, which must stay far below a standard error.
-SPOT_STEP, PARAMETER_STEP = 1e-6, 1e-5
-# Scale of a parameter near 0 in terms of its range.
-LEAST_SCALE = 1e-3
-# Smallest variance [DN²] of a reading in the likelihood, in terms of that of rounding and read noise.
-LEAST_VARIANCE = 0.25
+# Weight of the condition that steps of spots sum to 0 over frames, in terms of a spot's median information over F.
+GAUGE_WEIGHT = 1e4
 # Added to the diagonal of an information matrix that is scaled to 1, so that it can be factored.
 RIDGE = 1e-11
-# Cores that evaluate batches.
-THREADS = min(os.cpu_count() or 1, 2)
-# Stages whose effects change readings other than through the light.
-SENSOR = set(SENSOR_STAGES) - {Stage.PIXEL_GAIN}
-
-Column = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """The model at the pixels of some frames; arrays [frame, h, w], 0 in weight where a pixel is not used."""
+class ShapePart:
+    """What is left of a free shape's coefficients after their elimination."""
 
-    conditions: FrameConditions  # of the frames
-    light: Light  # light of the frames [DN]
-    distribution: ReadingDistribution  # of a reading given its light
-    moments: ReadingMoments  # mean [DN] and variance [DN²] of readings and their slopes by the light
-    residual: np.ndarray  # reading less mean [DN]
-    weight: np.ndarray  # 1/variance [1/DN²]
-    variance_score: np.ndarray  # derivative of ln L by the variance [1/DN²]
-    slopes: np.ndarray  # derivatives of the light by ln peak, ln σ, x, y [parameter, frame, h, w]; maybe left out
+    factor: BlockFactor  # Cholesky factor L of the shape's information
+    of_spots: np.ndarray  # L⁻¹C of the spots [coefficient, 4F]
+    spots_schur: np.ndarray  # its product with itself [4F, 4F]
+    of_others: np.ndarray  # L⁻¹C of the parameters of sensor and effects [coefficient, k]
+    score: np.ndarray  # L⁻¹b [coefficient]
 
     @property
-    def light_score(self) -> np.ndarray:
-        """Derivative of ln L by the light of each pixel [1/DN]."""
-        moments = self.moments
-        return moments.mean_slope * self.residual * self.weight + moments.variance_slope * self.variance_score
-
-    @property
-    def light_information(self) -> np.ndarray:
-        """Fisher information of each reading on its light [1/DN²]."""
-        moments = self.moments
-        return moments.mean_slope**2 * self.weight + (moments.variance_slope * self.weight) ** 2 / 2
-
-    def score(self, column: Column) -> float:
-        """Return the score of a column."""
-        return float(np.sum(column[0] * self.residual * self.weight + column[1] * self.variance_score))
-
-    def information_of(self, first: Column, second: Column) -> float:
-        """Return the Fisher information between two columns."""
-        means, variances = first[0] * second[0], first[1] * second[1]
-        return float(np.sum(means * self.weight + variances * self.weight**2 / 2))
-
-    def light_equivalent(self, column: Column) -> np.ndarray:
-        """Return what, times a change of the light, is the information between a column and that change."""
-        moments, weight = self.moments, self.weight
-        return moments.mean_slope * column[0] * weight + moments.variance_slope * column[1] * weight**2 / 2
+    def cross(self) -> np.ndarray:
+        """L⁻¹C of all other unknowns [coefficient, n]."""
+        return np.hstack([self.of_spots, self.of_others])
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations of a model: n unknowns, of which the first 4F are the spots of F frames."""
+    """Normal equations of a model: n unknowns beside the shape, of which the first 4F are the spots of F frames."""
 
-    information: np.ndarray  # Fisher information [n, n]
-    gradient: np.ndarray  # score [n]
-    deviance: float  # −2 ln L but for a constant
+    information: np.ndarray  # Fisher information beside the shape [n, n]
+    gradient: np.ndarray  # score beside the shape [n]
+    diagonal: np.ndarray  # diagonal of the information with the shape fixed fixed [n]
+    deviance: float  # −2 ln L but for a constant, with the penalty of the shape
     dispersion: float  # mean squared standardised residual
     frames: int  # number F of frames
+    shape: ShapePart | None = None  # what is left of the shape; None beside the declared one
 
     @property
     def size(self) -> int:
         """Number n of unknowns."""
         return len(self.gradient)
 
-    def solve(self, damping: float, held: np.ndarray) -> np.ndarray:
+    def solve(self, damping: float, fixed: np.ndarray) -> np.ndarray:
         """Return the step [n] of Fisher scoring; `damping` is added to the diagonal, relative to it. Held unknowns
         [n] do not move."""
-        matrix = self.information + damping * np.diag(np.diag(self.information))
+        matrix = self.information + damping * np.diag(self.diagonal)
         step = np.zeros(self.size)
-        step[~held] = solve_positive(matrix[np.ix_(~held, ~held)], self.gradient[~held])
+        step[~fixed] = solve_positive(matrix[np.ix_(~fixed, ~fixed)], self.gradient[~fixed])
         return step
 
     def promise(self, step: np.ndarray) -> float:
-        """Return the drop of −2 ln L that a step promises."""
-        return float(2 * step @ self.gradient - step @ self.information @ step)
+        """Return the drop of −2 ln L that a step promises, with that of the shape which belongs to it."""
+        of_shape = 0.0 if self.shape is None else float(self.shape.score @ self.shape.score)
+        return float(2 * step @ self.gradient - step @ self.information @ step) + of_shape
 
-    def decrements(self, step: np.ndarray, held: np.ndarray) -> tuple[float, float]:
+    def shape_step(self, step: np.ndarray) -> np.ndarray:
+        """Return the step of the shape's coefficients that belongs to a step of the other unknowns."""
+        assert self.shape is not None
+        return self.shape.factor.back_solve((self.shape.score - self.shape.cross @ step)[:, None])[:, 0]
+
+    def decrements(self, step: np.ndarray, fixed: np.ndarray) -> tuple[float, float]:
         """Return the Newton decrement of all unknowns, and that of the effects beside the spots."""
         first = 4 * self.frames
-        free = np.flatnonzero(~held[first:]) + first
+        free = np.flatnonzero(~fixed[first:]) + first
+        total = self.promise(step)
         if free.size == 0:
-            return float(step @ self.gradient), 0.0
+            return total, 0.0
         spots = np.arange(first)
         cross = self.information[np.ix_(spots, free)]
         beside = self.information[np.ix_(free, free)] - cross.T @ solve_positive(
             self.information[np.ix_(spots, spots)], cross
         )
-        return float(step @ self.gradient), float(step[free] @ beside @ step[free])
+        return total, float(step[free] @ beside @ step[free])
 
 
 def solve_positive(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -141,108 +108,73 @@ def solve_positive(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return (solution.T * scale).T
 
 
-def batches(pixels: Pixels) -> Iterator[slice]:
-    """Yield parts of the frames whose pixels are evaluated together."""
-    frames, rows, columns = pixels.readings.shape
-    size = max(BATCH_PIXELS // (rows * columns), 1)
-    for start in range(0, frames, size):
-        yield slice(start, min(start + size, frames))
+def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) -> NormalEquations:
+    """Return the normal equations of a model at the pixels.
 
-
-def map_batches(function: Callable[[slice], Any], pixels: Pixels) -> list[Any]:
-    """Return the results of a function of each batch of frames, computed in threads."""
-    parts = list(batches(pixels))
-    if len(parts) == 1 or THREADS == 1:
-        return [function(part) for part in parts]
-    with ThreadPoolExecutor(THREADS) as pool:
-        return list(pool.map(function, parts))
-
-
-def evaluate(model: JointModel, pixels: Pixels, part: slice, with_slopes: bool = True) -> Evaluation:
-    """Return the model at the pixels of some frames."""
-    spots, design, selected = model.spots.select(part), model.design.select(part), pixels.select(part)
-    conditions = conditions_of(design, spots, selected)
-    forward = model.forward
-    light = forward.light(conditions)
-    inputs = forward.sensor_input(conditions, light=light)
-    moments = forward.moments(inputs)
-    noise = inputs.distribution.noise_dn
-    variance = np.maximum(moments.variance, LEAST_VARIANCE * (noise**2 + ROUNDING_VARIANCE))
-    used = selected.is_used
-    residual = np.where(used, selected.readings - moments.mean, 0.0)
-    weight = np.where(used, 1 / variance, 0.0)
-    variance_score = (residual**2 * weight - used) * weight / 2
-    slopes = _spot_slopes(forward, conditions, light.spot) if with_slopes else np.zeros((0, *used.shape))
-    return Evaluation(conditions, light, inputs.distribution, moments, residual, weight, variance_score, slopes)
-
-
-def _spot_slopes(forward: ForwardModel, conditions: FrameConditions, spot: np.ndarray) -> np.ndarray:
-    """Return the derivatives of the light by ln peak, ln σ, x and y [parameter, frame, h, w]."""
-    step = SPOT_STEP * conditions.sigma_px
-    moved = (
-        replace(conditions, sigma_px=conditions.sigma_px * (1 + SPOT_STEP)),
-        replace(conditions, x0=conditions.x0 + step),
-        replace(conditions, y0=conditions.y0 + step),
-    )
-    sizes = (SPOT_STEP, step, step)
-    slopes = [(forward.light(other).spot - spot) / size for other, size in zip(moved, sizes, strict=True)]
-    return np.stack([spot, *slopes])
-
-
-def columns_of(model: JointModel, at: Evaluation) -> list[Column]:
-    """Return the column of each fitted parameter of sensor and effects."""
-    return [_column(model, parameter, at) for parameter in model.free]
-
-
-def _column(model: JointModel, parameter: FreeParameter, at: Evaluation) -> Column:
-    value, step = model.value_of(parameter), difference_step(model, parameter)
-    moved = model.with_value(parameter, value + step).forward
-    stages = stages_of(model.effect_named(parameter.effect)) if parameter.effect else {Stage.READ_NOISE}
-    if not stages & SENSOR:
-        slope = (moved.light(at.conditions).total - at.light.total) / step
-        return at.moments.mean_slope * slope, at.moments.variance_slope * slope
-    mean, variance = change_of_moments(moved, at, has_same_light=stages <= SENSOR)
-    return mean / step, variance / step
-
-
-def change_of_moments(forward: ForwardModel, at: Evaluation, has_same_light: bool) -> Column:
-    """Return mean and variance of another model less those of an evaluation."""
-    light = at.light if has_same_light else forward.light(at.conditions)
-    moments = forward.moments(forward.sensor_input(at.conditions, light=light))
-    return moments.mean - at.moments.mean, moments.variance - at.moments.variance
-
-
-def stages_of(applied: AppliedEffect) -> set[Stage]:
-    """Return the stages at which an effect of a model acts."""
-    return {step.stage for step in applied.effect.variants[applied.variant]}
-
-
-def difference_step(model: JointModel, parameter: FreeParameter) -> float:
-    """Return the step of forward differences in a parameter; it points inwards at a bound."""
-    value = model.value_of(parameter)
-    width = parameter.high - parameter.low
-    step = PARAMETER_STEP * max(abs(value), LEAST_SCALE * width if np.isfinite(width) else 1.0)
-    return -step if value + step > parameter.high else step
-
-
-def assemble(model: JointModel, pixels: Pixels) -> NormalEquations:
-    """Return the normal equations of a model at the pixels."""
+    The factor of the shape's information and its cross terms with the spots may be taken over from an earlier step; the
+    score stays exact.
+    """
     frames, free = len(model.spots.x), len(model.free)
     size = 4 * frames + free
+    has_new_factor = model.grid is not None and reuse is None
 
-    def of_batch(part: slice) -> tuple[np.ndarray, np.ndarray, float, float]:
+    def of_batch(part: slice) -> tuple[Any, ...]:
         at = evaluate(model, pixels, part)
+        columns = columns_of(model, at)
         information, gradient = np.zeros((size, size)), np.zeros(size)
-        fill_equations(at, columns_of(model, at), part.start, frames, information, gradient)
+        fill_equations(at, columns, part.start, frames, information, gradient)
         used = at.weight > 0
         squares = float(np.sum(at.residual**2 * at.weight))
         deviance = squares - float(np.sum(np.log(at.weight, where=used, out=np.zeros(used.shape))))
-        return information, gradient, deviance, squares
+        if model.grid is None:
+            return information, gradient, deviance, squares
+        sums = ShapeSums(model, at)
+        values = np.stack([at.light_score, *(at.light_equivalent(column) for column in columns)])
+        products = sums.products(values)
+        band = sums.band() if has_new_factor else None
+        of_spots = sums.products_of_spots() if has_new_factor else None
+        return information, gradient, deviance, squares, products, band, of_spots
 
     parts = map_batches(of_batch, pixels)
     information, gradient = (sum(part[k] for part in parts) for k in (0, 1))
     deviance, squares = (sum(part[k] for part in parts) for k in (2, 3))
-    return NormalEquations(information, gradient, deviance, squares / max(pixels.count, 1), frames)
+    dispersion = squares / max(pixels.count, 1)
+    if model.grid is None:
+        return NormalEquations(information, gradient, np.diag(information), deviance, dispersion, frames)
+    coefficients = model.coefficients
+    penalty = pixels.share * model.grid.penalize(coefficients)
+    products = sum(part[4] for part in parts)
+    if reuse is None:
+        factor = BlockFactor(model.grid, sum(part[5] for part in parts), pixels.share)
+        of_spots = factor.half_solve(np.hstack([part[6] for part in parts]))
+        reuse = ShapePart(factor, of_spots, of_spots.T @ of_spots, np.zeros((0, 0)), np.zeros(0))
+    products[:, 0] -= penalty
+    solved = reuse.factor.half_solve(products)
+    shape = replace(reuse, of_others=solved[:, 1:], score=solved[:, 0])
+    schur = np.zeros((size, size))
+    spots, others = slice(0, 4 * frames), slice(4 * frames, size)
+    schur[spots, spots] = shape.spots_schur
+    schur[spots, others] = shape.of_spots.T @ shape.of_others
+    schur[others, spots] = schur[spots, others].T
+    schur[others, others] = shape.of_others.T @ shape.of_others
+    beside = information - schur + gauge_information(model, information)
+    gradient = gradient - shape.cross.T @ shape.score
+    deviance += float(coefficients @ penalty)
+    return NormalEquations(beside, gradient, np.diag(information), deviance, dispersion, frames, shape)
+
+
+def gauge_information(model: JointModel, information: np.ndarray) -> np.ndarray:
+    """Return what keeps steps of the spots at a sum of 0 over frames: shape and spots could run away together, since a
+    wider shape beside smaller widths is the same light."""
+    frames = len(model.spots.x)
+    sigma = np.exp(model.spots.log_sigma)
+    out = np.zeros_like(information)
+    for k in range(4):
+        direction = np.zeros(len(information))
+        direction[k : 4 * frames : 4] = 1.0 if k < 2 else sigma / sigma.mean()
+        weight = GAUGE_WEIGHT * np.median(np.diag(information)[k : 4 * frames : 4]) / frames
+        out += weight * np.outer(direction, direction)
+    return out
 
 
 def fill_equations(

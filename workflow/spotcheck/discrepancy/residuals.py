@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spotcheck.discrepancy.evaluation import evaluate, map_batches
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixels
 from spotcheck.discrepancy.joint_fit import JointModel
-from spotcheck.discrepancy.normal_equations import evaluate, map_batches
 
 # Distance [σ] from the spot beyond which a pixel is dark: the light of a Gaussian is 4e-6 of its peak there.
 DARK_RADIUS = 5.0

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from spotcheck.discrepancy.candidates import Candidate, list_starts, screen_candidates
-from spotcheck.discrepancy.criteria import MIN_GAIN, MOST_EFFECTS, PARAMETER_PRICE, VARIANT_TIE
-from spotcheck.discrepancy.evidence import EffectTest, assess_effect, estimate_covariance, is_negligible
+from spotcheck.discrepancy.criteria import MIN_GAIN, MOST_EFFECTS, PARAMETER_PRICE, SHAPE_SHARES, VARIANT_TIE
+from spotcheck.discrepancy.evidence import EffectTest, assess_effect, estimate_covariance, is_negligible, least_gain
 from spotcheck.discrepancy.frames import Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
+from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_evidence, measure_thinned_evidence
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 
 # Effort of fits that only rank candidates: decrement of the effects and most iterations.
@@ -18,7 +19,7 @@ REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 14
 # Candidates below this part of the best score are not refitted.
 SCORE_SHARE = 0.01
 # Candidates that are refitted in one step, and starts of one variant among them.
-MOST_REFITS, MOST_STARTS = 6, 1
+MOST_REFITS, MOST_REFITS_BESIDE_SHAPE, MOST_STARTS = 6, 4, 1
 # Variants of one effect among the leading refits, and refits that are fitted to all pixels.
 MOST_VARIANTS, MOST_FULL_FITS = 2, 4
 # Refits that may still win on all pixels: another variant within this drop, another effect with this part of it.
@@ -48,26 +49,73 @@ class SelectedEffects:
 
 
 def select_effects(
-    fit: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log = lambda text: None
+    declared: JointFit, free: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log = lambda text: None
 ) -> SelectedEffects:
-    """Select the effects of the mean image beside the model of a fit."""
-    path = select_forward(fit, effects, scales, log)
+    """Select the effects of the mean image.
+
+    Beside the declared shape each effect must take its share of what a free shape would take, and what is left must be
+    no shape. Else the light is not the declared one, and the effects are sought beside a free shape.
+
+    Parameters
+    ----------
+    declared, free : JointFit
+        Fits without effects, with the declared and with a free shape.
+    effects : sequence of Effect
+        Effects of the mean image.
+    scales : EffectScales
+        Scales of the dataset.
+    log : callable
+        Receives lines of text.
+    """
+    path = select_forward(declared, effects, scales, log, measure_evidence(declared, free))
+    if path is not None:
+        selected = eliminate_backward(path, scales, log)
+        if not selected.fit.model.effect_names:
+            beside = free
+        else:
+            beside = fit_free_shape(selected.fit)
+        evidence = measure_evidence(selected.fit, beside)
+        log(f"a free shape takes {evidence.drop:.0f} beside the effects, {100 * evidence.rms:.2f} % of the peak")
+        if evidence.drop == 0:
+            return selected
+    # A static shape beside a free one is the same light.
+    beside_shape = [effect for effect in effects if not effect.is_static_shape]
+    free = free if free.has_converged else fit_jointly(free.model, free.pixels)
+    path = select_forward(free, beside_shape, scales, log)
+    assert path is not None
     return eliminate_backward(path, scales, log)
 
 
 def select_forward(
-    fit: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log
-) -> list[tuple[JointFit, float]]:
-    """Return the fits from none to the last effect, each with the drop of −2 ln L by its last effect."""
+    fit: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log, shape: ShapeEvidence | None = None
+) -> list[tuple[JointFit, float]] | None:
+    """Return the fits from none to the last effect, each with the drop of −2 ln L by its last effect.
+
+    `shape` is the evidence for a free shape without effects; with it, the result is None if no effect takes enough of
+    what a free shape takes.
+    """
     thin, path = thin_pixels(fit.pixels), [(fit, np.nan)]
-    for _ in range(MOST_EFFECTS):
+    for number in range(MOST_EFFECTS):
         present = path[-1][0]
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
+        shape_drop = 0.0
+        if shape is not None:
+            shape_drop = shape.drop if number == 0 else measure_shape_drop(present, thin)
         best = add_best_effect(present, absent, thin, scales, log)
+        gain = 0.0 if best is None else present.deviance - best.deviance
+        if gain < SHAPE_SHARES[min(number, len(SHAPE_SHARES) - 1)] * shape_drop:
+            log(f"a free shape takes {shape_drop:.0f}, the best effect {gain:.0f}: not the declared light")
+            return None
         if best is None:
             break
-        path.append((best, present.deviance - best.deviance))
+        path.append((best, gain))
     return path
+
+
+def measure_shape_drop(present: JointFit, thin: Pixels) -> float:
+    """Return the drop of −2 ln L that a free shape would take beside the effects of a fit."""
+    thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
+    return measure_thinned_evidence(thinned, present.pixels.count / thin.count).drop
 
 
 def add_best_effect(
@@ -78,14 +126,14 @@ def add_best_effect(
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
     candidates = screen_candidates(thinned, list_starts(effects, scales))
     log("screen " + ", ".join(f"{_text(c.start)} {c.score * ratio:.0f}" for c in candidates[:5]))
-    if not candidates or candidates[0].score * ratio < MIN_GAIN / 2:
+    if not candidates or candidates[0].score * ratio < least_gain(present.model) / 2:
         return None
     refits = refit_candidates(thinned, candidates, ratio, scales, log)
     best: JointFit | None = None
     best_value, best_place = -np.inf, -1
     for refit in refits[:MOST_FULL_FITS]:
         name = refit.candidate.start.effect.name
-        if refit.value < MIN_GAIN / 2 or is_negligible(refit.model.effect_named(name), scales):
+        if refit.value < least_gain(present.model) / 2 or is_negligible(refit.model.effect_named(name), scales):
             continue
         if best is not None:
             is_variant = name == best.model.effect_names[-1]
@@ -95,7 +143,7 @@ def add_best_effect(
         full = fit_jointly(refit.model, present.pixels, iterations=FULL_ITERATIONS)
         value = present.deviance - full.deviance - price_of(refit.candidate)
         log(f"  {_text(refit.candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
-        if not full.has_converged or value < MIN_GAIN - PARAMETER_PRICE:
+        if not full.has_converged or value < least_gain(present.model) - PARAMETER_PRICE:
             continue
         if is_negligible(full.model.effect_named(name), scales):
             continue
@@ -117,13 +165,18 @@ def refit_candidates(
     """Refit the leading candidates and all variants of the best effect; the best first."""
     refits: list[Refit] = []
     tried: dict[tuple, int] = {}
+    most = MOST_REFITS if thinned.model.grid is None else MOST_REFITS_BESIDE_SHAPE
     for candidate in candidates:
         start = candidate.start
         variant = (start.effect.name, start.variant)
         variants = len({key for key in tried if key[0] == start.effect.name} - {variant})
-        if candidate.score < SCORE_SHARE * candidates[0].score or len(refits) >= MOST_REFITS:
+        if candidate.score < SCORE_SHARE * candidates[0].score or len(refits) >= most:
             break
-        if candidate.score * ratio < MIN_GAIN or tried.get(variant, 0) >= MOST_STARTS or variants >= MOST_VARIANTS:
+        if (
+            candidate.score * ratio < least_gain(thinned.model)
+            or tried.get(variant, 0) >= MOST_STARTS
+            or variants >= MOST_VARIANTS
+        ):
             continue
         refits.append(refit_candidate(thinned, candidate, ratio, scales, log))
         tried[variant] = tried.get(variant, 0) + 1
@@ -142,7 +195,7 @@ def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scale
     """Fit the present model with a candidate to the thinned pixels."""
     fit = fit_jointly(
         thinned.model.with_effect(candidate.start, scales), thinned.pixels, tolerance=REFIT_TOLERANCE,
-        iterations=REFIT_ITERATIONS, rival=thinned.deviance,
+        iterations=REFIT_ITERATIONS, rival=thinned.deviance, reuse=thinned.equations.shape,
     )  # fmt: skip
     drop = (thinned.deviance - fit.deviance) * ratio
     log(f"    {_text(candidate.start)}: promised {candidate.score * ratio:.0f}, got {drop:.0f}, {fit.iterations} steps")

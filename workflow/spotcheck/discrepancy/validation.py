@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spotcheck.discrepancy.evaluation import evaluate, map_batches
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixels
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
-from spotcheck.discrepancy.normal_equations import assemble, evaluate, map_batches
+from spotcheck.discrepancy.normal_equations import assemble
 from spotcheck.discrepancy.residuals import whole_crops
 from spotcheck.model.forward import ForwardModel
 

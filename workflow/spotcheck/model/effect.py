@@ -69,6 +69,8 @@ class EffectScales:
     gain_dn_per_e: float  # gain K [DN/e-]
     width_exponent: float  # power of the exposure that comes nearest to p1 ln t + p2
     longest_s: float  # longest exposure [s]
+    waves: tuple[tuple[float, float], ...] = ()  # stripes in residuals: period [px] and direction [deg]
+    copies: tuple[tuple[float, float], ...] = ()  # copies of the spot in residuals: dx, dy [px]
 
 
 Bound = float | Callable[[EffectScales], float]

@@ -28,6 +28,10 @@ BRIGHTEST_GRAIN = 16.0
 # Relative step of central differences in parameters of the light and of the sensor; the latter is larger, since tables
 # are interpolated.
 LIGHT_STEP, SENSOR_STEP = 1e-5, 1e-3
+# Dark noise [DN] that hides the rounding: the mean reading is then a straight line in an offset to 1e-4 DN.
+HIDDEN_ROUNDING = 0.7
+# Distance of readings from the ends of the converter [standard deviations] at which these change nothing.
+FAR_FROM_ENDS = 4.5
 # Parameters of the law.
 LAW_PARAMETERS = ("p1", "p2", "peak_dn")
 
@@ -280,12 +284,18 @@ def moments_with_offsets(
 ) -> ReadingMoments:
     """Return mean and variance of readings whose pixels have offsets [DN] beside the black level.
 
-    Tables for offsets a quarter of the dark noise apart are interpolated by cubics, since rounding and black clipping
-    depend on where a signal lies between whole numbers.
+    Far from both ends of the converter, and with noise that hides the rounding, an offset adds to the mean. Else tables
+    for offsets a quarter of the dark noise apart are interpolated by cubics, since rounding and black clipping depend
+    on where a signal lies between whole numbers.
     """
     highest = float(np.max(light)) + distribution.sensor.gain_dn_per_e * float(np.max(smear_e))
     if np.ndim(offset_dn) == 0:
         return distribution.tabulate(highest).moments(light, smear_e)
+    if not distribution.digital and distribution.noise_dn > HIDDEN_ROUNDING:
+        alone = distribution.tabulate(highest).moments(light, smear_e)
+        mean, spread = alone.mean + offset_dn, FAR_FROM_ENDS * np.sqrt(np.maximum(alone.variance, 0.0))
+        if np.min(mean - spread) > 0 and np.max(mean + spread) < distribution.sensor.full_scale_dn:
+            return alone._replace(mean=mean)
     offset_dn = np.broadcast_to(offset_dn, np.shape(light))
     step = max(np.sqrt(distribution.noise_dn**2 + ROUNDING_VARIANCE) / 4, 1e-3)
     place = offset_dn / step

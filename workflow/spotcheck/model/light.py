@@ -4,14 +4,14 @@
 mean light only if their factor has the mean 1 and later stages are linear.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from spotcheck.model.baseline import Baseline
+from spotcheck.model.baseline import FLOOR, Baseline
 from spotcheck.model.conditions import FrameConditions, SpotState, WidthLaw
 from spotcheck.model.effect import AppliedEffect, AppliedStep
 from spotcheck.model.spot import PIXEL
@@ -92,35 +92,51 @@ class LightStages:
             sigma = (propagation + baseline.laser_px) * width.factor
         return SpotState(self.apply_stage(Stage.BRIGHTNESS, drawn, frame, peak), sigma)
 
-    def light(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Light:
-        """Return the light of a frame [DN]."""
-        baseline, spot, pixels = self.baseline, self.spot(frame, drawn), frame.pixels
-        has_coordinates, has_profile = (bool(self.steps_at(s)) for s in (Stage.COORDINATES, Stage.PROFILE))
-
-        def sharp(shift_x: float, shift_y: float) -> np.ndarray:
-            """Return the light [DN] of the spot displaced by so many px, in front of the blur."""
-            dx, dy = pixels.x - frame.x0 - shift_x, pixels.y - frame.y0 - shift_y
-            if has_coordinates:
-                dx, dy = self.apply_stage(Stage.COORDINATES, drawn, frame, dx, dy)
-            if not has_profile:
-                return baseline.spot(dx, dy, spot.peak_dn, spot.sigma_px)
-            half_square = (dx * dx + dy * dy) / (2 * spot.sigma_px**2)
-            exponent = self.apply_stage(Stage.PROFILE, drawn, frame, half_square)
-            return baseline.finish(spot.peak_dn * np.exp(-exponent), dx, dy, spot.peak_dn, spot.sigma_px)
-
+    def copies(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Iterator[tuple[Any, Any, Any]]:
+        """Yield the copies of the sharp spot of which the light consists: displacements dx, dy [px] of the pixels from
+        the centre of a round spot, and the weight of the copy."""
+        has_coordinates = bool(self.steps_at(Stage.COORDINATES))
         exposed = replace(frame, exposure_s=self.true_exposure(frame, drawn))
         path = np.array([[0.0], [0.0], [1.0]])
         for step in self.steps_at(Stage.BLUR):
             path = convolve_paths(path, step(exposed))
-        if baseline.pixel_integration:
+        if self.baseline.pixel_integration:
             path = convolve_paths(path, np.transpose(PIXEL))
-        total = sum(weight * sharp(dx, dy) for dx, dy, weight in np.moveaxis(path, 0, 1))
+        for shift_x, shift_y, weight in np.moveaxis(path, 0, 1):
+            dx, dy = frame.pixels.x - frame.x0 - shift_x, frame.pixels.y - frame.y0 - shift_y
+            if has_coordinates:
+                dx, dy = self.apply_stage(Stage.COORDINATES, drawn, frame, dx, dy)
+            yield dx, dy, weight
+
+    def light(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Light:
+        """Return the light of a frame [DN]."""
+        spot = self.spot(frame, drawn)
+        total = sum(weight * self._sharp(frame, spot, dx, dy, drawn) for dx, dy, weight in self.copies(frame, drawn))
         for step in self.steps_at(Stage.ADDED_LIGHT):
             total = step(frame, total, spot)
         for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD):
             total = self.apply_stage(stage, drawn, frame, total)
         pedestal = self.apply_stage(Stage.PEDESTAL, drawn, frame, 0.0)
         return Light(*(self.apply_stage(Stage.PIXEL_GAIN, drawn, frame, part) for part in (total, pedestal)))
+
+    def _sharp(self, frame: FrameConditions, spot: SpotState, dx: Any, dy: Any, drawn: Drawn) -> np.ndarray:
+        """Return the light [DN] of the sharp spot at displacements [px]."""
+        if not self.steps_at(Stage.PROFILE):
+            return self.baseline.spot(dx, dy, spot.peak_dn, spot.sigma_px)
+        half_square = (dx * dx + dy * dy) / (2 * spot.sigma_px**2)
+        exponent = self.apply_stage(Stage.PROFILE, drawn, frame, half_square)
+        return self.baseline.finish(spot.peak_dn * np.exp(-exponent), dx, dy, spot.peak_dn, spot.sigma_px)
+
+    def shape_response(self, frame: FrameConditions) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield places u, v [σ] in the shape for each copy of the spot, and the derivative of the light [DN] by it."""
+        spot = self.spot(frame)
+        factor = 1.0 * np.ones(np.broadcast_shapes(np.shape(frame.pixels.x), np.shape(frame.pixels.y)))
+        for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD, Stage.PIXEL_GAIN):
+            factor = self.apply_stage(stage, NOTHING_DRAWN, frame, factor)
+        for dx, dy, weight in self.copies(frame):
+            light = self._sharp(frame, spot, dx, dy, NOTHING_DRAWN)
+            slope = np.exp(np.minimum(light, 0.0) / (FLOOR * spot.peak_dn))
+            yield dx / spot.sigma_px, dy / spot.sigma_px, weight * spot.peak_dn * factor * slope
 
 
 def convolve_paths(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -4,14 +4,15 @@ S(u, v) = B(u, v) + s(u, v) with u = (x − x₀)/σ, v = (y − y₀)/σ. B is 
 product of uniform cubic B-splines (de Boor, A Practical Guide to Splines, ch. IX), 0 beyond the last nodes.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 
 from spotcheck import store
 from spotcheck.errors import InputError
+from spotcheck.sensor.codes import compiled
 
 # Name of the file beside model.yaml.
 LIGHT = "light.nc"
@@ -28,9 +29,41 @@ class LightShape:
 
     def __call__(self, u, v) -> np.ndarray:
         """Return s [1] at u, v [σ], arrays that broadcast."""
-        middle = (len(self.coefficients) - 1) / 2
-        places = [np.asarray(place, float) / self.step + middle for place in np.broadcast_arrays(v, u)]
-        return ndimage.map_coordinates(self.coefficients, places, order=3, mode="grid-constant", prefilter=False)
+        u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
+        out = np.empty(u.size)
+        fill_spline(self.coefficients, 1 / self.step, np.ravel(u), np.ravel(v), out)
+        return out.reshape(u.shape)
+
+
+@compiled
+def cubic_weights(fraction, weight):
+    """Fill the values [4] of the cubic B-splines of four neighbouring nodes, `fraction` of a step beyond the second."""
+    rest = 1.0 - fraction
+    weight[0] = rest * rest * rest / 6
+    weight[1] = (3 * fraction * fraction * fraction - 6 * fraction * fraction + 4) / 6
+    weight[2] = (3 * rest * rest * rest - 6 * rest * rest + 4) / 6
+    weight[3] = fraction * fraction * fraction / 6
+
+
+@compiled
+def fill_spline(coefficients, per_step, u, v, out):
+    """Fill the values of a spline at u, v [point]; coefficients [row, column] about the middle."""
+    nodes = coefficients.shape[0]
+    middle = (nodes - 1) / 2
+    of_row, of_column = np.empty(4), np.empty(4)
+    for k in range(u.size):
+        x, y = u[k] * per_step + middle, v[k] * per_step + middle
+        out[k] = 0.0
+        if not (-2.0 < x < nodes + 1.0 and -2.0 < y < nodes + 1.0):
+            continue
+        column, row = math.floor(x), math.floor(y)
+        cubic_weights(x - column, of_column)
+        cubic_weights(y - row, of_row)
+        for q in range(max(0, 1 - row), min(4, nodes + 1 - row)):
+            total = 0.0
+            for p in range(max(0, 1 - column), min(4, nodes + 1 - column)):
+                total += of_column[p] * coefficients[row + q - 1, column + p - 1]
+            out[k] += of_row[q] * total
 
 
 def read_light(path: str | Path) -> LightShape:

@@ -33,14 +33,14 @@ class Stage(Enum):
     BLUR = StageDescription("frame", "dx, dy [px] and weights of copies [3, copy]", "blurs or copies the spot")
     ADDED_LIGHT = StageDescription("frame, light_dn, spot", "light of the spot [DN]", "adds light to the spot")
     MODULATION = StageDescription("frame, light_dn", "light of the spot [DN]", "modulates the light of the spot")
-    # What a random step draws here multiplies the light, whatever its function does.
+    # A draw of a random step multiplies the light here, whatever its function does.
     SPECKLE_FIELD = StageDescription("frame, light_dn", "light of the spot [DN]", "makes the light granular")
     PEDESTAL = StageDescription("frame, light_dn", "light with pedestals [DN]", "adds light under the spot")
     # A function here is proportional to the light, since it acts on the spot and on pedestals apart.
     PIXEL_GAIN = StageDescription("frame, light_dn", "light that pixels convert [DN]", "changes the gains of pixels")
     CHARGE = StageDescription("frame, mean_e", "mean electrons of light and dark current [e-]", "changes the charge")
     SMEAR = StageDescription("frame, mean_e", "electrons without shot noise [e-]", "adds electrons without shot noise")
-    # What a random step draws here is the level [DN] at which the charge of each pixel stops.
+    # A draw of a random step is the level [DN] at which the charge of each pixel stops.
     WELL = StageDescription("signal_dn", "signal [DN] in front of the read noise", "limits the charge")
     READ_NOISE = StageDescription("variance_e2", "variance of the read noise [e-²]", "changes the read noise")
     # A function may also name `full_scale_dn`, the largest reading [DN].

@@ -287,7 +287,7 @@ class ReadingDistribution:
     ) -> np.ndarray:
         """Return averages over the Poisson distribution of electrons and their slopes by its mean [2, mean, column].
 
-        What is averaged is given for each number of electrons from `low` on: `band` [count, …], from column `first`
+        Values to average are given for each number of electrons from `low` on: `band` [count, …], from column `first`
         [count] on, for pixels whose charge does not stop; `stopped` [charge level, column] for the others.
         """
         shares, levels = np.array(self.charge_levels).reshape(-1, 2).T

@@ -133,8 +133,8 @@ def _draw_codes(node, bits, nodes, words, mask, readings):
     for k in range(readings.size):
         word[k] = words[word[k]]
     for k in range(readings.size):
-        own, other = np.uint32(bits[k] >> np.uint64(32)), word[k] & mask
-        code = own if np.uint32(bits[k]) < word[k] - other else other
+        entry, other = np.uint32(bits[k] >> np.uint64(32)), word[k] & mask
+        code = entry if np.uint32(bits[k]) < word[k] - other else other
         readings[k] = np.uint16(np.uint32(record[k] >> CODE_SHIFT) + code)
 
 

@@ -10,6 +10,16 @@ def copy(frame, *, fraction, dx, dy):
     return np.array([[0.0, dx], [0.0, dy], [1.0, fraction]])
 
 
+def list_starts(scales):
+    """Return starting values at the copies in residuals, or without any at some distances and directions."""
+    angles = np.arange(8) * np.pi / 4
+    rings = [
+        (share * scales.sigma_px * np.cos(angles), share * scales.sigma_px * np.sin(angles))
+        for share in (1.2, 2.2, 3.4)
+    ]
+    return [(0.01, dx, dy) for dx, dy in scales.copies or np.concatenate(rings, axis=1).T.tolist()]
+
+
 EFFECT = Effect(
     number=16,
     name="ghost_reflection",
@@ -22,10 +32,6 @@ EFFECT = Effect(
         Parameter("dy", "px", lambda scales: -1.5 * scales.crop_px, lambda scales: 1.5 * scales.crop_px),
     ),
     variants={Only.ONLY: (Step(Stage.BLUR, copy),)},
-    starts=lambda scales: [
-        (0.01, distance * scales.sigma_px * np.cos(angle), distance * scales.sigma_px * np.sin(angle))
-        for distance in (1.2, 2.2, 3.4)
-        for angle in np.arange(8) * np.pi / 4
-    ],
+    starts=list_starts,
     is_static_shape=True,
 )

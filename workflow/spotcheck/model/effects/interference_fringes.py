@@ -1,6 +1,7 @@
 """Interference fringes: parallel stripes that modulate the spot."""
 
 from enum import Enum
+from itertools import product
 
 import numpy as np
 
@@ -8,6 +9,8 @@ from spotcheck.model.effect import DIRECTIONS, Effect, Parameter, RandomStep, Sc
 
 # Phases that average the stripes of a site whose phase is unknown; exact for a sum of as many harmonics.
 PHASES = 16
+# Phases [deg] from which stripes start.
+PHASES_DEG = (0.0, 90.0, 180.0, 270.0)
 
 
 class Variant(Enum):
@@ -49,6 +52,13 @@ def average_phases():
     return 2 * np.pi * np.arange(PHASES) / PHASES, np.full(PHASES, 1 / PHASES)
 
 
+def list_starts(scales):
+    """Return starting values at the stripes of residuals, or without any at some periods and directions."""
+    periods = (max(share * scales.sigma_px, 2.0) for share in (0.5, 1.0, 2.0))
+    waves = scales.waves or tuple(product(periods, DIRECTIONS))
+    return [(0.02, period, direction, phase) for period, direction in waves for phase in PHASES_DEG]
+
+
 EFFECT = Effect(
     number=15,
     name="interference_fringes",
@@ -66,9 +76,5 @@ EFFECT = Effect(
         Variant.SPOT: (Step(Stage.MODULATION, fix_to_spot),),
         Variant.SENSOR: (Step(Stage.MODULATION, fix_to_sensor),),
     },
-    starts=lambda scales: [
-        (0.02, max(period * scales.sigma_px, 2.0), direction, 0.0)
-        for period in (0.5, 1.0, 2.0)
-        for direction in DIRECTIONS
-    ],
+    starts=list_starts,
 )

@@ -12,7 +12,7 @@ def scale_width(frame, width, factor):
     return replace(width, factor=width.factor * factor)
 
 
-# What each site draws: the factor on its width, then that on its brightness.
+# Draws of each site: the factor on its width, then that on its brightness.
 STEPS = (
     RandomStep(Stage.WIDTH, scale_width, Scope.SITE, *normal_draws("width", np.exp)),
     RandomStep(Stage.BRIGHTNESS, multiply, Scope.SITE, *normal_draws("brightness", np.exp)),

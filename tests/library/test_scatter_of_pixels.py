@@ -1,0 +1,222 @@
+"""Noise of dark pixels, fields of granular light and of pixel gains, and hot pixels, on frames that numpy drew."""
+
+from dataclasses import replace
+from math import erf, sqrt
+
+import numpy as np
+import pytest
+
+from spotcheck.discrepancy.fields import FieldEstimate, estimate_granular_light, estimate_pixel_gains, measure_fields
+from spotcheck.discrepancy.frames import select_pixels
+from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
+from spotcheck.discrepancy.joint_fit import fit_jointly
+from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
+from spotcheck.discrepancy.scatter import DarkNoise, Moment, measure_dark_noise
+from tests.library import drawn_frames as drawing
+from tests.library.drawn_frames import DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
+from tests.library.models_of_frames import SENSOR, frame_set, starting_model
+
+# Bound on the distance of one estimate from its truth in standard errors: two-sided 6.8e-6 for a normal estimate. The
+# errors come from the scatter of 24 frames; for Student's t with 23 degrees of freedom it is 1.6e-4.
+LARGEST_Z = 4.5
+# Twelve sites: errors by jackknife have 11 degrees of freedom, for which |t| > 5.5 has the probability 1.9e-4.
+CONDITIONS_OF_FIELDS = lay_out(repeats=3)
+LARGEST_T = 5.5
+
+
+def residuals_of(drawn: DrawnFrames, black_dn: float = drawing.BLACK) -> ResidualImages:
+    """Return the residuals of a fit of the spots alone, with the stated read noise."""
+    frames = frame_set(drawn)
+    model = replace(starting_model(drawn, sensor=replace(SENSOR, black_level_dn=black_dn)), free=())
+    fit = fit_jointly(model, select_pixels(frames, model.spots))
+    return measure_residuals(fit.model, frames)
+
+
+# Noise of dark pixels.
+
+
+def variance_of_dark_reading(noise_dn: float, black_dn: float) -> float:
+    """Return the variance [DN²] of a normal signal that is rounded to whole DN and cut at 0."""
+    codes = np.arange(60)
+    at_most = np.array([0.5 * (1 + erf((code + 0.5 - black_dn) / (noise_dn * sqrt(2)))) for code in codes])
+    probability = np.diff(at_most, prepend=0.0)
+    return float(probability @ codes**2 - (probability @ codes) ** 2)
+
+
+def measure_noise_of(camera: DrawnCamera, seed: int = 1) -> DarkNoise:
+    """Return the noise of dark pixels of 24 drawn frames beside that of the stated read noise."""
+    noise = drawing.GAIN * drawing.READ_NOISE_E
+    low, high = (variance_of_dark_reading(noise * factor, camera.black_dn) for factor in (0.99, 1.01))
+    slope = (high - low) / ((1.01 * noise) ** 2 - (0.99 * noise) ** 2)
+    drawn = draw_frames(seed, lay_out(), DrawnLight(), camera)
+    dark = measure_dark_noise(residuals_of(drawn, camera.black_dn), slope)
+    assert dark is not None
+    return dark
+
+
+def assert_is_near(moment: Moment, true_value: float) -> None:
+    """Check that a moment is within `LARGEST_Z` standard errors of the truth, and that these are small: 2 % of the
+    variance of the stated read noise, and 6 % of the truth."""
+    assert abs(moment.value - true_value) < LARGEST_Z * moment.stderr
+    assert 0 < moment.stderr < 0.02 * (drawing.GAIN * drawing.READ_NOISE_E) ** 2 + 0.06 * true_value
+
+
+def test_plain_dark_pixels_have_no_further_noise():
+    """All moments of plain frames are 0 within their errors: six moments, one false alarm in 1000."""
+    dark = measure_noise_of(DrawnCamera())
+    for name in ("excess", "row", "column", "next_row", "neighbour"):
+        assert_is_near(getattr(dark, name), 0.0)
+
+
+# Black levels far above 0, and so near to it that a tenth of the dark readings is cut. There the change of the variance
+# is linear in that of the noise to 3 % of it, which is below one standard error.
+@pytest.mark.parametrize("black_dn", [12.0, 1.0], ids=["uncut", "cut at 0"])
+def test_excess_read_noise_is_measured(black_dn: float):
+    """Noise beyond the stated one is found as white noise: rows, columns and neighbours share nothing."""
+    dark = measure_noise_of(DrawnCamera(read_noise_e=6.6, black_dn=black_dn))
+    assert_is_near(dark.excess, drawing.GAIN**2 * (6.6**2 - drawing.READ_NOISE_E**2))
+    assert dark.excess.value > 10 * dark.excess.stderr
+    if black_dn == 12.0:
+        for name in ("row", "column", "next_row", "neighbour"):
+            assert_is_near(getattr(dark, name), 0.0)
+
+
+@pytest.mark.parametrize("black_dn", [12.0, 1.0], ids=["uncut", "cut at 0"])
+def test_row_noise_is_measured(black_dn: float):
+    """Offsets of rows that are new in each frame are found as such, and as part of all noise."""
+    row_dn = 0.25
+    dark = measure_noise_of(DrawnCamera(row_dn=row_dn, black_dn=black_dn))
+    assert_is_near(dark.row, row_dn**2)
+    assert_is_near(dark.excess, row_dn**2)
+    assert_is_near(dark.neighbour, row_dn**2)
+    assert_is_near(dark.column, 0.0)
+    assert_is_near(dark.next_row, 0.0)
+    # The same row in different frames: 24 frames of some 60 rows with independent offsets, whose products average to
+    # 0 within row²/√(60 · 24²/2).
+    assert abs(dark.same_row.value) < LARGEST_Z * (row_dn**2 + 0.02) / np.sqrt(60 * 24**2 / 2)
+
+
+def test_a_static_row_pattern_is_the_same_in_all_frames():
+    """Offsets of rows that stay are told from row noise by products between frames."""
+    drawn = draw_frames(2, lay_out(), DrawnLight(), DrawnCamera())
+    # Each crop gets the same offsets; whole DN, so that readings stay whole.
+    offsets = np.random.default_rng(8).integers(0, 2, drawing.SIDE)
+    images = residuals_of(replace(drawn, readings=drawn.readings + offsets[:, None] - 0.5))
+    dark = measure_dark_noise(images, 1.0)
+    assert dark is not None
+    # Offsets of ±0.5 DN have the variance 0.25 DN² but for their mean, which some 70 rows leave uncertain by 0.06 DN.
+    assert dark.same_row.value == pytest.approx(0.25, abs=0.03)
+    assert dark.row.value == pytest.approx(0.25, abs=0.03)
+
+
+def test_few_dark_pixels_are_not_assessed():
+    """Two frames hold fewer dark pixels than a measurement needs."""
+    drawn = draw_frames(1, lay_out(angles_deg=(0.0,), repeats=1)).select(np.arange(2))
+    assert measure_dark_noise(residuals_of(drawn), 1.0) is None
+
+
+# Relative fields.
+
+
+def estimate_fields(light: DrawnLight, camera: DrawnCamera, seed: int = 1) -> tuple[FieldEstimate, FieldEstimate]:
+    """Return granular light and gains of pixels of 36 drawn frames of 12 sites."""
+    covariances = measure_fields(residuals_of(draw_frames(seed, CONDITIONS_OF_FIELDS, light, camera)))
+    return estimate_granular_light(covariances), estimate_pixel_gains(covariances)
+
+
+def is_seen(estimate: FieldEstimate) -> bool:
+    """Return whether a field is there beyond doubt."""
+    return not estimate.reasons and estimate.variance > 5 * estimate.stderr
+
+
+SPECKLE = DrawnLight(speckle_contrast=0.04, grain_px=1.0)
+GAINS = DrawnCamera(gain_scatter=0.02)
+# Part of the variance of granular light that the four parameters of each spot take with them: 4 of the grains that a
+# spot holds, π (2σ)²/(2π grain²) = 2 σ²/grain² or some 80.
+ABSORBED_SHARE = 0.08
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("camera", [DrawnCamera(), GAINS], ids=["alone", "with gains"])
+def test_granular_light_is_measured(camera: DrawnCamera, seed: int):
+    """A field that is new at each site has its contrast and grain, with and without gains of pixels."""
+    grains, _ = estimate_fields(SPECKLE, camera, seed)
+    assert is_seen(grains)
+    offset = grains.variance - SPECKLE.speckle_contrast**2
+    tolerance = LARGEST_T * grains.stderr
+    assert -tolerance - ABSORBED_SHARE * SPECKLE.speckle_contrast**2 < offset < tolerance
+    # What the spots absorb are the longest waves of the field, which makes grains look smaller by about as much, 8 %;
+    # sets of frames scatter by 3 %.
+    assert 0.78 < grains.grain_px / SPECKLE.grain_px < 1.05
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("light", [DrawnLight(), SPECKLE], ids=["alone", "with granular light"])
+def test_gains_of_pixels_are_measured(light: DrawnLight, seed: int):
+    """Gains that are fixed to the sensor have their scatter, with and without granular light."""
+    _, gains = estimate_fields(light, GAINS, seed)
+    assert is_seen(gains)
+    # Errors by jackknife over hundreds of blocks: normal.
+    assert abs(gains.variance - GAINS.gain_scatter**2) < LARGEST_Z * gains.stderr
+
+
+def test_fields_are_not_confused():
+    """Granular light alone shows no gains, gains alone show no granular light, and plain frames neither."""
+    for light, camera, has_grains, has_gains in (
+        (SPECKLE, DrawnCamera(), True, False),
+        (DrawnLight(), GAINS, False, True),
+        (DrawnLight(), DrawnCamera(), False, False),
+        (DrawnLight(), DrawnCamera(row_dn=0.5), False, False),
+    ):
+        grains, gains = estimate_fields(light, camera, seed=3)
+        assert (is_seen(grains), is_seen(gains)) == (has_grains, has_gains)
+        # The field that is not there has no variance beyond its error.
+        if not has_grains:
+            assert abs(grains.variance) < LARGEST_T * grains.stderr
+        if not has_gains:
+            assert abs(gains.variance) < LARGEST_Z * gains.stderr
+
+
+def test_granular_light_of_single_frames():
+    """With one frame for each site the noise hides the covariance at lag 0, and neighbours give contrast and grain."""
+    drawn = draw_frames(4, lay_out(exposures_s=drawing.EXPOSURES_S[-1:], repeats=6), SPECKLE)
+    grains = estimate_granular_light(measure_fields(residuals_of(drawn)))
+    assert is_seen(grains)
+    # Extrapolated from the neighbours: as above, and another 10 % for the shape of the correlation.
+    offset = grains.variance - SPECKLE.speckle_contrast**2
+    tolerance = LARGEST_T * grains.stderr + 0.1 * SPECKLE.speckle_contrast**2
+    assert -tolerance - ABSORBED_SHARE * SPECKLE.speckle_contrast**2 < offset < tolerance
+
+
+def test_one_site_does_not_tell_grains_from_gains():
+    """The reason against granular light is stated where all frames are of one site."""
+    drawn = draw_frames(5, lay_out(angles_deg=(0.0,), repeats=1), SPECKLE)
+    grains = estimate_granular_light(measure_fields(residuals_of(drawn)))
+    assert "one site: tied with gains of pixels" in grains.reasons
+
+
+# Hot pixels.
+
+# (row, column, offset [DN]): in the dark, on the flank and in the middle of the spots, far above the scatter there.
+HOT_PIXELS = ((76, 24, 15.0), (30, 40, 60.0), (48, 47, 250.0))
+
+
+@pytest.mark.parametrize("hot_pixels", [(), HOT_PIXELS], ids=["none", "three"])
+def test_hot_pixels_are_masked(hot_pixels: tuple[tuple[int, int, float], ...]):
+    """Exactly the hot pixels are masked, in every crop at their place on the sensor; nothing else changes."""
+    drawn = draw_frames(6, lay_out(), SPECKLE, DrawnCamera(gain_scatter=0.01, hot_pixels=hot_pixels))
+    frames, count = mask_hot_pixels(frame_set(drawn), SENSOR)
+    assert count == len(hot_pixels)
+    masked = np.isnan(frames.readings)
+    for frame in range(len(frames)):
+        rows, columns = np.nonzero(masked[frame])
+        places = set(zip(rows + drawn.top[frame], columns + drawn.left[frame], strict=True))
+        assert places == {(row, column) for row, column, _ in hot_pixels}
+    np.testing.assert_array_equal(frames.readings[~masked], drawn.readings[~masked])
+
+
+def test_one_frame_has_no_hot_pixels():
+    """A single frame cannot tell a hot pixel from a particle, so that nothing is masked."""
+    drawn = draw_frames(6, lay_out(), DrawnLight(), DrawnCamera(hot_pixels=HOT_PIXELS)).select(np.arange(1))
+    frames, count = mask_hot_pixels(frame_set(drawn), SENSOR)
+    assert count == 0 and np.isfinite(frames.readings).all()

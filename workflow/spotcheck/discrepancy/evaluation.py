@@ -1,0 +1,167 @@
+"""The model at the pixels of frames, and derivatives of mean and variance of the readings.
+
+A column is the pair of derivatives of mean and variance (dm, dv) of the readings by one unknown. Two columns have the
+Fisher information Σ [dm₁ dm₂/v + dv₁ dv₂/(2 v²)], and a column has the score Σ [dm r/v + dv (r²/v − 1)/(2 v)] with the
+residual r = y − m.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spotcheck.discrepancy.frames import Pixels, conditions_of
+from spotcheck.model.conditions import FrameConditions
+from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.forward import SENSOR_STAGES, ForwardModel
+from spotcheck.model.light import Light
+from spotcheck.model.stage import Stage
+from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments
+
+if TYPE_CHECKING:
+    from spotcheck.discrepancy.joint_fit import FreeParameter, JointModel
+
+# Pixels of the frames that are evaluated together: their arrays stay in the cache of a core.
+BATCH_PIXELS = 100_000
+# Steps of forward differences: ln σ [1] and centre [σ]; other parameters in terms of their scale. The score of a step h
+# is that at h/2, which must stay far below a standard error.
+SPOT_STEP, PARAMETER_STEP = 1e-6, 1e-5
+# Scale of a parameter near 0 in terms of its range.
+LEAST_SCALE = 1e-3
+# Smallest variance [DN²] of a reading in the likelihood, in terms of that of rounding and read noise.
+LEAST_VARIANCE = 0.25
+# Cores that evaluate batches.
+THREADS = min(os.cpu_count() or 1, 2)
+# Stages whose effects change readings other than through the light.
+SENSOR = set(SENSOR_STAGES) - {Stage.PIXEL_GAIN}
+
+Column = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The model at the pixels of some frames; arrays [frame, h, w], 0 in weight where a pixel is not used."""
+
+    conditions: FrameConditions  # of the frames
+    light: Light  # light of the frames [DN]
+    distribution: ReadingDistribution  # of a reading given its light
+    moments: ReadingMoments  # mean [DN] and variance [DN²] of readings and their slopes by the light
+    residual: np.ndarray  # reading less mean [DN]
+    weight: np.ndarray  # 1/variance [1/DN²]
+    variance_score: np.ndarray  # derivative of ln L by the variance [1/DN²]
+    slopes: np.ndarray  # derivatives of the light by ln peak, ln σ, x, y [parameter, frame, h, w]; maybe left out
+
+    @property
+    def light_score(self) -> np.ndarray:
+        """Derivative of ln L by the light of each pixel [1/DN]."""
+        moments = self.moments
+        return moments.mean_slope * self.residual * self.weight + moments.variance_slope * self.variance_score
+
+    @property
+    def light_information(self) -> np.ndarray:
+        """Fisher information of each reading on its light [1/DN²]."""
+        moments = self.moments
+        return moments.mean_slope**2 * self.weight + (moments.variance_slope * self.weight) ** 2 / 2
+
+    def score(self, column: Column) -> float:
+        """Return the score of a column."""
+        return float(np.sum(column[0] * self.residual * self.weight + column[1] * self.variance_score))
+
+    def information_of(self, first: Column, second: Column) -> float:
+        """Return the Fisher information between two columns."""
+        means, variances = first[0] * second[0], first[1] * second[1]
+        return float(np.sum(means * self.weight + variances * self.weight**2 / 2))
+
+    def light_equivalent(self, column: Column) -> np.ndarray:
+        """Return what, times a change of the light, is the information between a column and that change."""
+        moments, weight = self.moments, self.weight
+        return moments.mean_slope * column[0] * weight + moments.variance_slope * column[1] * weight**2 / 2
+
+
+def batches(pixels: Pixels) -> Iterator[slice]:
+    """Yield parts of the frames whose pixels are evaluated together."""
+    frames, rows, columns = pixels.readings.shape
+    size = max(BATCH_PIXELS // (rows * columns), 1)
+    for start in range(0, frames, size):
+        yield slice(start, min(start + size, frames))
+
+
+def map_batches(function: Callable[[slice], Any], pixels: Pixels) -> list[Any]:
+    """Return the results of a function of each batch of frames, computed in threads."""
+    parts = list(batches(pixels))
+    if len(parts) == 1 or THREADS == 1:
+        return [function(part) for part in parts]
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(function, parts))
+
+
+def evaluate(model: JointModel, pixels: Pixels, part: slice, with_slopes: bool = True) -> Evaluation:
+    """Return the model at the pixels of some frames."""
+    spots, design, selected = model.spots.select(part), model.design.select(part), pixels.select(part)
+    conditions = conditions_of(design, spots, selected)
+    forward = model.forward
+    light = forward.light(conditions)
+    inputs = forward.sensor_input(conditions, light=light)
+    moments = forward.moments(inputs)
+    noise = inputs.distribution.noise_dn
+    variance = np.maximum(moments.variance, LEAST_VARIANCE * (noise**2 + ROUNDING_VARIANCE))
+    used = selected.is_used
+    residual = np.where(used, selected.readings - moments.mean, 0.0)
+    weight = np.where(used, 1 / variance, 0.0)
+    variance_score = (residual**2 * weight - used) * weight / 2
+    slopes = _spot_slopes(forward, conditions, light.spot) if with_slopes else np.zeros((0, *used.shape))
+    return Evaluation(conditions, light, inputs.distribution, moments, residual, weight, variance_score, slopes)
+
+
+def _spot_slopes(forward: ForwardModel, conditions: FrameConditions, spot: np.ndarray) -> np.ndarray:
+    """Return the derivatives of the light by ln peak, ln σ, x and y [parameter, frame, h, w]."""
+    step = SPOT_STEP * conditions.sigma_px
+    moved = (
+        replace(conditions, sigma_px=conditions.sigma_px * (1 + SPOT_STEP)),
+        replace(conditions, x0=conditions.x0 + step),
+        replace(conditions, y0=conditions.y0 + step),
+    )
+    sizes = (SPOT_STEP, step, step)
+    slopes = [(forward.light(other).spot - spot) / size for other, size in zip(moved, sizes, strict=True)]
+    return np.stack([spot, *slopes])
+
+
+def columns_of(model: JointModel, at: Evaluation) -> list[Column]:
+    """Return the column of each fitted parameter of sensor and effects."""
+    return [_column(model, parameter, at) for parameter in model.free]
+
+
+def _column(model: JointModel, parameter: FreeParameter, at: Evaluation) -> Column:
+    value, step = model.value_of(parameter), difference_step(model, parameter)
+    moved = model.with_value(parameter, value + step).forward
+    stages = stages_of(model.effect_named(parameter.effect)) if parameter.effect else {Stage.READ_NOISE}
+    if not stages & SENSOR:
+        slope = (moved.light(at.conditions).total - at.light.total) / step
+        return at.moments.mean_slope * slope, at.moments.variance_slope * slope
+    mean, variance = change_of_moments(moved, at, has_same_light=stages <= SENSOR)
+    return mean / step, variance / step
+
+
+def change_of_moments(forward: ForwardModel, at: Evaluation, has_same_light: bool) -> Column:
+    """Return mean and variance of another model less those of an evaluation."""
+    light = at.light if has_same_light else forward.light(at.conditions)
+    moments = forward.moments(forward.sensor_input(at.conditions, light=light))
+    return moments.mean - at.moments.mean, moments.variance - at.moments.variance
+
+
+def stages_of(applied: AppliedEffect) -> set[Stage]:
+    """Return the stages at which an effect of a model acts."""
+    return {step.stage for step in applied.effect.variants[applied.variant]}
+
+
+def difference_step(model: JointModel, parameter: FreeParameter) -> float:
+    """Return the step of forward differences in a parameter; it points inwards at a bound."""
+    value = model.value_of(parameter)
+    width = parameter.high - parameter.low
+    step = PARAMETER_STEP * max(abs(value), LEAST_SCALE * width if np.isfinite(width) else 1.0)
+    return -step if value + step > parameter.high else step
