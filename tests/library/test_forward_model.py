@@ -378,7 +378,7 @@ BODIES = {
     Stage.ADDED_LIGHT: "light_dn + a * spot.peak_dn / spot.sigma_px",
     Stage.MODULATION: "light_dn * (1 + a * np.cos(frame.pixels.x))",
     Stage.SPECKLE_FIELD: "light_dn * (1 + a * np.cos(frame.pixels.y))",
-    Stage.PEDESTAL: "light_dn + a * (50 + frame.pixels.x)",
+    Stage.PEDESTAL: "pedestal_dn + a * (50 + frame.pixels.x)",
     Stage.PIXEL_GAIN: "light_dn * (1 + a * np.cos(frame.pixels.x + frame.pixels.y))",
     Stage.CHARGE: "mean_e + a * np.roll(mean_e, 2, axis=1)",
     Stage.SMEAR: "a * np.mean(mean_e, axis=0, keepdims=True)",

@@ -12,25 +12,44 @@ import numpy as np
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.evidence import invert_information
 from spotcheck.discrepancy.fields import FieldEstimate, estimate_granular_light, estimate_pixel_gains, measure_fields
+from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
 from spotcheck.discrepancy.joint_fit import READ_NOISE_RANGE, FreeParameter, JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import LawFit, LawSearch, NamedLaw, SpotNumbers, find_laws, is_law
 from spotcheck.discrepancy.light_shape import ShapeExplanation, explain_shape, fit_free_shape
+from spotcheck.discrepancy.mixed_model import Interval
+from spotcheck.discrepancy.named_scatter import (
+    Deviation,
+    NamedScatter,
+    deviation_of_field,
+    deviation_of_fluctuation,
+    deviation_of_rows,
+    name_read_noise,
+    name_scatter,
+)
 from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.scatter import DarkNoise, measure_dark_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects
 from spotcheck.discrepancy.validation import Prediction, predict_frames
 from spotcheck.model.baseline import Baseline
-from spotcheck.model.effect import Effect, EffectScales
+from spotcheck.model.effect import Effect, EffectScales, Scope
 from spotcheck.model.forward import ForwardModel
+from spotcheck.model.stage import Stage
 from spotcheck.sensor import SensorModel
 
 # Rank of the reading of a frame that counts as its brightest: hot pixels do not.
 BRIGHT_RANK = 40
 # Relative step of the read noise in the slope of the variance of dark readings.
 NOISE_STEP = 0.01
+
+# Random steps of effects that stand for variance components of the spots.
+COMPONENTS = {
+    "frame brightness": (Stage.BRIGHTNESS, Scope.FRAME),
+    "site brightness": (Stage.BRIGHTNESS, Scope.SITE),
+    "site width": (Stage.WIDTH, Scope.SITE),
+}
 
 Log = Callable[[str], None]
 
@@ -62,6 +81,7 @@ class Analysis:
     selected: SelectedEffects  # effects of the mean image
     shape: ShapeExplanation | None  # what stands for a free light shape; None beside the declared one
     scatter: Scatter  # scatter of pixels beside them
+    named_scatter: tuple[NamedScatter, ...]  # effects that scatter
     laws: tuple[NamedLaw, ...]  # laws of brightness and width
     rivals: tuple[tuple[str, ...], ...]  # sets of laws that the frames cannot tell from these
     law_fit: LawFit | None  # fit of the laws; None without a law of the exposure
@@ -103,8 +123,10 @@ def analyse_frames(
         images = measure_residuals(selected.fit.model, searched)
         scatter = measure_scatter(images, selected.fit, hot_pixels)
     if setting.baseline.photon_budget == "free":
-        return Analysis(declared, selected, shape, scatter, (), (), None, ())
+        named = name_all_scatter(effects, scatter, selected.fit, setting, scales, None)
+        return Analysis(declared, selected, shape, scatter, named, (), (), None, ())
     search = law_search(selected.fit, setting, scales)
+    named = name_all_scatter(effects, scatter, selected.fit, setting, scales, search)
     laws, rivals, law_fit = find_laws(search, [effect for effect in effects if is_law(effect)])
     before = search.fit([]) if selected.fit is declared else law_search(declared, setting, scales).fit([])
     baseline = replace(setting.baseline, learned=selected.fit.model.forward.baseline.learned)
@@ -115,7 +137,7 @@ def analyse_frames(
     )
     unseen, at = frames.select(np.flatnonzero(is_held_out)), spots.select(np.flatnonzero(is_held_out))
     predictions = tuple(predict_frames(model, unseen, at) for model in models) if is_held_out.any() else ()
-    return Analysis(declared, selected, shape, scatter, tuple(laws), tuple(rivals), law_fit, predictions)
+    return Analysis(declared, selected, shape, scatter, named, tuple(laws), tuple(rivals), law_fit, predictions)
 
 
 def fit_declared(frames: FrameSet, spots: FrameParameters, setting: Setting) -> JointFit:
@@ -181,3 +203,30 @@ def law_search(fit: JointFit, setting: Setting, scales: EffectScales) -> LawSear
     covariance = invert_information(fit.equations.information)[:spots, :spots]
     numbers = SpotNumbers(fit.model.design, fit.model.spots, covariance)
     return LawSearch(numbers, ForwardModel(setting.baseline, setting.sensor), scales)
+
+
+def name_all_scatter(
+    effects: Sequence[Effect],
+    scatter: Scatter,
+    fit: JointFit,
+    setting: Setting,
+    scales: EffectScales,
+    search: LawSearch | None,
+) -> tuple[NamedScatter, ...]:
+    """Return the effects of the scatter of pixels, and with a law of the exposure of that of the spots."""
+    deviations: dict[tuple[Stage, Scope], Deviation] = {
+        (Stage.SPECKLE_FIELD, Scope.SITE): deviation_of_field(scatter.grains),
+        (Stage.PIXEL_GAIN, Scope.SENSOR): deviation_of_field(scatter.gains),
+    }
+    found = []
+    if scatter.dark is not None:
+        deviations[Stage.ROW_NOISE_AND_HOT_PIXELS, Scope.FRAME] = deviation_of_rows(scatter.dark)
+        found += name_read_noise(effects, scatter.dark, fit.model.forward.sensor, setting.sensor, scales)
+    if search is not None:
+        components, jitter = measure_components(search), measure_jitter(search)
+        for name, key in COMPONENTS.items():
+            none = Fluctuation(Interval.around(0.0, 0.0), 0.0, ("no such component is needed",))
+            deviations[key] = deviation_of_fluctuation(components.get(name, none))
+        if jitter is not None:
+            deviations[Stage.COORDINATES, Scope.FRAME] = deviation_of_fluctuation(jitter)
+    return (*found, *name_scatter(effects, deviations, scatter.hot_pixels, scales))

@@ -1,1 +1,1 @@
-"""The forward model: propagation → photons → spot → sensor, each with mean and variance, and random draws of it."""
+"""The forward model: law of the exposure → light of the spot → pixels → sensor; mean, variance and random frames."""

@@ -1,6 +1,6 @@
 """The baseline: the paper's model before any effect is added, as the dataset contract states it.
 
-Its functions accept complex parameters, so that derivatives are complex steps through them.
+Without a learned shape its functions accept complex parameters, so that derivatives are complex steps through them.
 """
 
 from dataclasses import dataclass, replace

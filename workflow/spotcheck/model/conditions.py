@@ -47,7 +47,7 @@ class FrameConditions:
     y0: PerFrame  # row of the spot's centre [px]
     exposure_s: PerFrame  # nominal exposure [s]
     longest_s: float  # longest exposure of the dataset [s], at which the peak of the law is given
-    reference_s: float  # reference exposure [s]: effects on the width leave the width at it unchanged
+    reference_s: float  # reference exposure [s], at which the spread law leaves the width unchanged
     angle: PerFrame = 0.0  # angle of the fibres [rad]
     order: PerFrame = 0.5  # place in the order of acquisition, from 0 to 1
     peak_dn: PerFrame = np.nan  # peak of the spot [DN] where no law gives it

@@ -1,7 +1,7 @@
 """The forward model: what a frame reads, on average, by how much it scatters, and at random.
 
-`expected`, `jacobian` and `sample` walk the same list of stages. `light` walks those up to the pixels; `sensor_input`
-those of the sensor, which become one `ReadingDistribution`.
+`expected`, `jacobian` and `sample` go through the same stages in the same order: `light` up to the pixels,
+`sensor_input` and `distribution` those of the sensor, which become one `ReadingDistribution`.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -143,7 +143,8 @@ class ForwardModel(LightStages):
         -----
         A parameter of the light moves mean and variance by the slopes of their table times the derivative of the light.
         The latter is in closed form where a step registers it, else a central difference through the light's stages.
-        Parameters of the sensor and of random steps are differences through the whole model.
+        With a random step, or one at charge or smear, all parameters are differences through the whole model. Else
+        those of effects at the exposure and from the gains of pixels on are.
         """
         pairs = [self._derivatives(frame, name) for name in parameters]
         return np.array([mean for mean, _ in pairs]), np.array([variance for _, variance in pairs])
@@ -225,8 +226,7 @@ class ForwardModel(LightStages):
         # Charge and smear of a pixel follow the light of others.
         mixing = [step for stage in (Stage.CHARGE, Stage.SMEAR) for step in self.steps_at(stage)]
         if mixing or any(self._random_steps()) or stages & {Stage.EXPOSURE, *SENSOR_STAGES}:
-            mean, variance = self._difference(frame, name, SENSOR_STEP, lambda model, at: np.array(model.expected(at)))
-            return mean, variance
+            return tuple(self._difference(frame, name, SENSOR_STEP, lambda model, at: np.array(model.expected(at))))
         slope = self._registered_slope(frame, name)
         if slope is None:
             slope = self._difference(frame, name, LIGHT_STEP, lambda model, at: model.light(at).total)
@@ -334,7 +334,7 @@ def _granular_table(
 def _draw(step: AppliedStep, shape: tuple[int, int], seed: int, key: int) -> Any:
     """Draw a number or field; kept for the next frames: those of a site follow each other, and there is one sensor."""
     assert step.random is not None
-    # Steps of one effect that share a scope have generators of their own.
+    # Each step of an effect has a generator of its own; the first keeps the shorter key.
     number = step.applied.effect.variants[step.applied.variant].index(step.step)
     spawned = (step.applied.effect.number, key) if number == 0 else (step.applied.effect.number, key, number)
     return step.call(step.random.draw, _generator(seed, *spawned), shape)

@@ -55,9 +55,10 @@ class LightStages:
     effects: tuple[AppliedEffect, ...]
 
     def steps_at(self, stage: Stage) -> list[AppliedStep]:
-        """Return the steps of all effects at a stage, in the order of the effects' numbers."""
-        ordered = sorted(self.effects, key=lambda applied: applied.effect.number)
-        return [step for applied in ordered for step in applied.steps_at(stage)]
+        """Return the steps of all effects at a stage: random ones first, which act on the sensor's coordinates, then
+        the others, in the order of the effects' numbers."""
+        steps = [step for applied in self.effects for step in applied.steps_at(stage)]
+        return sorted(steps, key=lambda step: (step.random is None, step.applied.effect.number))
 
     def apply_stage(self, stage: Stage, drawn: Drawn, frame: FrameConditions | None, *value: Any) -> Any:
         """Return what the steps of all effects at a stage make of a value, or of a pair of values."""
@@ -73,7 +74,7 @@ class LightStages:
         return result
 
     def true_exposure(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> float:
-        """Return the exposure [s] that light, dark current and motion had."""
+        """Return the true exposure [s], which the law of the exposure, dark current and motion follow."""
         return self.apply_stage(Stage.EXPOSURE, drawn, frame, frame.exposure_s)
 
     def spot(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> SpotState:
@@ -95,7 +96,6 @@ class LightStages:
     def copies(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Iterator[tuple[Any, Any, Any]]:
         """Yield the copies of the sharp spot of which the light consists: displacements dx, dy [px] of the pixels from
         the centre of a round spot, and the weight of the copy."""
-        has_coordinates = bool(self.steps_at(Stage.COORDINATES))
         exposed = replace(frame, exposure_s=self.true_exposure(frame, drawn))
         path = np.array([[0.0], [0.0], [1.0]])
         for step in self.steps_at(Stage.BLUR):
@@ -104,9 +104,7 @@ class LightStages:
             path = convolve_paths(path, np.transpose(PIXEL))
         for shift_x, shift_y, weight in np.moveaxis(path, 0, 1):
             dx, dy = frame.pixels.x - frame.x0 - shift_x, frame.pixels.y - frame.y0 - shift_y
-            if has_coordinates:
-                dx, dy = self.apply_stage(Stage.COORDINATES, drawn, frame, dx, dy)
-            yield dx, dy, weight
+            yield *self.apply_stage(Stage.COORDINATES, drawn, frame, dx, dy), weight
 
     def light(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Light:
         """Return the light of a frame [DN]."""
@@ -130,7 +128,7 @@ class LightStages:
     def shape_response(self, frame: FrameConditions) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield places u, v [σ] in the shape for each copy of the spot, and the derivative of the light [DN] by it."""
         spot = self.spot(frame)
-        factor = 1.0 * np.ones(np.broadcast_shapes(np.shape(frame.pixels.x), np.shape(frame.pixels.y)))
+        factor = np.ones(np.broadcast_shapes(np.shape(frame.pixels.x), np.shape(frame.pixels.y)))
         for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD, Stage.PIXEL_GAIN):
             factor = self.apply_stage(stage, NOTHING_DRAWN, frame, factor)
         for dx, dy, weight in self.copies(frame):

@@ -16,9 +16,10 @@ class StageDescription:
 class Stage(Enum):
     """A stage of the chain. Members are in the order in which they act.
 
-    Up to the smear functions act on expected values, and those of the sensor on the signal of a pixel with its noise
-    (well, response, digital) or on a variance (read noise). A `RandomStep` gets what it drew as one argument more. Only
-    the blur and the smear do not pass a value on: blurs are convolved with each other, and smear adds up.
+    Up to the smear functions act on expected values. Those of the sensor act on the signal of a pixel with its noise
+    (well, response, digital), on a variance (read noise) or on an offset (black level, row noise). A `RandomStep` gets
+    what it drew as one argument more. Only the blur and the smear do not pass a value on: blurs are convolved with each
+    other, and smear adds up.
 
     `frame` is a `FrameConditions` and `spot` a `SpotState`. Light is in DN: K times the mean electrons. Lengths are in
     px of the sensor.
@@ -30,13 +31,14 @@ class Stage(Enum):
     # A round spot has the light of a pixel at these displacements from its centre.
     COORDINATES = StageDescription("frame, dx, dy", "displacements on a round spot [px]", "stretches or moves the spot")
     PROFILE = StageDescription("frame, half_square", "E [1] of the profile exp(−E), from ρ²/2", "changes the profile")
+    # `frame.exposure_s` is the true exposure here; elsewhere it is the nominal one.
     BLUR = StageDescription("frame", "dx, dy [px] and weights of copies [3, copy]", "blurs or copies the spot")
     ADDED_LIGHT = StageDescription("frame, light_dn, spot", "light of the spot [DN]", "adds light to the spot")
     MODULATION = StageDescription("frame, light_dn", "light of the spot [DN]", "modulates the light of the spot")
-    # A draw of a random step multiplies the light here, whatever its function does.
+    # Random steps multiply the light by their draw here: means are taken over it without calling the function.
     SPECKLE_FIELD = StageDescription("frame, light_dn", "light of the spot [DN]", "makes the light granular")
-    PEDESTAL = StageDescription("frame, light_dn", "light with pedestals [DN]", "adds light under the spot")
-    # A function here is proportional to the light, since it acts on the spot and on pedestals apart.
+    PEDESTAL = StageDescription("frame, pedestal_dn", "all pedestals so far [DN]", "adds light under the spot")
+    # Functions here and at the modulation are proportional to the light. This one acts on spot and pedestals apart.
     PIXEL_GAIN = StageDescription("frame, light_dn", "light that pixels convert [DN]", "changes the gains of pixels")
     CHARGE = StageDescription("frame, mean_e", "mean electrons of light and dark current [e-]", "changes the charge")
     SMEAR = StageDescription("frame, mean_e", "electrons without shot noise [e-]", "adds electrons without shot noise")

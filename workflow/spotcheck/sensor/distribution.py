@@ -1,7 +1,7 @@
 """The distribution of one reading given its light: the one definition that simulation, fits and bounds share.
 
-Order of the chain (dataset contract): Poisson electrons of light and dark current → + smear → charge (full well)
-→ + read noise → gain K → response → black level → digital → one rounding → 0 … full scale.
+Order of the chain (dataset contract): Poisson electrons of light and dark current → + smear → full well → gain K →
+charge → + read noise → response → black level → digital → one rounding → 0 … full scale.
 """
 
 from __future__ import annotations
@@ -145,9 +145,9 @@ class ReadingDistribution:
         They follow from the moments of a reading given the electrons, which is many times faster than all codes.
         """
         mean_e = self.mean_electrons(light)
-        highest = self.charge_signal(np.arange(find_possible_counts(mean_e[-1])[1] + 1.0))
-        given_counts = self._moments_given_signal(highest)
-        given_stop = self._moments_given_signal(np.minimum([level for _, level in self.charge_levels], highest[-1]))
+        signal = self.charge_signal(np.arange(find_possible_counts(mean_e[-1])[1] + 1.0))
+        given_counts = self._moments_given_signal(signal)
+        given_stop = self._moments_given_signal(np.minimum([level for _, level in self.charge_levels], signal[-1]))
         out = np.empty((4, mean_e.size))
         for part in _blocks(mean_e):
             low, high = find_possible_counts(mean_e[part][0])[0], find_possible_counts(mean_e[part][-1])[1]

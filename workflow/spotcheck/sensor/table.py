@@ -139,7 +139,7 @@ class ReadingTable:
         ----------
         Goodman, Speckle Phenomena in Optics, 2nd ed., Section 3.3.
         """
-        return self.with_random_factor(*grain_quadrature(contrast), pedestal_dn)
+        return self.with_random_factor(*grain_quadrature(contrast=contrast), pedestal_dn)
 
     def with_random_factor(
         self, factor: np.ndarray, weight: np.ndarray, pedestal_dn: float = 0.0, light_max: float = np.inf
@@ -160,7 +160,7 @@ class ReadingTable:
         return replace(self, nodes=mixed, distribution=None)
 
 
-def grain_quadrature(contrast: float) -> tuple[np.ndarray, np.ndarray]:
+def grain_quadrature(*, contrast: float) -> tuple[np.ndarray, np.ndarray]:
     """Return factors g of granular light and their weights [node]: a gamma distribution of mean 1 and variance C².
 
     Uniform in ln g, where the trapezoidal rule of a smooth density converges faster than any power of the step.

@@ -4,8 +4,8 @@ import numpy as np
 
 from spotcheck.model.effect import DIRECTIONS, Effect, Only, Parameter, Stage, Step
 
-# Gauss–Legendre points of a path: one for each 3 px of half the path, from 3 to 12. The edge of a plateau needs more
-# of them than a smooth spot; of a path that is short beside a pixel three are enough.
+# Gauss–Legendre points of a path: three, and one more for each 3 px of it, at most 12. The edge of a plateau needs more
+# of them than a smooth spot.
 MOST_POINTS, FEWEST_POINTS, PX_PER_POINT = 12, 3, 3.0
 
 

@@ -16,7 +16,7 @@ class Variant(Enum):
 
 
 def add_exponential(frame, light_dn, spot, *, fraction, radius):
-    """Return the light [DN] plus a halo exp(−r/radius) whose peak is `fraction` of the spot's; radius in px."""
+    """Return the light [DN] plus a halo exp(−r/radius) whose peak is `fraction` of the Gaussian's; radius in px."""
     return light_dn + fraction * spot.peak_dn * np.exp(-np.sqrt(squared_radius(frame, radius)))
 
 

@@ -26,11 +26,6 @@ def draw_field(rng, shape, *, contrast, grain):
     return np.maximum(1 + deviation * contrast / max(deviation.std(), 1e-12), 0.0)
 
 
-def average_field(*, contrast):
-    """Return factors and their weights."""
-    return grain_quadrature(contrast)
-
-
 EFFECT = Effect(
     number=17,
     name="speckle",
@@ -40,7 +35,7 @@ EFFECT = Effect(
         Parameter("contrast", "1", 0.0, 1.0, negligible=0.01),
         Parameter("grain", "px", 0.2, lambda scales: scales.sigma_px),
     ),
-    variants={Only.ONLY: (RandomStep(Stage.SPECKLE_FIELD, multiply, Scope.SITE, draw_field, average_field),)},
+    variants={Only.ONLY: (RandomStep(Stage.SPECKLE_FIELD, multiply, Scope.SITE, draw_field, grain_quadrature),)},
     starts=lambda scales: [(0.05, 2.0)],
     reference="Goodman, Speckle Phenomena in Optics, 2nd ed., Section 3.3",
     acts_on_noise=True,

@@ -1,0 +1,70 @@
+"""Fluctuations of brightness, width and centre from frame to frame and from site to site."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spotcheck.discrepancy.criteria import MIN_GAIN
+from spotcheck.discrepancy.laws import LEAST_FREE, LawSearch
+from spotcheck.discrepancy.mixed_model import Interval, deviation_interval, fit_reml
+
+# Part of the frames on which alone a scatter of the centre must not rest, and of its gain that must stay without them.
+WORST_SHARE, LEFT_SHARE = 0.1, 0.2
+
+
+@dataclass(frozen=True)
+class Fluctuation:
+    """Scatter of one property of the spot."""
+
+    deviation: Interval  # standard deviation: of ln peak or ln σ [1], or of the centre along an axis [px]
+    gain: float  # drop of −2 ln L by it
+    reasons: tuple[str, ...]  # against it; empty: it is there
+
+
+def measure_components(search: LawSearch) -> dict[str, Fluctuation]:
+    """Return the scatter of each variance component beside a saturated mean, by its name."""
+    found = {}
+    full = search.variances
+    for k, name in enumerate(full.names):
+        others = {key: matrix for key, matrix in search.components.items() if key != name}
+        gain = search.deviance_of(others) - full.deviance
+        interval = deviation_interval(full.variance[k], full.covariance[k, k])
+        found[name] = Fluctuation(interval, gain, _reasons(gain))
+    return found
+
+
+def measure_jitter(search: LawSearch) -> Fluctuation | None:
+    """Return the scatter of the centre about that of its site, or None if no site has two frames.
+
+    The mean of each exposure is free, since an imperfect shape moves it.
+    """
+    spots, design = search.numbers.spots, search.design
+    site = (design.site[:, None] == np.unique(design.site)[None]).astype(float)
+    of_axis = np.hstack([site, search.levels[:, 1:]])
+    frames = len(spots.x)
+    if site.sum(axis=0).max() < 2 or frames - np.linalg.matrix_rank(of_axis) < LEAST_FREE:
+        return None
+    zero = np.zeros_like(of_axis)
+    mean, centres = np.block([[of_axis, zero], [zero, of_axis]]), np.concatenate([spots.x, spots.y])
+    covariance = search.numbers.covariance_of(2, 3)
+
+    def fit(kept: np.ndarray) -> tuple[Interval, float]:
+        both = np.concatenate([kept, kept])
+        noise = covariance[np.ix_(both, both)]
+        with_scatter = fit_reml(centres[both], mean[both], noise, {"centre": np.eye(int(both.sum()))})
+        without = fit_reml(centres[both], mean[both], noise, {})
+        interval = deviation_interval(with_scatter.variance[0], with_scatter.covariance[0, 0])
+        return interval, without.deviance - with_scatter.deviance
+
+    interval, gain = fit(np.ones(frames, bool))
+    square = (centres - mean @ np.linalg.lstsq(mean, centres, rcond=None)[0]) ** 2
+    distance = square[:frames] + square[frames:]
+    _, left = fit(distance <= np.quantile(distance, 1 - WORST_SHARE))
+    reasons = _reasons(gain)
+    if gain >= MIN_GAIN and left < min(MIN_GAIN, LEFT_SHARE * gain):
+        reasons = (*reasons, "carried by a tenth of the frames")
+    return Fluctuation(interval, gain, reasons)
+
+
+def _reasons(gain: float) -> tuple[str, ...]:
+    return () if gain >= MIN_GAIN else (f"gain {gain:.0f} below the least",)

@@ -1,0 +1,161 @@
+"""Effects that scatter: what dark pixels, fields and fluctuations are called by the effects of the vocabulary.
+
+An effect stands for a scatter by the stage and the scope of its random step. The parameter of the step's quadrature is
+the standard deviation of what it draws; a further parameter of its draw is the standard deviation of the correlation
+[px]; a parameter that no step takes is the number of hot pixels.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from spotcheck.discrepancy.criteria import MIN_Z
+from spotcheck.discrepancy.fields import FieldEstimate
+from spotcheck.discrepancy.fluctuations import Fluctuation
+from spotcheck.discrepancy.mixed_model import Interval
+from spotcheck.discrepancy.scatter import DarkNoise
+from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep, Scope, Step, keyword_names_of
+from spotcheck.model.stage import Stage
+from spotcheck.sensor import SensorModel
+
+# Part of a variance of lines or pixels that neighbours may have more or less of it, and the standard errors beyond.
+MISFIT_SHARE, MISFIT_SD = 0.15, 4.0
+# Hot pixels that make a pattern.
+FEWEST_HOT = 3
+
+
+@dataclass(frozen=True)
+class NamedScatter:
+    """An effect that scatters."""
+
+    applied: AppliedEffect  # with its values
+    intervals: dict[str, Interval]  # of its parameters
+    z: float  # of its variance, or the root of its gain in −2 ln L
+    reasons: tuple[str, ...]  # against naming it; empty: it is named
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Standard deviation of what a random step draws."""
+
+    interval: Interval
+    z: float
+    reasons: tuple[str, ...]  # against it
+    grain_px: float = np.nan  # standard deviation of its correlation [px]
+
+
+def name_scatter(
+    effects: Sequence[Effect],
+    deviations: Mapping[tuple[Stage, Scope], Deviation],
+    hot_pixels: int,
+    scales: EffectScales,
+) -> list[NamedScatter]:
+    """Return the effects that stand for the deviations of random steps, by stage and scope."""
+    found = []
+    for effect in effects:
+        for variant, steps in effect.variants.items():
+            random = [step for step in steps if isinstance(step, RandomStep)]
+            is_measured = all((step.stage, step.scope) in deviations for step in random)
+            if random and len(random) == len(steps) and is_measured:
+                found.append(_name_steps(effect, variant, random, deviations, hot_pixels, scales))
+                break
+    return [named for named in found if named is not None]
+
+
+def _name_steps(
+    effect: Effect,
+    variant: Enum,
+    steps: Sequence[RandomStep],
+    deviations: Mapping[tuple[Stage, Scope], Deviation],
+    hot_pixels: int,
+    scales: EffectScales,
+) -> NamedScatter | None:
+    """Return the effect of some random steps; None if a parameter has no value."""
+    intervals: dict[str, Interval] = {}
+    z = 0.0
+    for step in steps:
+        deviation = deviations[step.stage, step.scope]
+        (name,) = keyword_names_of(step.quadrature)
+        intervals[name] = deviation.interval
+        z = max(z, deviation.z)
+        for extra in set(keyword_names_of(step.draw)) - {name}:
+            intervals[extra] = Interval.around(deviation.grain_px, np.nan)
+    strongest = max((deviations[step.stage, step.scope] for step in steps), key=lambda deviation: deviation.z)
+    counts = [p.name for p in effect.parameters if p.name not in intervals]
+    reasons = list(strongest.reasons) + (["z below the least"] if not z >= MIN_Z else [])
+    for name in counts:
+        intervals[name] = Interval.around(hot_pixels, np.sqrt(hot_pixels))
+    values = {name: interval.value for name, interval in intervals.items()}
+    if not np.isfinite(list(values.values())).all():
+        return None
+    applied = AppliedEffect(effect, variant, tuple(values[p.name] for p in effect.parameters))
+    if is_negligible_scatter(applied, scales):
+        reasons.append("negligible")
+    if counts and hot_pixels >= FEWEST_HOT:
+        reasons = []
+    return NamedScatter(applied, intervals, z, tuple(reasons))
+
+
+def is_negligible_scatter(applied: AppliedEffect, scales: EffectScales) -> bool:
+    """Return whether a user would call all deviations of an effect nothing."""
+    limits = [p.negligible(scales) if callable(p.negligible) else p.negligible for p in applied.effect.parameters]
+    return all(value < limit for value, limit in zip(applied.values, limits, strict=True) if limit > 0)
+
+
+def name_read_noise(
+    effects: Sequence[Effect], dark: DarkNoise, fitted: SensorModel, stated: SensorModel, scales: EffectScales
+) -> list[NamedScatter]:
+    """Return the effects of the read noise whose value dark pixels give."""
+    gain = stated.gain_dn_per_e
+    white = (gain * fitted.read_noise_e) ** 2 + dark.excess.value
+    stderr = dark.excess.stderr
+    for line in (dark.row, dark.column):
+        if line.value > MIN_Z * line.stderr:
+            white, stderr = white - line.value, float(np.hypot(stderr, line.stderr))
+    excess = white - (gain * stated.read_noise_e) ** 2
+    z, total = excess / stderr, float(np.sqrt(max(white, 0.0)) / gain)
+    reasons = [] if z >= MIN_Z else ["z below the least"]
+    shared = abs(dark.neighbour.value - dark.row.value)
+    if shared > MISFIT_SHARE * max(excess, 0.0) + MISFIT_SD * dark.neighbour.stderr:
+        reasons.append("neighbours share it: not white")
+    found = []
+    for effect in effects:
+        for variant, steps in effect.variants.items():
+            if [step.stage for step in steps] == [Stage.READ_NOISE] and isinstance(steps[0], Step):
+                applied = AppliedEffect(effect, variant, (total,))
+                interval = Interval.around(total, stderr / (2 * gain**2 * max(total, 1e-9)))
+                least = effect.parameters[0].negligible
+                is_small = total - stated.read_noise_e < (least(scales) if callable(least) else least)
+                found.append(NamedScatter(applied, {effect.parameters[0].name: interval}, z,
+                                          (*reasons, "negligible") if is_small else tuple(reasons)))  # fmt: skip
+    return found
+
+
+def deviation_of_field(field: FieldEstimate) -> Deviation:
+    """Return the standard deviation of a relative field."""
+    value = float(np.sqrt(max(field.variance, 0.0)))
+    interval = Interval.around(value, field.stderr / (2 * max(value, 1e-9)))
+    return Deviation(interval, field.variance / field.stderr, field.reasons, field.grain_px)
+
+
+def deviation_of_rows(dark: DarkNoise) -> Deviation:
+    """Return the standard deviation of rows."""
+    row = dark.row
+    value = float(np.sqrt(max(row.value, 0.0)))
+    reasons = []
+    if abs(dark.next_row.value) > MISFIT_SHARE * row.value + MISFIT_SD * dark.next_row.stderr:
+        reasons.append("rows share it with their neighbours")
+    if abs(dark.neighbour.value - row.value) > MISFIT_SHARE * row.value + MISFIT_SD * dark.neighbour.stderr:
+        reasons.append("not the same along a row")
+    if abs(dark.same_row.value) > MISFIT_SHARE * row.value:
+        reasons.append("the same in every frame")
+    return Deviation(
+        Interval.around(value, row.stderr / (2 * max(value, 1e-9))), row.value / row.stderr, tuple(reasons)
+    )
+
+
+def deviation_of_fluctuation(fluctuation: Fluctuation) -> Deviation:
+    """Return the standard deviation of a property of the spot."""
+    return Deviation(fluctuation.deviation, float(np.sqrt(max(fluctuation.gain, 0.0))), fluctuation.reasons)
