@@ -129,8 +129,8 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
         if model.grid is None:
             return information, gradient, deviance, squares
         sums = ShapeSums(model, at)
-        values = np.stack([at.light_score, *(at.light_equivalent(column) for column in columns)])
-        products = sums.products(values)
+        equivalents = np.array([at.light_equivalent(column) for column in columns]).reshape(-1, *used.shape)
+        products = np.column_stack([sums.score(), sums.products(equivalents)])
         band = sums.band() if has_new_factor else None
         of_spots = sums.products_of_spots() if has_new_factor else None
         return information, gradient, deviance, squares, products, band, of_spots
