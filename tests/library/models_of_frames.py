@@ -98,15 +98,15 @@ DEPARTURES = {
     ),
     "clip": Departure(
         DrawnLight(),
-        DrawnCamera(clip_dn=640.0),
+        DrawnCamera(clip_dn=450.0),
         # From above the light that is clipped, a fit leads away to where a clip does nothing.
-        apply_effect("saturation", "sharp", level=600.0),
-        {"level": 640.0},
+        apply_effect("saturation", "sharp", level=420.0),
+        {"level": 450.0},
     ),
     "pedestal": Departure(
         DrawnLight(pedestal_dn=0.6), DrawnCamera(), apply_effect("dark_offset", "light", level=1.0), {"level": 0.6}
     ),
-    "bend": Departure(DrawnLight(), DrawnCamera(bend=0.06), apply_effect("nonlinearity", q=0.02), {"q": 0.06}),
+    "bend": Departure(DrawnLight(), DrawnCamera(bend=0.1), apply_effect("nonlinearity", q=0.02), {"q": 0.1}),
 }
 
 

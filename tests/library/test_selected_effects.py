@@ -1,5 +1,7 @@
 """Selection of the effects of the mean image: on frames that numpy drew with one of them, and without any."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,13 +11,17 @@ from spotcheck.discrepancy.frames import thin_pixels
 from spotcheck.discrepancy.light_shape import fit_free_shape
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects
 from spotcheck.model.effects import vocabulary
+from tests.library import drawn_frames, models_of_frames
 from tests.library.drawn_frames import DrawnCamera, DrawnLight, draw_frames, lay_out
-from tests.library.models_of_frames import DEPARTURES, SCALES, fit_drawn
+from tests.library.models_of_frames import DEPARTURES, fit_drawn
 
 # Bound on the distance of one estimate from its truth in standard errors: two-sided 6.8e-6 for a normal estimate.
 LARGEST_Z = 4.5
 # Pixels on which candidates are ranked: these small frames have 17 000.
 RANKED_PIXELS = 8_000
+# Factor on the brightness: tables of readings up to 512 DN take half the time of those up to 1024 DN.
+PEAK_FACTOR = 0.7
+SCALES = replace(models_of_frames.SCALES, peak_dn=PEAK_FACTOR * drawn_frames.PEAK)
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +33,7 @@ def rank_on_fewer_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
 def select_on_drawn(light: DrawnLight, camera: DrawnCamera) -> SelectedEffects:
     """Return what is selected from all effects of the mean image on 6 drawn frames, beside the declared light shape or
     a free one."""
-    drawn = draw_frames(31, lay_out(angles_deg=(0.0, 60.0), repeats=1), light, camera)
+    drawn = draw_frames(32, lay_out(angles_deg=(0.0, 60.0), repeats=1), light, camera, PEAK_FACTOR)
     effects = [effect for effect in vocabulary().values() if changes_mean_image(effect)]
     declared = fit_drawn(drawn)
     return select_effects(declared, fit_free_shape(declared), effects, SCALES)

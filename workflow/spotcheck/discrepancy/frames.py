@@ -143,7 +143,10 @@ def select_pixels(frames: FrameSet, spots: FrameParameters) -> Pixels:
     outer = [-(-(size - near) // OUTER_STRIDE) for size, near in zip((rows, columns), inner, strict=True)]
     count = len(frames) * (inner[0] + outer[0]) * (inner[1] + outer[1])
     stride = max(int(np.ceil(np.sqrt(count / MOST_PIXELS))), 1)
-    y_index = [_axis_indices(spots.y[f] - frames.top[f], rows, inner[0], stride, f) for f in range(len(frames))]
+    # Offsets of rows and columns differ, so that together the frames show every pixel.
+    y_index = [
+        _axis_indices(spots.y[f] - frames.top[f], rows, inner[0], stride, f // OUTER_STRIDE) for f in range(len(frames))
+    ]
     x_index = [_axis_indices(spots.x[f] - frames.left[f], columns, inner[1], stride, f) for f in range(len(frames))]
     return _take_pixels(frames, *_equal_lengths(y_index), *_equal_lengths(x_index))
 
@@ -170,13 +173,12 @@ def thin_pixels(pixels: Pixels, count: int = THINNED_PIXELS) -> Pixels:
     return replace(thinned, share=pixels.share * thinned.count / max(pixels.count, 1))
 
 
-def _axis_indices(centre: float, size: int, inner: int, stride: int, frame: int) -> np.ndarray:
-    """Return indices along an axis: `inner` neighbours of the centre densely, the others sparsely."""
+def _axis_indices(centre: float, size: int, inner: int, stride: int, offset: int) -> np.ndarray:
+    """Return indices along an axis: `inner` neighbours of the centre densely, the others sparsely from an offset on."""
     start = int(np.clip(round(centre) - inner // 2, 0, size - inner))
     index = np.arange(size)
     is_inner = (index >= start) & (index < start + inner)
-    # The offset changes from frame to frame, so that together the frames show every row and column.
-    is_kept = np.where(is_inner, (index + frame) % stride == 0, (index + frame) % (OUTER_STRIDE * stride) == 0)
+    is_kept = np.where(is_inner, (index + offset) % stride == 0, (index + offset) % (OUTER_STRIDE * stride) == 0)
     return index[is_kept]
 
 

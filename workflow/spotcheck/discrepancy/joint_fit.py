@@ -172,8 +172,8 @@ def fit_jointly(
         decrement, of_effects = equations.decrements(step, fixed)
         dispersion = max(equations.dispersion, 1.0)
         has_converged = decrement < total_tolerance * dispersion and of_effects < tolerance * dispersion
-        is_hopeless = rival is not None and decrement < 0.01 * (rival - equations.deviance)
-        if has_converged or is_hopeless or count == iterations:
+        is_decided = rival is not None and decrement < 0.01 * (rival - equations.deviance)
+        if has_converged or is_decided or count == iterations:
             break
         moved, damping = _try_steps(model, pixels, equations, damping, fixed)
         if moved is None and age > 0:

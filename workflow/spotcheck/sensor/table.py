@@ -188,7 +188,8 @@ def tabulate_readings(distribution: ReadingDistribution, light_max: float) -> Re
     first_root, last_root = np.sqrt(dark_e + noise_e**2), np.sqrt(max(highest_e, dark_e + 1.0) + noise_e**2)
     step = 1 / (2 * NODES_PER_SD)
     root = first_root + step * np.arange(np.ceil((last_root - first_root) / step) + 1)
-    nodes = np.stack(distribution.moments(gain * (root**2 - first_root**2)))
+    # Squares of arrays and of numbers round differently, so that the first light could be below 0.
+    nodes = np.stack(distribution.moments(gain * np.maximum(root**2 - first_root**2, 0.0)))
     # Saturated nodes up to the light that was asked for: dark grains of such light are not saturated.
     farthest_e = max(min(light_max / gain + dark_e, MOST_SATURATION * highest_e), highest_e)
     saturated = max(math.ceil((np.sqrt(farthest_e + noise_e**2) - root[-1]) / step), 0)
