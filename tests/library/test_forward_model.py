@@ -42,7 +42,13 @@ CLIPPING = [of("black_clipping", "subtracted", threshold=3.5), of("black_clippin
 FIXED = [
     case.changed(**CHANGED.get(case.name, {})) for case in [*STEADY, SATURATION[3]] if case.name != "black_clipping"
 ]
-EVERY = [*FIXED, *CLIPPING, *(case.changed(**CHANGED.get(name, {})) for name, case in SCATTERED.items())]
+PARTIAL_GRAINS = of("speckle", "over a floor", contrast=0.4, grain=0.7, floor=0.3)
+EVERY = [
+    *FIXED,
+    *CLIPPING,
+    PARTIAL_GRAINS,
+    *(case.changed(**CHANGED.get(name, {})) for name, case in SCATTERED.items()),
+]
 
 
 def model_of(*cases, sensor=SENSOR, baseline=BASELINE, law=LAW) -> ForwardModel:
@@ -87,6 +93,7 @@ TOGETHER = {
     "nothing": [],
     "speckle and a clip at 0.6 of the peak": [of("speckle", contrast=0.5, grain=0.7), SATURATION[0].changed(level=213)],
     # A thousandth of the column in each row: `expected` leaves out how much smear scatters with the grains.
+    "partial grains and a clip": [PARTIAL_GRAINS, SATURATION[0].changed(level=213)],
     "speckle, pedestal and smear": [of("speckle", contrast=0.4, grain=0.7), of("dark_offset", "light", level=30.0),
                                     of("smear", fraction=0.02)],
     "speckle and gains of pixels": [of("speckle", contrast=0.4, grain=0.7), SCATTERED["fixed_pattern"]],

@@ -30,6 +30,7 @@ from spotcheck.discrepancy.named_scatter import (
 )
 from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
+from spotcheck.discrepancy.saturated_start import fit_saturated
 from spotcheck.discrepancy.scatter import DarkNoise, measure_dark_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects
 from spotcheck.discrepancy.validation import Prediction, predict_frames
@@ -114,8 +115,10 @@ def analyse_frames(
     scatter = measure_scatter(images, declared, hot_pixels)
     scales = scales_of(searched, declared.model, setting, images)
     mean_effects = [effect for effect in effects if changes_mean_image(effect)]
-    free = fit_free_shape(declared)
-    selected = select_effects(declared, free, mean_effects, scales, log)
+    baseline = fit_saturated(declared, searched, effects, scales)
+    log(f"first fit: {', '.join(baseline.model.effect_names) or 'no effect'}, converged {baseline.has_converged}")
+    free = fit_free_shape(baseline)
+    selected = select_effects(baseline, free, mean_effects, scales, log)
     shape = None
     if selected.fit.model.grid is not None:
         shape = explain_shape(selected.fit, mean_effects, scales, log)
@@ -129,11 +132,11 @@ def analyse_frames(
     named = name_all_scatter(effects, scatter, selected.fit, setting, scales, search)
     laws, rivals, law_fit = find_laws(search, [effect for effect in effects if is_law(effect)])
     before = search.fit([]) if selected.fit is declared else law_search(declared, setting, scales).fit([])
-    baseline = replace(setting.baseline, learned=selected.fit.model.forward.baseline.learned)
+    extended = replace(setting.baseline, learned=selected.fit.model.forward.baseline.learned)
     models = (
         ForwardModel(setting.baseline, setting.sensor, before.law),
-        ForwardModel(baseline, setting.sensor, search.fit([]).law, selected.fit.model.forward.effects),
-        ForwardModel(baseline, setting.sensor, law_fit.law, (*selected.fit.model.forward.effects, *law_fit.effects)),
+        ForwardModel(extended, setting.sensor, search.fit([]).law, selected.fit.model.forward.effects),
+        ForwardModel(extended, setting.sensor, law_fit.law, (*selected.fit.model.forward.effects, *law_fit.effects)),
     )
     unseen, at = frames.select(np.flatnonzero(is_held_out)), spots.select(np.flatnonzero(is_held_out))
     predictions = tuple(predict_frames(model, unseen, at) for model in models) if is_held_out.any() else ()

@@ -11,7 +11,7 @@ import numpy as np
 from spotcheck.discrepancy.frames import Design, FrameParameters, Pixels
 from spotcheck.discrepancy.normal_equations import NormalEquations, ShapePart, assemble
 from spotcheck.discrepancy.shape_grid import ShapeGrid
-from spotcheck.model.effect import AppliedEffect, EffectScales
+from spotcheck.model.effect import AppliedEffect, EffectScales, RandomStep, keyword_names_of
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
 
@@ -98,11 +98,15 @@ class JointModel:
         return replace(self, forward=replace(self.forward, effects=effects))
 
     def with_effect(self, applied: AppliedEffect, scales: EffectScales) -> "JointModel":
-        """Return the model with an effect whose parameters are fitted."""
+        """Return the model with an effect of which the parameters that moments of readings depend on are fitted."""
         bounds = dict(zip(applied.parameters, applied.effect.bounds(scales), strict=True))
+        used: set[str] = set()
+        for step in applied.effect.variants[applied.variant]:
+            used |= set(keyword_names_of(step.function))
+            used |= set(keyword_names_of(step.quadrature)) if isinstance(step, RandomStep) else set()
+        names = [parameter.name for parameter in applied.effect.parameters_of(applied.variant)]
         free = tuple(
-            FreeParameter(applied.effect.name, parameter.name, *map(float, bounds[parameter.name]))
-            for parameter in applied.effect.parameters_of(applied.variant)
+            FreeParameter(applied.effect.name, name, *map(float, bounds[name])) for name in names if name in used
         )
         forward = replace(self.forward, effects=(*self.forward.effects, applied))
         return replace(self, forward=forward, free=(*self.free, *free))

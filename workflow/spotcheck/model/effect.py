@@ -187,7 +187,7 @@ class Effect:
         Parameters
         ----------
         values : values by the names of parameters, each in its unit.
-        form : text of the variant in files; None if there is only one.
+        form : text of the variant in files; None if there is only one, or for the one without a text.
 
         Raises
         ------
@@ -195,7 +195,7 @@ class Effect:
             If there is no such variant, or if its parameters are others; the text says what would be right.
         """
         forms = [variant.value for variant in self.variants]
-        variant = self.variant_named(forms[0] if form is None and len(forms) == 1 else form)
+        variant = self.variant_named(forms[0] if form is None and len(forms) == 1 else form or "")
         if variant is None:
             remedy = f"it must be one of {', '.join(forms)}" if len(forms) > 1 else "leave it out"
             raise ValueError(f"the form of {self.name} is {form or 'missing'}; {remedy}")

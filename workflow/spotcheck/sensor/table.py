@@ -13,6 +13,8 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.special import gammainc
 
 from spotcheck.sensor.codes import MOST_ELECTRONS, compiled
 
@@ -39,6 +41,8 @@ GRAIN_STEP = 0.05
 LARGEST_GRAIN_STEP = 0.01
 # Probability of darker grains, which are left out.
 LEFT_OUT = 1e-9
+# Light [DN] from which on averages over grains are convolutions.
+FAINT_LIGHT = 0.05
 
 
 class ReadingMoments(NamedTuple):
@@ -150,31 +154,85 @@ class ReadingTable:
         the mean alone.
         """
         mixed = np.empty_like(self.nodes[:, : int(np.searchsorted(self.light, light_max)) + 2])
-        for k, light in enumerate(self.light[: mixed.shape[1]]):
-            at = self.moments(factor * light + pedestal_dn)
-            mean, slope = weight @ at.mean, weight @ (factor * at.mean_slope)
-            deviation, slope_deviation = at.mean - mean, factor * at.mean_slope - slope
-            variance = weight @ (at.variance + deviation**2)
-            variance_slope = weight @ (factor * at.variance_slope + 2 * deviation * slope_deviation)
-            mixed[:, k] = mean, variance, slope, variance_slope
+        light = self.light[: mixed.shape[1]]
+        steps = np.diff(np.log(factor))
+        if factor.size > 1 and np.ptp(steps) < 1e-9:
+            faint = light < FAINT_LIGHT
+            mixed[:, ~faint] = self._convolve(factor, weight, float(steps[0]), pedestal_dn, light[~faint])
+        else:
+            faint = np.ones(light.size, bool)
+        for k in np.flatnonzero(faint):
+            mixed[:, k] = _mix(self.moments(factor * light[k] + pedestal_dn), factor, weight)
         return replace(self, nodes=mixed, distribution=None)
+
+    def _convolve(
+        self, factor: np.ndarray, weight: np.ndarray, step: float, pedestal_dn: float, light: np.ndarray
+    ) -> np.ndarray:
+        """Return the moments of `with_random_factor` at light [4, light] for factors `step` apart in ln g.
+
+        A reading depends on the product of factor and light, so that averages are convolutions over ln L.
+        """
+        ln_light = np.arange(np.log(FAINT_LIGHT) - step, np.log(light[-1]) + 2 * step, step)
+        product = np.exp(ln_light[0] + np.log(factor[0]) + step * np.arange(ln_light.size + factor.size - 1))
+        at = self.moments(product + pedestal_dn)
+        powers = (at.mean, at.variance + at.mean**2, product * at.mean_slope,
+                  product * (at.variance_slope + 2 * at.mean * at.mean_slope))  # fmt: skip
+        mean, square, mean_slope, square_slope = (np.correlate(values, weight, "valid") for values in powers)
+        variance, variance_slope = square - mean**2, square_slope - 2 * mean * mean_slope
+        x = np.log(light)
+        return np.stack([
+            CubicHermiteSpline(ln_light, mean, mean_slope)(x),
+            CubicHermiteSpline(ln_light, variance, variance_slope)(x),
+            np.interp(x, ln_light, mean_slope) / light,
+            np.interp(x, ln_light, variance_slope) / light,
+        ])  # fmt: skip
+
+
+def _mix(at: ReadingMoments, factor: np.ndarray, weight: np.ndarray) -> tuple[float, float, float, float]:
+    """Return the moments of readings whose light is multiplied by a factor, from those at each factor."""
+    mean, slope = weight @ at.mean, weight @ (factor * at.mean_slope)
+    deviation, slope_deviation = at.mean - mean, factor * at.mean_slope - slope
+    variance = weight @ (at.variance + deviation**2)
+    variance_slope = weight @ (factor * at.variance_slope + 2 * deviation * slope_deviation)
+    return mean, variance, slope, variance_slope
 
 
 def grain_quadrature(*, contrast: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return factors g of granular light and their weights [node]: a gamma distribution of mean 1 and variance C².
+    """Return factors g of granular light and their weights [node], a gamma distribution of mean 1 and variance C².
 
-    Uniform in ln g, where the trapezoidal rule of a smooth density converges faster than any power of the step.
+    Nodes are uniform in ln g, where the trapezoidal rule of a smooth density converges faster than any power of the
+    step.
     """
     if contrast == 0:
         return np.ones(1), np.ones(1)
-    shape = contrast**-2.0
-    step = min(GRAIN_STEP * contrast, LARGEST_GRAIN_STEP)
+    shape = contrast**-2
     # For small g the density of ln g falls as g^shape; for large g as exp(−shape (g − 1 − ln g)).
-    lowest = np.log(LEFT_OUT) / shape - 6 * contrast
-    highest = np.log1p(8 * contrast + 25 * contrast**2)
-    ln_g = step * np.arange(np.floor(lowest / step), np.ceil(highest / step) + 1)
+    ln_g = _grain_nodes(contrast, np.log(LEFT_OUT) / shape - 6 * contrast)
     weight = np.exp(shape * (ln_g - np.expm1(ln_g)))
     return np.exp(ln_g), weight / weight.sum()
+
+
+def partial_grain_quadrature(*, contrast: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return factors g of granular light and their weights [node] if a part of the light, the floor, is in every pixel.
+
+    The rest follows a gamma distribution; g has mean 1 and variance C². Nodes have the probability of their cells,
+    since the density ends at the floor.
+    """
+    if contrast == 0 or floor == 0:
+        return grain_quadrature(contrast=contrast)
+    shape = ((1 - floor) / contrast) ** 2
+    ln_g = _grain_nodes(contrast, np.log(floor))
+    step = ln_g[1] - ln_g[0]
+    edges = np.exp(np.append(ln_g, ln_g[-1] + step) - step / 2)
+    weight = np.diff(gammainc(shape, shape * np.maximum(edges - floor, 0.0) / (1 - floor)))
+    return np.exp(ln_g), weight / weight.sum()
+
+
+def _grain_nodes(contrast: float, lowest: float) -> np.ndarray:
+    """Return nodes of ln g from its lowest value on."""
+    step = min(GRAIN_STEP * contrast, LARGEST_GRAIN_STEP)
+    highest = np.log1p(8 * contrast + 25 * contrast**2)
+    return step * np.arange(np.floor(lowest / step), np.ceil(highest / step) + 1)
 
 
 @lru_cache(maxsize=32)
