@@ -9,7 +9,9 @@ import pytest
 from spotcheck.discrepancy.evidence import invert_information
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
 from spotcheck.discrepancy.laws import LawSearch, SpotNumbers
-from spotcheck.discrepancy.validation import Gap, Prediction, predict_frames
+from spotcheck.discrepancy.nested_models import ValidatedChain
+from spotcheck.discrepancy.validation import FrameScatter, NestedModel, Prediction, predict_frames
+from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
@@ -72,7 +74,7 @@ def split_frames(drawn: DrawnFrames) -> tuple[DrawnFrames, FrameSet, FrameParame
 def predict(drawn: DrawnFrames, effects: tuple[AppliedEffect, ...] = (), laws: tuple[str, ...] = ()) -> Prediction:
     """Return how well a model that was fitted to two thirds of the frames predicts the others."""
     fitted, frames, start = split_frames(drawn)
-    return predict_frames(fit_law(fitted, effects, laws), frames, start)
+    return predict_frames(NestedModel("", fit_law(fitted, effects, laws)), frames, start)
 
 
 def is_right(prediction: Prediction) -> bool:
@@ -86,10 +88,10 @@ def is_wrong(prediction: Prediction) -> bool:
 
 
 @cache
-def plain_case() -> tuple[ForwardModel, FrameSet, FrameParameters, Prediction]:
+def plain_case() -> tuple[NestedModel, FrameSet, FrameParameters, Prediction]:
     """Return the model that was fitted to plain frames, the frames that are held out, and their prediction."""
     fitted, frames, start = split_frames(draw_frames(1, CONDITIONS))
-    model = fit_law(fitted, (), ())
+    model = NestedModel("", fit_law(fitted, (), ()))
     return model, frames, start, predict_frames(model, frames, start)
 
 
@@ -115,7 +117,11 @@ def test_effects_close_the_gap(name: str):
     assert is_wrong(without) and is_right(with_effect)
     assert with_effect.score < without.score and with_effect.rms_dn < without.rms_dn
     # What noise leaves of the gap is 2 deviations at most, of at least 10 that were open.
-    assert 0.8 < Gap(before=without, after=with_effect, by_effect={}).closed <= 1
+    name = departure.start.effect.name
+    chain = (NestedModel("", ForwardModel(BASELINE, SENSOR)), NestedModel(name, ForwardModel(BASELINE, SENSOR)))
+    validated = ValidatedChain(chain, (without, with_effect))
+    assert 0.8 < validated.closed <= 1 and validated.share_of(name) == pytest.approx(validated.closed)
+    assert validated.refuted() == () and ValidatedChain(chain, (with_effect, without)).refuted() == (name,)
 
 
 def follow_angle(conditions: Conditions) -> np.ndarray:
@@ -137,10 +143,44 @@ def test_laws_close_the_gap(factor, law: str):
     assert with_law.score < without.score
 
 
-def test_scatter_of_the_brightness_leaves_the_gap_open():
-    """Brightness that scatters by 1 % is predicted by no law: each frame's own brightness is not fitted."""
+def test_scatter_of_the_brightness_is_no_gap_once_it_is_known():
+    """Brightness that scatters by 1 % is predicted by no law. A model that knows of the scatter expects the gap."""
     factor = 1 + 0.01 * np.random.default_rng(9).standard_normal(len(CONDITIONS))
-    assert is_wrong(predict(draw_frames(43, CONDITIONS, peak_factor=factor)))
+    drawn = draw_frames(43, CONDITIONS, peak_factor=factor)
+    assert is_wrong(predict(drawn))
+    fitted, frames, start = split_frames(drawn)
+    model = fit_law(fitted, (), ())
+    known = predict_frames(NestedModel("", model, FrameScatter(brightness_sd=0.01)), frames, start)
+    # Twelve frames: their mean square scatters by 40 %.
+    assert known.left_open == 0 and known.floor > 1.5
+    assert known.score < predict_frames(NestedModel("", model), frames, start).score - 25
+
+
+def test_the_score_of_frames_that_scatter_is_exact():
+    """A model with rows and scatter of brightness has the −2 ln p of the multivariate normal distribution."""
+    drawn = draw_frames(44, lay_out(exposures_s=(9e-4,), repeats=6), DrawnLight(), DrawnCamera())
+    fitted, frames, start = split_frames(drawn)
+    model = fit_law(fitted, (), ())
+    frames = frames.select(np.array([0]))
+    start = start.select(np.array([0]))
+    alone = predict_frames(NestedModel("", model), frames, start)
+    by_rows = predict_frames(NestedModel("", model, FrameScatter(row_variance=0.3)), frames, start)
+    by_frame = predict_frames(NestedModel("", model, FrameScatter(brightness_sd=0.02)), frames, start)
+    peak, sigma = (np.exp(v[0]) for v in (alone.spots.log_peak, alone.spots.log_sigma))
+    y, x = np.mgrid[: frames.readings.shape[1], : frames.readings.shape[2]].astype(float)
+    x, y = x + frames.left[0] - alone.spots.x[0], y + frames.top[0] - alone.spots.y[0]
+    free = replace(model, law=None)
+    grid = PixelGrid(x[:1] + alone.spots.x[0], y[:, :1] + alone.spots.y[0], 10**4, 10**4)
+    at = FrameConditions(grid, alone.spots.x[0], alone.spots.y[0], 9e-4, 9e-4, 9e-4, 0.0, 0.5, peak, sigma)
+    expected = free.expected(at)
+    residual, weight = frames.readings[0] - expected.mean, 1 / expected.variance
+    spot = expected.mean - free.sensor.black_level_dn
+    # Woodbury for one row and one frame: ln det and quadratic form of V + c 1 1'.
+    rows = np.log1p(0.3 * weight.sum(1)) - 0.3 * (residual * weight).sum(1) ** 2 / (1 + 0.3 * weight.sum(1))
+    assert by_rows.score - alone.score == pytest.approx(rows.sum(), rel=2e-3)
+    information = 0.02**2 * np.sum(spot**2 * weight)
+    frame = np.log1p(information) - 0.02**2 * np.sum(spot * residual * weight) ** 2 / (1 + information)
+    assert by_frame.score - alone.score == pytest.approx(frame, rel=2e-2, abs=0.02)
 
 
 def test_centres_are_common_to_a_site():

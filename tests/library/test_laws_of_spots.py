@@ -30,7 +30,8 @@ def search_of(numbers: DrawnNumbers) -> LawSearch:
 
 def find_in(numbers: DrawnNumbers) -> tuple[list[NamedLaw], list[tuple[str, ...]], LawFit]:
     """Return the laws of drawn numbers, rivals and the fit, from all laws of the vocabulary."""
-    return find_laws(search_of(numbers), LAWS)
+    found = find_laws(search_of(numbers), LAWS)
+    return list(found.laws), list(found.rivals), found.fit
 
 
 def names_of(laws: list[NamedLaw]) -> list[str]:

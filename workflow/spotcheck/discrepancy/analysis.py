@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spotcheck.discrepancy.candidates import changes_mean_image
-from spotcheck.discrepancy.evidence import invert_information
 from spotcheck.discrepancy.fields import FieldEstimate, estimate_granular_light, estimate_pixel_gains, measure_fields
 from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
 from spotcheck.discrepancy.joint_fit import READ_NOISE_RANGE, FreeParameter, JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.laws import LawFit, LawSearch, NamedLaw, SpotNumbers, find_laws, is_law
+from spotcheck.discrepancy.laws import FoundLaws, LawSearch, find_laws, is_law, numbers_of_fit
 from spotcheck.discrepancy.light_shape import ShapeExplanation, explain_shape, fit_free_shape
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import (
@@ -28,12 +27,12 @@ from spotcheck.discrepancy.named_scatter import (
     name_read_noise,
     name_scatter,
 )
+from spotcheck.discrepancy.nested_models import LIGHT_SHAPE, FittedParts, ValidatedChain, build_chain, validate_chain
 from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import fit_saturated
 from spotcheck.discrepancy.scatter import DarkNoise, measure_dark_noise
-from spotcheck.discrepancy.selection import SelectedEffects, select_effects
-from spotcheck.discrepancy.validation import Prediction, predict_frames
+from spotcheck.discrepancy.selection import SelectedEffects, select_effects, withdraw_effects
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, EffectScales, Scope
 from spotcheck.model.forward import ForwardModel
@@ -75,18 +74,34 @@ class Scatter:
 
 
 @dataclass(frozen=True)
+class Prepared:
+    """Frames of a dataset with the fit of the declared model."""
+
+    frames: FrameSet  # that are searched
+    unseen: FrameSet  # held-out repeats, maybe none
+    unseen_spots: FrameParameters  # spots of these, from which fits start
+    hot_pixels: int  # number of hot pixels, which are masked
+    setting: Setting
+    declared: JointFit  # fit without effects
+    images: ResidualImages  # its residuals
+    scales: EffectScales
+
+
+@dataclass(frozen=True)
 class Analysis:
     """All that is concluded of a set of spot frames."""
 
-    declared: JointFit  # fit without effects
+    prepared: Prepared
     selected: SelectedEffects  # effects of the mean image
-    shape: ShapeExplanation | None  # what stands for a free light shape; None beside the declared one
-    scatter: Scatter  # scatter of pixels beside them
+    shaped: JointFit | None  # fit with a learned light shape and no other effect; None beside the declared shape
+    shape: ShapeExplanation | None  # what stands for the learned light shape
+    images: ResidualImages  # residuals of the final fit
+    scatter: Scatter  # scatter of pixels beside the effects
     named_scatter: tuple[NamedScatter, ...]  # effects that scatter
-    laws: tuple[NamedLaw, ...]  # laws of brightness and width
-    rivals: tuple[tuple[str, ...], ...]  # sets of laws that the frames cannot tell from these
-    law_fit: LawFit | None  # fit of the laws; None without a law of the exposure
-    predictions: tuple[Prediction, ...]  # of held-out frames: declared, with the effects, with the laws; maybe none
+    search: LawSearch | None  # of laws of brightness and width; None without a law of the exposure
+    laws: FoundLaws | None  # laws of brightness and width; None without a law of the exposure
+    validated: ValidatedChain | None  # predictions of held-out frames; None if there are none
+    withdrawn: tuple[str, ...] = ()  # effects with which held-out frames are predicted worse
 
 
 def analyse_frames(
@@ -107,40 +122,70 @@ def analyse_frames(
     log : callable
         Receives lines of text on the progress.
     """
-    frames, hot_pixels = mask_hot_pixels(frames, setting.sensor)
-    is_held_out = frames.held_out()
-    searched, start = frames.select(np.flatnonzero(~is_held_out)), spots.select(np.flatnonzero(~is_held_out))
-    declared = fit_declared(searched, start, setting)
-    images = measure_residuals(declared.model, searched)
-    scatter = measure_scatter(images, declared, hot_pixels)
-    scales = scales_of(searched, declared.model, setting, images)
+    prepared = prepare_frames(frames, spots, setting)
     mean_effects = [effect for effect in effects if changes_mean_image(effect)]
-    baseline = fit_saturated(declared, searched, effects, scales)
+    baseline = fit_saturated(prepared.declared, prepared.frames, effects, prepared.scales)
     log(f"first fit: {', '.join(baseline.model.effect_names) or 'no effect'}, converged {baseline.has_converged}")
     free = fit_free_shape(baseline)
-    selected = select_effects(baseline, free, mean_effects, scales, log)
-    shape = None
-    if selected.fit.model.grid is not None:
-        shape = explain_shape(selected.fit, mean_effects, scales, log)
-    if selected.fit is not declared:
-        images = measure_residuals(selected.fit.model, searched)
-        scatter = measure_scatter(images, selected.fit, hot_pixels)
-    if setting.baseline.photon_budget == "free":
-        named = name_all_scatter(effects, scatter, selected.fit, setting, scales, None)
-        return Analysis(declared, selected, shape, scatter, named, (), (), None, ())
-    search = law_search(selected.fit, setting, scales)
-    named = name_all_scatter(effects, scatter, selected.fit, setting, scales, search)
-    laws, rivals, law_fit = find_laws(search, [effect for effect in effects if is_law(effect)])
-    before = search.fit([]) if selected.fit is declared else law_search(declared, setting, scales).fit([])
-    extended = replace(setting.baseline, learned=selected.fit.model.forward.baseline.learned)
-    models = (
-        ForwardModel(setting.baseline, setting.sensor, before.law),
-        ForwardModel(extended, setting.sensor, search.fit([]).law, selected.fit.model.forward.effects),
-        ForwardModel(extended, setting.sensor, law_fit.law, (*selected.fit.model.forward.effects, *law_fit.effects)),
+    selected = select_effects(baseline, free, mean_effects, prepared.scales, log)
+    withdrawn: tuple[str, ...] = ()
+    while True:
+        analysis = examine(prepared, selected, free, [e for e in effects if e.name not in withdrawn], log)
+        refuted = analysis.validated.refuted() if analysis.validated else ()
+        log(f"refuted by held-out frames: {', '.join(refuted) or 'nothing'}")
+        if not set(refuted) - {LIGHT_SHAPE}:
+            return replace(analysis, withdrawn=withdrawn)
+        withdrawn = (*withdrawn, *(name for name in refuted if name != LIGHT_SHAPE))
+        selected = withdraw_effects(selected, withdrawn, prepared.scales, log)
+
+
+def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -> Prepared:
+    """Mask hot pixels, part held-out repeats, and fit the declared model."""
+    frames, hot_pixels = mask_hot_pixels(frames, setting.sensor)
+    is_unseen = frames.held_out()
+    seen, unseen = np.flatnonzero(~is_unseen), np.flatnonzero(is_unseen)
+    searched = frames.select(seen)
+    declared = fit_declared(searched, spots.select(seen), setting)
+    images = measure_residuals(declared.model, searched)
+    scales = scales_of(searched, declared.model, setting, images)
+    parts = (searched, frames.select(unseen), spots.select(unseen))
+    return Prepared(*parts, hot_pixels, setting, declared, images, scales)
+
+
+def examine(
+    prepared: Prepared, selected: SelectedEffects, free: JointFit, effects: Sequence[Effect], log: Log
+) -> Analysis:
+    """Return scatter, laws and validation beside the effects of the mean image."""
+    fit, setting, scales = selected.fit, prepared.setting, prepared.scales
+    static = [effect for effect in effects if changes_mean_image(effect)]
+    has_shape = fit.model.grid is not None
+    shape = explain_shape(fit, static, scales, log) if has_shape else None
+    images = prepared.images if fit is prepared.declared else measure_residuals(fit.model, prepared.frames)
+    scatter = measure_scatter(images, fit, prepared.hot_pixels)
+    search = None
+    if setting.baseline.photon_budget != "free":
+        search = LawSearch(numbers_of_fit(fit), ForwardModel(setting.baseline, setting.sensor), scales)
+    named = name_all_scatter(effects, scatter, fit, setting, scales, search)
+    analysis = Analysis(
+        prepared, selected, free if has_shape else None, shape, images, scatter, named, search, None, None
     )
-    unseen, at = frames.select(np.flatnonzero(is_held_out)), spots.select(np.flatnonzero(is_held_out))
-    predictions = tuple(predict_frames(model, unseen, at) for model in models) if is_held_out.any() else ()
-    return Analysis(declared, selected, shape, scatter, named, tuple(laws), tuple(rivals), law_fit, predictions)
+    if search is None:
+        return analysis
+    found = find_laws(search, [effect for effect in effects if is_law(effect)])
+    analysis = replace(analysis, laws=found)
+    if len(prepared.unseen) == 0:
+        return analysis
+    parts = FittedParts(
+        declared=prepared.declared,
+        shaped=analysis.shaped,
+        final=fit,
+        search=search,
+        laws=tuple(law for law in found.laws if not law.reasons),
+        scatter=tuple(scattered for scattered in named if not scattered.reasons),
+        images=images,
+        scales=scales,
+    )
+    return replace(analysis, validated=validate_chain(build_chain(parts), prepared.unseen, prepared.unseen_spots))
 
 
 def fit_declared(frames: FrameSet, spots: FrameParameters, setting: Setting) -> JointFit:
@@ -198,14 +243,6 @@ def scales_of(frames: FrameSet, model: JointModel, setting: Setting, images: Res
         waves=waves,
         copies=copies,
     )
-
-
-def law_search(fit: JointFit, setting: Setting, scales: EffectScales) -> LawSearch:
-    """Return the search for laws on the spots of a fit."""
-    spots = 4 * fit.equations.frames
-    covariance = invert_information(fit.equations.information)[:spots, :spots]
-    numbers = SpotNumbers(fit.model.design, fit.model.spots, covariance)
-    return LawSearch(numbers, ForwardModel(setting.baseline, setting.sensor), scales)
 
 
 def name_all_scatter(

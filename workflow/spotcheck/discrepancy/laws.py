@@ -5,8 +5,9 @@ V = C + components of frame and site in brightness and width, estimated beside a
 of angle and exposure), so that no missing law can hide in them. Sets of laws are compared by χ² at this one V.
 """
 
+import copy
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,8 +16,9 @@ from scipy import special, stats
 
 from spotcheck.discrepancy.candidates import SPOT_STAGES
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, LAW_TIE, MIN_GAIN, MIN_Z, VARIANT_TIE
-from spotcheck.discrepancy.evidence import is_negligible
+from spotcheck.discrepancy.evidence import invert_information, is_negligible
 from spotcheck.discrepancy.frames import Design, FrameParameters
+from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.mixed_model import Interval, fit_reml
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, Need, RandomStep
@@ -73,6 +75,13 @@ class SpotNumbers:
         return self.covariance[np.ix_(index, index)]
 
 
+def numbers_of_fit(fit: JointFit) -> SpotNumbers:
+    """Return brightness and width of the spots of a fit with the covariance that its information gives."""
+    spots = 4 * fit.equations.frames
+    covariance = invert_information(fit.equations.information)[:spots, :spots]
+    return SpotNumbers(fit.model.design, fit.model.spots, covariance)
+
+
 @dataclass(frozen=True)
 class LawFit:
     """A fitted set of laws."""
@@ -105,8 +114,7 @@ class LawSearch:
         self.numbers, self.scales = numbers, scales
         self.forward = replace(forward, effects=())
         self.design, self.frames = numbers.design, len(numbers.spots.x)
-        self.observations = numbers.observations
-        self.noise = numbers.covariance_of(0, 1)
+        self.observations, self.noise = numbers.observations, numbers.covariance_of(0, 1)
         self.conditions = spot_conditions(self.design)
         self.levels = _one_hot(self.design.exposure_s)
         self.factors = {
@@ -116,12 +124,23 @@ class LawSearch:
         }
         self.components = self._needed_components()
         self.variances = fit_reml(self.observations, self.saturated_mean, self.noise, self.components)
+        self._whiten()
+
+    def _whiten(self) -> None:
+        """Set the inverse of the covariance of the observations, and its root."""
         total = self.noise + sum(
             (v * m for v, m in zip(self.variances.variance, self.components.values(), strict=True)),
             np.zeros_like(self.noise),
         )
         self.inverse = np.linalg.inv(total)
         self.whitening = np.linalg.cholesky(self.inverse).T
+
+    def with_numbers(self, numbers: SpotNumbers) -> "LawSearch":
+        """Return the search on other numbers of the same frames, beside the same variances of frames and sites."""
+        other = copy.copy(self)
+        other.numbers, other.observations, other.noise = numbers, numbers.observations, numbers.covariance_of(0, 1)
+        other._whiten()
+        return other
 
     # Variance components.
 
@@ -368,17 +387,27 @@ class LawSearch:
         return with_levels - alone, rank - rank_alone
 
 
-def find_laws(search: LawSearch, effects: Sequence[Effect]) -> tuple[list[NamedLaw], list[tuple[str, ...]], LawFit]:
-    """Return the laws of the best set, the names of sets that the frames cannot tell from it, and its fit."""
+@dataclass(frozen=True)
+class FoundLaws:
+    """The best set of laws of some frames."""
+
+    fit: LawFit  # its fit
+    laws: tuple[NamedLaw, ...]  # its laws
+    rivals: Mapping[tuple[str, ...], float]  # sets that the frames cannot tell from it: how much larger χ² is
+
+
+def find_laws(search: LawSearch, effects: Sequence[Effect]) -> FoundLaws:
+    """Return the best set of laws, and the sets that the frames cannot tell from it."""
     best, rivals, fits = search.select(effects)
     names = tuple(sorted(effect.name for effect in best))
     fit = fits[names]
-    found = []
+    laws = []
     for applied in fit.effects:
         rest = tuple(name for name in names if name != applied.effect.name)
         gain = fits[rest].chi2 - fit.chi2 if rest in fits else np.nan
-        found.append(search.judge(applied, fit, gain))
-    return found, [tuple(effect.name for effect in laws) for laws in rivals], fit
+        laws.append(search.judge(applied, fit, gain))
+    keys = [tuple(sorted(effect.name for effect in effects)) for effects in rivals]
+    return FoundLaws(fit, tuple(laws), {key: fits[key].chi2 - fit.chi2 for key in keys})
 
 
 def upper_tail_z(log_p: float) -> float:

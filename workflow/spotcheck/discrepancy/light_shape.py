@@ -42,6 +42,7 @@ class ShapeExplanation:
     covariance: np.ndarray  # of their fitted parameters, in the order of `names`
     names: tuple[tuple[str, str], ...]  # (effect, parameter)
     rms: float  # rms of the shape [peak]
+    drops: tuple[float, ...] = ()  # drop of −2 ln L by each effect
 
 
 def fit_free_shape(declared: JointFit) -> JointFit:
@@ -96,12 +97,14 @@ def explain_shape(
     declared = fit_jointly(without_shape(fixed), thin, tolerance=EVIDENCE_TOLERANCE)
     evidence = measure_evidence(declared, free)
     none = ShapeExplanation((), np.zeros((0, 0)), (), evidence.rms)
+    drops: list[float] = []
     fit, static = declared, [effect for effect in effects if effect.is_static_shape]
     for least_share in EXPLAINED_STEPS:
         absent = [effect for effect in static if effect.name not in fit.model.effect_names]
         best = add_static_effect(fit, absent, scales)
         if best is None:
             return none
+        drops.append((fit.deviance - best.deviance) * final.pixels.share / thin.share)
         fit = best
         share = (declared.deviance - fit.deviance) / max(evidence.drop, 1e-300)
         log(f"  static {', '.join(fit.model.effect_names)}: {100 * share:.1f} % of the free shape")
@@ -113,7 +116,7 @@ def explain_shape(
             # Errors of the fit to all pixels.
             covariance = estimate_covariance(fit)[np.ix_(index, index)] * thin.share / final.pixels.share
             parameters = tuple((fit.model.free[k].effect, fit.model.free[k].name) for k in index)
-            return ShapeExplanation(applied, covariance, parameters, evidence.rms)
+            return ShapeExplanation(applied, covariance, parameters, evidence.rms, tuple(drops))
         if share < least_share:
             return none
     return none

@@ -34,6 +34,12 @@ class NamedScatter:
     intervals: dict[str, Interval]  # of its parameters
     z: float  # of its variance, or the root of its gain in −2 ln L
     reasons: tuple[str, ...]  # against naming it; empty: it is named
+    grain_px: float = np.nan  # standard deviation of the correlation of a field [px]; NaN if there is none
+
+    @staticmethod
+    def parameter_of(step: RandomStep) -> str:
+        """Return the parameter that is the standard deviation of what a step draws."""
+        return keyword_names_of(step.quadrature)[0]
 
 
 @dataclass(frozen=True)
@@ -77,25 +83,25 @@ def _name_steps(
     z = 0.0
     for step in steps:
         deviation = deviations[step.stage, step.scope]
-        (name,) = keyword_names_of(step.quadrature)
+        name = NamedScatter.parameter_of(step)
         intervals[name] = deviation.interval
         z = max(z, deviation.z)
         for extra in set(keyword_names_of(step.draw)) - {name}:
             intervals[extra] = Interval.around(deviation.grain_px, np.nan)
     strongest = max((deviations[step.stage, step.scope] for step in steps), key=lambda deviation: deviation.z)
-    counts = [p.name for p in effect.parameters if p.name not in intervals]
+    counts = [p.name for p in effect.parameters_of(variant) if p.name not in intervals]
     reasons = list(strongest.reasons) + (["z below the least"] if not z >= MIN_Z else [])
     for name in counts:
         intervals[name] = Interval.around(hot_pixels, np.sqrt(hot_pixels))
     values = {name: interval.value for name, interval in intervals.items()}
     if not np.isfinite(list(values.values())).all():
         return None
-    applied = AppliedEffect(effect, variant, tuple(values[p.name] for p in effect.parameters))
+    applied = AppliedEffect(effect, variant, tuple(values.get(p.name, np.nan) for p in effect.parameters))
     if is_negligible_scatter(applied, scales):
         reasons.append("negligible")
     if counts and hot_pixels >= FEWEST_HOT:
         reasons = []
-    return NamedScatter(applied, intervals, z, tuple(reasons))
+    return NamedScatter(applied, intervals, z, tuple(reasons), strongest.grain_px)
 
 
 def is_negligible_scatter(applied: AppliedEffect, scales: EffectScales) -> bool:

@@ -1,7 +1,7 @@
 """Selection of the effects of the mean image: forward by score tests and refits, backward by the tests of fits."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -46,6 +46,18 @@ class SelectedEffects:
     fit: JointFit  # fit to all pixels
     covariance: np.ndarray  # of the fitted parameters of sensor and effects
     tests: dict[str, EffectTest]  # by effect
+    rivals: Mapping[
+        str, Mapping[str, float]
+    ]  # by effect: others in its place, and how much larger −2 ln L is with them
+
+
+@dataclass(frozen=True)
+class SelectionStep:
+    """A fit on the way of the forward selection."""
+
+    fit: JointFit  # with the effects so far
+    gain: float  # drop of −2 ln L by the last of them; NaN if unknown
+    rivals: Mapping[str, float] = field(default_factory=dict)  # effects that do as well as the last one
 
 
 def select_effects(
@@ -88,27 +100,27 @@ def select_effects(
 
 def select_forward(
     fit: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log, shape: ShapeEvidence | None = None
-) -> list[tuple[JointFit, float]] | None:
-    """Return the fits from none to the last effect, each with the drop of −2 ln L by its last effect.
+) -> list[SelectionStep] | None:
+    """Return the steps from no effect to the last one.
 
     `shape` is the evidence for a free shape without effects; with it, the result is None if no effect takes enough of
     what a free shape takes.
     """
-    thin, path = thin_pixels(fit.pixels), [(fit, np.nan)]
+    thin, path = thin_pixels(fit.pixels), [SelectionStep(fit, np.nan)]
     for number in range(MOST_EFFECTS):
-        present = path[-1][0]
+        present = path[-1].fit
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
         shape_drop = 0.0
         if shape is not None:
             shape_drop = shape.drop if number == 0 else measure_shape_drop(present, thin)
         best = add_best_effect(present, absent, thin, scales, log)
-        gain = 0.0 if best is None else present.deviance - best.deviance
+        gain = 0.0 if best is None else best.gain
         if gain < SHAPE_SHARES[min(number, len(SHAPE_SHARES) - 1)] * shape_drop:
             log(f"a free shape takes {shape_drop:.0f}, the best effect {gain:.0f}: not the declared light")
             return None
         if best is None:
             break
-        path.append((best, gain))
+        path.append(best)
     return path
 
 
@@ -120,8 +132,8 @@ def measure_shape_drop(present: JointFit, thin: Pixels) -> float:
 
 def add_best_effect(
     present: JointFit, effects: Sequence[Effect], thin: Pixels, scales: EffectScales, log: Log
-) -> JointFit | None:
-    """Return the fit with the effect that gains most, or None if none gains enough."""
+) -> SelectionStep | None:
+    """Return the step with the effect that gains most, or None if none gains enough."""
     ratio = present.pixels.count / thin.count
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
     candidates = screen_candidates(thinned, list_starts(effects, scales))
@@ -131,6 +143,7 @@ def add_best_effect(
     refits = refit_candidates(thinned, candidates, ratio, scales, log)
     best: JointFit | None = None
     best_value, best_place = -np.inf, -1
+    values: dict[str, float] = {}
     for refit in refits[:MOST_FULL_FITS]:
         name = refit.candidate.start.effect.name
         if refit.value < least_gain(present.model) / 2 or is_negligible(refit.model.effect_named(name), scales):
@@ -147,10 +160,15 @@ def add_best_effect(
             continue
         if is_negligible(full.model.effect_named(name), scales):
             continue
+        values[name] = max(value, values.get(name, -np.inf))
         is_tied = best is not None and name == best.model.effect_names[-1] and abs(value - best_value) < VARIANT_TIE
         if refit.candidate.place < best_place if is_tied else value > best_value:
             best, best_value, best_place = full, value, refit.candidate.place
-    return best
+    if best is None:
+        return None
+    behind = {name: best_value - value for name, value in values.items() if name != best.model.effect_names[-1]}
+    rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
+    return SelectionStep(best, present.deviance - best.deviance, rivals)
 
 
 def price_of(candidate: Candidate) -> float:
@@ -202,11 +220,12 @@ def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scale
     return Refit(candidate, fit.model, drop - price_of(candidate))
 
 
-def eliminate_backward(path: Sequence[tuple[JointFit, float]], scales: EffectScales, log: Log) -> SelectedEffects:
+def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log: Log) -> SelectedEffects:
     """Remove effects that fail their test, the worst first, until all pass."""
     path = list(path)
+    rivals = {step.fit.model.effect_names[-1]: step.rivals for step in path if step.rivals}
     while True:
-        fit, gain = path[-1]
+        fit, gain = path[-1].fit, path[-1].gain
         covariance = estimate_covariance(fit)
         names = fit.model.effect_names
         known = gain if len(names) == 1 and np.isfinite(gain) else None
@@ -216,12 +235,25 @@ def eliminate_backward(path: Sequence[tuple[JointFit, float]], scales: EffectSca
                 f" limit {test.limit:.0f} {'passes' if test.passes else 'FAILS'}")  # fmt: skip
         failed = {name: test.badness for name, test in tests.items() if not test.passes}
         if not failed:
-            return SelectedEffects(fit, covariance, tests)
+            return SelectedEffects(fit, covariance, tests, {name: rivals[name] for name in names if name in rivals})
         worst = max(failed, key=lambda name: failed[name])
         if worst == names[-1] and len(path) > 1:
             path.pop()
         else:
-            path = [(fit_jointly(fit.model.without_effect(worst), fit.pixels), np.nan)]
+            path = [SelectionStep(fit_jointly(fit.model.without_effect(worst), fit.pixels), np.nan)]
+
+
+def withdraw_effects(
+    selected: SelectedEffects, names: Sequence[str], scales: EffectScales, log: Log
+) -> SelectedEffects:
+    """Return the selection without some effects, those that are left fitted and tested anew."""
+    model = selected.fit.model
+    present = [name for name in names if name in model.effect_names]
+    if not present:
+        return selected
+    for name in present:
+        model = model.without_effect(name)
+    return eliminate_backward([SelectionStep(fit_jointly(model, selected.fit.pixels), np.nan)], scales, log)
 
 
 def _text(start: AppliedEffect) -> str:
