@@ -4,19 +4,20 @@
 image. 4. Scatter again, beside them. 5. Laws of brightness and width. 6. Held-out repeats.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from spotcheck.discrepancy.candidates import changes_mean_image
+from spotcheck.discrepancy.criteria import MIN_Z
 from spotcheck.discrepancy.fields import FieldEstimate, estimate_granular_light, estimate_pixel_gains, measure_fields
 from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
-from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
+from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
 from spotcheck.discrepancy.joint_fit import READ_NOISE_RANGE, FreeParameter, JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import FoundLaws, LawSearch, find_laws, is_law, numbers_of_fit
-from spotcheck.discrepancy.light_shape import ShapeExplanation, explain_shape, fit_free_shape
+from spotcheck.discrepancy.light_shape import ShapeExplanation, explain_shape
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import (
     Deviation,
@@ -26,13 +27,15 @@ from spotcheck.discrepancy.named_scatter import (
     deviation_of_rows,
     name_read_noise,
     name_scatter,
+    white_noise,
 )
 from spotcheck.discrepancy.nested_models import LIGHT_SHAPE, FittedParts, ValidatedChain, build_chain, validate_chain
 from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
-from spotcheck.discrepancy.saturated_start import fit_saturated
+from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
 from spotcheck.discrepancy.scatter import DarkNoise, measure_dark_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects, withdraw_effects
+from spotcheck.discrepancy.validation import correlated_area, is_field
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, EffectScales, Scope
 from spotcheck.model.forward import ForwardModel
@@ -41,6 +44,8 @@ from spotcheck.sensor import SensorModel
 
 # Rank of the reading of a frame that counts as its brightest: hot pixels do not.
 BRIGHT_RANK = 40
+# Factor by which a fitted gain may differ from the stated one.
+GAIN_FACTOR = 2.0
 # Relative step of the read noise in the slope of the variance of dark readings.
 NOISE_STEP = 0.01
 
@@ -61,6 +66,7 @@ class Setting:
     baseline: Baseline  # declared model of the light
     sensor: SensorModel  # stated sensor
     crop_px: float  # side of the crops [px]
+    stderr: Mapping[str, float] = field(default_factory=dict)  # standard errors of fields of the sensor, if stated
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,6 @@ class Analysis:
 
     prepared: Prepared
     selected: SelectedEffects  # effects of the mean image
-    shaped: JointFit | None  # fit with a learned light shape and no other effect; None beside the declared shape
     shape: ShapeExplanation | None  # what stands for the learned light shape
     images: ResidualImages  # residuals of the final fit
     scatter: Scatter  # scatter of pixels beside the effects
@@ -124,13 +129,14 @@ def analyse_frames(
     """
     prepared = prepare_frames(frames, spots, setting)
     mean_effects = [effect for effect in effects if changes_mean_image(effect)]
-    baseline = fit_saturated(prepared.declared, prepared.frames, effects, prepared.scales)
+    baseline = fit_saturated(prepared.declared, replace(prepared.frames, light_field=None), effects, prepared.scales)
+    if baseline is not prepared.declared:
+        baseline = fit_with_field(baseline, prepared.frames)
     log(f"first fit: {', '.join(baseline.model.effect_names) or 'no effect'}, converged {baseline.has_converged}")
-    free = fit_free_shape(baseline)
-    selected = select_effects(baseline, free, mean_effects, prepared.scales, log)
+    selected = select_effects(baseline, mean_effects, prepared.scales, log)
     withdrawn: tuple[str, ...] = ()
     while True:
-        analysis = examine(prepared, selected, free, [e for e in effects if e.name not in withdrawn], log)
+        analysis = examine(prepared, selected, [e for e in effects if e.name not in withdrawn], log)
         refuted = analysis.validated.refuted() if analysis.validated else ()
         log(f"refuted by held-out frames: {', '.join(refuted) or 'nothing'}")
         if not set(refuted) - {LIGHT_SHAPE}:
@@ -147,28 +153,29 @@ def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -
     searched = frames.select(seen)
     declared = fit_declared(searched, spots.select(seen), setting)
     images = measure_residuals(declared.model, searched)
+    light_field = find_light_field(images, declared)
+    if light_field is not None:
+        searched = replace(searched, light_field=light_field)
+        declared = fit_declared(searched, declared.model.spots, setting)
+        images = measure_residuals(declared.model, searched)
     scales = scales_of(searched, declared.model, setting, images)
     parts = (searched, frames.select(unseen), spots.select(unseen))
     return Prepared(*parts, hot_pixels, setting, declared, images, scales)
 
 
-def examine(
-    prepared: Prepared, selected: SelectedEffects, free: JointFit, effects: Sequence[Effect], log: Log
-) -> Analysis:
+def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Effect], log: Log) -> Analysis:
     """Return scatter, laws and validation beside the effects of the mean image."""
     fit, setting, scales = selected.fit, prepared.setting, prepared.scales
     static = [effect for effect in effects if changes_mean_image(effect)]
-    has_shape = fit.model.grid is not None
-    shape = explain_shape(fit, static, scales, log) if has_shape else None
+    shape = explain_shape(fit, static, scales, log) if fit.model.grid is not None else None
     images = prepared.images if fit is prepared.declared else measure_residuals(fit.model, prepared.frames)
     scatter = measure_scatter(images, fit, prepared.hot_pixels)
     search = None
     if setting.baseline.photon_budget != "free":
-        search = LawSearch(numbers_of_fit(fit), ForwardModel(setting.baseline, setting.sensor), scales)
+        sensor = replace(fit.model.forward.sensor, read_noise_e=setting.sensor.read_noise_e)
+        search = LawSearch(numbers_of_fit(fit), ForwardModel(setting.baseline, sensor), scales)
     named = name_all_scatter(effects, scatter, fit, setting, scales, search)
-    analysis = Analysis(
-        prepared, selected, free if has_shape else None, shape, images, scatter, named, search, None, None
-    )
+    analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)
     if search is None:
         return analysis
     found = find_laws(search, [effect for effect in effects if is_law(effect)])
@@ -177,7 +184,7 @@ def examine(
         return analysis
     parts = FittedParts(
         declared=prepared.declared,
-        shaped=analysis.shaped,
+        shaped=selected.shaped,
         final=fit,
         search=search,
         laws=tuple(law for law in found.laws if not law.reasons),
@@ -190,11 +197,51 @@ def examine(
 
 def fit_declared(frames: FrameSet, spots: FrameParameters, setting: Setting) -> JointFit:
     """Return the fit of the declared model; the read noise is a nuisance parameter."""
-    noise = setting.sensor.read_noise_e
-    free = FreeParameter("", "read_noise_e", READ_NOISE_RANGE[0] * noise, READ_NOISE_RANGE[1] * noise)
     baseline = replace(setting.baseline, photon_budget="free")
-    model = JointModel(ForwardModel(baseline, setting.sensor), spots, frames.design, (free,))
+    model = JointModel(ForwardModel(baseline, setting.sensor), spots, frames.design, free_sensor_parameters(setting))
     return fit_jointly(model, select_pixels(frames, spots))
+
+
+def free_sensor_parameters(setting: Setting) -> tuple[FreeParameter, ...]:
+    """Return the fitted numbers of the sensor: the read noise, and gain and black level if they have stated errors."""
+    noise = setting.sensor.read_noise_e
+    free = [FreeParameter("", "read_noise_e", READ_NOISE_RANGE[0] * noise, READ_NOISE_RANGE[1] * noise)]
+    for name in ("gain_dn_per_e", "black_level_dn"):
+        stated, stderr = getattr(setting.sensor, name), setting.stderr.get(name, 0.0)
+        if stderr > 0:
+            low = stated / GAIN_FACTOR if name == "gain_dn_per_e" else -np.inf
+            high = stated * GAIN_FACTOR if name == "gain_dn_per_e" else np.inf
+            free.append(FreeParameter("", name, low, high, stated, stderr))
+    return tuple(free)
+
+
+def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None:
+    """Return the granular light that the residuals of a fit show; None if they show none.
+
+    With its part φ of the variance of a reading and the area a of its correlation [px], sums of residuals have
+    1 + (a − 1) φ times the variance of independent ones; φ is its mean over the information on the light. A field that
+    is in the distribution of a reading adds no further variance.
+    """
+    grains = estimate_granular_light(measure_fields(images))
+    if grains.reasons or not grains.variance > MIN_Z * grains.stderr:
+        return None
+    is_in_model = any(is_field(applied) for applied in fit.model.forward.effects)
+    variance = grains.variance * images.spot**2
+    total = 1 / np.where(images.weight > 0, images.weight, np.inf) + (0.0 if is_in_model else variance)
+    information = np.divide(images.spot**2, total, out=np.zeros_like(variance), where=total > 0)
+    share = np.divide(variance, total, out=np.zeros_like(variance), where=total > 0)
+    mean_share = min(float(np.sum(share * information) / np.sum(information)), 1.0)
+    dispersion = 1 + (correlated_area(grains.grain_px) - 1) * mean_share
+    return LightField(np.zeros_like(variance) if is_in_model else variance, dispersion)
+
+
+def fit_with_field(saturated: JointFit, frames: FrameSet) -> JointFit:
+    """Return the fit of a clip with the granular light that its residuals show."""
+    light_field = find_light_field(measure_residuals(saturated.model, frames), saturated)
+    if light_field is None:
+        return saturated
+    pixels = select_pixels(replace(frames, light_field=light_field), saturated.model.spots)
+    return fit_jointly(saturated.model, pixels, tolerance=1.0, iterations=FIRST_ITERATIONS)
 
 
 def measure_scatter(images: ResidualImages, fit: JointFit, hot_pixels: int) -> Scatter:
@@ -261,7 +308,9 @@ def name_all_scatter(
     found = []
     if scatter.dark is not None:
         deviations[Stage.ROW_NOISE_AND_HOT_PIXELS, Scope.FRAME] = deviation_of_rows(scatter.dark)
-        found += name_read_noise(effects, scatter.dark, fit.model.forward.sensor, setting.sensor, scales)
+        stderr = setting.stderr.get("read_noise_e", 0.0)
+        noise = white_noise(scatter.dark, fit.model.forward.sensor, setting.sensor, stderr)
+        found += name_read_noise(effects, noise, setting.sensor, scales)
     if search is not None:
         components, jitter = measure_components(search), measure_jitter(search)
         for name, key in COMPONENTS.items():

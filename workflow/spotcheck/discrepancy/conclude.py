@@ -1,24 +1,155 @@
 """Findings of an analysis of spot frames: which effects are named, how large they are, and how far the gap closes."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from spotcheck.discrepancy.analysis import Analysis
+from spotcheck.discrepancy.advice import PresentFits, advise
+from spotcheck.discrepancy.analysis import Analysis, measure_scatter
+from spotcheck.discrepancy.criteria import CLEAR_ERRORS
+from spotcheck.discrepancy.detection import deviate_test, measure_rms, measure_unexplained, test_residuals
 from spotcheck.discrepancy.findings import (
     Consistency,
+    Findings,
     Gap,
     LawShift,
+    LearnedLight,
     NamedEffect,
     ParameterValue,
+    ResidualTest,
+    SensorPull,
+    Unexplained,
 )
 from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.laws import LawFit, NamedLaw, numbers_of_fit
-from spotcheck.discrepancy.named_scatter import NamedScatter
+from spotcheck.discrepancy.learned_light import describe_light, is_below_zero
+from spotcheck.discrepancy.limits import find_limits, list_not_assessed
+from spotcheck.discrepancy.metric_changes import compare_metrics
+from spotcheck.discrepancy.named_scatter import NamedScatter, white_noise
 from spotcheck.discrepancy.nested_models import LIGHT_SHAPE
+from spotcheck.discrepancy.places import KnownScatter, find_places
+from spotcheck.discrepancy.residual_sums import sum_residuals
+from spotcheck.discrepancy.validation import is_field
+from spotcheck.discrepancy.verdict import LEARNED_SHAPE
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep, Scope
+from spotcheck.model.stage import Stage
 
 HELD_OUT = "held-out repeats"
+# Units of the numbers of a data sheet.
+SENSOR_UNITS = {"gain_dn_per_e": "DN/e-", "black_level_dn": "DN"}
+
+
+def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[str] = ()) -> Findings:
+    """Return what an analysis of spot frames found.
+
+    Parameters
+    ----------
+    analysis : Analysis
+        The analysis.
+    effects : sequence of Effect
+        Effects that were looked for.
+    remarks : sequence of str
+        What a reader should know of the data.
+    """
+    prepared, fit = analysis.prepared, analysis.selected.fit
+    black_dn = prepared.setting.sensor.black_level_dn
+    sums = sum_residuals(prepared.images)
+    detection = test_residuals(prepared.images, black_dn, others=_further_tests(analysis), sums=sums)
+    light = _learned_light(analysis)
+    named = name_effects(analysis, effects)
+    names = {effect.name for effect in named}
+    laws = None if analysis.laws is None else analysis.laws.fit
+    present = PresentFits(fit, prepared.scales, analysis.search, laws)
+    baseline = prepared.setting.baseline
+    return Findings(
+        has_converged=has_converged(analysis) and (light is None or not is_below_zero(light)),
+        detection=detection,
+        rms_of_peak=measure_rms(prepared.images),
+        places=find_places(prepared.images, black_dn, sums=sums),
+        effects=named,
+        light=light,
+        sensor=_pulls(analysis),
+        limits=find_limits(
+            fit, names, effects, prepared.scales, baseline, analysis.search, analysis.named_scatter, analysis.withdrawn
+        ),
+        law=measure_law_shift(analysis),
+        unexplained=_unexplained(analysis, names, black_dn),
+        gap=measure_gap(analysis),
+        metrics=compare_metrics(analysis.validated, prepared.unseen, analysis.named_scatter)
+        if analysis.validated
+        else (),
+        advice=advise(named, effects, present),
+        not_assessed=list_not_assessed(effects, prepared.frames.design, baseline),
+        remarks=tuple(remarks),
+    )
+
+
+def _further_tests(analysis: Analysis) -> list[ResidualTest]:
+    """Return the tests of what the declared fit was free to take up: the read noise, and laws of the spots."""
+    tests = []
+    prepared, setting = analysis.prepared, analysis.prepared.setting
+    declared = measure_scatter(prepared.images, prepared.declared, 0)
+    if declared.dark is not None:
+        stderr = setting.stderr.get("read_noise_e", 0.0)
+        fitted = prepared.declared.model.forward.sensor
+        noise = white_noise(declared.dark, fitted, setting.sensor, stderr)
+        tests.append(deviate_test("read noise", "dark pixels", noise.z))
+    for law in analysis.laws.laws if analysis.laws else ():
+        tests.append(deviate_test("laws of the spots", f"{law.applied.effect.law_of} of the spots", law.z))
+    for scattered in analysis.named_scatter:
+        if not scattered.reasons:
+            tests.append(deviate_test("scatter of frames", "frames and sites", scattered.z))
+    return tests
+
+
+def _learned_light(analysis: Analysis) -> LearnedLight | None:
+    """Return the learned shape if it stands for itself; None beside the declared shape or named static ones."""
+    fit = analysis.selected.fit
+    if fit.model.grid is None or (analysis.shape is not None and analysis.shape.effects):
+        return None
+    light = describe_light(fit, analysis.prepared.setting.baseline)
+    least = LEARNED_SHAPE.parameters[0].negligible
+    least = least(analysis.prepared.scales) if callable(least) else least
+    is_clear = light.power > CLEAR_ERRORS * light.stderr and light.power > least
+    return replace(light, gap_closed=_share(analysis, LIGHT_SHAPE)) if is_clear or is_below_zero(light) else None
+
+
+def _pulls(analysis: Analysis) -> tuple[SensorPull, ...]:
+    """Return the fitted numbers of the data sheet."""
+    fit = analysis.selected.fit
+    errors = _errors_of(fit, analysis.selected.covariance)
+    return tuple(
+        SensorPull(
+            name=free.name,
+            unit=SENSOR_UNITS[free.name],
+            stated=free.stated,
+            stated_stderr=free.stated_stderr,
+            fitted=fit.model.value_of(free),
+            stderr=errors[free.effect, free.name],
+        )
+        for free in fit.model.free
+        if np.isfinite(free.stated_stderr)
+    )
+
+
+def _unexplained(analysis: Analysis, names: Collection[str], black_dn: float) -> Unexplained:
+    """Return what is left beside all that is named."""
+    scatter = analysis.scatter
+    steps = [step for scattered in analysis.named_scatter if scattered.applied.effect.name in names
+             for step in scattered.applied.effect.variants[scattered.applied.variant]]  # fmt: skip
+    stages = {step.stage for step in steps if isinstance(step, RandomStep)}
+    is_in_model = any(is_field(applied) for applied in analysis.selected.fit.model.forward.effects)
+    fields = [scatter.grains] if Stage.SPECKLE_FIELD in stages and not is_in_model else []
+    fields += [scatter.gains] if Stage.PIXEL_GAIN in stages else []
+    rows = scatter.dark.row.value if scatter.dark and Stage.ROW_NOISE_AND_HOT_PIXELS in stages else 0.0
+    known = KnownScatter(tuple(fields), max(rows, 0.0))
+    closed = analysis.validated.closed if analysis.validated else np.nan
+    return replace(
+        measure_unexplained(analysis.images, known),
+        share=float(np.clip(1 - closed, 0.0, 1.0)),
+        p_value=test_residuals(analysis.images, black_dn, known).p_value,
+    )
 
 
 def name_effects(analysis: Analysis, effects: Sequence[Effect]) -> tuple[NamedEffect, ...]:

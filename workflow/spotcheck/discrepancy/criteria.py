@@ -25,3 +25,15 @@ SHAPE_SHARES = (0.4, 0.6, 0.8)
 # must take for the search to go on.
 EXPLAINED_SHARE = 0.9
 EXPLAINED_STEPS = (0.3, 0.6, 0.9)
+# p-value of detection below which model and measurement disagree: one false alarm in a hundred datasets.
+ALPHA = 0.01
+# Rms of the mean image that may stay unexplained [peak]: half a code of an 8-bit camera used to its full scale.
+TOLERANCE = 0.002
+# Standard errors beyond which a change counts: of the data sheet, of what is left over the tolerance, of p1 and p2, and
+# of the power of a learned light shape.
+CLEAR_ERRORS = 3.0
+# A learned shape is no light where it is so many standard errors below 0 (of some 8,000 splines, one falls so far by
+# chance with a probability of 1e-4), and below minus this part of its peak (splines ring by 0.0015 about a kink).
+BELOW_ERRORS, LEAST_FALL = 6.0, 0.005
+# Most places that are reported, and the family-wise p-value below which a place is.
+MOST_PLACES, PLACE_ALPHA = 5, 0.01

@@ -17,8 +17,8 @@ import numpy as np
 
 from spotcheck.discrepancy.frames import Pixels, conditions_of
 from spotcheck.model.conditions import FrameConditions
-from spotcheck.model.effect import AppliedEffect
-from spotcheck.model.forward import SENSOR_STAGES, ForwardModel
+from spotcheck.model.effect import AppliedEffect, RandomStep
+from spotcheck.model.forward import SENSOR_STAGES, TABULATED, ForwardModel
 from spotcheck.model.light import Light
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments
@@ -109,7 +109,7 @@ def evaluate(model: JointModel, pixels: Pixels, part: slice, with_slopes: bool =
     inputs = forward.sensor_input(conditions, light=light)
     moments = forward.moments(inputs)
     noise = inputs.distribution.noise_dn
-    variance = np.maximum(moments.variance, LEAST_VARIANCE * (noise**2 + ROUNDING_VARIANCE))
+    variance = np.maximum(moments.variance, LEAST_VARIANCE * (noise**2 + ROUNDING_VARIANCE)) + selected.extra_variance
     used = selected.is_used
     residual = np.where(used, selected.readings - moments.mean, 0.0)
     weight = np.where(used, 1 / variance, 0.0)
@@ -155,8 +155,9 @@ def change_of_moments(forward: ForwardModel, at: Evaluation, has_same_light: boo
 
 
 def stages_of(applied: AppliedEffect) -> set[Stage]:
-    """Return the stages at which an effect of a model acts."""
-    return {step.stage for step in applied.effect.variants[applied.variant]}
+    """Return the stages at which an effect acts; granular light that pixels draw acts on tables, as the well does."""
+    steps = applied.effect.variants[applied.variant]
+    return {Stage.WELL if isinstance(step, RandomStep) and step.stage in TABULATED else step.stage for step in steps}
 
 
 def difference_step(model: JointModel, parameter: FreeParameter) -> float:

@@ -106,7 +106,7 @@ def assess_effect(
     score, information = score[:, 0], information[:, 0]
     used = information > LEAST_CELL_SHARE * information.sum()
     pooled = score[used].sum() ** 2 / information[used].sum()
-    heterogeneity = float(np.sum(score[used] ** 2 / information[used]) - pooled)
+    heterogeneity = float(np.sum(score[used] ** 2 / information[used]) - pooled) / fit.pixels.dispersion
     gain = measure_gain(fit, name, wald) if known_gain is None else known_gain
     cells, evidence = int(used.sum()), min(gain, wald)
     limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * (cells - 1)), CELL_MISFIT * evidence)
@@ -126,7 +126,7 @@ def measure_gain(fit: JointFit, name: str, wald: float) -> float:
     without = fit_jointly(
         fit.model.without_effect(name), fit.pixels, tolerance=WITHOUT_TOLERANCE, iterations=WITHOUT_ITERATIONS
     )
-    return without.deviance - fit.deviance
+    return (without.deviance - fit.deviance) / fit.pixels.dispersion
 
 
 def distance_from_nothing(applied: AppliedEffect) -> float:

@@ -87,6 +87,8 @@ class LearnedLight:
     direction_deg: float  # direction of the long axis
     lowest: float  # least value of the whole shape [peak]
     words: str  # the same for a person
+    gain: float = float("nan")  # drop of −2 ln L by it; NaN if unknown
+    gap_closed: float = float("nan")  # part of the gap on held-out frames that it closes; NaN if unknown
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Spot frames with their conditions, held-out repeats, and the pixels that fits use."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,22 @@ class Design:
 
 
 @dataclass(frozen=True)
+class LightField:
+    """Granular light, which adds to the scatter of readings and makes neighbouring pixels alike.
+
+    Its variance is that at the light of a first fit and is kept: if it followed the mean, the skewness of the field
+    would pull on the mean.
+    """
+
+    variance: np.ndarray  # of the readings by the field [frame, row, column] DN²
+    dispersion: float  # variance of sums of residuals over that of independent ones
+
+    def select(self, frames: np.ndarray) -> "LightField":
+        """Return the field of some frames."""
+        return replace(self, variance=self.variance[frames])
+
+
+@dataclass(frozen=True)
 class FrameSet:
     """Crops of F spot frames."""
 
@@ -55,6 +71,7 @@ class FrameSet:
     design: Design  # conditions of the frames
     sensor_columns: int  # columns of the sensor's frame
     sensor_rows: int  # rows of the sensor's frame
+    light_field: "LightField | None" = field(default=None, repr=False)  # granular light of the frames
 
     def __len__(self) -> int:
         return len(self.left)
@@ -62,7 +79,8 @@ class FrameSet:
     def select(self, frames: np.ndarray) -> "FrameSet":
         """Return some of the frames."""
         parts = {"readings": self.readings[frames], "left": self.left[frames], "top": self.top[frames]}
-        return replace(self, design=self.design.select(frames), **parts)
+        light_field = None if self.light_field is None else self.light_field.select(frames)
+        return replace(self, design=self.design.select(frames), light_field=light_field, **parts)
 
     def held_out(self) -> np.ndarray:
         """Return which frames [frame] are kept from the search: every third repeat (2, 5, 8, …) of six or more."""
@@ -101,6 +119,8 @@ class Pixels:
     row_share: np.ndarray  # rows of the sensor that each row stands for [frame, h, 1]
     sensor_columns: int  # columns of the sensor's frame
     sensor_rows: int  # rows of the sensor's frame
+    extra_variance: np.ndarray  # of readings beyond that of the model [frame, h, w] DN²; broadcasts
+    dispersion: float = 1.0  # by how much drops of −2 ln L exceed those of independent readings
     share: float = 1.0  # part of the pixels of a fit; the penalty of a free shape is scaled by it
 
     @property
@@ -110,7 +130,7 @@ class Pixels:
 
     def select(self, frames: slice) -> "Pixels":
         """Return the pixels of some frames."""
-        names = ("x", "y", "readings", "is_used", "row_share")
+        names = ("x", "y", "readings", "is_used", "row_share", "extra_variance")
         return replace(self, **{name: getattr(self, name)[frames] for name in names})
 
 
@@ -168,6 +188,7 @@ def thin_pixels(pixels: Pixels, count: int = THINNED_PIXELS) -> Pixels:
         "readings": pixels.readings[at],
         "is_used": pixels.is_used[at],
         "row_share": share_of_rows[:, :, None],
+        "extra_variance": np.broadcast_to(pixels.extra_variance, pixels.readings.shape)[at],
     }
     thinned = replace(pixels, x=x[:, None, :], y=y[:, :, None], **selected)
     return replace(thinned, share=pixels.share * thinned.count / max(pixels.count, 1))
@@ -193,7 +214,8 @@ def _take_pixels(
     frames: FrameSet, row: np.ndarray, has_row: np.ndarray, column: np.ndarray, has_column: np.ndarray
 ) -> Pixels:
     """Return the pixels at rows [frame, h] and columns [frame, w] of which some are fillers."""
-    readings = frames.readings[np.arange(len(frames))[:, None, None], row[:, :, None], column[:, None, :]]
+    at = (np.arange(len(frames))[:, None, None], row[:, :, None], column[:, None, :])
+    readings, light_field = frames.readings[at], frames.light_field
     is_used = np.isfinite(readings) & has_row[:, :, None] & has_column[:, None, :]
     y, x = row + frames.top[:, None], column + frames.left[:, None]
     every_row = np.arange(frames.readings.shape[1]) + frames.top[:, None]
@@ -206,6 +228,8 @@ def _take_pixels(
         row_share=share[:, :, None],
         sensor_columns=frames.sensor_columns,
         sensor_rows=frames.sensor_rows,
+        extra_variance=np.zeros((len(frames), 1, 1)) if light_field is None else light_field.variance[at],
+        dispersion=1.0 if light_field is None else light_field.dispersion,
     )
 
 

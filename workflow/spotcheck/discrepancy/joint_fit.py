@@ -47,6 +47,16 @@ class FreeParameter:
     name: str  # name of the parameter, or of the field of `SensorModel`
     low: float  # lowest value
     high: float  # highest value
+    stated: float = np.nan  # value of the data sheet, with a normal prior about it; NaN for none
+    stated_stderr: float = np.inf  # standard error of that value
+
+    def prior_information(self) -> float:
+        """Return the information that the data sheet brings; 0 for none."""
+        return 1 / self.stated_stderr**2
+
+    def prior_deviation(self, value: float) -> float:
+        """Return a value less the stated one in stated errors; 0 without a prior."""
+        return (value - self.stated) / self.stated_stderr if np.isfinite(self.stated_stderr) else 0.0
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 # Effort of the fits of a shape: decrement of the effects, and most iterations on thinned and on all pixels.
 TOLERANCE, THINNED_ITERATIONS, ITERATIONS = 0.1, 18, 8
 # The same of fits that only measure how much a shape, or a static effect that may stand for it, takes.
+EVIDENCE_PIXELS = 150_000
 EVIDENCE_TOLERANCE, EVIDENCE_ITERATIONS, STATIC_ITERATIONS = 0.3, 10, 15
 # Distance from the centre [σ] within which the rms of a shape is taken.
 RMS_RADIUS = 3.0
@@ -63,7 +64,8 @@ def measure_evidence(declared: JointFit, free: JointFit) -> ShapeEvidence:
     lowers it by Σ (peak s)² information.
     """
     fitted = np.count_nonzero(np.abs(free.model.coefficients) > ZERO)
-    drop = declared.deviance - free.deviance - fitted
+    dispersion = declared.pixels.dispersion
+    drop = declared.deviance - free.deviance - dispersion * fitted
 
     def of_batch(part: slice) -> float:
         at = evaluate(declared.model, declared.pixels, part, with_slopes=False)
@@ -73,15 +75,17 @@ def measure_evidence(declared: JointFit, free: JointFit) -> ShapeEvidence:
         return float(np.sum(conditions.peak_dn**2 * at.light_information * is_inside))
 
     rms = float(np.sqrt(max(drop, 0.0) / sum(map_batches(of_batch, declared.pixels))))
-    return ShapeEvidence(drop if rms > SHAPE_FLOOR else 0.0, rms)
+    return ShapeEvidence(drop / dispersion if rms > SHAPE_FLOOR else 0.0, rms)
 
 
-def measure_thinned_evidence(thinned: JointFit, ratio: float) -> ShapeEvidence:
-    """Return the evidence for a free shape beside the effects of a fit to thinned pixels, scaled to all pixels."""
+def measure_thinned_evidence(fit: JointFit) -> ShapeEvidence:
+    """Return the evidence for a free shape beside the effects of a fit, on thinned pixels and scaled to all."""
+    thin = thin_pixels(fit.pixels, EVIDENCE_PIXELS)
+    thinned = fit_jointly(fit.model, thin, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
     model = thinned.model.with_free_shape(ShapeGrid())
-    free = fit_jointly(model, thinned.pixels, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
+    free = fit_jointly(model, thin, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
     evidence = measure_evidence(thinned, free)
-    return replace(evidence, drop=ratio * evidence.drop)
+    return replace(evidence, drop=fit.pixels.count / thin.count * evidence.drop)
 
 
 def explain_shape(
@@ -124,13 +128,13 @@ def explain_shape(
 
 def add_static_effect(fit: JointFit, effects: Sequence[Effect], scales: EffectScales) -> JointFit | None:
     """Return the fit with the static effect that lowers −2 ln L most, or None if none gains `MIN_GAIN`."""
-    refits = []
+    refits, least = [], MIN_GAIN * fit.pixels.dispersion
     for candidate in screen_candidates(fit, list_starts(effects, scales))[:MOST_STATIC_REFITS]:
-        if candidate.score > MIN_GAIN:
+        if candidate.score > least:
             model = fit.model.with_effect(candidate.start, scales)
             refits.append(fit_jointly(model, fit.pixels, tolerance=EVIDENCE_TOLERANCE, iterations=STATIC_ITERATIONS))
     best = min(refits, key=lambda refit: refit.deviance, default=None)
-    return best if best is not None and best.deviance < fit.deviance - MIN_GAIN else None
+    return best if best is not None and best.deviance < fit.deviance - least else None
 
 
 def without_shape(model: JointModel) -> JointModel:

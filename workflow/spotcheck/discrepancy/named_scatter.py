@@ -110,10 +110,18 @@ def is_negligible_scatter(applied: AppliedEffect, scales: EffectScales) -> bool:
     return all(value < limit for value, limit in zip(applied.values, limits, strict=True) if limit > 0)
 
 
-def name_read_noise(
-    effects: Sequence[Effect], dark: DarkNoise, fitted: SensorModel, stated: SensorModel, scales: EffectScales
-) -> list[NamedScatter]:
-    """Return the effects of the read noise whose value dark pixels give."""
+@dataclass(frozen=True)
+class WhiteNoise:
+    """Read noise that dark pixels give, without what rows and columns share."""
+
+    total_e: float  # [e- rms]
+    stderr_e: float  # [e-]
+    z: float  # of its excess over the stated read noise
+    is_shared: bool  # whether neighbours in a row share more of it than rows do, so that it is not white
+
+
+def white_noise(dark: DarkNoise, fitted: SensorModel, stated: SensorModel, stated_stderr: float) -> WhiteNoise:
+    """Return the read noise of dark pixels beside a fit; `stated_stderr` [e-] is that of the data sheet."""
     gain = stated.gain_dn_per_e
     white = (gain * fitted.read_noise_e) ** 2 + dark.excess.value
     stderr = dark.excess.stderr
@@ -121,21 +129,31 @@ def name_read_noise(
         if line.value > MIN_Z * line.stderr:
             white, stderr = white - line.value, float(np.hypot(stderr, line.stderr))
     excess = white - (gain * stated.read_noise_e) ** 2
-    z, total = excess / stderr, float(np.sqrt(max(white, 0.0)) / gain)
-    reasons = [] if z >= MIN_Z else ["z below the least"]
-    shared = abs(dark.neighbour.value - dark.row.value)
-    if shared > MISFIT_SHARE * max(excess, 0.0) + MISFIT_SD * dark.neighbour.stderr:
+    of_sheet = 2 * gain**2 * stated.read_noise_e * stated_stderr
+    total = float(np.sqrt(max(white, 0.0)) / gain)
+    covariance = abs(dark.neighbour.value - dark.row.value)
+    is_shared = covariance > MISFIT_SHARE * max(excess, 0.0) + MISFIT_SD * dark.neighbour.stderr
+    stderr_e = stderr / (2 * gain**2 * max(total, 1e-9))
+    return WhiteNoise(total, stderr_e, excess / float(np.hypot(stderr, of_sheet)), is_shared)
+
+
+def name_read_noise(
+    effects: Sequence[Effect], noise: WhiteNoise, stated: SensorModel, scales: EffectScales
+) -> list[NamedScatter]:
+    """Return the effects of the read noise whose value dark pixels give."""
+    reasons = [] if noise.z >= MIN_Z else ["z below the least"]
+    if noise.is_shared:
         reasons.append("neighbours share it: not white")
+    interval = Interval.around(noise.total_e, noise.stderr_e)
     found = []
     for effect in effects:
         for variant, steps in effect.variants.items():
             if [step.stage for step in steps] == [Stage.READ_NOISE] and isinstance(steps[0], Step):
-                applied = AppliedEffect(effect, variant, (total,))
-                interval = Interval.around(total, stderr / (2 * gain**2 * max(total, 1e-9)))
+                applied = AppliedEffect(effect, variant, (noise.total_e,))
                 least = effect.parameters[0].negligible
-                is_small = total - stated.read_noise_e < (least(scales) if callable(least) else least)
-                found.append(NamedScatter(applied, {effect.parameters[0].name: interval}, z,
-                                          (*reasons, "negligible") if is_small else tuple(reasons)))  # fmt: skip
+                is_small = noise.total_e - stated.read_noise_e < (least(scales) if callable(least) else least)
+                against = (*reasons, "negligible") if is_small else tuple(reasons)
+                found.append(NamedScatter(applied, {effect.parameters[0].name: interval}, noise.z, against))
     return found
 
 

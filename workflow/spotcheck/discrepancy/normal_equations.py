@@ -139,6 +139,7 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     information, gradient = (sum(part[k] for part in parts) for k in (0, 1))
     deviance, squares = (sum(part[k] for part in parts) for k in (2, 3))
     dispersion = squares / max(pixels.count, 1)
+    deviance += _add_priors(model, information, gradient, pixels.share)
     if model.grid is None:
         return NormalEquations(information, gradient, np.diag(information), deviance, dispersion, frames)
     coefficients = model.coefficients
@@ -161,6 +162,20 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     gradient = gradient - shape.cross.T @ shape.score
     deviance += float(coefficients @ penalty)
     return NormalEquations(beside, gradient, np.diag(information), deviance, dispersion, frames, shape)
+
+
+def _add_priors(model: JointModel, information: np.ndarray, gradient: np.ndarray, share: float) -> float:
+    """Add the priors of the data sheet to the equations in place, and return what they add to −2 ln L.
+
+    A subset of the pixels takes its share of a prior, so that its fit ends where that of all pixels does.
+    """
+    added, first = 0.0, len(gradient) - len(model.free)
+    for k, parameter in enumerate(model.free):
+        deviation = parameter.prior_deviation(model.value_of(parameter))
+        added += share * deviation**2
+        gradient[first + k] -= share * deviation / parameter.stated_stderr
+        information[first + k, first + k] += share * parameter.prior_information()
+    return added
 
 
 def gauge_information(model: JointModel, information: np.ndarray) -> np.ndarray:

@@ -39,6 +39,7 @@ def whole_crops(frames: FrameSet) -> Pixels:
         row_share=np.ones((len(frames), rows, 1)),
         sensor_columns=frames.sensor_columns,
         sensor_rows=frames.sensor_rows,
+        extra_variance=np.zeros((len(frames), 1, 1)),
     )
 
 

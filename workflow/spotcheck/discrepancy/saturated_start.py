@@ -97,7 +97,8 @@ def fit_saturated(declared: JointFit, frames: FrameSet, effects: Sequence[Effect
                 model = start.with_effect(clip, scales).with_effect(granular, scales)
                 fit = fit_jointly(model, thin, tolerance=1.0, iterations=ITERATIONS)
                 best = fit if fit.deviance < best.deviance - MIN_GAIN else best
-    full = fit_jointly(best.model, select_pixels(frames, best.model.spots))
+    # The effects that are sought beside it move it further: it need not converge here.
+    full = fit_jointly(best.model, select_pixels(frames, best.model.spots), tolerance=1.0, iterations=FIRST_ITERATIONS)
     without = fit_jointly(declared.model, full.pixels, iterations=FIRST_ITERATIONS)
     return full if without.deviance - full.deviance > MIN_GAIN_BESIDE_SHAPE else declared
 
@@ -125,13 +126,17 @@ def _no_scales() -> EffectScales:
 
 
 def granular_light(effect: Effect, contrast: float, scales: EffectScales) -> list[AppliedEffect]:
-    """Return an effect of granular light with a contrast; nothing for other effects."""
-    found = []
-    for variant, steps in effect.variants.items():
-        if steps and all(isinstance(step, RandomStep) and step.stage is Stage.SPECKLE_FIELD for step in steps):
-            applied = AppliedEffect(effect, variant, tuple(effect.starts(scales)[0]))
-            found.append(applied.with_value(effect.parameters[0].name, min(contrast, 1.0)))
-    return found
+    """Return an effect of granular light with a contrast, in its most general variant; nothing for other effects."""
+    variants = [
+        variant
+        for variant, steps in effect.variants.items()
+        if steps and all(isinstance(step, RandomStep) and step.stage is Stage.SPECKLE_FIELD for step in steps)
+    ]
+    if not variants:
+        return []
+    general = max(variants, key=lambda variant: len(effect.parameters_of(variant)))
+    applied = AppliedEffect(effect, general, tuple(effect.starts(scales)[0]))
+    return [applied.with_value(effect.parameters[0].name, min(contrast, 1.0))]
 
 
 def fit_flanks(frames: FrameSet, spots: FrameParameters, level_dn: float, black_dn: float) -> FrameParameters:

@@ -1,7 +1,7 @@
 """Selection of the effects of the mean image: forward by score tests and refits, backward by the tests of fits."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,14 +10,14 @@ from spotcheck.discrepancy.criteria import MIN_GAIN, MOST_EFFECTS, PARAMETER_PRI
 from spotcheck.discrepancy.evidence import EffectTest, assess_effect, estimate_covariance, is_negligible, least_gain
 from spotcheck.discrepancy.frames import Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_evidence, measure_thinned_evidence
+from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_thinned_evidence
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 
 # Effort of fits that only rank candidates: decrement of the effects and most iterations.
 SCREEN_TOLERANCE, SCREEN_ITERATIONS = 0.1, 8
 REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 14
 # Candidates below this part of the best score are not refitted.
-SCORE_SHARE = 0.01
+SCORE_SHARE = 0.05
 # Candidates that are refitted in one step, and starts of one variant among them.
 MOST_REFITS, MOST_REFITS_BESIDE_SHAPE, MOST_STARTS = 6, 4, 1
 # Variants of one effect among the leading refits, and refits that are fitted to all pixels.
@@ -49,6 +49,7 @@ class SelectedEffects:
     rivals: Mapping[
         str, Mapping[str, float]
     ]  # by effect: others in its place, and how much larger −2 ln L is with them
+    shaped: JointFit | None = None  # with the free shape before any effect was sought; None beside the declared shape
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class SelectionStep:
 
 
 def select_effects(
-    declared: JointFit, free: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log = lambda text: None
+    declared: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log = lambda text: None
 ) -> SelectedEffects:
     """Select the effects of the mean image.
 
@@ -70,8 +71,8 @@ def select_effects(
 
     Parameters
     ----------
-    declared, free : JointFit
-        Fits without effects, with the declared and with a free shape.
+    declared : JointFit
+        Fit with the declared shape; its effects take part from the start.
     effects : sequence of Effect
         Effects of the mean image.
     scales : EffectScales
@@ -79,23 +80,23 @@ def select_effects(
     log : callable
         Receives lines of text.
     """
-    path = select_forward(declared, effects, scales, log, measure_evidence(declared, free))
+    evidence = measure_thinned_evidence(declared)
+    log(f"a free shape takes {evidence.drop:.0f}, {100 * evidence.rms:.2f} % of the peak")
+    path = select_forward(declared, effects, scales, log, evidence)
     if path is not None:
         selected = eliminate_backward(path, scales, log)
-        if not selected.fit.model.effect_names:
-            beside = free
-        else:
-            beside = fit_free_shape(selected.fit)
-        evidence = measure_evidence(selected.fit, beside)
-        log(f"a free shape takes {evidence.drop:.0f} beside the effects, {100 * evidence.rms:.2f} % of the peak")
+        if selected.fit is not declared:
+            evidence = measure_thinned_evidence(selected.fit)
+            log(f"a free shape takes {evidence.drop:.0f} beside them, {100 * evidence.rms:.2f} % of the peak")
         if evidence.drop == 0:
             return selected
     # A static shape beside a free one is the same light.
     beside_shape = [effect for effect in effects if not effect.is_static_shape]
+    free = fit_free_shape(declared)
     free = free if free.has_converged else fit_jointly(free.model, free.pixels)
     path = select_forward(free, beside_shape, scales, log)
     assert path is not None
-    return eliminate_backward(path, scales, log)
+    return replace(eliminate_backward(path, scales, log), shaped=free)
 
 
 def select_forward(
@@ -110,11 +111,13 @@ def select_forward(
     for number in range(MOST_EFFECTS):
         present = path[-1].fit
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
-        shape_drop = 0.0
-        if shape is not None:
-            shape_drop = shape.drop if number == 0 else measure_shape_drop(present, thin)
         best = add_best_effect(present, absent, thin, scales, log)
         gain = 0.0 if best is None else best.gain
+        shape_drop = 0.0
+        if shape is not None and number == 0:
+            shape_drop = shape.drop
+        elif shape is not None and best is not None:
+            shape_drop = measure_thinned_evidence(present).drop
         if gain < SHAPE_SHARES[min(number, len(SHAPE_SHARES) - 1)] * shape_drop:
             log(f"a free shape takes {shape_drop:.0f}, the best effect {gain:.0f}: not the declared light")
             return None
@@ -124,17 +127,12 @@ def select_forward(
     return path
 
 
-def measure_shape_drop(present: JointFit, thin: Pixels) -> float:
-    """Return the drop of −2 ln L that a free shape would take beside the effects of a fit."""
-    thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
-    return measure_thinned_evidence(thinned, present.pixels.count / thin.count).drop
-
-
 def add_best_effect(
     present: JointFit, effects: Sequence[Effect], thin: Pixels, scales: EffectScales, log: Log
 ) -> SelectionStep | None:
     """Return the step with the effect that gains most, or None if none gains enough."""
-    ratio = present.pixels.count / thin.count
+    dispersion = present.pixels.dispersion
+    ratio = present.pixels.count / thin.count / dispersion
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
     candidates = screen_candidates(thinned, list_starts(effects, scales))
     log("screen " + ", ".join(f"{_text(c.start)} {c.score * ratio:.0f}" for c in candidates[:5]))
@@ -154,7 +152,7 @@ def add_best_effect(
             if refit.value < (refits[0].value - margin if is_variant else RIVAL_SHARE * refits[0].value):
                 continue
         full = fit_jointly(refit.model, present.pixels, iterations=FULL_ITERATIONS)
-        value = present.deviance - full.deviance - price_of(refit.candidate)
+        value = (present.deviance - full.deviance) / dispersion - price_of(refit.candidate)
         log(f"  {_text(refit.candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
         if not full.has_converged or value < least_gain(present.model) - PARAMETER_PRICE:
             continue
@@ -168,7 +166,7 @@ def add_best_effect(
         return None
     behind = {name: best_value - value for name, value in values.items() if name != best.model.effect_names[-1]}
     rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
-    return SelectionStep(best, present.deviance - best.deviance, rivals)
+    return SelectionStep(best, (present.deviance - best.deviance) / dispersion, rivals)
 
 
 def price_of(candidate: Candidate) -> float:
@@ -223,6 +221,8 @@ def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scale
 def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log: Log) -> SelectedEffects:
     """Remove effects that fail their test, the worst first, until all pass."""
     path = list(path)
+    if not path[-1].fit.has_converged:
+        path[-1] = finish_step(path[-1])
     rivals = {step.fit.model.effect_names[-1]: step.rivals for step in path if step.rivals}
     while True:
         fit, gain = path[-1].fit, path[-1].gain
@@ -243,6 +243,11 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log:
             path = [SelectionStep(fit_jointly(fit.model.without_effect(worst), fit.pixels), np.nan)]
 
 
+def finish_step(step: SelectionStep) -> SelectionStep:
+    """Return a step whose fit is carried on to convergence."""
+    return replace(step, fit=fit_jointly(step.fit.model, step.fit.pixels))
+
+
 def withdraw_effects(
     selected: SelectedEffects, names: Sequence[str], scales: EffectScales, log: Log
 ) -> SelectedEffects:
@@ -253,7 +258,8 @@ def withdraw_effects(
         return selected
     for name in present:
         model = model.without_effect(name)
-    return eliminate_backward([SelectionStep(fit_jointly(model, selected.fit.pixels), np.nan)], scales, log)
+    path = [SelectionStep(fit_jointly(model, selected.fit.pixels), np.nan)]
+    return replace(eliminate_backward(path, scales, log), shaped=selected.shaped)
 
 
 def _text(start: AppliedEffect) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -52,6 +53,10 @@ class ReadingMoments(NamedTuple):
     variance: np.ndarray  # [DN²]
     mean_slope: np.ndarray  # d mean/dL [1]
     variance_slope: np.ndarray  # d variance/dL [DN]
+
+
+# Threads that need the same table wait for it instead of making it twice.
+_LOCK = Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,9 +240,14 @@ def _grain_nodes(contrast: float, lowest: float) -> np.ndarray:
     return step * np.arange(np.floor(lowest / step), np.ceil(highest / step) + 1)
 
 
-@lru_cache(maxsize=32)
 def tabulate_readings(distribution: ReadingDistribution, light_max: float) -> ReadingTable:
     """Return the table of a reading from no light to `light_max` [DN], or to where readings are saturated."""
+    with _LOCK:
+        return _tabulate(distribution, light_max)
+
+
+@lru_cache(maxsize=32)
+def _tabulate(distribution: ReadingDistribution, light_max: float) -> ReadingTable:
     sensor = distribution.sensor
     gain, dark_e = sensor.gain_dn_per_e, float(distribution.mean_electrons(0.0))
     highest_e = min(light_max / gain + dark_e, saturating_electrons(distribution))

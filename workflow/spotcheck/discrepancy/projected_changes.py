@@ -1,0 +1,124 @@
+"""Changes that effects make to the readings, projected off spots, sensor, fitted effects and a free light shape."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spotcheck.discrepancy.candidates import SEPARABLE_SHARE, change_by
+from spotcheck.discrepancy.evaluation import SENSOR, Column, Evaluation, columns_of, evaluate, map_batches, stages_of
+from spotcheck.discrepancy.evidence import SECTORS, divide_spot
+from spotcheck.discrepancy.joint_fit import JointFit, JointModel
+from spotcheck.discrepancy.normal_equations import solve_positive
+from spotcheck.discrepancy.shape_sums import ShapeSums
+from spotcheck.model.effect import AppliedEffect
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Changes by T trials beside the nuisance parameters."""
+
+    information: np.ndarray  # of each change beside them [trial]
+    alone: np.ndarray  # without them [trial]
+    absorbed: np.ndarray  # of each change, the part that spots, sensor and effects take [unknown, trial]
+    of_shape: np.ndarray | None  # the part that a free shape takes [coefficient, trial]; None beside the declared one
+    of_rest: np.ndarray  # the part that the effect at no strength takes [trial]
+
+
+def change_by_strength(model: JointModel, applied: AppliedEffect, at: Evaluation) -> tuple[Column, Column | None]:
+    """Return the change by the strength of an effect, and that by the rest of it.
+
+    An effect with special cases, such as a slope on a level, acts also where its strength vanishes: a nuisance.
+    """
+    change = change_at(model, applied, at)
+    if not applied.effect.special_cases:
+        return change, None
+    rest = change_at(model, applied.with_value(applied.effect.parameters[0].name, applied.effect.vanishes_at), at)
+    return (change[0] - rest[0], change[1] - rest[1]), rest
+
+
+def change_at(model: JointModel, applied: AppliedEffect, at: Evaluation) -> Column:
+    """Return the change of mean and variance by an effect; readings are linear in small changes of the light."""
+    if stages_of(applied) & SENSOR:
+        return change_by(model, applied, at)
+    forward = replace(model.forward, effects=(*model.forward.effects, applied))
+    change = forward.light(at.conditions).total - at.light.total
+    return at.moments.mean_slope * change, at.moments.variance_slope * change
+
+
+def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection:
+    """Return the changes by trials beside the nuisance parameters of a fit."""
+    model, equations, frames = fit.model, fit.equations, len(fit.model.spots.x)
+    count = len(trials)
+    with_rest = [k for k, applied in enumerate(trials) if applied.effect.special_cases]
+
+    def of_batch(part: slice) -> tuple[np.ndarray, ...]:
+        at = evaluate(model, fit.pixels, part)
+        fitted = columns_of(model, at)
+        pairs = [change_by_strength(model, applied, at) for applied in trials]
+        columns = [change for change, _ in pairs] + [rest for _, rest in pairs if rest is not None]
+        between = np.array([at.information_of(pairs[k][0], columns[count + j]) for j, k in enumerate(with_rest)])
+        alone = np.array([at.information_of(column, column) for column in columns])
+        equivalents = np.stack([at.light_equivalent(column) for column in columns])
+        cross = np.zeros((equations.size, len(columns)))
+        of_spots = np.einsum("afhw,kfhw->fak", at.slopes, equivalents, optimize=True)
+        cross[4 * part.start : 4 * part.stop] = of_spots.reshape(-1, len(columns))
+        cross[4 * frames :] = [[at.information_of(other, column) for column in columns] for other in fitted]
+        of_shape = np.zeros((0, 0)) if model.grid is None else ShapeSums(model, at).products(equivalents)
+        return cross, alone, between, of_shape
+
+    parts = map_batches(of_batch, fit.pixels)
+    cross, alone, between, shape_products = (sum(part[k] for part in parts) for k in range(4))
+    half = np.zeros((0, len(alone)))
+    if equations.shape is not None:
+        half = equations.shape.factor.half_solve(shape_products)
+        cross = cross - equations.shape.cross.T @ half
+    absorbed = solve_positive(equations.information, cross)
+    information = alone - np.sum(half**2, axis=0) - np.sum(cross * absorbed, axis=0)
+    of_rest = np.zeros(count)
+    if with_rest:
+        k, j = np.array(with_rest), count + np.arange(len(with_rest))
+        between = between - np.sum(half[:, k] * half[:, j], axis=0) - np.sum(cross[:, k] * absorbed[:, j], axis=0)
+        of_rest[k] = np.where(
+            information[j] > SEPARABLE_SHARE * alone[j], between / np.maximum(information[j], 1e-300), 0
+        )
+        information[k] -= of_rest[k] * between
+        absorbed[:, k] -= of_rest[k] * absorbed[:, j]
+        half[:, k] -= of_rest[k] * half[:, j]
+    of_shape = None
+    if equations.shape is not None:
+        shape = equations.shape
+        of_shape = shape.factor.back_solve(half[:, :count] - shape.cross @ absorbed[:, :count])
+    return Projection(information[:count], alone[:count], absorbed[:, :count], of_shape, of_rest)
+
+
+def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], by: Projection) -> tuple[np.ndarray, np.ndarray]:
+    """Return score and information of projected changes [trial, frame, place], with 16 sectors and rings as places."""
+    model, frames = fit.model, len(fit.model.spots.x)
+
+    def of_batch(part: slice) -> np.ndarray:
+        at = evaluate(model, fit.pixels, part)
+        fitted, sensor = columns_of(model, at), by.absorbed[4 * frames :]
+        of_spots = by.absorbed[4 * part.start : 4 * part.stop].reshape(-1, 4, len(trials))
+        light = None if by.of_shape is None else ShapeSums(model, at).values(by.of_shape)
+        sector, ring = divide_spot(at)
+        number = np.arange(len(at.weight))[:, None, None]
+        label = np.broadcast_to(sector + SECTORS * (ring + 2 * number), at.weight.shape).ravel()
+        out = np.zeros((2, len(trials), len(at.weight), 2 * SECTORS))
+        for k, applied in enumerate(trials):
+            (mean, variance), rest = change_by_strength(model, applied, at)
+            taken = np.einsum("fa,afhw->fhw", of_spots[:, :, k], at.slopes, optimize=True)
+            taken = taken if light is None else taken + light[k]
+            mean = mean - at.moments.mean_slope * taken
+            variance = variance - at.moments.variance_slope * taken
+            others = [(sensor[j, k], column) for j, column in enumerate(fitted)]
+            for share, column in others if rest is None else [*others, (by.of_rest[k], rest)]:
+                mean, variance = mean - share * column[0], variance - share * column[1]
+            score = mean * at.residual * at.weight + variance * at.variance_score
+            information = mean**2 * at.weight + (variance * at.weight) ** 2 / 2
+            for j, values in enumerate((score, information)):
+                out[j, k] = np.bincount(label, values.ravel(), out[j, k].size).reshape(out[j, k].shape)
+        return out
+
+    score, information = np.concatenate(map_batches(of_batch, fit.pixels), axis=2)
+    return score, information

@@ -1,0 +1,235 @@
+"""Strengths of effects that are tried as their limits.
+
+With the change c of the means that a strength makes, projected off all nuisance parameters, a score test estimates the
+part s of this change that the frames ask for, with the standard error e. The strength is excluded where s + k e < 1,
+with the quantile k of the confidence. Strengths are tried until s + k e = 1, since a clip or a blur is not linear in
+its strength.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spotcheck.discrepancy.candidates import list_starts, value_is_one_sided
+from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
+
+# Probability that the strength lies within the limits.
+CONFIDENCE = 0.95
+# Largest factor between two tries of a strength, and that if the first says nothing.
+LARGEST_FACTOR, BLIND_FACTOR = 100.0, 8.0
+# |ln(s + k e)| from which on the limit is extrapolated; the second if the change is linear in the strength.
+CLOSE, LINEAR_CLOSE = 0.03, 3.0
+# Relative width of the bracket of a limit at which the search ends.
+NARROW = 0.004
+# Least s + k e, whose logarithm is taken, and least ln of the ratio of two distances that tell a power.
+LEAST_PART, LEAST_STEP = 1e-9, 0.02
+# Powers of the strength that a change may follow, those that count as linear, and the power from which on a change sets
+# in at once, as that of a dead zone, and has no size that could be small.
+POWER_RANGE, LINEAR_POWERS, SUDDEN_POWER = (0.5, 100.0), (0.9, 1.1), 16.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the frames say about the change that a strength makes."""
+
+    size: float  # s: part of the change that the frames ask for
+    error: float  # e: its standard error, inflated; infinite if they say nothing
+    quantile: float  # k
+    inflation: float = 1.0  # factor that is in the error
+
+    @property
+    def part(self) -> float:
+        """s + k e: the strength is excluded below 1."""
+        return self.size + self.quantile * self.error
+
+    @property
+    def z(self) -> float:
+        """The size in standard errors."""
+        return self.size / self.error if np.isfinite(self.error) else 0.0
+
+
+NO_ESTIMATE = Estimate(np.nan, np.nan, np.nan)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A strength of an effect on one side of where it vanishes, which is tried as its limit."""
+
+    start: AppliedEffect  # other parameters of the effect
+    turned: tuple[AppliedEffect, ...]  # the same in other directions
+    sign: int  # side: 1 or −1
+    is_one_sided: bool  # whether the effect has no other side
+    distance: float  # distance of the strength from where the effect vanishes; 1/strength if it vanishes at infinity
+    farthest: float  # largest distance that the effect may have
+    estimate: Estimate = NO_ESTIMATE  # at this distance
+    power: float = np.nan  # power of the distance by which the change grows; NaN until two distances were tried
+    inside: float = 0.0  # largest distance that was not excluded
+    outside: float = np.inf  # least distance that was excluded
+    before: tuple[float, float] = (np.nan, np.nan)  # distance and standard error of the try before
+
+    @property
+    def quantile_level(self) -> float:
+        """Probability of the quantile k."""
+        return CONFIDENCE if self.is_one_sided else (1 + CONFIDENCE) / 2
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether the frames say something, and the change does not set in at once at some distance."""
+        is_sudden = np.isfinite(self.start.effect.vanishes_at) and self.power > SUDDEN_POWER
+        return bool(np.isfinite(self.estimate.error)) and not is_sudden
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the change is linear in the strength."""
+        return LINEAR_POWERS[0] < self.power < LINEAR_POWERS[1]
+
+    @property
+    def excess(self) -> float:
+        """ln(s + k e): above 0 if the strength is not excluded, NaN before it was tried."""
+        return float(np.log(np.maximum(self.estimate.part, LEAST_PART)))
+
+    @property
+    def is_final(self) -> bool:
+        """Whether no other distance need be tried."""
+        is_close = abs(self.excess) < (LINEAR_CLOSE if self.is_linear else CLOSE)
+        # Frames that ask for the other side put the limit there.
+        is_opposite = self.estimate.part <= 0 and np.isfinite(self.power)
+        is_narrow = self.outside < self.inside * (1 + NARROW)
+        return is_close or is_opposite or is_narrow or (self.excess > 0 and self.distance >= self.farthest)
+
+    @property
+    def reach(self) -> float:
+        """Distance of the limit by the estimate at the present distance; negative on the other side."""
+        part, power = self.estimate.part, np.nan_to_num(self.power, nan=1.0)
+        return float(np.sign(part) * self.distance * abs(part) ** (1 / power))
+
+    @property
+    def limit(self) -> float:
+        """Limit of the strength; NaN if it is out of range."""
+        return self.strength_at(self.reach) if self.reach < self.farthest else np.nan
+
+    def applied(self) -> list[AppliedEffect]:
+        """Return the effect with the strength of the trial in all its directions."""
+        name, strength = self.start.effect.parameters[0].name, self.strength_at(self.distance)
+        return [applied.with_value(name, strength) for applied in (self.start, *self.turned)]
+
+    def strength_at(self, distance: float) -> float:
+        """Return the strength at a distance, which may be negative: then it lies on the other side."""
+        zero = self.start.effect.vanishes_at
+        return float(1 / distance if np.isinf(zero) else zero + self.sign * distance)
+
+    def record(self, estimate: Estimate) -> "Trial":
+        """Return the trial with the estimate at its distance."""
+        trial, power = replace(self, estimate=estimate), self.power
+        step = np.log(self.distance / self.before[0])
+        if np.isfinite(estimate.error) and np.isfinite(self.before[1]) and abs(step) > LEAST_STEP:
+            power = float(np.clip(np.log(self.before[1] / estimate.error) / step, *POWER_RANGE))
+        if trial.excess > 0:
+            return replace(trial, power=power, inside=max(self.inside, self.distance))
+        return replace(trial, power=power, outside=min(self.outside, self.distance))
+
+    def move(self) -> "Trial":
+        """Return the trial at the distance where s + k e should be 1, between those that are known."""
+        largest = np.log(LARGEST_FACTOR if np.isfinite(self.excess) else BLIND_FACTOR)
+        step = np.clip(self.excess / np.nan_to_num(self.power, nan=1.0), -largest, largest)
+        distance = float(min(self.distance * np.exp(step), self.farthest))
+        if self.outside < np.inf and not self.inside < distance < self.outside:
+            distance = float(np.sqrt(self.inside * self.outside)) if self.inside > 0 else self.outside / BLIND_FACTOR
+        return replace(self, distance=distance, estimate=NO_ESTIMATE, before=(self.distance, self.estimate.error))
+
+    def restart(self) -> "Trial":
+        """Return the trial at its limit, to be tried by other pixels."""
+        distance = min(self.reach, self.farthest)
+        return replace(
+            self, distance=distance, estimate=NO_ESTIMATE, inside=0.0, outside=np.inf, before=(np.nan, np.nan)
+        )
+
+
+def solve_trials(
+    trials: Sequence[Trial], measure: Callable[[Sequence[Trial]], list[Estimate]], tries: int
+) -> list[Trial]:
+    """Return the trials at the distance where s + k e is about 1.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        At their first distance, or after some tries.
+    measure : callable
+        Returns the estimates of trials at their distances.
+    tries : int
+        Most distances that are tried.
+    """
+    solved = list(trials)
+    for _ in range(tries):
+        active = [k for k, trial in enumerate(solved) if not trial.is_final]
+        if not active:
+            break
+        tried = [solved[k] if np.isnan(solved[k].excess) else solved[k].move() for k in active]
+        for k, trial, estimate in zip(active, tried, measure(tried), strict=True):
+            solved[k] = trial.record(estimate)
+    return solved
+
+
+def list_trials(effects: Sequence[Effect], scales: EffectScales) -> list[Trial]:
+    """Return the trials of all variants and starting points of effects on each side of where they vanish."""
+    starts = list_starts(effects, scales)
+    trials, known = [], set()
+    for start in starts:
+        effect, strength = start.effect, start.effect.parameters[0]
+        others = (effect.name, start.variant, repr(start.values[1:]))
+        if others in known or np.isnan(effect.vanishes_at):
+            continue
+        known.add(others)
+        low, high = effect.bounds(scales)[0]
+        is_clip = np.isinf(effect.vanishes_at)
+        # A knee changes what the level of a clip means: the first variant is limited.
+        if is_clip and start.variant is not next(iter(effect.variants)):
+            continue
+        is_one_sided = is_clip or value_is_one_sided(start)
+        turned = _turned_starts(start, starts)
+        value = start.parameters[strength.name]
+        distance = 1 / value if is_clip else abs(value - effect.vanishes_at)
+        for sign in (1,) if is_one_sided else (1, -1):
+            end = high if sign > 0 else low
+            farthest = 1 / low if is_clip else abs(end - effect.vanishes_at)
+            trials.append(Trial(start, turned, sign, is_one_sided, distance, float(farthest)))
+    return trials
+
+
+def _turned_starts(start: AppliedEffect, starts: Sequence[AppliedEffect]) -> tuple[AppliedEffect, ...]:
+    """Return the starts that differ from one in a single direction, of which half a period is left out: the change is
+    a sine of the direction, so that the second half repeats the first with the other sign."""
+    for k, parameter in enumerate(start.effect.parameters):
+        is_direction = parameter.low == -np.inf and parameter.high == np.inf
+        if not is_direction or not np.isfinite(start.values[k]):
+            continue
+        same = [
+            other for other in starts
+            if other.effect is start.effect and other.variant is start.variant
+            and other.values[k] != start.values[k]
+            and np.array_equal(np.delete(other.values[1:], k - 1), np.delete(start.values[1:], k - 1), equal_nan=True)
+        ]  # fmt: skip
+        if same:
+            count = len(same) + 1
+            return tuple(same[: count // 2 - 1] if count % 2 == 0 else same)
+    return ()
+
+
+def choose_farthest(trials: Sequence[Trial], of_variants: bool = False) -> dict[str, list[Trial]]:
+    """Return, for each effect, the trial with the farthest limit on each side, of those that are limited if any is;
+    `of_variants`: for each of its variants."""
+    best: dict[tuple, Trial] = {}
+    for trial in trials:
+        key = (trial.start.effect.name, trial.sign, trial.start.variant if of_variants else None)
+        if key not in best or (trial.is_limited, trial.reach) > (best[key].is_limited, best[key].reach):
+            best[key] = trial
+    chosen: dict[str, list[Trial]] = {}
+    for (name, *_), trial in best.items():
+        chosen.setdefault(name, []).append(trial)
+    return chosen
+
+
+def add_directions(sizes: Sequence[float]) -> float:
+    """Return the amplitude of a change that is a sine of the direction, from its sizes in evenly spaced directions."""
+    return float(np.sqrt(2 * np.mean(np.square(sizes)))) if len(sizes) > 1 else float(sizes[0])

@@ -1,0 +1,134 @@
+"""Writers of model.yaml and light.nc, which `model_file` and `light_shape` read."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from spotcheck import store
+from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.light_shape import LIGHT, LightShape
+from spotcheck.model.model_file import ExtendedModel, Site, Spot
+
+# Points along each axis of the map of a light shape, which is there to be looked at: finer than a screen shows.
+POINTS = 201
+
+
+def model_text(model: ExtendedModel, dataset: str, status: str) -> str:
+    """Return the content of model.yaml; numbers have nine digits.
+
+    Parameters
+    ----------
+    model : ExtendedModel
+        The model.
+    dataset : str
+        Name of the dataset that the numbers come from.
+    status : str
+        Status of the verdict.
+    """
+    return "\n".join(_model_lines(model, dataset, status)) + "\n"
+
+
+def no_model_text(dataset: str, reason: str) -> str:
+    """Return the content of model.yaml of a dataset without a model; `reason` says why there is none."""
+    return f"schema: 1\ndataset: {_quote(dataset)}\nwhy_not: {_quote(reason)}\n"
+
+
+def _model_lines(model: ExtendedModel, dataset: str, status: str) -> Iterator[str]:
+    yield "# The baseline of instrument.yaml with what the verdict added: `spotcheck simulate --model` runs this file."
+    yield "# Positions and lengths in px of the sensor, x to the right, y down; directions in deg from +x towards +y."
+    yield "schema: 1"
+    yield f"dataset: {_quote(dataset)}"
+    yield f"status: {status}"
+    yield f"frame: {{rows_px: {model.rows}, columns_px: {model.columns}}}"
+    yield f"exposure: {{longest_s: {model.longest_s:.9g}, reference_s: {model.reference_s:.9g}}}"
+    if model.lights:
+        yield f"light: {LIGHT}"
+    if model.law is not None:
+        yield "law:"
+        yield f"  p1_px: {model.law.p1:.9g}"
+        yield f"  p2_px: {model.law.p2:.9g}"
+        yield f"  peak_dn: {model.law.peak_dn:.9g}  # at the longest exposure, before effects"
+    yield "effects:" if model.effects else "effects: []"
+    for applied in model.effects:
+        yield from _effect_lines(applied)
+    yield "spots:" if model.spots else "spots: []"
+    for site, spot in model.spots.items():
+        yield f"  - {{{', '.join(_spot_keys(site, spot))}}}"
+
+
+def _effect_lines(applied: AppliedEffect) -> Iterator[str]:
+    effect = applied.effect
+    yield f"  - name: {effect.name}  # {effect.sentence}"
+    if applied.variant.value:
+        yield f"    form: {applied.variant.value}"
+    yield "    parameters:"
+    for parameter in effect.parameters_of(applied.variant):
+        unit = "" if parameter.unit == "1" else f"  # {parameter.unit}"
+        yield f"      {parameter.name}: {applied.parameters[parameter.name]:.9g}{unit}"
+
+
+def _spot_keys(site: Site, spot: Spot) -> Iterator[str]:
+    """Yield the keys of a spot that are known."""
+    # Keys of a site identify it, so that they keep all digits.
+    identity = {"angle_deg": site.angle_deg, "exposure_s": site.exposure_s, "repeat": site.repeat}
+    yield from (f"{key}: {value!r}" for key, value in identity.items() if value is not None)
+    conditions = ", ".join(f"{name}: {value!r}" for name, value in site.conditions if value is not None)
+    if conditions:
+        yield f"conditions: {{{conditions}}}"
+    yield from (f"{key}: {value:.9g}" for key, value in vars(spot).items() if value is not None)
+
+
+def _quote(text: str) -> str:
+    """Return a text as JSON has it, which is YAML as well."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+@dataclass(frozen=True)
+class LightFile:
+    """Where light.nc is written, and what its note says."""
+
+    path: str | Path  # the file
+    dataset: str  # name of the dataset that the shape was learned from
+    code: str  # digest of the code
+    inputs: Sequence[str | Path] = ()  # files that it was made from
+    attributes: Mapping[str, Any] = field(default_factory=dict)  # what describes the light, such as `described`
+
+    @property
+    def titles(self) -> dict[str, Any]:
+        """Attributes that every file has."""
+        return {"title": f"The light's shape, learned from {self.dataset}", "dataset": self.dataset}
+
+
+def write_light(shapes: Sequence[LightShape], file: LightFile) -> None:
+    """Write learned light shapes, all with the same nodes: their coefficients, and maps of s(u, v)."""
+    first = shapes[0]
+    step, nodes_count = float(first.step), len(first.coefficients)
+    nodes = step * (np.arange(nodes_count) - (nodes_count - 1) / 2)
+    points = np.linspace(nodes[0], nodes[-1], POINTS)
+    ds = xr.Dataset(attrs=file.titles | dict(file.attributes))
+    for name, values, text in (
+        ("node_v", nodes, "node below the spot's centre, over sigma_g"),
+        ("node_u", nodes, "node to the right of the spot's centre, over sigma_g"),
+        ("v", points, "place below the spot's centre, over sigma_g"),
+        ("u", points, "place to the right of the spot's centre, over sigma_g"),
+    ):
+        ds[name] = (name, values, {"units": "1", "long_name": text})
+    coefficients = np.array([shape.coefficients for shape in shapes])
+    text = "coefficients of cubic B-splines of the light beside the declared shape, over that one's peak"
+    ds["coefficients"] = (("light", "node_v", "node_u"), coefficients, {"units": "1", "long_name": text})
+    ds["step"] = ((), step, {"units": "1", "long_name": "distance of nodes, over sigma_g"})
+    maps = np.array([shape(points[None, :], points[:, None]) for shape in shapes]).astype("f4")
+    text = "light beside the declared shape, over that one's peak"
+    ds["s"] = (("light", "v", "u"), maps, {"units": "1", "long_name": text})
+    store.write(ds, file.path, code=file.code, inputs=file.inputs)
+
+
+def write_no_light(reason: str, file: LightFile) -> None:
+    """Write a file that says why there is no learned shape."""
+    ds = xr.Dataset(attrs=file.titles | {"skipped": reason})
+    store.write(ds, file.path, code=file.code, inputs=file.inputs)
