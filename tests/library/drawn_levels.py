@@ -7,7 +7,7 @@ import numpy as np
 from spotcheck.estimate.levels import Level, Spatial, with_common_drift
 from spotcheck.estimate.photon_transfer import Transfer, transfer_of
 
-FULL, GAIN, BLACK, NOISE, TOP, LONGEST = 4095.0, 0.3, 30.0, 9.0, 3600.0, 6e-3
+FULL, GAIN, BLACK, NOISE, TOP, LONGEST = 4095.0, 6.0, 40.0, 1.0, 3000.0, 6e-3
 SHAPE = (480, 640)
 PIXELS = SHAPE[0] * SHAPE[1]
 DARK = (GAIN * NOISE) ** 2
@@ -27,9 +27,7 @@ def transfer_with_end(levels: list[Level]) -> Transfer:
     return transfer_of(with_common_drift([*levels, level_of("flat", 8e-3, FULL, 0.0, 0.0, 1e-3, full=1.0)]), FULL)
 
 
-def draw_by_moments(
-    seed: int, *, bend=0.0, late=0.0, power=0.0, offset=0.0, lamp=0.0, wave=0.0, count=30
-) -> Transfer:
+def draw_by_moments(seed: int, *, bend=0.0, late=0.0, power=0.0, offset=0.0, lamp=0.0, wave=0.0, count=30) -> Transfer:
     """Draw means and variances of pairs of frames by their laws.
 
     Parameters

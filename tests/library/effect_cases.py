@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spotcheck.cli.vocabulary import set_choice
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, PixelGrid, crop_grid
 from spotcheck.model.effect import AppliedEffect, AppliedStep, EffectScales, RandomStep
-from spotcheck.model.effects import Choice, vocabulary
+from spotcheck.model.effects import Choice, choose, vocabulary
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.sensor import SensorModel
@@ -24,11 +23,11 @@ from spotcheck.sensor import SensorModel
 @contextmanager
 def knowing(*files: Path, only: Sequence[str] = (), without: Sequence[str] = ()) -> Iterator[None]:
     """Use the vocabulary of a run that adds files and leaves effects out, until the end of a block."""
-    set_choice(Choice(tuple(map(str, files)), tuple(only), tuple(without)))
+    choose(Choice(tuple(map(str, files)), tuple(only), tuple(without)))
     try:
         yield
     finally:
-        set_choice(Choice())
+        choose(Choice())
 
 
 def written(folder: Path, name: str, text: str) -> Path:

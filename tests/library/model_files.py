@@ -39,7 +39,7 @@ def _lines(model: ExtendedModel) -> Iterator[str]:
     yield "effects:" if model.effects else "effects: []"
     for applied_effect in model.effects:
         yield f"  - name: {applied_effect.effect.name}"
-        if len(applied_effect.effect.variants) > 1:
+        if applied_effect.variant.value:
             yield f"    form: {applied_effect.variant.value}"
         yield "    parameters:"
         for parameter in applied_effect.effect.parameters_of(applied_effect.variant):

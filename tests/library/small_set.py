@@ -1,87 +1,90 @@
-"""A small set of frames with a known disagreement, drawn by numpy alone."""
+"""A small dataset with a known disagreement, drawn by numpy alone."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tifffile
 
 from spotcheck.dataset import Dataset, load
-from spotcheck.old_engine.model.baseline import Baseline
-from spotcheck.old_engine.model.chain import Law
-from spotcheck.old_engine.model.effect import Present
-from spotcheck.old_engine.model.effects import vocabulary
-from spotcheck.old_engine.model.sensor import SensorModel
-from spotcheck.old_engine.observe.frames import Setting
-from spotcheck.old_engine.observe.shots import Shot
+from spotcheck.sensor import SensorModel
 from tests.library.conftest import folder
 from tests.reference.numpy_chain import draw
 
+# Side of a frame [px].
 SIDE = 60
-SENSOR = SensorModel(0.11, 6.0, 0.0, np.inf, 12.0, 1023.0)
+SENSOR = SensorModel(0.11, 6.0, black_level_dn=12.0, full_scale_dn=1023.0)
+STATED = "{bit_depth: 10, gain_dn_per_e: 0.11, read_noise_e: 6.0, black_level_dn: 12.0}"
 ANGLES, EXPOSURES, REPEATS = (0.0, 45.0), (1e-4, 4e-4), 3
-LAW = Law(1.2, 18.0, 600.0)
+# σ = P1 ln(t / 1 s) + P2 [px], 6.9 and 8.6 px; peak at the longest exposure [DN], else ∝ t/σ².
+P1, P2, PEAK = 1.2, 18.0, 600.0
+# Width without an exposure [px].
+SIGMA = 7.0
 # x, y [px] from the spot's centre, angle [deg], exposure [s], sigma [px], spot [DN] → light [DN].
 Light = Callable[..., np.ndarray]
 
 
+@dataclass(frozen=True)
+class SmallFrame:
+    """A drawn frame with its truth."""
+
+    angle_deg: float | None
+    exposure_s: float | None
+    repeat: int
+    readings: np.ndarray  # [row, column] DN, uint16
+    peak_dn: float
+    sigma_px: float
+    x: float  # column of the centre [px]
+    y: float  # row of the centre [px]
+
+
 def plain(dx, dy, angle, exposure, sigma, spot):
-    """The base model's own spot."""
+    """Return the light of the declared model."""
     return spot
 
 
 def ghost(dx, dy, angle, exposure, sigma, spot):
-    """With a copy, 6 % as bright, 12 px to the right and 5 px up."""
-    peak = np.max(spot)
-    return spot + 0.06 * peak * np.exp(-((dx - 12) ** 2 + (dy + 5) ** 2) / (2 * sigma**2))
+    """Return light with a copy of the spot, 6 % as bright, 12 px to the right and 5 px up."""
+    return spot + 0.06 * np.max(spot) * np.exp(-((dx - 12) ** 2 + (dy + 5) ** 2) / (2 * sigma**2))
 
 
 def bump(dx, dy, angle, exposure, sigma, spot):
-    """With a round ring of light from 1.6 to 1.9 widths, at 45° and the longer exposure alone."""
+    """Return light with a round ring from 1.6 to 1.9 widths, at 45° and the longer exposure alone."""
     radius = np.hypot(dx, dy) / sigma
-    own = angle == 45 and exposure == EXPOSURES[-1]
-    return spot + 8.0 * own * ((radius > 1.6) & (radius < 1.9))
+    return spot + 8.0 * (angle == 45 and exposure == EXPOSURES[-1]) * ((radius > 1.6) & (radius < 1.9))
 
 
-def frames(
+def draw_small(
     light: Light = plain,
     angles: Sequence[float | None] = ANGLES,
     exposures: Sequence[float | None] = EXPOSURES,
     repeats: int = REPEATS,
-    after: Callable[[np.ndarray, np.random.Generator], np.ndarray] | None = None,
     seed: int = 4,
-    sensor: SensorModel = SENSOR,
-) -> tuple[list[Shot], np.ndarray, Setting]:
-    """Random frames, the true peak [DN], width, x and y [px] of each, and the setting; `after` alters the readings [DN]
-    of a frame."""
+) -> list[SmallFrame]:
+    """Return random frames, one of each angle, repeat and exposure in this order; the centre is that of the site."""
     rng = np.random.default_rng(seed)
-    known = [t for t in exposures if t is not None]
-    baseline = Baseline(0.0, "linear" if known else "free", False, max(known, default=1.0))
+    widths = {t: SIGMA if t is None else P1 * np.log(t) + P2 for t in exposures}
+    strength = {t: 1.0 if t is None else t / widths[t] ** 2 for t in exposures}
     y, x = np.mgrid[:SIDE, :SIDE].astype(float)
-    shots, rows = [], []
+    drawn = []
     for angle in angles:
         for repeat in range(repeats):
             x0, y0 = (SIDE - 1) / 2 + rng.uniform(-0.5, 0.5, 2)
-            for exposure in exposures:
-                t = baseline.longest_s if exposure is None else exposure
-                sigma = float(LAW.p1 * np.log(t) + LAW.p2) if known else 7.0
-                peak = LAW.peak * float(baseline.relative_peak(t, LAW.p1, LAW.p2)) if known else LAW.peak
+            for t in exposures:
+                sigma, peak = widths[t], PEAK * strength[t] / max(strength.values())
                 spot = peak * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * sigma**2))
-                image = draw(light(x - x0, y - y0, angle, exposure, sigma, spot), t, sensor, rng).astype(float)
-                image = after(image, rng) if after else image
-                shots.append(Shot(angle, exposure, repeat, len(shots), (), 0, 0, lambda image=image: image))
-                rows.append((peak, sigma, x0, y0))
-    return shots, np.array(rows), Setting(baseline, sensor, (0.0, 0.0, 0.0), SIDE, SIDE)
+                readings = draw(light(x - x0, y - y0, angle, t, sigma, spot), t or 1.0, SENSOR, rng)
+                drawn.append(SmallFrame(angle, t, repeat, readings, peak, sigma, x0, y0))
+    return drawn
 
 
-def present(name: str, *values: float, form: str | None = None) -> Present:
-    """An effect of the vocabulary with values."""
-    effect = vocabulary()[name]
-    return Present(effect, effect.forms[0] if form is None else form, values)
-
-
-def dataset(base: Path, angles=ANGLES, exposures=EXPOSURES, repeats: int = REPEATS, more: str = "") -> Dataset:
-    """The dataset folder that such frames would lie in."""
+def write_dataset(base: Path, frames: Sequence[SmallFrame], more: str = "") -> Dataset:
+    """Write frames as a dataset called small; `more` goes into its instrument file."""
     blank = lambda value: "" if value is None else value  # noqa: E731
-    cells = [(a, t, r) for a in angles for r in range(repeats) for t in exposures]
-    rows = [f"frames/f{k}.tif,spot,{blank(a)},{blank(t)},{r}" for k, (a, t, r) in enumerate(cells)]
-    return load(folder(base, rows, f"{{name: small, crop_px: {SIDE}{more}}}"))
+    rows = [f"frames/f{k}.tif,spot,{blank(f.angle_deg)},{blank(f.exposure_s)},{f.repeat}" for k, f in enumerate(frames)]
+    model = "" if any(f.exposure_s is None for f in frames) else ", model: {photon_budget: linear}"
+    folder(base, rows, f"{{name: small, crop_px: {SIDE}, sensor: {STATED}{model}{more}}}")
+    for k, frame in enumerate(frames):
+        tifffile.imwrite(base / f"frames/f{k}.tif", frame.readings)
+    return load(base)

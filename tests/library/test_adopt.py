@@ -27,8 +27,8 @@ from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effect_file import EXAMPLE
 from spotcheck.model.effects import built_in
 from spotcheck.model.forward import SENSOR_STAGES, ExpectedReading, ForwardModel
-from spotcheck.old_engine.model.light_file import written_light
-from spotcheck.old_engine.model.light_shape import LightShape
+from spotcheck.model.light_shape import LightShape
+from spotcheck.model.model_writer import LightFile, write_light
 from spotcheck.schema import breach_of
 from spotcheck.sensor import SensorModel
 from tests.library.conftest import SENSOR, folder, gaussian, loaded, noisy
@@ -233,7 +233,7 @@ def test_effects_and_light_of_a_verdict(tmp_path):
     store.write(sensor.assign_attrs(title="t", dataset="d"), results / "sensor.nc", code="c")
     shape = LightShape(0.25, np.zeros((6, 6)))
     for count in (2, 1):
-        written_light([shape] * count, results / "light.nc", title="t", dataset="d", code="c")
+        write_light([shape] * count, LightFile(results / "light.nc", "d", code="c"))
         learned, left = learned_of(results, given)
         own = {one.key: one for one in learned}
         assert (own["sensor.gain_dn_per_e"].value, own["sensor.full_well_e"].value) == (0.22, pytest.approx(2000))
@@ -285,7 +285,7 @@ def test_where_the_converter_stops_is_taken_from_the_file(tmp_path):
 def test_keys_of_a_shared_file_hold_where_there_is_none(tmp_path):
     """The dataset's own keys win, section by section; paths are those from each file's own folder."""
     (tmp_path / "lab").mkdir()
-    written_light([LightShape(0.25, np.zeros((6, 6)))], tmp_path / "lab" / "light.nc", title="t", dataset="d", code="c")
+    write_light([LightShape(0.25, np.zeros((6, 6)))], LightFile(tmp_path / "lab" / "light.nc", "d", code="c"))
     shared = "{crop_px: 64, sensor: {gain_dn_per_e: 0.2, read_noise_e: 9}, light: {profile: light.nc}}"
     (tmp_path / "lab" / "camera.yaml").write_text(shared, encoding="utf-8")
     (tmp_path / "instrument.yaml").write_text(

@@ -24,7 +24,6 @@ from spotcheck.manifest import DATE, KEEP, REQUIRED_COLUMNS
 from spotcheck.metrics import Metric
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.stage import Stage
-from spotcheck.old_engine.boundary import effects_to_search
 from spotcheck.schema import read_schema
 from tests import check_readme, draw_architecture
 from tests.library.conftest import HEADER, ROOT, folder, loaded
@@ -71,7 +70,7 @@ def test_the_readme():
     assert len(text.splitlines()) <= 150
     (quoted,) = [found[2] for found in check_readme.pattern("numbers").finditer(text)]
     assert quoted.split() == check_readme.quoted(DOCS / "paper.md", "numbers", first=True).split()
-    assert {int(number) for number in re.findall(r"(\d+)\s+effects", text)} == {len(effects_to_search())}
+    assert {int(number) for number in re.findall(r"(\d+)\s+effects", text)} == {len(vocabulary())}
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))

@@ -221,8 +221,8 @@ def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch)
 
 # Quantities of EMVA 1288, which bear the names of effects.
 EMVA = {
-    "dark_offset": {"estimate/consistent.py", "estimate/photon_transfer.py", "estimate/sensor.py",
-                    "figures/photon_transfer.py", "old_engine/observe/flats.py"},
+    "dark_offset": {"discrepancy/flat_levels.py", "estimate/consistent.py", "estimate/photon_transfer.py",
+                    "estimate/sensor.py", "figures/photon_transfer.py"},
     "saturation": {"estimate/transfer_data.py", "figures/photon_transfer.py"},
 }  # fmt: skip
 

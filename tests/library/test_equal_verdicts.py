@@ -1,21 +1,25 @@
 """Equal frames and code give an equal verdict, whatever the number of cores."""
 
-from concurrent.futures import ThreadPoolExecutor
+import sys
 
 import pytest
 
-from spotcheck.old_engine.nuisance import threads
 from tests.library.test_bad_cases import CASES, judged, written
 
 
 @pytest.mark.slow
 def test_equal_frames_give_equal_verdicts(tmp_path, monkeypatch):
-    """Byte by byte, of two threads and of one, with an effect named."""
+    """All files are equal byte by byte, with two threads and with one; the verdict names an effect."""
     folder = written(CASES["a copy beside the only spot"](), tmp_path)
-    one, two = judged(folder, tmp_path / "one"), judged(folder, tmp_path / "two")
-    monkeypatch.setattr(threads, "ThreadPoolExecutor", lambda workers: ThreadPoolExecutor(1))
+    first, second = judged(folder, tmp_path / "first"), judged(folder, tmp_path / "second")
+    threaded = [
+        module for name, module in sys.modules.items() if name.startswith("spotcheck.") and "THREADS" in vars(module)
+    ]
+    assert threaded
+    for module in threaded:
+        monkeypatch.setattr(module, "THREADS", 1)
     alone = judged(folder, tmp_path / "alone")
-    assert one.keys() == two.keys() == alone.keys() and len(one) == 7
-    assert b"ghost_reflection" in one["verdict.json"]
-    for name, content in one.items():
-        assert content == two[name] == alone[name], name
+    assert first.keys() == second.keys() == alone.keys() and len(first) == 7
+    assert b"ghost_reflection" in first["verdict.json"]
+    for name, content in first.items():
+        assert content == second[name] == alone[name], name

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from spotcheck import cli
-from spotcheck.cli.vocabulary import set_choice
-from spotcheck.model.effects import chosen
+from spotcheck.model.effects import choose, chosen
 from tests.library.conftest import ROOT
 
 # Subcommands that need results of other stages as well; what brings these is run before them.
@@ -56,7 +55,7 @@ def prepared(shelf, tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr(webbrowser, "open", lambda page: True)
     before = chosen()
     yield tmp_path
-    set_choice(before)
+    choose(before)
 
 
 def test_examples_run(prepared, capsys):

@@ -32,8 +32,9 @@ COMMANDS = {
     "ingest": "--output again/frames.nc",
     "crop": "--frames again/frames.nc --output again/crops.nc",
     "sensor": "--crops again/crops.nc --frames again/frames.nc --output again/sensor.nc",
-    "judge": f"{SEEN} --pictures again/discrepancy.nc --model again/model.yaml --light again/light.nc"
-    " --output again/verdict.json",
+    "fit": f"{SEEN} --output again/fits.nc",
+    "judge": f"{SEEN} --fits again/fits.nc --pictures again/discrepancy.nc --model again/model.yaml"
+    " --light again/light.nc --output again/verdict.json",
 }
 
 
@@ -46,7 +47,7 @@ def test_the_verdict_on_spots_is_that_of_the_commands(tmp_path, monkeypatch):
     verdict = judge_dataset(tmp_path / "drawn", tmp_path / "out")
     assert verdict["status"] == "consistent" and (tmp_path / "out" / "drawn" / "model.yaml").exists()
     # One exposure tells a width, neither p1 nor p2.
-    assert {own["before"] for own in verdict["baseline_shift"].values()} == {None}
+    assert {row["before"] for row in verdict["baseline_shift"].values()} == {None}
     for command, options in COMMANDS.items():
         main([command, "drawn", *options.split()])
     assert verdict == json.loads(Path("again", "verdict.json").read_text(encoding="utf-8"))
@@ -62,13 +63,14 @@ def test_a_vocabulary_is_that_of_the_call(there, tmp_path):
         judge_dataset("my-flats", without=["unknown"])
 
 
-def test_a_verdict_says_that_effects_from_files_are_not_searched_for(there, tmp_path):
-    """In its sentence; all else is as without them."""
+def test_effects_from_files_take_part(there, tmp_path):
+    """They are listed in the vocabulary; all else in this verdict is as without them."""
     path = written(tmp_path, "lens", MEAN_EXAMPLE)
     verdict, plain = judge_dataset("my-flats", effects=[path]), judge_dataset("my-flats")
-    said = "effects from files are simulated but not searched for in this version: vignetting"
-    assert f"Beware: {said}." in verdict["sentence"] and "effects from files" not in plain["sentence"]
-    assert [own["name"] for own in verdict["vocabulary"]["own"]] == ["vignetting"]
+    assert [effect["name"] for effect in verdict["vocabulary"]["own"]] == ["vignetting"]
+    # Flats and darks have no spot, whose light it changes.
+    rows = [row for row in verdict["not_assessed"] if row["effect"] == "vignetting"]
+    assert rows == [{"effect": "vignetting", "why": "there is no spot"}]
     assert (verdict["status"], verdict["limits"]) == (plain["status"], plain["limits"])
 
 

@@ -15,8 +15,7 @@ from spotcheck.errors import InputError
 from spotcheck.model.baseline import of_instrument
 from spotcheck.model.light_shape import LIGHT, LightShape, read_light
 from spotcheck.model.model_file import ExtendedModel, read_model
-from spotcheck.old_engine.model.light_file import written_light
-from spotcheck.old_engine.model.light_shape import LightShape as OldShape
+from spotcheck.model.model_writer import LightFile, write_light
 from spotcheck.simulation import STACK
 from tests.library.model_files import applied, model_text
 from tests.library.test_extended import (
@@ -38,9 +37,8 @@ PROFILE = applied("beam_profile", power=0.06, order=3)
 
 
 def put(path: Path, shape: LightShape = SHAPE) -> Path:
-    """The file of a shape."""
-    old = OldShape(shape.step, shape.coefficients)
-    written_light([old], path, title="T", dataset="d", code="c", attributes={"power": 0.06})
+    """Write the file of a shape and return its path."""
+    write_light([shape], LightFile(path, "d", "c", attributes={"power": 0.06}))
     return path
 
 

@@ -11,9 +11,9 @@ import xarray as xr
 
 from spotcheck import cli, dataset, origin, store
 from spotcheck.design import simulate_dataset
+from spotcheck.discrepancy.words import value_text
 from spotcheck.errors import InputError
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.old_engine.verdict.words import value_text
 from spotcheck.origin.documents import of_verdict
 from spotcheck.origin.words import measured
 from spotcheck.provenance import file_digest
@@ -22,7 +22,7 @@ from tests.library.shelf import LAW, design, flats
 
 DEFAULT = ROOT / "results" / "virtual-rig"
 VERDICT = {
-    "schema": 3,
+    "schema": 4,
     "detection": {"p_value": 1e-5, "alpha": 0.01, "worst": None},
     "effects": [
         {
@@ -41,7 +41,8 @@ VERDICT = {
     "limits": [{"effect": "row_noise", "parameter": "rms", "low": None, "high": 0.05, "unit": "DN", "frames": 270}],
     "baseline_shift": {"p1": {"before": 1.6, "after": 0.002, "stderr": 0.007, "unit": "px"}},
     "unexplained": {"size": 0.004, "error": 0.0001, "z": 20.0, "tolerance": 0.002, "share": 0.1, "p_value": None},
-    "gap": {"before": 3.0, "closed": 0.9, "rms_dn_before": 52.0, "on": "unseen repeats"},
+    "gap": {"before": 3.0, "closed": 0.9, "rms_dn_before": 52.0, "on": "held-out repeats"},
+    "metrics": [{"name": "width_error", "unit": "px", "measured": 0.25, "declared": 0.125, "extended": 0.0625}],
 }  # fmt: skip
 PAPER = (
     "id,kind,section,printed,ours,unit\np1,measured,4.1,2.0 ± 0.3,1.9,px\nmagnification,derived,3.1,≈ 0.2,0.2008,1\n"
@@ -115,6 +116,9 @@ def test_p1_is_that_of_the_estimator_in_use(results):
         ("row_noise.rms.frames", "verdict.limits.row_noise.rms.frames", 270, None, "1"),
         ("unexplained.size", "verdict.unexplained.size", 0.004, 0.0001, "1"),
         ("unexplained.share", "verdict.unexplained.share", 0.1, None, "1"),
+        ("width_error.measured", "verdict.metrics.width_error.measured", 0.25, None, "px"),
+        ("width_error.declared", "verdict.metrics.width_error.declared", 0.125, None, "px"),
+        ("width_error.extended", "verdict.metrics.width_error.extended", 0.0625, None, "px"),
         ("magnification", "paper_numbers.magnification", 0.2008, None, "1"),
         ("paper_numbers.p1", "paper_numbers.p1", 1.9, None, "px"),
         ("gain", "sensor.gain_dn_per_e", 0.11, None, "DN/e-"),

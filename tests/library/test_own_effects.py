@@ -11,16 +11,12 @@ import pytest
 from spotcheck import dataset
 from spotcheck.cli import main
 from spotcheck.cli import vocabulary as options
+from spotcheck.discrepancy.written import breach_of_verdict
 from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.effect_file import read_effect
 from spotcheck.model.effects import Choice, built_in, vocabulary
 from spotcheck.model.stage import Stage
-from spotcheck.old_engine.boundary import effects_to_search, remark_on_files
-from spotcheck.old_engine.model import effects as frozen
-from spotcheck.old_engine.verdict.document import document
-from spotcheck.old_engine.verdict.sentence import sentence
-from spotcheck.old_engine.verdict.written import breach_of_verdict
 from spotcheck.pages import TEMPLATES
 from spotcheck.pages import effects as page
 from spotcheck.pages.cited import Cited
@@ -28,7 +24,7 @@ from spotcheck.pages.report.tables import missing_of
 from spotcheck.schema import breach_of, read_keys
 from tests.library.conftest import ROOT, folder
 from tests.library.effect_cases import knowing, written
-from tests.library.judgements import JUDGEMENTS
+from tests.library.findings_cases import whole
 
 SOUND, RANDOM = page.MEAN_EXAMPLE, page.RANDOM_EXAMPLE
 
@@ -110,7 +106,7 @@ FAULTS = {
 def the_librarys_again():
     """A command chooses the vocabulary of its process, which here is that of all tests."""
     yield
-    options.set_choice(Choice())
+    effects.choose(Choice())
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -202,47 +198,19 @@ def test_processes_that_are_started_know_the_same_effects(tmp_path):
             assert pool.submit(effects.record).result() == effects.record() != {}
 
 
-# What the old engine searches for.
-
-
-def test_names_choose_what_is_searched_for(tmp_path):
-    """Of the frozen vocabulary those that `only` and `without` leave; effects from files take no part, and are named in
-    one sentence."""
-    path = written(tmp_path, "lens", SOUND)
-    assert [effect.name for effect in effects_to_search()] == list(frozen.built_in()) and remark_on_files() == ""
-    said = "effects from files are simulated but not searched for in this version: vignetting"
-    with knowing(path, without=["smear", "row_noise"]):
-        kept = [effect.name for effect in effects_to_search()]
-        assert kept == [name for name in frozen.built_in() if name not in ("smear", "row_noise")]
-        assert list(frozen.vocabulary()) == kept and remark_on_files() == said
-    with knowing(path, only=["vignetting", "smear"]):
-        assert [effect.name for effect in effects_to_search()] == ["smear"]
-    with knowing(path, without=["vignetting"]):
-        assert remark_on_files() == "" and len(effects_to_search()) == len(frozen.built_in())
-    for choice in ({"only": ["vignetting"]}, {"without": list(built_in())}):
-        with knowing(path, **choice), pytest.raises(InputError, match="leaves no effect that can be searched for"):
-            effects_to_search()
-    assert dict(frozen.vocabulary()) == frozen.built_in()
-
-
 # Files of results.
 
 
-def whole(kind: str) -> dict:
-    """verdict.json of a judgement."""
-    own = document(JUDGEMENTS[kind][1], "small")
-    return own | {"sentence": sentence(own)}
-
-
 def test_a_verdict_says_which_vocabulary_it_had(tmp_path):
-    """Names of own effects are no part of it, as they are not searched for."""
-    own = whole("one")
+    """It may name effects from files of this vocabulary, but none that the vocabulary does not have."""
+    document = whole("one")
+    document["effects"][0] |= {"name": "vignetting", "candidates": ["vignetting"]}
     with knowing(written(tmp_path, "lens", SOUND), without=["smear"]):
-        own |= options.described()
-        assert breach_of_verdict(own) is None
-        own["effects"][0] |= {"name": "vignetting", "candidates": ["vignetting"]}
-        assert "vignetting" in breach_of_verdict(own)
-        assert own["vocabulary"]["left_out"] == ["smear"]
+        document |= options.described()
+        assert breach_of_verdict(document) is None
+        assert [effect["name"] for effect in document["vocabulary"]["own"]] == ["vignetting"]
+        assert document["vocabulary"]["left_out"] == ["smear"]
+    assert "vignetting" in breach_of_verdict(document)
     assert options.described() == {}
 
 
@@ -253,9 +221,9 @@ def test_the_report_says_which_vocabulary_it_had(tmp_path):
         missing = missing_of(own, Cited(tmp_path))
         return TEMPLATES.get_template("report/missing.html").render(missing=missing)
 
-    assert "The vocabulary of this run" not in text(whole("stranger"))
+    assert "The vocabulary of this run" not in text(whole("unknown"))
     with knowing(written(tmp_path, "lens", SOUND), without=["smear", "row_noise"]):
-        told = text(whole("stranger") | options.described())
+        told = text(whole("unknown") | options.described())
     digest = hashlib.sha256(SOUND.encode()).hexdigest()[:16]
     assert (
         "The vocabulary of this run is not the library's."

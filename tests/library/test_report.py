@@ -8,78 +8,88 @@ import numpy as np
 import pytest
 
 from spotcheck.figures import style
-from spotcheck.old_engine.model.sensor import SensorModel, noise_line
-from spotcheck.old_engine.verdict.document import document
+from spotcheck.pages import TEMPLATES
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report import packed, ranking, tables
 from spotcheck.pages.report.gap import gap_of
 from spotcheck.pages.report.ranking import Deviation
 from spotcheck.pages.report.spoken import numbers_in, spoken
+from spotcheck.sensor import SensorModel
+from spotcheck.sensor.model import noise_line
 from spotcheck.views import rms_left
 from tests.library.conftest import ROOT
-from tests.library.judgements import JUDGEMENTS, WORDS
+from tests.library.findings_cases import KINDS, whole
 
 # What the first sentence of each state must say, and what is said of the next measurement.
 SAID = {
-    "agreed": ("is what the model says", "Nothing more is needed"),
+    "agree": ("is what the model says", "Nothing more is needed"),
     "one": (
         "the signal stops at a level, below the converter's full scale (saturation, level 521 ± 5 DN)",
         "No further",
     ),
-    "four": ("and 3 more effects are at work", "0.6 % of the peak stays unexplained"),
-    "light": ("the light is not a Gaussian: 6 % of its power lies elsewhere", "No further"),
-    "tied": ("either ", "Measure next: 12 frames at an exposure of 1.8 ms and 22.5°"),
-    "tied, three": ("these frames cannot tell which", "No next measurement was found"),
-    "stranger": ("no known effect explains why", "it shows most in row 96"),
-    "untested": ("Nothing could be tested: there is no usable spot frame", "Mend that first"),
+    "four": ("and 3 more effects are at work", "0.6 % of the peak remains unexplained"),
+    "light": ("the light does not have the declared shape: 6 % of its power lies elsewhere", "No further"),
+    "pair": ("either ", "Measure next: 12 frames at an exposure of 1.8 ms and 22.5°"),
+    "three": ("these frames cannot separate them", "which would separate ghost_reflection from scatter_halo"),
+    "unknown": ("no known effect explains why", "it shows most in row 96"),
+    "not assessed": ("Nothing could be tested: there is no usable spot frame", "before that is corrected"),
+    "not converged": ("No effect is named: the fits behind the effects did not converge", "before the fits converge"),
+    "flats": ("The measured levels are not what a linear sensor gives", "No further"),
 }
 
 
-def verdict_of(name: str) -> dict:
-    """The verdict of a judgement that was put together by hand."""
-    return document(JUDGEMENTS[name][1], "small", light_words=WORDS)
-
-
-@pytest.mark.parametrize("name", SAID)
-def test_every_state_is_said_aloud(name):
+@pytest.mark.parametrize("kind", SAID)
+def test_every_state_is_said_aloud(kind):
     """The verdict, and what to measure next."""
-    own, (verdict, following) = spoken(verdict_of(name)), SAID[name]
-    assert verdict in own.verdict and following in own.next
+    sentences, (verdict, following) = spoken(whole(kind)), SAID[kind]
+    assert verdict in sentences.verdict and following in sentences.next
 
 
-@pytest.mark.parametrize("name", JUDGEMENTS)
-def test_three_sentences_at_most(name):
+def test_rivals_without_advice_are_said_so():
+    assert "No measurement is known" in spoken(whole("pair") | {"advice": []}).next
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_three_sentences_at_most(kind):
     """Each of them one sentence, with nothing left of what is not known."""
-    for text in spoken(verdict_of(name)):
+    for text in spoken(whole(kind)):
         assert text == "" or text.endswith(".")
         assert not re.search(r"\. [A-Z]|None|nan|\.\.", text), text
 
 
 def test_how_sure_has_its_number():
-    assert "less than once in ten thousand times (p < 0.0001)" in spoken(verdict_of("one")).sure
-    assert "in 32 % of such measurements (p = 0.32)" in spoken(verdict_of("agreed")).sure
+    assert "less than once in ten thousand times (p < 0.0001)" in spoken(whole("one")).sure
+    assert "in 32 % of such measurements (p = 0.32)" in spoken(whole("agree")).sure
+
+
+def test_an_overall_test_that_finds_nothing_is_said():
+    """Then single effects are significant, or the residual exceeds the tolerance."""
+    assert "no disagreement (p = 0.2), but tests of single effects do, and" in spoken(whole("one, weak")).sure
+    assert spoken(whole("unknown, no test")).sure.endswith("(p = 0.32), but the residual exceeds the tolerance.")
 
 
 def test_flats_say_their_gain_first():
     """By the straight line, and with what was added where anything was; each with the key of its number."""
-    plain, bent = (verdict_of(name) for name in ("agreed", "one"))
-    for own in (plain, bent):
-        own["levels"] = {
+    plain, bent = (whole(kind) for kind in ("agree", "one"))
+    for verdict in (plain, bent):
+        verdict["levels"] = {
             "straight_line": {"value": 0.28, "stderr": 0.0014},
             "gain_dn_per_e": {"value": 0.2908, "stderr": 6e-4},
         }
     assert spoken(plain).sure.endswith("; the gain K is 0.2800 ± 0.0014 DN/e−, by a straight line (EMVA 1288).")
-    assert "the gain to use is 0.2908 ± 0.0006 DN/e−, with what was added; a straight" in spoken(bent).sure
+    assert "the gain K is 0.2908 ± 0.0006 DN/e− with this effect; a straight" in spoken(bent).sure
     assert numbers_in(bent)["0.2908 ± 0.0006 DN/e−"] == "verdict.levels.gain_dn_per_e"
 
 
 def test_the_gap_is_shown_where_there_is_one():
-    found = gap_of(verdict_of("one"))
-    assert found is not None
-    assert [(name, text) for name, _, text, _ in found.numbers] == [
-        ("before", "9.00"), ("after", "1.01"), ("scatter of the frames", "1.00")
+    gap = gap_of(whole("four"))
+    assert gap is not None
+    # Of 81.0 − 1.00 four fifths are closed.
+    assert [(name, text) for name, _, text, _ in gap.numbers] == [
+        ("before", "81.0"), ("after", "17.0"), ("noise floor", "1.00")
     ]  # fmt: skip
-    assert gap_of(verdict_of("one, no frames apart")) is None
+    assert (gap.closed, gap.on) == ("80 %", "held-out repeats")
+    assert gap_of(whole("one, nothing held out")) is None
 
 
 def unpacked(text: str, layers: dict[str, packed.Layer]) -> dict[str, np.ndarray]:
@@ -174,7 +184,7 @@ def test_the_place_where_most_is_left():
 
 def test_what_is_left_is_in_units_of_the_noise():
     """Shot, read and rounding noise by their formula (EMVA 1288): K (µ − black) + (K σ)² + 1/12."""
-    sensor = SensorModel(0.11, 13.0, 0.0, np.inf, 12.0, 1023.0)
+    sensor = SensorModel(0.11, 13.0, black_level_dn=12.0, full_scale_dn=1023.0)
     line, mean = noise_line(sensor), np.full((200, 200), 400.0)
     variance = 0.11 * (400 - 12) + (0.11 * 13) ** 2 + 1 / 12
     np.testing.assert_allclose(line.variance(mean)[0, 0], variance, rtol=1e-6)
@@ -198,15 +208,17 @@ def test_colours_are_those_of_the_figures():
         assert f"--{name}: {own.upper()}" in text
 
 
-@pytest.mark.parametrize("name", JUDGEMENTS)
-def test_every_verdict_has_its_tables(tmp_path, name):
-    """Whatever was found: a row for each effect, the learned shape too, which no cells tell."""
-    verdict, cite = verdict_of(name), Cited(tmp_path)
-    rows = tables.missing_of(verdict, cite)["effects"]
-    assert [row["name"] for row in rows] == [own["name"] for own in verdict["effects"]]
-    told = [own["evidence"]["consistency"] for own in verdict["effects"]]
-    assert [row["cells"] for row in rows] == ["–" if own is None else own["cells"] for own in told]
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_verdict_has_its_tables(tmp_path, kind):
+    """A row for each effect, the learned shape too, which has no cells; no value is missing in words of the program."""
+    verdict, cite = whole(kind), Cited(tmp_path)
+    content = tables.missing_of(verdict, cite)
+    assert [row["name"] for row in content["effects"]] == [effect["name"] for effect in verdict["effects"]]
+    tests = [effect["evidence"]["consistency"] for effect in verdict["effects"]]
+    assert [row["cells"] for row in content["effects"]] == ["–" if test is None else test["cells"] for test in tests]
     assert (tables.sheet_of(verdict, cite) is None) == (not verdict["sheet"])
+    text = TEMPLATES.get_template("report/missing.html").render(missing=content)
+    assert not re.search(r"\bNone\b|\bnan\b", text)
 
 
 def test_a_number_is_marked_where_it_stands_alone(monkeypatch, tmp_path):
@@ -219,8 +231,8 @@ def test_a_number_is_marked_where_it_stands_alone(monkeypatch, tmp_path):
 
 def test_counts_are_no_numbers_of_the_verdict():
     """The order of a learned shape, a whole number, is not taken for how many effects more there are."""
-    verdict = verdict_of("light and one")
-    shape = next(own for own in verdict["effects"] if own["name"] == "beam_profile")
+    verdict = whole("light and one")
+    shape = next(effect for effect in verdict["effects"] if effect["name"] == "beam_profile")
     keys = numbers_in(verdict)
     assert f"{shape['parameters']['order']['value']:.0f}" not in keys
     assert "verdict.effects.beam_profile.power" in keys.values()

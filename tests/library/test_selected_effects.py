@@ -8,7 +8,6 @@ import pytest
 from spotcheck.discrepancy import selection as selection_module
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.frames import thin_pixels
-from spotcheck.discrepancy.light_shape import fit_free_shape
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects
 from spotcheck.model.effects import vocabulary
 from tests.library import drawn_frames, models_of_frames
@@ -35,8 +34,7 @@ def select_on_drawn(light: DrawnLight, camera: DrawnCamera) -> SelectedEffects:
     a free one."""
     drawn = draw_frames(32, lay_out(angles_deg=(0.0, 60.0), repeats=1), light, camera, PEAK_FACTOR)
     effects = [effect for effect in vocabulary().values() if changes_mean_image(effect)]
-    declared = fit_drawn(drawn)
-    return select_effects(declared, fit_free_shape(declared), effects, SCALES)
+    return select_effects(fit_drawn(drawn), effects, SCALES)
 
 
 @pytest.mark.parametrize("name", DEPARTURES)

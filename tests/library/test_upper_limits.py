@@ -151,16 +151,15 @@ def test_limits_of_the_mean_image(effect: str):
 
 
 def test_a_clip_is_limited_from_below():
-    """A clip lies above the limit, whether the light of at most 490 DN reaches it or not; only the limit's side is
-    stated, and it is near the brightest light."""
-    lows = []
-    for seed, level in enumerate((np.inf, 500.0, 480.0, np.inf, 485.0, 490.0)):
+    """The level of a clip lies above the limit, whether the light of at most 490 DN reaches it or not."""
+    levels, lows = (np.inf, 500.0, 480.0, np.inf, 485.0, 475.0), []
+    for seed, level in enumerate(levels):
         fit = fit_drawn(draw_with("saturation", level, 300 + seed))
         limit = limit_mean_effects(fit, [EFFECTS["saturation"]], SCALES)["saturation"]
-        assert np.isnan(limit.high) and limit.frames is None and limit.remark == limits.SET_BY_LIGHT
+        assert np.isnan(limit.high) and limit.frames is None
+        assert limit.remark in (limits.SET_BY_LIGHT, limits.ALREADY_PRESENT)
         lows.append(limit.low)
-        # One of six limits of 95 % may fail, but hardly by 3 %: errors grow tenfold over as much of the level.
-        assert limit.low < 1.03 * level
+    assert np.sum(np.array(lows) < levels) >= fewest_covered(len(levels))
     assert 450 < np.median(lows) < 490
 
 

@@ -21,7 +21,7 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot
-from spotcheck.views_new import ViewedFrames, rms_left, view_declared, view_extended
+from spotcheck.views import ViewedFrames, rms_left, view_declared, view_extended
 from tests.library import drawn_frames as drawing
 from tests.library.drawn_frames import DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
 from tests.library.models_of_frames import (

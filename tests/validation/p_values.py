@@ -1,34 +1,42 @@
-"""Are p-values of detection uniform where nothing is odd, and tiny where something is? By brute force, to be run by
-hand: `python -m tests.validation.p_values null 120`, `… single 300`, `… learned 40`, `… power 3`, `… time`.
+"""Are p-values of detection uniform without any effect, and tiny with one? By brute force, to be run by hand.
 
-Rates below 1 % and 5 % with their 95 % intervals (Clopper & Pearson), Kolmogorov's p, the same of every part.
+`python -m tests.validation.p_values null 120`, `… single 300`, `… learned 40`, `… power 3`, `… time`; a further number
+is the first seed. Rates below 1 % and 5 % have their 95 % intervals (Clopper & Pearson); KS is Kolmogorov's p-value.
+The p-values of all tests together (ALL) and of each test are listed.
 """
 
 import sys
 import time
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
 
-from spotcheck.old_engine.conclude.detect import Detection, detect
-from spotcheck.old_engine.model import light_shape
-from spotcheck.old_engine.nuisance.fit import Fitted, fit
-from spotcheck.old_engine.nuisance.numbers import fit_numbers
-from spotcheck.old_engine.observe.pixels import Lights
-from tests.reference.spot_draws import Setup, any_setup, draw
+from spotcheck.discrepancy.detection import test_residuals as detect
+from spotcheck.discrepancy.findings import Detection
+from spotcheck.discrepancy.frames import select_pixels
+from spotcheck.discrepancy.joint_fit import JointFit, fit_jointly
+from spotcheck.discrepancy.light_shape import fit_free_shape
+from spotcheck.discrepancy.residuals import measure_residuals
+from tests.library.drawn_frames import BLACK, DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
+from tests.library.models_of_frames import SENSOR, frame_set, starting_model
 
-STRANGE = {
-    "pedestal 0.2 DN": {"pedestal": 0.2},
-    "clip at 560 DN": {"clip": 560.0},
-    "stripes 2 %": {"stripes": 0.02},
-    "rows 0.5 DN": {"rows": 0.5},
-    "read noise +10 %": {"noise": 1.1},
+# Departures from the plain model.
+DEPARTURES = {
+    "pedestal 0.2 DN": (DrawnLight(pedestal_dn=0.2), DrawnCamera()),
+    "clip at 560 DN": (DrawnLight(), DrawnCamera(clip_dn=560.0)),
+    "ellipse 1 %": (DrawnLight(ratio=1.01), DrawnCamera()),
+    "rows 0.5 DN": (DrawnLight(), DrawnCamera(row_dn=0.5)),
+    "bend 5 %": (DrawnLight(), DrawnCamera(bend=0.05)),
 }
+# Ranges of the read noise [e-] and of the peak over that of the law, over which cameras are drawn.
+READ_NOISES_E, PEAKS = (2.0, 13.0), (0.3, 1.15)
+ONE_FRAME = {"exposures_s": (9e-4,), "angles_deg": (0.0,), "repeats": 1}
 
 
-def law_line(name: str, values) -> str:
-    """One line of the table."""
+def rate_line(name: str, values: list[float]) -> str:
+    """Return one line of the table: rates of small p-values."""
     p = np.array(values)
     rates = []
     for level in (0.01, 0.05):
@@ -38,61 +46,60 @@ def law_line(name: str, values) -> str:
     return f"{name:42s} n {len(p):4d}  KS {stats.kstest(p, 'uniform').pvalue:8.2g}  <1 %: {rates[0]}  <5 %: {rates[1]}"
 
 
-def null(sets: int, single: bool, first: int = 0, learned: bool = False) -> None:
-    """Sets without any effect, each of another camera; `learned`: of 24 frames, beside a shape that is learned anew."""
-    parts: dict[str, list[float]] = defaultdict(list)
-    low = []
-    for k in range(first, first + sets):
-        rng = np.random.default_rng([k, single])
-        setup = any_setup(rng, single)
-        frames, model, groups = draw(rng, setup._replace(repeats=2) if learned else setup)
-        found = detect(frames, shape_of(frames, model) if learned else model, groups)
-        parts["ALL"].append(found.p_value)
-        for own in found.parts:
-            parts[own.name].append(own.p_value)
+def fit_frames(drawn: DrawnFrames, read_noise_e: float) -> JointFit:
+    """Fit drawn frames of a camera with a stated read noise [e-]."""
+    model = starting_model(drawn, sensor=replace(SENSOR, read_noise_e=read_noise_e))
+    return fit_jointly(model, select_pixels(frame_set(drawn), model.spots))
+
+
+def detect_in(drawn: DrawnFrames, fit: JointFit) -> Detection:
+    """Return the detection in the residuals of a fit."""
+    return detect(measure_residuals(fit.model, frame_set(drawn)), BLACK)
+
+
+def draw_null(sets: int, kind: str, first: int = 0) -> None:
+    """Print rates for sets without any effect, each of another camera; `learned`: beside a free light shape."""
+    values: dict[str, list[float]] = defaultdict(list)
+    for seed in range(first, first + sets):
+        rng = np.random.default_rng([seed, kind == "single"])
+        noise = float(np.exp(rng.uniform(*np.log(READ_NOISES_E))))
+        conditions = lay_out(**ONE_FRAME) if kind == "single" else lay_out()
+        drawn = draw_frames(seed, conditions, camera=DrawnCamera(noise), peak_factor=float(rng.uniform(*PEAKS)))
+        fit = fit_frames(drawn, noise)
+        found = detect_in(drawn, fit_free_shape(fit) if kind == "learned" else fit)
+        values["ALL"].append(found.p_value)
+        for test in found.tests:
+            values[test.name].append(test.p_value)
         if found.p_value < 0.02:
-            low.append((found.p_value, setup, found.worst))
-    print(*(law_line(name, parts[name]) for name in sorted(parts, key=str.lower)), sep="\n")
-    for p, setup, worst in low:
-        print(f"{p:.2g}", setup, worst)
+            print(f"seed {seed}: p {found.p_value:.2g}, read noise {noise:.1f} e-, {found.tests[0]}")
+    print(*(rate_line(name, values[name]) for name in sorted(values, key=str.lower)), sep="\n")
 
 
-def shape_of(frames, model) -> Fitted:
-    """A fit with nodes each 0.3 σ, from numbers that are already near."""
-    numbered = fit_numbers(frames, model).model
-    empty = light_shape.empty(0.3, 5.1)
-    return fit(frames, numbered._replace(lights=Lights.common(empty, len(frames))), 1.0)
+def draw_power(sets: int) -> None:
+    """Print p-values of sets with a departure from the model, 24 frames each."""
+    for name, (light, camera) in DEPARTURES.items():
+        for seed in range(sets):
+            drawn = draw_frames(seed, lay_out(), light, camera)
+            found = detect_in(drawn, fit_frames(drawn, camera.read_noise_e))
+            tests = "; ".join(f"{test.name} {test.statistic:.1f}σ [{test.where}]" for test in found.tests[:3])
+            print(f"{name:20s} p {found.p_value:.2g}: {tests}")
 
 
-def power(sets: int) -> None:
-    """Sets with something odd, 48 frames each."""
-    for name, effect in STRANGE.items():
-        for k in range(sets):
-            rng = np.random.default_rng([k, 99])
-            found = detect(*draw(rng, Setup(), effect))
-            print(f"{name:20s} p {found.p_value:.2g}:", *(
-                f"{own.name} {own.statistic:.1f}σ [{own.where}];" for own in found.parts[:3]))  # fmt: skip
-
-
-def clock() -> Detection:
-    """Seconds for 96 frames of 240 × 240 px."""
-    rng = np.random.default_rng(1)
-    frames, model, groups = draw(rng, Setup(side=240, repeats=8))
-    detect(*draw(rng, Setup()))
+def measure_time() -> None:
+    """Print the seconds for 96 frames."""
+    drawn = draw_frames(1, lay_out(repeats=8))
     start = time.perf_counter()
-    numbered = fit_numbers(frames, model)
+    fit = fit_frames(drawn, SENSOR.read_noise_e)
     fitted = time.perf_counter()
-    found = detect(frames, numbered, groups)
+    found = detect_in(drawn, fit)
     print(f"fit {fitted - start:.2f} s, detection {time.perf_counter() - fitted:.2f} s; p {found.p_value:.3g}")
-    return found
 
 
 if __name__ == "__main__":
     what, count = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 1
-    begin = int(sys.argv[3]) if len(sys.argv) > 3 else 0
     if what == "power":
-        power(count)
+        draw_power(count)
     elif what == "time":
-        clock()
+        measure_time()
     else:
-        null(count, what == "single", begin, what == "learned")
+        draw_null(count, what, int(sys.argv[3]) if len(sys.argv) > 3 else 0)

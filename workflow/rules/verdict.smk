@@ -3,6 +3,7 @@ rule judge:
         manifest,
         instrument,
         crops=rules.crop.output,
+        fits=rules.fit.output,
         sensor=rules.sensor.output,
     output:
         verdict=f"{OUT}/verdict.json",
@@ -29,8 +30,8 @@ rule judge:
         "Looking for what the model of {wildcards.dataset} is missing"
     shell:
         # One thread of BLAS, whatever the number of workers: sums in another order are other sums in the last digit.
-        "OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 spotcheck judge {params.folder:q} --crops {input.crops:q} --sensor {input.sensor:q}"
-        " --tolerance {params.tolerance:q} --pictures {output.pictures:q} --model {output.model:q}"
+        "OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 spotcheck judge {params.folder:q} --crops {input.crops:q}"
+        " --fits {input.fits:q} --sensor {input.sensor:q} --tolerance {params.tolerance:q} --pictures {output.pictures:q} --model {output.model:q}"
         " --light {output.light:q} --output {output.verdict:q} {params.vocabulary:q} 2>&1 | tee {log:q}"
 
 

@@ -2,7 +2,7 @@
 
 Public names stand in `__all__` and in workflow/docs/api.md; a module is imported when a name of it is first used.
 
-Inside, imports go down: judging > cli > figures, old_engine > estimate, metrics > model > sensor > frames, optics >
+Inside, imports go down: judging > cli > figures, discrepancy > estimate, metrics > model > sensor > frames, optics >
 dataset, store.
 """
 

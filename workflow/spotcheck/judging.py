@@ -11,7 +11,7 @@ from typing import Any
 from spotcheck import cli, store
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import Dataset, load
-from spotcheck.model.effects import Choice, chosen
+from spotcheck.model.effects import Choice, choose, chosen
 
 # Subcommands that take a vocabulary.
 OF_THE_VERDICT = ("flats", "judge")
@@ -28,7 +28,7 @@ def judge_dataset(
     """Say what the simulation of a dataset is missing.
 
     Compares frames and model pixel by pixel, looks for the physical effects that explain what is left, and tests them
-    on frames that no step has seen. A dataset of flats and darks alone is judged by its levels of light.
+    on held-out frames. A dataset of flats and darks alone is judged by its levels of light.
     workflow/docs/verdict.md tells how; these are the stages that `snakemake verdict` runs, and the verdict is the same.
 
     Parameters
@@ -36,16 +36,15 @@ def judge_dataset(
     folder : dataset folder, with manifest.csv, instrument.yaml and frames.
     results : folder of results. All files go to a folder in it that is named like the dataset, among them verdict.json,
         model.yaml (which `simulate_dataset` takes) and discrepancy.nc. By default everything is temporary.
-    effects : Python files that each add an effect to the vocabulary, as docs/effects.md tells. In this version they are
-        simulated but not searched for, and the verdict says so.
+    effects : Python files that each add an effect to the vocabulary (docs/effects.md, "Adding an effect").
     only, without : the only effects to know, or effects to leave out, by name.
 
     Returns
     -------
     dict
-        The content of verdict.json. `status` is "consistent", "named", "named_more_remains", "ambiguous", "unknown" or
-        "not_assessed", `effects` has names and values of what was added to the model, `gap` how far that closed the gap
-        on unseen frames, `advice` what to measure next, and `sentence` the whole in words.
+        The content of verdict.json. `status` is "consistent", "named", "named_more_remains", "ambiguous", "unknown",
+        "not_converged" or "not_assessed", `effects` has names and values of what was added to the model, `gap` how far
+        that closed the gap on held-out frames, `advice` what to measure next, and `sentence` the whole in words.
 
     Raises
     ------
@@ -60,7 +59,8 @@ def judge_dataset(
     >>> verdict["status"]
     'consistent'
     >>> print(verdict["sentence"])
-    Flats and a linear sensor agree: they differ by no more than noise does ...
+    The linear sensor model and the flats agree within the noise (p = 0.36).
+    ...
     """
     dataset, before = load(folder), chosen()
     known = vocabulary.options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
@@ -76,7 +76,7 @@ def judge_dataset(
                 with redirect_stdout(io.StringIO()):
                     cli.run([command, str(dataset.folder), *words])
         finally:
-            vocabulary.set_choice(before)
+            choose(before)
         return json.loads((out / "verdict.json").read_text(encoding="utf-8"))
 
 
@@ -94,6 +94,11 @@ def _stages(dataset: Dataset, out: Path) -> Iterator[tuple[str, dict[str, Any]]]
         return
     yield "crop", {"frames": frames, "output": crops}
     yield "sensor", {"crops": crops, "frames": frames, **measured, "output": sensor}
-    seen = {"crops": crops, "sensor": sensor}
-    told = {"pictures": out / "discrepancy.nc", "model": out / "model.yaml", "light": out / "light.nc"}
-    yield "judge", {**seen, **told, "output": verdict}
+    fits = out / "fits.nc"
+    maps = {}
+    if any(frame.kind == "dark" for frame in dataset.frames):
+        maps = {"maps": out / "maps.nc"}
+        yield "maps", {"frames": frames, "output": maps["maps"]}
+    yield "fit", {"crops": crops, "sensor": sensor, **maps, "output": fits}
+    beside = {"pictures": out / "discrepancy.nc", "model": out / "model.yaml", "light": out / "light.nc"}
+    yield "judge", {"crops": crops, "fits": fits, "sensor": sensor, **beside, "output": verdict}

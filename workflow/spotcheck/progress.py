@@ -91,7 +91,8 @@ class _Steps:
         self._at(start, name)
 
     def nearer(self, more: str) -> None:
-        self._at(self.bar.n + NEARER * (self.end - self.bar.n), f"{self.name}, {more}")
+        text = f"{self.name}, {more}" if more else self.name
+        self._at(self.bar.n + NEARER * (self.end - self.bar.n), text)
 
     def _at(self, part: float, text: str) -> None:
         self.bar.set_description_str(f"{self.what}, {text}", refresh=False)

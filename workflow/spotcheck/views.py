@@ -1,32 +1,31 @@
-"""The views stage: what each model expects of each measured crop, pixel by pixel, and what it leaves of the frame.
+"""The views stage: the mean reading of each measured crop by each model, pixel by pixel, and what is left of the frame.
 
-The declared and the extended model stand beside a frame as in the verdict: each with the brightness, width and centre
-that fit this frame best. How far these lie from the law that all frames share is kept as well. The simulated baseline
-is the law alone, on the fitted centre.
+The declared and the extended model have the brightness, width and centre that fit a frame best. Its deviations from the
+law that all frames share are kept as well. The simulated baseline is the law alone, at the fitted centre.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from spotcheck import progress, simulation, store
 from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.evaluation import evaluate
+from spotcheck.discrepancy.frames import FrameParameters, FrameSet
+from spotcheck.discrepancy.joint_fit import JointModel
+from spotcheck.discrepancy.laws import spot_conditions
+from spotcheck.discrepancy.residuals import whole_crops
+from spotcheck.discrepancy.starting_spots import FittedSpots, acts_on_mean, fit_spots
 from spotcheck.estimate.fits import preferred
-from spotcheck.model.baseline import of_instrument
-from spotcheck.old_engine.boundary import new_sensor
-from spotcheck.old_engine.model import chain
-from spotcheck.old_engine.model.baseline import Baseline
-from spotcheck.old_engine.model.chain import Free, View
-from spotcheck.old_engine.model.effect import Place, Present
-from spotcheck.old_engine.model.extended import Extended, Site
-from spotcheck.old_engine.nuisance.numbers import Numbered, fit_numbers
-from spotcheck.old_engine.observe.frames import Setting, whole
-from spotcheck.old_engine.observe.pixels import Expectation, Frame, Lights, Model, Numbers
-from spotcheck.old_engine.observe.shots import Shot
-from spotcheck.old_engine.verdict.extended import site_of_shot
+from spotcheck.manifest import Frame
+from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.forward import ForwardModel
+from spotcheck.model.model_file import ExtendedModel, Site, site_of
 from spotcheck.sensor import ReadingDistribution, SensorModel
 from spotcheck.sensor.model import NoiseLine, noise_line
 
@@ -38,7 +37,7 @@ MODELS = {
     "declared": "the declared model with the frame's own brightness, width and centre",
     "extended": "the extended model with the frame's own brightness, width and centre",
 }
-# By how much a frame differs from what all frames share, with unit and meaning.
+# Deviations of a frame from what all frames share, with unit and meaning.
 DEVIATIONS = {
     "brighter": ("1", "brightness of the frame over that of the law of all frames, less 1"),
     "wider": ("1", "width of the frame over that of the law of all frames, less 1"),
@@ -46,95 +45,174 @@ DEVIATIONS = {
     "down": ("pixel", "centre of the spot below its site's"),
 }
 
-
-def rms_left(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
-    """Rms of measured less mean readings [row, column], NaN where nothing was measured: in DN, and over the noise."""
-    square = (measured - mean) ** 2
-    if not np.isfinite(square).any():
-        return np.nan, np.nan
-    return float(np.sqrt(np.nanmean(square))), float(np.sqrt(np.nanmean(square / line.variance(mean))))
+Index = tuple[int, ...]
+FrameViews = Iterator[tuple[Index, dict[str, Any]]]
 
 
-class Fitted(NamedTuple):
-    """The extended model with the numbers of each frame [frame], the same without each effect, and by name of
-    `DEVIATIONS` how far frames are from what all share, with standard errors."""
+@dataclass(frozen=True)
+class ViewedFrames:
+    """The usable frames of a dataset, with the camera and the declared light."""
 
-    model: Model
-    without: tuple[Model, ...]
-    deviations: dict[str, np.ndarray]
-    stderr: dict[str, np.ndarray]
+    frames: FrameSet  # F frames
+    cells: Sequence[tuple[Index, Frame]]  # place on the grid and row of the manifest of each frame
+    start: FrameParameters  # spot of each frame, from which fits start
+    baseline: Baseline  # declared light
+    sensor: SensorModel  # stated sensor
 
-
-def fitted(frames: Sequence[Frame], start: Model, extended: Extended, sites: Sequence[Site]) -> Fitted:
-    """The extended model on frames of some sites; `start` is the declared model with their numbers."""
-    lights = _lights(extended, sites)
-    own = fit_numbers(frames, start._replace(present=extended.present, lights=lights))
-    others = []
-    for left_out in progress.over(extended.present, "fitting without each effect"):
-        present = tuple(one for one in extended.present if one is not left_out)
-        numbers = _numbers_without(frames, own.model, present, extended)
-        shape = None if left_out.effect.place is Place.SHAPE else lights
-        others.append(own.model._replace(present=present, numbers=numbers, lights=shape))
-    return Fitted(own.model, tuple(others), *_deviations(frames, own, extended, sites))
+    def sites(self, conditions: Sequence[str], has_law: bool) -> list[Site]:
+        """Return the site of each frame; `conditions` are the declared ones."""
+        return [site_of(row, conditions, has_law) for _, row in self.cells]
 
 
-def _lights(extended: Extended, sites: Sequence[Site]) -> Lights | None:
-    if not extended.lights:
-        return None
-    known = [extended.spots.get(site) for site in sites]
-    which = np.array([(spot and spot.light) or 0 for spot in known])
-    first = extended.lights[0]
-    coefficients = np.array([own.coefficients for own in extended.lights])
-    return Lights(first.step, coefficients, which, np.zeros(len(extended.lights)))
+@dataclass(frozen=True)
+class ModelledFrames:
+    """A model fitted to each of F frames; frames may have different learned lights."""
 
+    lights: tuple[ForwardModel, ...]  # the model with each light; without a law, and with effects that act on the mean
+    light: np.ndarray  # number of the light of each frame [frame]
+    fitted: FittedSpots  # spots of the frames
 
-def _state(view: View, baseline: Baseline, base: chain.Law | Free, present: Sequence[Present]) -> np.ndarray:
-    """Logs of peak and width."""
-    return np.array([float(np.squeeze(np.log(own))) for own in chain.spot_state(view, baseline, base, present)])
+    def mean(self, frames: FrameSet, number: int) -> np.ndarray:
+        """Return the mean reading [row, column] in DN of a frame."""
+        at = np.array([number])
+        frame = frames.select(at)
+        model = JointModel(self.lights[self.light[number]], self.fitted.spots.select(at), frame.design)
+        return evaluate(model, whole_crops(frame), slice(0, 1), with_slopes=False).moments.mean[0]
 
+    def log_spots(self, frames: FrameSet) -> np.ndarray:
+        """Return ln peak [DN] and ln σ_g [px] of the frames behind the effects, [2, frame]."""
+        return log_spots_of(self.lights[0], frames, self.fitted.spots)
 
-def _numbers_without(frames: Sequence[Frame], model: Model, present: Sequence[Present], extended: Extended) -> Numbers:
-    """Numbers of frames where an effect is gone: what it does to the law of brightness and width goes with it."""
-    if extended.law is None:
-        return model.numbers
-    one = Free(np.ones((1, 1, 1)), np.ones((1, 1, 1)))
-    log_peak, log_width = (own.copy() for own in model.numbers[:2])
-    for k, frame in enumerate(frames):
-        by_law, alone = (
-            _state(frame.view, model.baseline, base, present) - _state(frame.view, model.baseline, base, model.present)
-            for base in (extended.law, one)
+    def without(self, name: str, spots: FrameParameters) -> "ModelledFrames":
+        """Return the model without an effect, at other spots; without the effect of a learned light, the declared."""
+        lights = tuple(
+            replace(light, effects=tuple(applied for applied in light.effects if applied.effect.name != name))
+            for light in self.lights
         )
-        # What acts on brightness alone the chain takes away by itself.
-        log_peak[k] += by_law[0] - alone[0]
-        log_width[k] += by_law[1] - alone[1]
-    return model.numbers._replace(log_peak=log_peak, log_width=log_width)
+        return replace(self, lights=lights, fitted=replace(self.fitted, spots=spots))
 
 
-def _deviations(
-    frames: Sequence[Frame], own: Numbered, extended: Extended, sites: Sequence[Site]
+@dataclass(frozen=True)
+class ExtendedViews:
+    """The extended model on F frames."""
+
+    model: ModelledFrames  # with all effects
+    without: tuple[ModelledFrames, ...]  # without each effect of the model
+    deviations: dict[str, np.ndarray]  # how far each frame is from what all share, by name of `DEVIATIONS` [frame]
+    stderr: dict[str, np.ndarray]  # their standard errors
+
+
+def log_spots_of(forward: ForwardModel, frames: FrameSet, spots: FrameParameters | None = None) -> np.ndarray:
+    """Return ln peak [DN] and ln σ_g [px] of frames by the law of a model, or without a law by `spots`; [2, frame]."""
+    conditions = spot_conditions(frames.design)
+    if spots is not None:
+        peak, sigma = (np.exp(values)[:, None, None] for values in (spots.log_peak, spots.log_sigma))
+        conditions = replace(conditions, peak_dn=peak, sigma_px=sigma)
+    with np.errstate(all="ignore"):
+        state = forward.spot(conditions)
+        parts = [np.broadcast_to(part, (len(frames), 1, 1)).ravel() for part in (state.peak_dn, state.sigma_px)]
+        return np.log(np.array(parts, float))
+
+
+def view_declared(viewed: ViewedFrames) -> ModelledFrames:
+    """Return the declared model fitted to each frame."""
+    forward = ForwardModel(replace(viewed.baseline, photon_budget="free"), viewed.sensor)
+    return ModelledFrames(
+        (forward,), np.zeros(len(viewed.frames), int), fit_spots(forward, viewed.frames, viewed.start)
+    )
+
+
+def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
+    """Return the extended model fitted to each frame, and without each of its effects.
+
+    Parameters
+    ----------
+    viewed : ViewedFrames
+        The frames; their `start` should be the spots of the declared model.
+    extended : ExtendedModel
+        The model.
+    sites : sequence of Site
+        Site of each frame.
+    """
+    known = [extended.spots.get(site) for site in sites]
+    light = np.array([(spot and spot.light) or 0 for spot in known], int)
+    baseline = replace(viewed.baseline, photon_budget="free")
+    learned = extended.lights or (baseline.learned,)
+    effects = tuple(filter(acts_on_mean, extended.effects))
+    lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in learned)
+    model = ModelledFrames(lights, light, _fit_each_light(lights, light, viewed))
+    without = []
+    for applied in progress.over(extended.effects, "models without each effect"):
+        spots = _spots_without(viewed, extended, model, applied)
+        other = model.without(applied.effect.name, spots)
+        if not applied.effect.stages:
+            plain = (replace(light, baseline=baseline) for light in other.lights)
+            other = replace(other, lights=tuple(plain))
+        without.append(other)
+    return ExtendedViews(model, tuple(without), *_measure_deviations(viewed, extended, model, sites))
+
+
+def _fit_each_light(lights: Sequence[ForwardModel], light: np.ndarray, viewed: ViewedFrames) -> FittedSpots:
+    """Fit the spots of frames, each under the model with its own light [frame]."""
+    rows, covariance = np.empty((4, len(light))), np.empty((len(light), 4, 4))
+    has_converged = np.empty(len(light), bool)
+    for number, forward in enumerate(lights):
+        at = np.flatnonzero(light == number)
+        fitted = fit_spots(forward, viewed.frames.select(at), viewed.start.select(at))
+        rows[:, at], covariance[at], has_converged[at] = (
+            fitted.spots.as_rows(),
+            fitted.covariance,
+            fitted.has_converged,
+        )
+    return FittedSpots(FrameParameters(*rows), covariance, has_converged)
+
+
+def _law_model(viewed: ViewedFrames, extended: ExtendedModel, effects: Sequence[AppliedEffect]) -> ForwardModel:
+    """Return the forward model with the law of the exposure and some effects."""
+    return ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(effects))
+
+
+def _spots_without(
+    viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, left_out: AppliedEffect
+) -> FrameParameters:
+    """Return the spots of frames without an effect: its change of the law of brightness and width goes with it."""
+    spots = model.fitted.spots
+    if extended.law is None:
+        return spots
+    remaining = [applied for applied in extended.effects if applied is not left_out]
+    by_law, complete = (
+        log_spots_of(_law_model(viewed, extended, effects), viewed.frames) for effects in (remaining, extended.effects)
+    )
+    # What the effect does to the frame's own brightness and width, the model without it takes away by itself.
+    alone = log_spots_of(model.without(left_out.effect.name, spots).lights[0], viewed.frames, spots)
+    change = by_law - complete - (alone - model.log_spots(viewed.frames))
+    change = np.where(np.isfinite(change), change, 0.0)
+    return replace(spots, log_peak=spots.log_peak + change[0], log_sigma=spots.log_sigma + change[1])
+
+
+def _measure_deviations(
+    viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, sites: Sequence[Site]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    model, names = own.model, list(DEVIATIONS)
-    value, stderr = np.full((4, len(frames)), np.nan), np.full((4, len(frames)), np.nan)
-    ready = Expectation(frames, model)
-    for k, (frame, site) in enumerate(zip(frames, sites, strict=True)):
-        numbers, spot = [float(v[k]) for v in model.numbers], extended.spots.get(site)
-        base = Free(*(np.full((1, 1, 1), np.exp(v)) for v in numbers[:2]))
-        if extended.law is not None:
-            here = _state(frame.view, model.baseline, base, model.present)
-            value[:2, k] = np.expm1(here - _state(frame.view, model.baseline, extended.law, model.present))
-        if spot is not None:
-            value[2:, k] = numbers[2] - spot.x_px, numbers[3] - spot.y_px
-        seen = ready.of(frame, k)
-        # What the model does not tell widens the errors of what it does.
-        rest = float(np.nanmean((frame.pixels - seen.mean) ** 2 / seen.variance))
-        covariance = np.linalg.pinv(own.information[k], hermitian=True) * max(rest, 1.0)
-        stderr[:, k] = np.sqrt(np.diag(covariance))
+    """Return how far frames are from what all share, and standard errors, by name of `DEVIATIONS`; NaN if unknown."""
+    value = np.full((len(DEVIATIONS), len(viewed.frames)), np.nan)
+    spots = model.fitted.spots
+    if extended.law is not None:
+        by_law = log_spots_of(_law_model(viewed, extended, extended.effects), viewed.frames)
+        value[:2] = np.expm1(model.log_spots(viewed.frames) - by_law)
+    for k, site in enumerate(sites):
+        if (spot := extended.spots.get(site)) is not None:
+            value[2:, k] = spots.x[k] - spot.x_px, spots.y[k] - spot.y_px
+    stderr = np.sqrt(np.maximum(np.diagonal(model.fitted.covariance, axis1=1, axis2=2).T, 0.0))
     stderr[:2] *= 1 + value[:2]
-    return dict(zip(names, value, strict=True)), dict(zip(names, stderr, strict=True))
+    stderr = np.where(np.isfinite(value), stderr, np.nan)
+    return dict(zip(DEVIATIONS, value, strict=True)), dict(zip(DEVIATIONS, stderr, strict=True))
 
 
-def variables(step: float, models: Sequence[str], effects: bool) -> dict[str, store.Variable]:
-    """What the file holds of each frame; `effects`: whether the extended model has any."""
+# The file.
+
+
+def variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str, store.Variable]:
+    """Return what the file holds of each frame; `has_effects`: whether the extended model has any."""
     out = {}
     for name in models:
         words = MODELS[name]
@@ -145,63 +223,93 @@ def variables(step: float, models: Sequence[str], effects: bool) -> dict[str, st
         for name, (unit, meaning) in DEVIATIONS.items():
             out[name] = store.Variable((), "f8", unit, meaning)
             out[f"{name}_stderr"] = store.Variable((), "f8", unit, f"standard error of {meaning}")
-    if effects:
+    if has_effects:
         text = "mean reading by the extended model without one of its effects"
         out["extended_without"] = store.Variable(("without", "y", "x"), "u2", "DN", text, step)
     return out
 
 
 def step_of(full_scale: float) -> float:
-    """The step in which readings are kept [DN]."""
+    """Return the step in which readings are kept [DN]."""
     return float(2.0 ** np.ceil(np.log2(full_scale / MOST_STEPS)))
+
+
+def rms_left(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
+    """Return the rms of measured less mean readings [row, column]: in DN, and over the noise; NaN without a pixel."""
+    square = (measured - mean) ** 2
+    if not np.isfinite(square).any():
+        return np.nan, np.nan
+    return float(np.sqrt(np.nanmean(square))), float(np.sqrt(np.nanmean(square / line.variance(mean))))
 
 
 def write(
     dataset: Dataset,
     files: Mapping[str, xr.Dataset],
-    frames: tuple[Sequence[Shot], Setting] | None,
-    model: Extended | None,
+    viewed: ViewedFrames | None,
+    model: ExtendedModel | None,
     path: Path,
     *,
     why_not: str,
     code: str,
     inputs: Sequence[str | Path],
 ) -> None:
-    """Write the views of every spot, frame by frame; `files` are crops, fits, calibration and sensor by name, `frames`
-    those that a verdict can use; `why_not` says why there is no extended model."""
-    side, full_scale = dataset.instrument.crop_px, float(files["sensor"]["full_scale_dn"])
-    sensor = None if frames is None else new_sensor(frames[1].sensor)
+    """Write the views of all spot frames, one by one.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset.
+    files : mapping of str to Dataset
+        Crops, fits, calibration and sensor by name.
+    viewed : ViewedFrames or None
+        Frames that a verdict can use; None if there are none.
+    model : ExtendedModel or None
+        The extended model; None if there is none.
+    path : Path
+        File to write.
+    why_not : str
+        Why there is no extended model; "" if there is one.
+    code, inputs : str, sequence of path
+        Provenance, as `store.frame_writer` takes it.
+    """
+    full_scale = float(files["sensor"]["full_scale_dn"])
+    sensor = None if viewed is None else viewed.sensor
     line = noise_line(sensor)
-    extra = xr.Dataset(attrs={"extended": why_not or "model.yaml"})
-    for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
-        extra[name] = (name, np.arange(side, dtype="i4"), {"units": "pixel", "long_name": text})
-    effects = [] if model is None else [own.effect.name for own in model.present]
-    if effects:
-        attributes = {"units": "1", "long_name": "effect that is left out"}
-        extra["without"] = ("without", np.array(effects, dtype=object), attributes)
-    extra["noise_at_zero"] = ((), line.at_zero, {"units": "DN2", "long_name": "variance of a reading of 0 DN"})
-    extra["noise_slope"] = ((), line.slope, {"units": "DN", "long_name": "rise of that variance for each DN of mean"})
-    models = [name for name in MODELS if name == "simulated" or (frames and (name == "declared" or model is not None))]
-    held = variables(step_of(full_scale), models, bool(effects))
-    measured = files["crops"]["image"].sel(centring="light")
-    dims = store.grid_dims(files["crops"])
-    with store.frame_writer(path, dataset, extra, held, code=code, inputs=inputs) as writer:
-        for found in (
-            _simulated(dataset, files, sensor),
-            *([] if frames is None else [_judged(dataset, frames, model)]),
+    effects = [] if model is None else [applied.effect.name for applied in model.effects]
+    models = [name for name in MODELS if name == "simulated" or (viewed and (name == "declared" or model is not None))]
+    contents = variables(step_of(full_scale), models, bool(effects))
+    measured, dims = files["crops"]["image"].sel(centring="light"), store.grid_dims(files["crops"])
+    extra = _coordinates(dataset, line, effects).assign_attrs(extended=why_not or "model.yaml")
+    with store.frame_writer(path, dataset, extra, contents, code=code, inputs=inputs) as writer:
+        for views in (
+            simulate(dataset, files, sensor),
+            *([] if viewed is None else [model_all(dataset, viewed, model)]),
         ):
-            for index, values in progress.over(found, "views of frames", len(dataset.spots)):
+            for index, values in progress.over(views, "views of frames", len(dataset.spots)):
                 image = measured.isel(dict(zip(dims, index, strict=True))).values.astype(float)
                 for name in [name for name in MODELS if name in values]:
-                    rms, over = rms_left(image, values[name], line)
-                    values |= {f"{name}_rms": rms, f"{name}_left": over}
-                writer.put(index, {k: np.clip(v, 0.0, full_scale) if held[k].step else v for k, v in values.items()})
+                    rms, over_noise = rms_left(image, values[name], line)
+                    values |= {f"{name}_rms": rms, f"{name}_left": over_noise}
+                clipped = {k: np.clip(v, 0.0, full_scale) if contents[k].step else v for k, v in values.items()}
+                writer.put(index, clipped)
 
 
-def _simulated(
-    dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None
-) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
-    """The simulated baseline on the fitted centre of every spot; without a usable spot there is no light."""
+def _coordinates(dataset: Dataset, line: NoiseLine, effects: Sequence[str]) -> xr.Dataset:
+    """Return the coordinates of the file and the line of the sensor's noise."""
+    out = xr.Dataset()
+    for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
+        values = np.arange(dataset.instrument.crop_px, dtype="i4")
+        out[name] = (name, values, {"units": "pixel", "long_name": text})
+    if effects:
+        attributes = {"units": "1", "long_name": "effect that is left out"}
+        out["without"] = ("without", np.array(effects, dtype=object), attributes)
+    out["noise_at_zero"] = ((), line.at_zero, {"units": "DN2", "long_name": "variance of a reading of 0 DN"})
+    out["noise_slope"] = ((), line.slope, {"units": "DN", "long_name": "rise of that variance for each DN of mean"})
+    return out
+
+
+def simulate(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
+    """Yield the simulated baseline at the fitted centre of each spot; a frame without a usable spot has no light."""
     crops, fits = files["crops"].sel(centring="light"), preferred(files["fits"])
     states = simulation.spot_states(dataset, files["calibration"], files["fits"])
     baseline = of_instrument(dataset.instrument, dataset.exposures)
@@ -221,29 +329,19 @@ def _simulated(
         yield index, {"simulated": light}
 
 
-def _judged(
-    dataset: Dataset, judged: tuple[Sequence[Shot], Setting], extended: Extended | None
-) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
-    """The declared and the extended model on every frame that a verdict can use."""
-    shots, setting = judged
-    ready = whole(shots, setting)
-    if isinstance(ready, str):
-        return
-    frames, declared = ready.frames, Model(setting.baseline, setting.sensor, (), ready.numbers)
-    declared = fit_numbers(frames, declared).model
-    models, own = {"declared": Expectation(frames, declared)}, None
-    if extended is not None:
-        sites = [site_of_shot(shot, dataset.instrument, extended.law is not None) for shot in shots]
-        own = fitted(frames, declared, extended, sites)
-        models["extended"] = Expectation(frames, own.model)
-    others = [] if own is None else [Expectation(frames, other) for other in own.without]
-    for k, (shot, frame) in enumerate(zip(shots, frames, strict=True)):
-        places = (shot.angle_deg, shot.exposure_s, shot.repeat, *shot.conditions)
-        index = tuple(axis.index(value) for axis, value in zip(dataset.axes, places, strict=True))
-        values: dict[str, Any] = {name: expected.of(frame, k).mean for name, expected in models.items()}
-        if own is not None:
-            values |= {name: own.deviations[name][k] for name in DEVIATIONS}
-            values |= {f"{name}_stderr": own.stderr[name][k] for name in DEVIATIONS}
-        if others:
-            values["extended_without"] = np.array([other.of(frame, k).mean for other in others])
+def model_all(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | None) -> FrameViews:
+    """Yield the declared and the extended model on each frame that a verdict can use."""
+    declared = view_declared(viewed)
+    extended = None
+    if model is not None:
+        sites = viewed.sites(dataset.instrument.conditions, model.law is not None)
+        extended = view_extended(replace(viewed, start=declared.fitted.spots), model, sites)
+    for k, (index, _) in enumerate(viewed.cells):
+        values: dict[str, Any] = {"declared": declared.mean(viewed.frames, k)}
+        if extended is not None:
+            values["extended"] = extended.model.mean(viewed.frames, k)
+            values |= {name: deviation[k] for name, deviation in extended.deviations.items()}
+            values |= {f"{name}_stderr": stderr[k] for name, stderr in extended.stderr.items()}
+            if extended.without:
+                values["extended_without"] = np.array([other.mean(viewed.frames, k) for other in extended.without])
         yield index, values

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spotcheck.adoption.learned import Learned
+from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.estimate.sensor import SPOTS
 from spotcheck.instrument import SECTIONS, Instrument
-from spotcheck.old_engine.criteria import STATED
 from spotcheck.schema import breach_of
 
 
@@ -58,7 +58,7 @@ def _weighed(own: Learned, stated: float | None, stated_stderr: float) -> tuple[
     if not np.isfinite(own.stderr):
         return False, "its error is not known"
     errors = abs(own.value - stated) / np.hypot(own.stderr, stated_stderr)
-    if errors > STATED.value:
+    if errors > CLEAR_ERRORS:
         return True, f"contradicts the sheet by {errors:.1f} errors"
     if own.stderr < stated_stderr:
         return True, "known better than the sheet states"

@@ -11,7 +11,7 @@ from spotcheck.origin import words
 
 EXAMPLES = """Examples:
   spotcheck explain p1 --results out/my-frames
-  spotcheck explain gap.closed --results out/my-frames
+  spotcheck explain unexplained.size --results out/my-frames
   spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json --results out/my-frames
   spotcheck explain --results out/my-frames      # lists all that can be asked for
 """

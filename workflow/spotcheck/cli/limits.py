@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 
 from spotcheck.cli.explain import only_one
+from spotcheck.discrepancy.words import limits_text
 from spotcheck.errors import InputError
-from spotcheck.old_engine.verdict.words import limits_text
 
 EXAMPLE = """Example:
   spotcheck limits --results out/my-frames

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from spotcheck import dataset, provenance, store, views
 from spotcheck.cli import vocabulary
-from spotcheck.cli.judged import open_set
-from spotcheck.old_engine.boundary import check_model
-from spotcheck.old_engine.model.extended import read_model, why_none
-from spotcheck.old_engine.model.light_file import LIGHT
+from spotcheck.cli.judged import prepare_dataset
+from spotcheck.model.light_shape import LIGHT
+from spotcheck.model.model_file import read_model, reason_without_model
+from spotcheck.simulation import check_model
 
 EXAMPLE = """Example:
   spotcheck views my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
@@ -34,19 +34,21 @@ def run(args: argparse.Namespace) -> None:
     found = dataset.load(args.dataset)
     paths = {name: getattr(args, name) for name in ("crops", "fits", "calibration", "sensor")}
     files = {name: store.read(path) for name, path in paths.items()}
-    ready, why_not = open_set(found, files["crops"], files["sensor"]), why_none(args.model)
+    ready = prepare_dataset(found, files["crops"], files["sensor"], files["fits"])
+    why_not = reason_without_model(args.model)
     inputs = [*paths.values(), args.model, *args.effects]
-    frames, model = None, None
+    viewed, model = None, None
     if isinstance(ready, str):
         why_not = why_not or ready
     else:
-        frames = (ready.shots, ready.setting)
+        baseline, sensor = ready.setting.baseline, ready.setting.sensor
+        viewed = views.ViewedFrames(ready.frames, ready.cells, ready.spots, baseline, sensor)
         if not why_not:
             model = read_model(args.model)
-            check_model(found, model, ready.setting.baseline, ready.setting.sensor, args.model.name)
+            check_model(found, model, baseline, sensor, args.model.name)
             inputs += [args.model.with_name(LIGHT)] if model.lights else []
     code = provenance.code_digest(__name__)
-    views.write(found, files, frames, model, args.output, why_not=why_not, code=code, inputs=inputs)
+    views.write(found, files, viewed, model, args.output, why_not=why_not, code=code, inputs=inputs)
     for ds in files.values():
         ds.close()
     print(f"{found.name}: views of {len(found.spots)} frames")

@@ -7,7 +7,6 @@ from typing import Any
 from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.effects import Choice
-from spotcheck.old_engine.boundary import choose_effects
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,13 +19,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def choose(args: argparse.Namespace) -> None:
     """Set the vocabulary of this process to that of the options."""
-    set_choice(Choice(tuple(args.effects), tuple(args.only), tuple(args.without)))
-
-
-def set_choice(choice: Choice) -> None:
-    """Set the vocabulary of this process, that of the old engine too."""
-    effects.choose(choice)
-    choose_effects(choice)
+    effects.choose(Choice(tuple(args.effects), tuple(args.only), tuple(args.without)))
 
 
 def of_config(config: Mapping[str, Any]) -> Choice:

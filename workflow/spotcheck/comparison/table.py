@@ -9,8 +9,8 @@ import numpy as np
 from spotcheck.comparison.changes import Change, beyond_chance, difference, trend
 from spotcheck.comparison.numbers import ABSENT, Condition, Name, Number
 from spotcheck.comparison.sets import Set, common, in_other_units, read_sets
+from spotcheck.discrepancy.words import value_text
 from spotcheck.manifest import DATE
-from spotcheck.old_engine.verdict.words import value_text
 
 DAY_S = 86400.0
 # Axes of the grid that a person tells by their unit alone.

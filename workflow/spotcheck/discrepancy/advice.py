@@ -105,11 +105,16 @@ def advise(named: Sequence[NamedEffect], effects: Sequence[Effect], present: Pre
 def choose_condition(
     conditions: Sequence[Condition], worth_of: Callable[[Condition], FrameWorth | None], known: np.ndarray
 ) -> tuple[Condition, int] | None:
-    """Return the condition that needs the fewest frames, and their number; None if none will do."""
-    worths = [(condition, worth_of(condition)) for condition in conditions]
-    needed = [(condition, worth.frames_needed(known)) for condition, worth in worths if worth is not None]
-    best = min(needed, key=lambda pair: pair[1], default=None)
-    return best if best is not None and best[1] <= MOST_FRAMES else None
+    """Return the condition that needs the fewest frames, of those the one that is worth most, and their number; None if
+    none will do."""
+    needed = []
+    for condition in conditions:
+        worth = worth_of(condition)
+        frames = MOST_FRAMES + 1 if worth is None else worth.frames_needed(known)
+        if worth is not None and frames <= MOST_FRAMES:
+            needed.append((frames, -worth.growth(frames, known), condition))
+    best = min(needed, key=lambda entry: entry[:2], default=None)
+    return None if best is None else (best[2], best[0])
 
 
 def list_conditions(design: Design) -> list[Condition]:
@@ -157,13 +162,13 @@ def compare_images(
 
     def worth_of(condition: Condition) -> FrameWorth | None:
         first, pixels = predict_frame(fit.model, fit.pixels, condition, present)
-        readings = evaluate(first, pixels, slice(0, 1), with_slopes=False).moments.mean
+        expected = evaluate(first, pixels, slice(0, 1), with_slopes=False)
+        readings, root = expected.moments.mean, np.sqrt(expected.weight).ravel()
         if readings.max() > USABLE_SHARE * first.forward.sensor.full_scale_dn:
             return None
         # The rival's spot starts from that of the named effect, and is refitted linearly.
         second = replace(first, forward=other.model.forward, free=other.model.free)
         at = evaluate(second, replace(pixels, readings=np.where(pixels.is_used, readings, 0.0)), slice(0, 1))
-        root = np.sqrt(at.weight).ravel()
         spot = (at.moments.mean_slope * at.slopes).reshape(4, -1) * root
         columns = np.array(
             [np.broadcast_to(mean, at.weight.shape).ravel() * root for mean, _ in columns_of(second, at)]

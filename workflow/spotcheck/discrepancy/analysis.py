@@ -6,18 +6,21 @@ image. 4. Scatter again, beside them. 5. Laws of brightness and width. 6. Held-o
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
+from spotcheck import progress
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z
+from spotcheck.discrepancy.evaluation import least_variance
 from spotcheck.discrepancy.fields import FieldEstimate, estimate_granular_light, estimate_pixel_gains, measure_fields
 from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
 from spotcheck.discrepancy.joint_fit import READ_NOISE_RANGE, FreeParameter, JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import FoundLaws, LawSearch, find_laws, is_law, numbers_of_fit
-from spotcheck.discrepancy.light_shape import ShapeExplanation, explain_shape
+from spotcheck.discrepancy.light_shape import ShapeExplanation, explain_shape, fit_thinned_shape
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import (
     Deviation,
@@ -127,13 +130,18 @@ def analyse_frames(
     log : callable
         Receives lines of text on the progress.
     """
+    progress.step("fitting the declared model", 0.0, 0.1)
     prepared = prepare_frames(frames, spots, setting)
+    progress.step("looking for effects", 0.1, 0.7)
     mean_effects = [effect for effect in effects if changes_mean_image(effect)]
     baseline = fit_saturated(prepared.declared, replace(prepared.frames, light_field=None), effects, prepared.scales)
     if baseline is not prepared.declared:
         baseline = fit_with_field(baseline, prepared.frames)
     log(f"first fit: {', '.join(baseline.model.effect_names) or 'no effect'}, converged {baseline.has_converged}")
-    selected = select_effects(baseline, mean_effects, prepared.scales, log)
+    selected = select_effects(
+        baseline, mean_effects, prepared.scales, log, update=partial(update_dispersion, frames=prepared.frames)
+    )
+    progress.step("predicting held-out frames", 0.7, 0.85)
     withdrawn: tuple[str, ...] = ()
     while True:
         analysis = examine(prepared, selected, [e for e in effects if e.name not in withdrawn], log)
@@ -154,6 +162,10 @@ def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -
     declared = fit_declared(searched, spots.select(seen), setting)
     images = measure_residuals(declared.model, searched)
     light_field = find_light_field(images, declared)
+    if light_field is not None:
+        # Structure of the light that moves with the spot looks like grains unless a free shape takes it.
+        shaped = fit_thinned_shape(declared)[1]
+        light_field = find_light_field(measure_residuals(shaped.model, searched), shaped)
     if light_field is not None:
         searched = replace(searched, light_field=light_field)
         declared = fit_declared(searched, declared.model.spots, setting)
@@ -218,9 +230,9 @@ def free_sensor_parameters(setting: Setting) -> tuple[FreeParameter, ...]:
 def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None:
     """Return the granular light that the residuals of a fit show; None if they show none.
 
-    With its part φ of the variance of a reading and the area a of its correlation [px], sums of residuals have
-    1 + (a − 1) φ times the variance of independent ones; φ is its mean over the information on the light. A field that
-    is in the distribution of a reading adds no further variance.
+    With its part φ of the variance of a reading, the area a of its correlation [px] and n frames of a site that share
+    it, sums of residuals have 1 + (n a − 1) φ times the variance of independent ones; φ is its mean over the
+    information on the light. A field that is in the distribution of a reading adds no further variance.
     """
     grains = estimate_granular_light(measure_fields(images))
     if grains.reasons or not grains.variance > MIN_Z * grains.stderr:
@@ -231,8 +243,18 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     information = np.divide(images.spot**2, total, out=np.zeros_like(variance), where=total > 0)
     share = np.divide(variance, total, out=np.zeros_like(variance), where=total > 0)
     mean_share = min(float(np.sum(share * information) / np.sum(information)), 1.0)
-    dispersion = 1 + (correlated_area(grains.grain_px) - 1) * mean_share
+    dispersion = 1 + (grains.frames * correlated_area(grains.grain_px) - 1) * mean_share
     return LightField(np.zeros_like(variance) if is_in_model else variance, dispersion)
+
+
+def update_dispersion(fit: JointFit, frames: FrameSet) -> JointFit:
+    """Return a fit with the dispersion that its residuals show, if granular light is in its model."""
+    if not any(is_field(applied) for applied in fit.model.forward.effects):
+        return fit
+    light_field = find_light_field(measure_residuals(fit.model, frames), fit)
+    if light_field is None:
+        return fit
+    return replace(fit, pixels=replace(fit.pixels, dispersion=light_field.dispersion))
 
 
 def fit_with_field(saturated: JointFit, frames: FrameSet) -> JointFit:
@@ -256,8 +278,10 @@ def measure_scatter(images: ResidualImages, fit: JointFit, hot_pixels: int) -> S
 
 
 def dark_variance_slope(forward: ForwardModel) -> float:
-    """Return the change of the variance of a dark reading for each DN² of read noise."""
-    sensor = forward.sensor
+    """Return the change of the variance of a dark reading for each DN² of read noise; 0 at the floor of the fit."""
+    sensor, distribution = forward.sensor, forward.distribution()
+    if distribution.variance(0.0) < least_variance(distribution):
+        return 0.0
     noises = [sensor.read_noise_e * (1 + shift) for shift in (-NOISE_STEP, NOISE_STEP)]
     low, high = (
         float(replace(forward, sensor=replace(sensor, read_noise_e=noise)).distribution().variance(0.0))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from spotcheck import progress
 from spotcheck.discrepancy.advice import PresentFits, advise
 from spotcheck.discrepancy.analysis import Analysis, measure_scatter
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
@@ -52,6 +53,7 @@ def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[st
     remarks : sequence of str
         What a reader should know of the data.
     """
+    progress.step("measuring what is left and its limits", 0.85, 1.0)
     prepared, fit = analysis.prepared, analysis.selected.fit
     black_dn = prepared.setting.sensor.black_level_dn
     sums = sum_residuals(prepared.images)
@@ -180,8 +182,8 @@ def measure_gap(analysis: Analysis) -> Gap | None:
 
 
 def measure_law_shift(analysis: Analysis) -> LawShift:
-    """Return p1 and p2 under the declared and under the extended model."""
-    if analysis.search is None or analysis.laws is None:
+    """Return p1 and p2 under the declared and under the extended model; one exposure determines neither."""
+    if analysis.search is None or analysis.laws is None or analysis.search.levels.shape[1] < 2:
         return LawShift()
     declared = analysis.search.with_numbers(numbers_of_fit(analysis.prepared.declared)).fit([])
     final = analysis.laws.fit
@@ -285,9 +287,9 @@ def _scatter(scattered: NamedScatter, analysis: Analysis, effects: Sequence[Effe
     """Return an effect that scatters. Where each site has one frame, scatter of frames is scatter of sites."""
     applied = scattered.applied
     design = analysis.prepared.frames.design
-    rivals: dict[str, float] = {}
+    rivals = dict.fromkeys(scattered.rivals, 0.0)
     if len(np.unique(design.site)) == len(design.site):
-        rivals = {effect.name: 0.0 for effect in effects if effect is not applied.effect
+        rivals |= {effect.name: 0.0 for effect in effects if effect is not applied.effect
                   and _scatters_alike(applied, effect)}  # fmt: skip
     return NamedEffect(
         applied=applied,

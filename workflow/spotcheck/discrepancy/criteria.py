@@ -35,5 +35,10 @@ CLEAR_ERRORS = 3.0
 # A learned shape is no light where it is so many standard errors below 0 (of some 8,000 splines, one falls so far by
 # chance with a probability of 1e-4), and below minus this part of its peak (splines ring by 0.0015 about a kink).
 BELOW_ERRORS, LEAST_FALL = 6.0, 0.005
+# Confidence of upper limits.
+CONFIDENCE = 0.95
+# z from which on a strength that is not named is more than noise, and inflation of its errors by misfit from which on
+# misfit sets its limit: more frames would not lower the limit then.
+PRESENT_Z, MISFIT_INFLATION = 4.0, 2.0
 # Most places that are reported, and the family-wise p-value below which a place is.
 MOST_PLACES, PLACE_ALPHA = 5, 0.01

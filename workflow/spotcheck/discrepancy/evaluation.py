@@ -17,7 +17,7 @@ import numpy as np
 
 from spotcheck.discrepancy.frames import Pixels, conditions_of
 from spotcheck.model.conditions import FrameConditions
-from spotcheck.model.effect import AppliedEffect, RandomStep
+from spotcheck.model.effect import AppliedEffect, RandomStep, Step
 from spotcheck.model.forward import SENSOR_STAGES, TABULATED, ForwardModel
 from spotcheck.model.light import Light
 from spotcheck.model.stage import Stage
@@ -106,16 +106,66 @@ def evaluate(model: JointModel, pixels: Pixels, part: slice, with_slopes: bool =
     conditions = conditions_of(design, spots, selected)
     forward = model.forward
     light = forward.light(conditions)
-    inputs = forward.sensor_input(conditions, light=light)
-    moments = forward.moments(inputs)
-    noise = inputs.distribution.noise_dn
-    variance = np.maximum(moments.variance, LEAST_VARIANCE * (noise**2 + ROUNDING_VARIANCE)) + selected.extra_variance
+    distribution, moments = _moments_of(forward, conditions, light)
+    variance = moments.variance + selected.extra_variance
     used = selected.is_used
     residual = np.where(used, selected.readings - moments.mean, 0.0)
     weight = np.where(used, 1 / variance, 0.0)
     variance_score = (residual**2 * weight - used) * weight / 2
     slopes = _spot_slopes(forward, conditions, light.spot) if with_slopes else np.zeros((0, *used.shape))
-    return Evaluation(conditions, light, inputs.distribution, moments, residual, weight, variance_score, slopes)
+    return Evaluation(conditions, light, distribution, moments, residual, weight, variance_score, slopes)
+
+
+def _moments_of(
+    forward: ForwardModel, conditions: FrameConditions, light: Light
+) -> tuple[ReadingDistribution, ReadingMoments]:
+    """Return the distribution of readings given their light, and their moments.
+
+    The variance is at least `LEAST_VARIANCE`, where it has no slope. Moments are interpolated between the two values of
+    a rounded parameter next to it, so that −2 ln L has a slope in it.
+    """
+    parts = []
+    for weight, other in _rounded_neighbours(forward):
+        inputs = other.sensor_input(conditions, light=light)
+        parts.append((weight, other.moments(inputs)))
+    moments = parts[0][1]
+    if len(parts) > 1:
+        (low, below), (high, above) = parts
+        mixed = [low * first + high * second for first, second in zip(below, above, strict=True)]
+        mixed[1] = mixed[1] + low * high * (above.mean - below.mean) ** 2
+        moments = ReadingMoments(*mixed)
+    least = least_variance(inputs.distribution)
+    is_less = moments.variance < least
+    if np.any(is_less):
+        variance, slope = np.where(is_less, least, moments.variance), np.where(is_less, 0.0, moments.variance_slope)
+        moments = moments._replace(variance=variance, variance_slope=slope)
+    return inputs.distribution, moments
+
+
+def least_variance(distribution: ReadingDistribution) -> float:
+    """Return the floor of the variance of readings [DN²]."""
+    return LEAST_VARIANCE * (distribution.noise_dn**2 + ROUNDING_VARIANCE)
+
+
+def _rounded_neighbours(forward: ForwardModel) -> list[tuple[float, ForwardModel]]:
+    """Return models with the values of a rounded parameter below and above it, with weights; or the model alone."""
+    for applied in forward.effects:
+        name = rounded_parameter(applied)
+        if name:
+            reading = forward.sensor.black_level_dn + applied.parameters[name]
+            models = []
+            for whole in (np.floor(reading), np.floor(reading) + 1):
+                moved = applied.with_value(name, float(whole - forward.sensor.black_level_dn))
+                effects = tuple(moved if other is applied else other for other in forward.effects)
+                models.append((float(1 - abs(reading - whole)), replace(forward, effects=effects)))
+            return models
+    return [(1.0, forward)]
+
+
+def rounded_parameter(applied: AppliedEffect) -> str:
+    """Return the parameter of an effect that readings follow in whole steps only; "" if there is none."""
+    steps = applied.effect.variants[applied.variant]
+    return next((step.rounded for step in steps if isinstance(step, Step) and step.rounded), "")
 
 
 def _spot_slopes(forward: ForwardModel, conditions: FrameConditions, spot: np.ndarray) -> np.ndarray:
@@ -150,7 +200,7 @@ def _column(model: JointModel, parameter: FreeParameter, at: Evaluation) -> Colu
 def change_of_moments(forward: ForwardModel, at: Evaluation, has_same_light: bool) -> Column:
     """Return mean and variance of another model less those of an evaluation."""
     light = at.light if has_same_light else forward.light(at.conditions)
-    moments = forward.moments(forward.sensor_input(at.conditions, light=light))
+    _, moments = _moments_of(forward, at.conditions, light)
     return moments.mean - at.moments.mean, moments.variance - at.moments.variance
 
 

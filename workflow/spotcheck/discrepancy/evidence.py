@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_BESIDE_SHAPE
-from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches
-from spotcheck.discrepancy.frames import Design
+from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches, rounded_parameter
+from spotcheck.discrepancy.frames import Design, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.normal_equations import solve_positive
+from spotcheck.discrepancy.normal_equations import assemble, solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect, EffectScales
+from spotcheck.sensor import ROUNDING_VARIANCE
 
 # Sites from which on the scores of a site and sector are the clusters of the covariance; with fewer, blocks of pixels.
 MANY_SITES, BLOCK_PX = 8, 16
@@ -33,7 +34,7 @@ Labels = Callable[[JointModel, Evaluation, slice], np.ndarray]
 class EffectTest:
     """Evidence for one fitted effect."""
 
-    gain: float  # drop of −2 ln L by the effect; its Wald z² if that exceeds `CERTAIN`
+    gain: float  # drop of −2 ln L by the effect, maybe scaled from thinned pixels; its Wald z² if above `CERTAIN`
     wald: float  # z² of the effect's strength under the cluster-robust covariance
     heterogeneity: float  # Cochran's Q of the strength over cells of the spot
     cells: int  # number of cells
@@ -89,6 +90,9 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
     unknown = np.diag(information) <= 0
     covariance[unknown], covariance[:, unknown] = 0.0, 0.0
     covariance[unknown, unknown] = np.inf
+    for k, parameter in enumerate(fit.model.free):
+        if parameter.effect and rounded_parameter(fit.model.effect_named(parameter.effect)) == parameter.name:
+            covariance[k, k] += ROUNDING_VARIANCE
     return covariance
 
 
@@ -100,16 +104,17 @@ def assess_effect(
     strength = applied.effect.parameters[0].name
     position = next(k for k, p in enumerate(fit.model.free) if (p.effect, p.name) == (name, strength))
     distance = distance_from_nothing(applied)
-    wald = distance**2 / max(covariance[position, position], 1e-300) if np.isfinite(distance) else np.inf
+    variance = max(covariance[position, position], 1e-300)
+    wald = distance**2 / variance if np.isfinite(distance) else (np.inf if np.isfinite(variance) else 0.0)
     target = 4 * fit.equations.frames + position
     ((score, information),) = sum_by_clusters(fit, np.array([target]), (label_cells,))
     score, information = score[:, 0], information[:, 0]
     used = information > LEAST_CELL_SHARE * information.sum()
-    pooled = score[used].sum() ** 2 / information[used].sum()
+    pooled = score[used].sum() ** 2 / max(information[used].sum(), 1e-300)
     heterogeneity = float(np.sum(score[used] ** 2 / information[used]) - pooled) / fit.pixels.dispersion
     gain = measure_gain(fit, name, wald) if known_gain is None else known_gain
     cells, evidence = int(used.sum()), min(gain, wald)
-    limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * (cells - 1)), CELL_MISFIT * evidence)
+    limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * max(cells - 1, 0)), CELL_MISFIT * evidence)
     is_nothing = is_negligible(applied, scales)
     return EffectTest(gain, wald, heterogeneity, cells, float(limit), is_nothing, least_gain(fit.model))
 
@@ -120,13 +125,18 @@ def least_gain(model: JointModel) -> float:
 
 
 def measure_gain(fit: JointFit, name: str, wald: float) -> float:
-    """Return the drop of −2 ln L by an effect: from a fit without it, or `wald` if that leaves no doubt."""
+    """Return the drop of −2 ln L by an effect: `wald`, or that of thinned pixels, if it leaves no doubt; else that of
+    all pixels."""
     if CERTAIN < wald < np.inf:
         return wald
-    without = fit_jointly(
-        fit.model.without_effect(name), fit.pixels, tolerance=WITHOUT_TOLERANCE, iterations=WITHOUT_ITERATIONS
-    )
-    return (without.deviance - fit.deviance) / fit.pixels.dispersion
+    without = fit.model.without_effect(name)
+    for pixels in (thin_pixels(fit.pixels), fit.pixels):
+        refit = fit_jointly(without, pixels, tolerance=WITHOUT_TOLERANCE, iterations=WITHOUT_ITERATIONS)
+        deviance = fit.deviance if pixels is fit.pixels else assemble(fit.model, pixels).deviance
+        gain = (refit.deviance - deviance) / fit.pixels.dispersion
+        if gain > CERTAIN:
+            break
+    return gain * fit.pixels.count / pixels.count
 
 
 def distance_from_nothing(applied: AppliedEffect) -> float:

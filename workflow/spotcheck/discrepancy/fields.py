@@ -26,6 +26,8 @@ MOST_CANVAS = 3.0
 GRAIN_LAGS, GRAIN_RANGE = 5.0, (0.3, 12.0)
 # Lag [px] beyond which grains are not correlated, and the part of the variance that may be left there.
 FAR_LAG, FAR_SHARE = 8.0, 0.15
+# Part of the largest product of light below which products are rounding of Fourier transforms.
+ROUNDING_SHARE = 1e-12
 # Part of a field's variance that lines along rows or columns may have.
 LINE_SHARE = 0.2
 
@@ -39,7 +41,7 @@ class Products:
 
     def covariance(self) -> np.ndarray:
         """Return the covariance over all entries."""
-        return self.residuals.sum(axis=0) / np.maximum(self.light.sum(axis=0), 1e-300)
+        return divide_lit(self.residuals.sum(axis=0), self.light.sum(axis=0))
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class FieldEstimate:
     stderr: float  # its standard error
     grain_px: float  # standard deviation of the correlation exp(−d²/2 grain²) [px]; NaN for gains of pixels
     reasons: tuple[str, ...]  # against it; empty: the field is there
+    frames: float = 1.0  # frames in which a pixel shows the same value of the field, weighted by information
 
 
 def measure_fields(images: ResidualImages) -> FieldCovariances:
@@ -119,7 +122,7 @@ def estimate_granular_light(covariances: FieldCovariances) -> FieldEstimate:
     near = (distance < 1.5) & (distance > 0)
 
     def central(residuals: np.ndarray, light: np.ndarray) -> float:
-        values = residuals / np.maximum(light, 1e-300)
+        values = divide_lit(residuals, light)
         return float(values[LAG, LAG] if has_pairs else values[near].mean())
 
     variance, stderr = jackknife(sums, central)
@@ -133,12 +136,16 @@ def estimate_granular_light(covariances: FieldCovariances) -> FieldEstimate:
     lines = (covariance[LAG, LAG + 5 :].mean(), covariance[LAG + 5 :, LAG].mean())
     if max(map(abs, lines)) > LINE_SHARE * variance:
         reasons.append("lines, not grains")
-    return FieldEstimate(variance, stderr, grain, tuple(reasons))
+    alone, pairs = covariances.within_frames.light, covariances.within_sites.light
+    frames = 1 + float(pairs[:, LAG, LAG].sum()) / max(float(alone[:, LAG, LAG].sum()), 1e-300)
+    return FieldEstimate(variance, stderr, grain, tuple(reasons), frames)
 
 
 def estimate_pixel_gains(covariances: FieldCovariances) -> FieldEstimate:
     """Return the gains of pixels: the covariance of a pixel with itself between sites, above that of its surround."""
     zero, ring = covariances.same_pixel, covariances.ring
+    if not zero.light.any():
+        return FieldEstimate(np.nan, np.nan, np.nan, ("no pixel is lit at two sites",))
     used = zero.light > 1e-3 * zero.light.max()
     sums = Products(np.stack([zero.residuals, ring.residuals], 1)[used], np.stack([zero.light, ring.light], 1)[used])
     variance, stderr = jackknife(sums, lambda r, b: float(r[0] / b[0] - r[1] / b[1]))
@@ -146,6 +153,12 @@ def estimate_pixel_gains(covariances: FieldCovariances) -> FieldEstimate:
     line = max(float(lines.residuals.sum() / lines.light.sum()) - surround for lines in covariances.along_lines)
     reasons = ("lines, not pixels",) if line > LINE_SHARE * variance else ()
     return FieldEstimate(variance, stderr, np.nan, reasons)
+
+
+def divide_lit(residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Return residuals over light, and 0 where the light is nothing but the rounding of its transform."""
+    is_lit = light > ROUNDING_SHARE * np.max(light, initial=0.0)
+    return np.divide(residuals, light, out=np.zeros_like(residuals), where=is_lit)
 
 
 def fit_grain(covariance: np.ndarray, without_origin: bool) -> tuple[float, float]:

@@ -10,19 +10,18 @@ from spotcheck.discrepancy.candidates import list_starts
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MOST_EFFECTS, PARAMETER_PRICE, VARIANT_TIE
 from spotcheck.discrepancy.evidence import distance_from_nothing, is_negligible
 from spotcheck.discrepancy.findings import Consistency
-from spotcheck.discrepancy.flat_levels import (
-    FlatLevels,
+from spotcheck.discrepancy.flat_fit import (
     LevelFit,
     LevelScatter,
     deviance_of,
     estimate_covariance,
     estimate_scatter,
-    expect_levels,
     fit_levels,
     standardize_data,
     standardized_jacobian,
     standardized_residual,
 )
+from spotcheck.discrepancy.flat_levels import FlatLevels, expect_levels
 from spotcheck.model.effect import AppliedEffect, Effect
 
 # Sets of each size that are extended by one more effect: two effects together may look like a third.
@@ -111,7 +110,7 @@ def _search(levels: FlatLevels, declared: LevelFit, effects: Sequence[Effect], l
     """Return the fit with the best set of effects; sets grow from the best of a size less."""
     best, beam = declared, [declared]
     for _ in range(MOST_EFFECTS):
-        p_values = [test.p_value for test in test_smoothness(levels, best, estimate_rough_scatter(levels, best))]
+        p_values = [test.p_value for test in assess_smoothness(levels, best, estimate_rough_scatter(levels, best))]
         log(f"  residuals of {' + '.join(best.effect_names) or 'the linear sensor'}: p {min(p_values):.2g}")
         if len(p_values) * min(p_values) > SMOOTH_P:
             break
@@ -126,7 +125,7 @@ def _search(levels: FlatLevels, declared: LevelFit, effects: Sequence[Effect], l
         beam = sorted(extended.values(), key=_cost)[:BEAM]
         for fit in beam:
             log(f"  {' + '.join(fit.effect_names)}: {best.deviance - fit.deviance:.0f}")
-        if not beam or best.deviance - beam[0].deviance < MIN_GAIN or _cost(best) - _cost(beam[0]) < MIN_GAIN / 2:
+        if not beam or _cost(best) - _cost(beam[0]) < MIN_GAIN - PARAMETER_PRICE:
             break
         best = beam[0]
     if best is declared:
@@ -163,7 +162,7 @@ def screen_starts(levels: FlatLevels, fit: LevelFit, starts: Sequence[AppliedEff
         change = standardize_data(levels, standard, other.values - expected, other.dark_misfit - fit.dark_misfit)
         beside = change - basis @ (basis.T @ change)
         information = float(beside @ beside)
-        if information < max(SEPARABLE_SHARE * float(change @ change), LEAST_INFORMATION):
+        if not information >= max(SEPARABLE_SHARE * float(change @ change), LEAST_INFORMATION):  # or NaN
             continue
         score = float(beside @ residual)
         explained = min(score**2 / information, 0.999 * chi2)
@@ -225,7 +224,7 @@ def estimate_rough_scatter(levels: FlatLevels, fit: LevelFit) -> LevelScatter:
     return estimate_scatter(levels, standard.invert(rough), fit.slopes, smooth.shape[1])
 
 
-def test_smoothness(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> list[SmoothnessTest]:
+def assess_smoothness(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> list[SmoothnessTest]:
     """Return whether the residuals of means and of variances are smooth in light, given the scatter beyond that.
 
     Each is a sum of squares over the smooth directions that the fit has not absorbed. The scatter is at best as well
@@ -301,7 +300,7 @@ def assess_consistency(levels: FlatLevels, fit: LevelFit, without: LevelFit, nam
     change = rows[position] - others @ (others.T @ rows[position])
     information = float(change @ change)
     cell = np.add.outer(CELLS * np.arange(2), np.arange(count) * CELLS // count).ravel()
-    parts = change * (np.concatenate([cell, [-1, -1]]) == np.arange(2 * CELLS)[:, None])
+    parts = change * (np.concatenate([cell, [-1] * len(fit.dark_misfit)]) == np.arange(2 * CELLS)[:, None])
     absorbed = np.linalg.qr(rows.T)[0]
     left = parts - parts @ absorbed @ absorbed.T
     eigenvalues, directions = np.linalg.eigh(left @ left.T)

@@ -28,23 +28,21 @@ from spotcheck.discrepancy.findings import (
     Unexplained,
     UpperLimit,
 )
-from spotcheck.discrepancy.flat_levels import (
-    FEWEST_LEVELS,
-    FlatLevels,
+from spotcheck.discrepancy.flat_fit import (
     LevelFit,
     LevelScatter,
-    collect_levels,
     deviance_of,
     estimate_covariance,
     fit_levels,
 )
+from spotcheck.discrepancy.flat_levels import FEWEST_LEVELS, FlatLevels, collect_levels
 from spotcheck.discrepancy.flat_selection import (
     SelectedLevelEffects,
     add_effect,
+    assess_smoothness,
     estimate_rough_scatter,
     screen_starts,
     select_level_effects,
-    test_smoothness,
     without_effect,
 )
 from spotcheck.estimate.levels import levels_of, straightening
@@ -161,7 +159,7 @@ def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> Detectio
     """Return whether the residuals of a fit are smooth in light; scatter from level to level is that of a lamp."""
     tests = []
     z = deviations_in_errors(levels, fit, scatter)
-    for k, smoothness in enumerate(test_smoothness(levels, fit, scatter)):
+    for k, smoothness in enumerate(assess_smoothness(levels, fit, scatter)):
         where = name_place(levels, k, int(np.argmax(np.abs(z[k]))))
         p_value = max(smoothness.p_value, LEAST_P)
         tests.append(
@@ -271,7 +269,10 @@ def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Eff
     candidates = screen_starts(levels, selected.fit, list_starts([effect], levels.scales))
     if not candidates:
         return replace(limit, reason="these levels do not show it")
-    best, fit = candidates[0], None
+    # The first variant that levels show stands for all.
+    variants = {candidate.start.variant for candidate in candidates}
+    first = next(variant for variant in effect.variants if variant in variants)
+    best, fit = next(candidate for candidate in candidates if candidate.start.variant is first), None
     if best.promise >= LEAST_FIT and np.isfinite(effect.vanishes_at):
         fit = add_effect(levels, selected.fit, effect)
     if fit is not None and selected.fit.deviance - fit.deviance >= MIN_GAIN and limit.reason == NOT_FOUND:

@@ -30,6 +30,14 @@ def measure_components(search: LawSearch) -> dict[str, Fluctuation]:
         gain = search.deviance_of(others) - full.deviance
         interval = deviation_interval(full.variance[k], full.covariance[k, k])
         found[name] = Fluctuation(interval, gain, _reasons(gain))
+    for name, matrix in search.all_components().items() if search.can_estimate else ():
+        if name not in found:
+            # A component that was left out: its upper end is a limit.
+            beside = {**search.components, name: matrix}
+            fit = fit_reml(search.observations, search.saturated_mean, search.noise, beside)
+            k, gain = fit.names.index(name), full.deviance - fit.deviance
+            interval = deviation_interval(fit.variance[k], fit.covariance[k, k])
+            found[name] = Fluctuation(interval, gain, _reasons(gain))
     return found
 
 

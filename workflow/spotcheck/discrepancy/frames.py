@@ -128,7 +128,7 @@ class Pixels:
         """Number of pixels that take part."""
         return int(self.is_used.sum())
 
-    def select(self, frames: slice) -> "Pixels":
+    def select(self, frames: slice | np.ndarray) -> "Pixels":
         """Return the pixels of some frames."""
         names = ("x", "y", "readings", "is_used", "row_share", "extra_variance")
         return replace(self, **{name: getattr(self, name)[frames] for name in names})
@@ -191,7 +191,9 @@ def thin_pixels(pixels: Pixels, count: int = THINNED_PIXELS) -> Pixels:
         "extra_variance": np.broadcast_to(pixels.extra_variance, pixels.readings.shape)[at],
     }
     thinned = replace(pixels, x=x[:, None, :], y=y[:, :, None], **selected)
-    return replace(thinned, share=pixels.share * thinned.count / max(pixels.count, 1))
+    part = thinned.count / max(pixels.count, 1)
+    # Of the pixels that a grain covers only this part is left beside each pixel.
+    return replace(thinned, share=pixels.share * part, dispersion=1 + part * (pixels.dispersion - 1))
 
 
 def _axis_indices(centre: float, size: int, inner: int, stride: int, offset: int) -> np.ndarray:

@@ -35,6 +35,9 @@ ROUNDING_DECREMENT, ROUNDING_RISE = 0.3, 0.05
 FIRST_DAMPING, DAMPING_FACTOR, TRIES = 1e-3, 10.0, 9
 # Largest steps of ln peak and ln σ [1], and of the centre [σ].
 LARGEST_STEPS = (0.7, 0.4, 1.0)
+# Largest peak of a spot [full scales]: its flanks at full scale would lie beyond 3 σ. Tables of brighter light take
+# gigabytes.
+LARGEST_PEAK = 100.0
 # Part of the stated read noise that the fitted one is at least and at most.
 READ_NOISE_RANGE = (0.5, 3.0)
 
@@ -148,6 +151,11 @@ class JointFit:
         """−2 ln L but for a constant."""
         return self.equations.deviance
 
+    def select(self, frames: np.ndarray) -> "JointFit":
+        """Return model and pixels of some frames; the equations stay those of all."""
+        model = replace(self.model, spots=self.model.spots.select(frames), design=self.model.design.select(frames))
+        return replace(self, model=model, pixels=self.pixels.select(frames))
+
 
 def fit_jointly(
     model: JointModel,
@@ -178,18 +186,18 @@ def fit_jointly(
         Factor of the shape's information with which the fit begins.
     """
     equations = assemble(model, pixels, reuse)
-    damping, count, age = 0.0, 0, 0
+    damping, part, count, age = 0.0, 1.0, 0, 0
     total_tolerance = (TOTAL_TOLERANCE if model.grid is None else SHAPE_TOLERANCE) * tolerance / EFFECT_TOLERANCE
     while True:
         fixed = _held_parameters(model, equations)
         step = equations.solve(0.0, fixed)
         decrement, of_effects = equations.decrements(step, fixed)
-        dispersion = max(equations.dispersion, 1.0)
+        dispersion = max(equations.dispersion, pixels.dispersion, 1.0)
         has_converged = decrement < total_tolerance * dispersion and of_effects < tolerance * dispersion
         is_decided = rival is not None and decrement < 0.01 * (rival - equations.deviance)
         if has_converged or is_decided or count == iterations:
             break
-        moved, damping = _try_steps(model, pixels, equations, damping, fixed)
+        moved, damping, part = _try_steps(model, pixels, equations, damping, part, fixed)
         if moved is None and age > 0:
             # A factor that was taken over is too old.
             equations, age = assemble(model, pixels), 0
@@ -205,23 +213,27 @@ def fit_jointly(
 
 
 def _try_steps(
-    model: JointModel, pixels: Pixels, equations: NormalEquations, damping: float, fixed: np.ndarray
-) -> tuple[tuple[JointModel, NormalEquations] | None, float]:
-    """Return model and equations after the first step that lowers −2 ln L enough, or None, and the damping then."""
+    model: JointModel, pixels: Pixels, equations: NormalEquations, damping: float, part: float, fixed: np.ndarray
+) -> tuple[tuple[JointModel, NormalEquations] | None, float, float]:
+    """Return model and equations after the first step that lowers −2 ln L enough, or None.
+
+    Beside them: the damping of the next step, and the part of it to begin with. Damping does not shorten the step of a
+    shape, so that beside a shape steps are halved as well.
+    """
     decrement = equations.promise(equations.solve(0.0, fixed))
     for attempt in range(TRIES):
         step = equations.solve(damping, fixed)
-        part = 1.0 if attempt == 0 or damping else 0.5
         trial = _move(model, equations, part * step, part)
         new = assemble(trial, pixels, equations.shape)
         gain = equations.deviance - new.deviance
         is_rounding = decrement < ROUNDING_DECREMENT and gain > -ROUNDING_RISE
         if np.isfinite(gain) and (gain > LEAST_GAIN * part * equations.promise(step) or is_rounding):
-            is_first = attempt == 0
-            eased = damping / DAMPING_FACTOR**2 if is_first else damping
-            return (trial, new), eased if eased > FIRST_DAMPING / 2 else 0.0
+            eased = damping / DAMPING_FACTOR**2 if attempt == 0 else damping
+            return (trial, new), eased if eased > FIRST_DAMPING / 2 else 0.0, min(2 * part, 1.0)
         damping = max(damping * DAMPING_FACTOR, FIRST_DAMPING)
-    return None, damping
+        if model.grid is not None:
+            part /= 2
+    return None, damping, part
 
 
 def _held_parameters(model: JointModel, equations: NormalEquations) -> np.ndarray:
@@ -252,6 +264,7 @@ def _move(model: JointModel, equations: NormalEquations, step: np.ndarray, part:
         values + np.clip(change, -limit, limit)
         for values, change, limit in zip(model.spots.as_rows(), of_spots, limits, strict=True)
     ]
+    rows[0] = np.minimum(rows[0], np.log(LARGEST_PEAK * model.forward.sensor.full_scale_dn))
     model = replace(model, spots=FrameParameters(*rows))
     for parameter, change in zip(model.free, step[4 * frames :], strict=True):
         value = float(np.clip(model.value_of(parameter) + change, parameter.low, parameter.high))

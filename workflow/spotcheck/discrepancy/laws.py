@@ -33,6 +33,8 @@ LEAST_FREE = 4
 COMPONENT_GAIN = 6.0
 # Most steps of a fit of laws, and the promised drop of χ² at which it has converged.
 ITERATIONS, TOLERANCE = 40, 1e-4
+# Most halvings of a step of such a fit.
+MOST_HALVINGS = 12
 # Relative step of differences, and the scale of parameters near 0.
 DIFFERENCE, LEAST_SCALE = 1e-6, 1e-2
 # Part of the range of a parameter that one step may cross.
@@ -231,16 +233,29 @@ class LawSearch:
             whitened = self.whitening @ jacobian
             step = np.linalg.lstsq(whitened, self.whitening @ (self.observations - mean), rcond=1e-10)[0]
             has_converged = bool(np.sum((whitened @ step) ** 2) < TOLERANCE)
-            model = self._move(model, names, step)
+            model = self._descend(model, names, step)
             if has_converged:
                 break
         mean, jacobian = self._linearize(model, names)
         residual, whitened = self.observations - mean, self.whitening @ jacobian
-        chi2 = float(np.sum((self.whitening @ residual) ** 2))
+        chi2 = self._chi2_of(model)
         covariance = np.linalg.pinv(whitened.T @ whitened, hermitian=True)
         assert model.law is not None
-        chi2 = chi2 if np.isfinite(chi2) else np.inf
         return LawFit(model.law, model.effects, tuple(names), covariance, chi2, jacobian, residual, has_converged)
+
+    def _descend(self, model: ForwardModel, names: Sequence[tuple[str, str]], step: np.ndarray) -> ForwardModel:
+        """Return the model after the largest of a step, its half, its quarter … that does not raise χ², or as it is."""
+        chi2 = self._chi2_of(model)
+        for halvings in range(MOST_HALVINGS):
+            moved = self._move(model, names, step / 2**halvings)
+            if self._chi2_of(moved) <= chi2:
+                return moved
+        return model
+
+    def _chi2_of(self, model: ForwardModel) -> float:
+        """Return χ² of the numbers under a model; infinite outside its domain."""
+        chi2 = float(np.sum((self.whitening @ (self.observations - self.mean_of(model))) ** 2))
+        return chi2 if np.isfinite(chi2) else np.inf
 
     def _start(self) -> ExposureLaw:
         """Return p1, p2 and the peak from a straight line through the widths."""

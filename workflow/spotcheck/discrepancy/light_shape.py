@@ -1,12 +1,12 @@
 """Free light shape: its fit, the evidence for it, and its explanation by named static shapes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spotcheck.discrepancy.candidates import list_starts, screen_candidates
-from spotcheck.discrepancy.criteria import EXPLAINED_SHARE, EXPLAINED_STEPS, MIN_GAIN, SHAPE_FLOOR
+from spotcheck.discrepancy.criteria import EXPLAINED_SHARE, EXPLAINED_STEPS, MIN_GAIN, MIN_Z, SHAPE_FLOOR
 from spotcheck.discrepancy.evaluation import evaluate, map_batches
 from spotcheck.discrepancy.evidence import estimate_covariance
 from spotcheck.discrepancy.frames import thin_pixels
@@ -17,7 +17,7 @@ from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 # Effort of the fits of a shape: decrement of the effects, and most iterations on thinned and on all pixels.
 TOLERANCE, THINNED_ITERATIONS, ITERATIONS = 0.1, 18, 8
 # The same of fits that only measure how much a shape, or a static effect that may stand for it, takes.
-EVIDENCE_PIXELS = 150_000
+EVIDENCE_PIXELS = 200_000
 EVIDENCE_TOLERANCE, EVIDENCE_ITERATIONS, STATIC_ITERATIONS = 0.3, 10, 15
 # Distance from the centre [σ] within which the rms of a shape is taken.
 RMS_RADIUS = 3.0
@@ -64,8 +64,11 @@ def measure_evidence(declared: JointFit, free: JointFit) -> ShapeEvidence:
     lowers it by Σ (peak s)² information.
     """
     fitted = np.count_nonzero(np.abs(free.model.coefficients) > ZERO)
-    dispersion = declared.pixels.dispersion
-    drop = declared.deviance - free.deviance - dispersion * fitted
+    return evidence_of_drop(declared, declared.deviance - free.deviance - declared.pixels.dispersion * fitted)
+
+
+def evidence_of_drop(declared: JointFit, drop: float) -> ShapeEvidence:
+    """Return the evidence by a drop of −2 ln L beyond what noise gives."""
 
     def of_batch(part: slice) -> float:
         at = evaluate(declared.model, declared.pixels, part, with_slopes=False)
@@ -75,17 +78,50 @@ def measure_evidence(declared: JointFit, free: JointFit) -> ShapeEvidence:
         return float(np.sum(conditions.peak_dn**2 * at.light_information * is_inside))
 
     rms = float(np.sqrt(max(drop, 0.0) / sum(map_batches(of_batch, declared.pixels))))
-    return ShapeEvidence(drop / dispersion if rms > SHAPE_FLOOR else 0.0, rms)
+    return ShapeEvidence(drop / declared.pixels.dispersion if rms > SHAPE_FLOOR else 0.0, rms)
 
 
 def measure_thinned_evidence(fit: JointFit) -> ShapeEvidence:
-    """Return the evidence for a free shape beside the effects of a fit, on thinned pixels and scaled to all."""
-    thin = thin_pixels(fit.pixels, EVIDENCE_PIXELS)
-    thinned = fit_jointly(fit.model, thin, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
+    """Return the evidence for a free shape beside the effects of a fit, on thinned pixels and scaled to all.
+
+    Parameters of sensor and effects are kept: spots and shape alone move. A shape is fitted to half of the sites and
+    predicts the others. What noise and granular light add to the drop of the former, they take from that of the latter,
+    so that the mean of both is that of the shape alone. Of the two halves the one with less evidence counts. With a
+    single site the noise is that of `measure_evidence`.
+    """
+    site = fit.model.design.site
+    is_first = np.isin(site, np.unique(site)[::2])
+    if is_first.all():
+        thinned, free = fit_thinned_shape(fit)
+        evidence = measure_evidence(thinned, free)
+    else:
+        halves = [
+            fit_thinned_shape(fit.select(np.flatnonzero(half)), EVIDENCE_PIXELS // 2) for half in (is_first, ~is_first)
+        ]
+        drops = [measure_predicted_drop(*half, other[0]) for half, other in (halves, halves[::-1])]
+        thinned = halves[int(np.argmin(drops))][0]
+        evidence = evidence_of_drop(thinned, min(drops))
+    ratio = fit.pixels.count / thinned.pixels.count * thinned.pixels.dispersion / fit.pixels.dispersion
+    return replace(evidence, drop=ratio * evidence.drop)
+
+
+def measure_predicted_drop(declared: JointFit, free: JointFit, others: JointFit) -> float:
+    """Return the mean of two drops of −2 ln L by a free shape: where it was fitted, and where it predicts frames."""
+    shape = free.model.forward.baseline
+    predicted = replace(others.model, forward=replace(others.model.forward, baseline=shape))
+    fit = fit_jointly(predicted, others.pixels, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
+    outside = (others.deviance - fit.deviance) * declared.pixels.count / others.pixels.count
+    return (declared.deviance - free.deviance + outside) / 2
+
+
+def fit_thinned_shape(fit: JointFit, count: int = EVIDENCE_PIXELS) -> tuple[JointFit, JointFit]:
+    """Return fits of the spots alone and of spots and a free shape to about `count` pixels, beside the effects of a
+    fit."""
+    thin = thin_pixels(fit.pixels, count)
+    model = replace(fit.model, free=())
+    thinned = fit_jointly(model, thin, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
     model = thinned.model.with_free_shape(ShapeGrid())
-    free = fit_jointly(model, thin, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
-    evidence = measure_evidence(thinned, free)
-    return replace(evidence, drop=fit.pixels.count / thin.count * evidence.drop)
+    return thinned, fit_jointly(model, thin, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
 
 
 def explain_shape(
@@ -110,7 +146,7 @@ def explain_shape(
             return none
         drops.append((fit.deviance - best.deviance) * final.pixels.share / thin.share)
         fit = best
-        share = (declared.deviance - fit.deviance) / max(evidence.drop, 1e-300)
+        share = (declared.deviance - fit.deviance) / thin.dispersion / max(evidence.drop, 1e-300)
         log(f"  static {', '.join(fit.model.effect_names)}: {100 * share:.1f} % of the free shape")
         if share > EXPLAINED_SHARE:
             fit = fit_jointly(fit.model, thin, tolerance=EVIDENCE_TOLERANCE)
@@ -120,10 +156,19 @@ def explain_shape(
             # Errors of the fit to all pixels.
             covariance = estimate_covariance(fit)[np.ix_(index, index)] * thin.share / final.pixels.share
             parameters = tuple((fit.model.free[k].effect, fit.model.free[k].name) for k in index)
+            errors = dict(zip(parameters, np.sqrt(np.diag(covariance)), strict=True))
+            if not all(is_significant(effect, errors) for effect in applied):
+                return none
             return ShapeExplanation(applied, covariance, parameters, evidence.rms, tuple(drops))
         if share < least_share:
             return none
     return none
+
+
+def is_significant(applied: AppliedEffect, errors: Mapping[tuple[str, str], float]) -> bool:
+    """Return whether the strength of an effect differs from none by `MIN_Z` of its errors, by (effect, parameter)."""
+    stderr = errors.get((applied.effect.name, applied.effect.parameters[0].name), np.nan)
+    return bool(abs(applied.values[0] - applied.effect.vanishes_at) >= MIN_Z * stderr)
 
 
 def add_static_effect(fit: JointFit, effects: Sequence[Effect], scales: EffectScales) -> JointFit | None:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from spotcheck.discrepancy.candidates import SEPARABLE_SHARE, changes_mean_image
-from spotcheck.discrepancy.criteria import MIN_Z
+from spotcheck.discrepancy.criteria import MIN_Z, MISFIT_INFLATION, PRESENT_Z
 from spotcheck.discrepancy.evidence import LEAST_CELL_SHARE, is_negligible
 from spotcheck.discrepancy.findings import UpperLimit
 from spotcheck.discrepancy.frames import Design, thin_pixels
@@ -24,6 +24,7 @@ from spotcheck.discrepancy.named_scatter import NamedScatter
 from spotcheck.discrepancy.normal_equations import assemble
 from spotcheck.discrepancy.projected_changes import project_trials, sum_trials
 from spotcheck.discrepancy.strength_trials import (
+    LARGEST_ERROR,
     Estimate,
     Trial,
     add_directions,
@@ -36,21 +37,18 @@ from spotcheck.model.effect import Effect, EffectScales, Need, RandomStep, Scope
 
 # Most tries of a strength on thinned pixels or laws; those after which the start that reaches farthest is chosen; and
 # most tries on all pixels.
-TRIES, FIRST_TRIES, FULL_TRIES = 12, 2, 3
+TRIES, FIRST_TRIES, FULL_TRIES = 12, 1, 3
 # Distances beyond the limit of a clip, in terms of its own, at which it is looked for by the score test; z from which
 # on it is looked for by fits, at more distances.
 SCANNED_FACTORS, SCANNED_Z = (1.01, 1.03, 1.08), 1.5
 FITTED_FACTORS = (1.0, 1.01, 1.02, 1.03, 1.05, 1.08, 1.15)
 # Decrement of these fits, most iterations, and number of bisections.
 PROFILE_TOLERANCE, PROFILE_ITERATIONS, PROFILE_BISECTIONS = 0.1, 6, 4
-# Standard error of a part of a change from which on the frames say nothing about it.
-LARGEST_ERROR = 1e6
+# Part of the information of a law that must be left beside the others: numbers beside a free light shape are known far
+# better in some directions than in others.
+SEPARABLE_SHARE_OF_LAWS = 1e-10
 # Thinned pixels beside the declared light shape.
 THINNED_PIXELS = 50_000
-# z from which on a strength that is not named is more than noise: no number of frames will halve the limit.
-PRESENT_Z = 4.0
-# Inflation of errors from which on misfit sets a limit, not noise.
-MISFIT_INFLATION = 2.0
 
 # Range of the degrees of freedom of Student's quantile.
 LEAST_FREEDOM, LARGEST_FREEDOM = 2.0, 1e5
@@ -242,6 +240,8 @@ def profile_clip(fit: JointFit, trial: Trial, highest: float) -> float:
     """
     distances = [factor / highest for factor in FITTED_FACTORS]
     reached = np.flatnonzero(np.exp(fit.model.spots.log_peak) > 1 / distances[-1])
+    if len(reached) == 0:
+        return highest
     design = fit.model.design.select(reached)
     arrays = {name: getattr(fit.pixels, name)[reached] for name in ("x", "y", "readings", "is_used", "row_share")}
     pixels = replace(fit.pixels, **arrays)
@@ -312,7 +312,7 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
         whole = [search.whitening @ np.nan_to_num(search.mean_of(model) - mean) for model in models]
         changes = [change - basis @ (basis.T @ change) for change in whole]
         squares = [float(change @ change) for change in changes]
-        if not squares[0] > SEPARABLE_SHARE * float(whole[0] @ whole[0]):
+        if not squares[0] > SEPARABLE_SHARE_OF_LAWS * float(whole[0] @ whole[0]):
             return Estimate(0.0, np.inf, 1.0)
         sizes = [change @ residual / max(square, 1e-300) for change, square in zip(changes, squares, strict=True)]
         size = add_directions(sizes)

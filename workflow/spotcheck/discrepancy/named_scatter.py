@@ -6,7 +6,7 @@ the standard deviation of what it draws; a further parameter of its draw is the 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from spotcheck.discrepancy.criteria import MIN_Z
 from spotcheck.discrepancy.fields import FieldEstimate
 from spotcheck.discrepancy.fluctuations import Fluctuation
-from spotcheck.discrepancy.mixed_model import Interval
+from spotcheck.discrepancy.mixed_model import Interval, deviation_interval
 from spotcheck.discrepancy.scatter import DarkNoise
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep, Scope, Step, keyword_names_of
 from spotcheck.model.stage import Stage
@@ -35,6 +35,13 @@ class NamedScatter:
     z: float  # of its variance, or the root of its gain in −2 ln L
     reasons: tuple[str, ...]  # against naming it; empty: it is named
     grain_px: float = np.nan  # standard deviation of the correlation of a field [px]; NaN if there is none
+    rivals: tuple[str, ...] = ()  # effects of the vocabulary that draw at the same stages for the same frames
+
+    @property
+    def drawn_at(self) -> frozenset[tuple[Stage, Scope]]:
+        """Stage and scope of each random step."""
+        steps = self.applied.effect.variants[self.applied.variant]
+        return frozenset((step.stage, step.scope) for step in steps if isinstance(step, RandomStep))
 
     @staticmethod
     def parameter_of(step: RandomStep) -> str:
@@ -67,7 +74,22 @@ def name_scatter(
             if random and len(random) == len(steps) and is_measured:
                 found.append(_name_steps(effect, variant, random, deviations, hot_pixels, scales))
                 break
-    return [named for named in found if named is not None]
+    return _mark_rivals([named for named in found if named is not None])
+
+
+def _mark_rivals(found: Sequence[NamedScatter]) -> list[NamedScatter]:
+    """Return the effects with the first of several that explain the same scatter as the only one that is named."""
+    marked = []
+    for k, named in enumerate(found):
+        alike = [j for j, other in enumerate(found) if not other.reasons and other.drawn_at == named.drawn_at]
+        names = [found[j].applied.effect.name for j in alike]
+        if k not in alike or len(alike) == 1:
+            marked.append(named)
+        elif k == alike[0]:
+            marked.append(replace(named, rivals=tuple(names[1:])))
+        else:
+            marked.append(replace(named, reasons=(f"same scatter as {names[0]}",)))
+    return marked
 
 
 def _name_steps(
@@ -107,7 +129,8 @@ def _name_steps(
 def is_negligible_scatter(applied: AppliedEffect, scales: EffectScales) -> bool:
     """Return whether a user would call all deviations of an effect nothing."""
     limits = [p.negligible(scales) if callable(p.negligible) else p.negligible for p in applied.effect.parameters]
-    return all(value < limit for value, limit in zip(applied.values, limits, strict=True) if limit > 0)
+    is_below = [value < limit for value, limit in zip(applied.values, limits, strict=True) if limit > 0]
+    return bool(is_below) and all(is_below)
 
 
 @dataclass(frozen=True)
@@ -159,15 +182,13 @@ def name_read_noise(
 
 def deviation_of_field(field: FieldEstimate) -> Deviation:
     """Return the standard deviation of a relative field."""
-    value = float(np.sqrt(max(field.variance, 0.0)))
-    interval = Interval.around(value, field.stderr / (2 * max(value, 1e-9)))
+    interval = deviation_interval(field.variance, field.stderr**2)
     return Deviation(interval, field.variance / field.stderr, field.reasons, field.grain_px)
 
 
 def deviation_of_rows(dark: DarkNoise) -> Deviation:
     """Return the standard deviation of rows."""
     row = dark.row
-    value = float(np.sqrt(max(row.value, 0.0)))
     reasons = []
     if abs(dark.next_row.value) > MISFIT_SHARE * row.value + MISFIT_SD * dark.next_row.stderr:
         reasons.append("rows share it with their neighbours")
@@ -175,9 +196,7 @@ def deviation_of_rows(dark: DarkNoise) -> Deviation:
         reasons.append("not the same along a row")
     if abs(dark.same_row.value) > MISFIT_SHARE * row.value:
         reasons.append("the same in every frame")
-    return Deviation(
-        Interval.around(value, row.stderr / (2 * max(value, 1e-9))), row.value / row.stderr, tuple(reasons)
-    )
+    return Deviation(deviation_interval(row.value, row.stderr**2), row.value / row.stderr, tuple(reasons))
 
 
 def deviation_of_fluctuation(fluctuation: Fluctuation) -> Deviation:

@@ -172,9 +172,14 @@ class ValidatedChain:
         return 1 - max(self.predictions[-1].left_open, 0.0) / (self.predictions[0].gap - 1)
 
     def refuted(self) -> tuple[str, ...]:
-        """Return the effects with which held-out frames are predicted worse."""
-        steps = zip(self.predictions, self.predictions[1:], self.chain[1:], strict=False)
-        return tuple(nested.added for before, after, nested in steps if after.score - before.score > MIN_GAIN)
+        """Return the effects with which held-out frames are predicted worse, whatever is added behind them.
+
+        Effects may need one another: a clip without the law behind it can predict worse than no clip.
+        """
+        scores = [prediction.score for prediction in self.predictions]
+        return tuple(
+            nested.added for k, nested in enumerate(self.chain[1:], 1) if min(scores[k:]) - scores[k - 1] > MIN_GAIN
+        )
 
 
 def validate_chain(chain: Sequence[NestedModel], frames: FrameSet, start: FrameParameters) -> ValidatedChain:

@@ -40,7 +40,7 @@ class DarkNoise:
 
 
 def measure_dark_noise(images: ResidualImages, variance_slope: float) -> DarkNoise | None:
-    """Return the noise of dark pixels, or None if there are too few.
+    """Return the noise of dark pixels, or None if there are too few or their readings do not depend on it.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def measure_dark_noise(images: ResidualImages, variance_slope: float) -> DarkNoi
         Change of the variance of a dark reading for each DN² of read noise.
     """
     dark = images.is_dark
-    if dark.sum() < FEWEST_DARK:
+    if dark.sum() < FEWEST_DARK or variance_slope == 0:
         return None
     # Signals that a reading shows, and how much of one it shows.
     residual, slope = images.residual * dark, images.slope * dark

@@ -6,7 +6,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spotcheck.discrepancy.candidates import Candidate, list_starts, screen_candidates
-from spotcheck.discrepancy.criteria import MIN_GAIN, MOST_EFFECTS, PARAMETER_PRICE, SHAPE_SHARES, VARIANT_TIE
+from spotcheck.discrepancy.criteria import (
+    EXPLAINED_SHARE,
+    MIN_GAIN,
+    MOST_EFFECTS,
+    PARAMETER_PRICE,
+    SHAPE_SHARES,
+    VARIANT_TIE,
+)
 from spotcheck.discrepancy.evidence import EffectTest, assess_effect, estimate_covariance, is_negligible, least_gain
 from spotcheck.discrepancy.frames import Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
@@ -15,7 +22,7 @@ from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 
 # Effort of fits that only rank candidates: decrement of the effects and most iterations.
 SCREEN_TOLERANCE, SCREEN_ITERATIONS = 0.1, 8
-REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 14
+REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 9
 # Candidates below this part of the best score are not refitted.
 SCORE_SHARE = 0.05
 # Candidates that are refitted in one step, and starts of one variant among them.
@@ -28,6 +35,7 @@ VARIANT_MARGIN, RIVAL_SHARE = 50.0, 0.9
 FULL_ITERATIONS = 25
 
 Log = Callable[[str], None]
+Update = Callable[[JointFit], JointFit]
 
 
 @dataclass(frozen=True)
@@ -62,7 +70,11 @@ class SelectionStep:
 
 
 def select_effects(
-    declared: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log = lambda text: None
+    declared: JointFit,
+    effects: Sequence[Effect],
+    scales: EffectScales,
+    log: Log = lambda text: None,
+    update: Update = lambda fit: fit,
 ) -> SelectedEffects:
     """Select the effects of the mean image.
 
@@ -79,10 +91,12 @@ def select_effects(
         Scales of the dataset.
     log : callable
         Receives lines of text.
+    update : callable
+        Returns a fit with the dispersion that its residuals show; called after each effect that is added.
     """
     evidence = measure_thinned_evidence(declared)
     log(f"a free shape takes {evidence.drop:.0f}, {100 * evidence.rms:.2f} % of the peak")
-    path = select_forward(declared, effects, scales, log, evidence)
+    path = select_forward(declared, effects, scales, log, update, evidence)
     if path is not None:
         selected = eliminate_backward(path, scales, log)
         if selected.fit is not declared:
@@ -94,37 +108,53 @@ def select_effects(
     beside_shape = [effect for effect in effects if not effect.is_static_shape]
     free = fit_free_shape(declared)
     free = free if free.has_converged else fit_jointly(free.model, free.pixels)
-    path = select_forward(free, beside_shape, scales, log)
+    path = select_forward(free, beside_shape, scales, log, update)
     assert path is not None
     return replace(eliminate_backward(path, scales, log), shaped=free)
 
 
 def select_forward(
-    fit: JointFit, effects: Sequence[Effect], scales: EffectScales, log: Log, shape: ShapeEvidence | None = None
+    fit: JointFit,
+    effects: Sequence[Effect],
+    scales: EffectScales,
+    log: Log,
+    update: Update,
+    shape: ShapeEvidence | None = None,
 ) -> list[SelectionStep] | None:
     """Return the steps from no effect to the last one.
 
     `shape` is the evidence for a free shape without effects; with it, the result is None if no effect takes enough of
     what a free shape takes.
     """
-    thin, path = thin_pixels(fit.pixels), [SelectionStep(fit, np.nan)]
+    path = [SelectionStep(fit, np.nan)]
     for number in range(MOST_EFFECTS):
         present = path[-1].fit
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
-        best = add_best_effect(present, absent, thin, scales, log)
+        best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, log)
         gain = 0.0 if best is None else best.gain
         shape_drop = 0.0
         if shape is not None and number == 0:
             shape_drop = shape.drop
         elif shape is not None and best is not None:
             shape_drop = measure_thinned_evidence(present).drop
-        if gain < SHAPE_SHARES[min(number, len(SHAPE_SHARES) - 1)] * shape_drop:
+        if gain < least_share(best, number) * shape_drop:
             log(f"a free shape takes {shape_drop:.0f}, the best effect {gain:.0f}: not the declared light")
             return None
         if best is None:
             break
-        path.append(best)
+        path.append(replace(best, fit=update(best.fit)))
     return path
+
+
+def least_share(best: SelectionStep | None, number: int) -> float:
+    """Return the part of what a free shape takes that the next effect must take.
+
+    A static shape that leaves much of it is no reason to stay with the declared light: it would be named by the
+    explanation of the free shape as well.
+    """
+    share = SHAPE_SHARES[min(number, len(SHAPE_SHARES) - 1)]
+    is_static = best is not None and best.fit.model.forward.effects[-1].effect.is_static_shape
+    return max(share, EXPLAINED_SHARE) if is_static else share
 
 
 def add_best_effect(
@@ -164,7 +194,10 @@ def add_best_effect(
             best, best_value, best_place = full, value, refit.candidate.place
     if best is None:
         return None
-    behind = {name: best_value - value for name, value in values.items() if name != best.model.effect_names[-1]}
+    leader = best.model.effect_names[-1]
+    # An effect that has the leader as a special case fits as well in any case: it is no rival.
+    general = {effect.name for effect in effects if leader in effect.special_cases}
+    behind = {name: best_value - value for name, value in values.items() if name not in {leader, *general}}
     rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
     return SelectionStep(best, (present.deviance - best.deviance) / dispersion, rivals)
 

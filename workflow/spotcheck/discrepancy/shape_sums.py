@@ -58,7 +58,7 @@ class ShapeSums:
     def _add_products(self, copy: tuple[np.ndarray, ...], values: np.ndarray, out: np.ndarray) -> None:
         u, v, factor = (part.ravel() for part in copy)
         add_products(
-            self.per_step, self.nodes, u, v, factor, np.ascontiguousarray(values.reshape(len(values), -1).T), out
+            self.per_step, self.nodes, u, v, factor, np.ascontiguousarray(values.reshape(len(values), u.size).T), out
         )
 
     def band(self) -> np.ndarray:

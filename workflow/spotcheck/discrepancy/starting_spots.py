@@ -25,6 +25,8 @@ from spotcheck.model.stage import Stage
 LEAST_PEAK_DN, LEAST_SIGMA_PX, LARGEST_SIGMA = 1.0, 0.3, 1.0
 # Width [sides of a crop] of a spot of which neither fit nor moments are known.
 UNKNOWN_SIGMA = 0.1
+# Largest width [sides of a crop] of a fit that is trusted: a wider spot cannot be told from a background.
+WIDEST_SPOT = 0.7
 # Names in fits.nc of peak, width and centre.
 FITTED = ("amplitude", "sigma_mean", "x_centre", "y_centre")
 
@@ -75,15 +77,27 @@ def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[tuple[tuple[i
     cells : iterable of (index, Frame)
         Place of each frame on the grid, as `usable_cells` returns it.
     """
+    trusted = _trusted_fits(fits, cells)
+    rows = [_spot_by_moments(frames, f) if row is None else row for f, row in enumerate(trusted)]
+    return _as_parameters(np.array(rows).reshape(-1, 4), frames)
+
+
+def has_trusted_fit(fits: xr.Dataset, cells: Iterable[tuple[tuple[int, ...], Frame]]) -> bool:
+    """Return whether fits.nc has a trusted fit of any frame; parameters as in `load_spots`."""
+    return any(row is not None for row in _trusted_fits(fits, cells))
+
+
+def _trusted_fits(fits: xr.Dataset, cells: Iterable[tuple[tuple[int, ...], Frame]]) -> list[np.ndarray | None]:
+    """Return peak [DN], width [px], column and row of each frame; None without a trusted fit."""
     fit, dims = preferred(fits), store.grid_dims(fits)
     status = fit["status"].transpose(*dims).values
     values = np.stack([fit[name].transpose(*dims).values.astype(float) for name in FITTED], axis=-1)
-    rows = []
-    for f, (index, _) in enumerate(cells):
+    rows: list[np.ndarray | None] = []
+    for index, _ in cells:
         row = values[index]
         is_trusted = not status[index] & store.UNTRUSTED and row[0] > 0 and row[1] > 0 and np.isfinite(row).all()
-        rows.append(row if is_trusted else _spot_by_moments(frames, f))
-    return _as_parameters(np.array(rows).reshape(-1, 4), frames)
+        rows.append(row if is_trusted else None)
+    return rows
 
 
 def spots_by_moments(frames: FrameSet) -> FrameParameters:

@@ -12,14 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spotcheck.discrepancy.candidates import list_starts, value_is_one_sided
+from spotcheck.discrepancy.criteria import CONFIDENCE
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 
-# Probability that the strength lies within the limits.
-CONFIDENCE = 0.95
 # Largest factor between two tries of a strength, and that if the first says nothing.
 LARGEST_FACTOR, BLIND_FACTOR = 100.0, 8.0
 # |ln(s + k e)| from which on the limit is extrapolated; the second if the change is linear in the strength.
 CLOSE, LINEAR_CLOSE = 0.03, 3.0
+# Standard error of a part of a change from which on the frames say nothing about it.
+LARGEST_ERROR = 1e6
 # Relative width of the bracket of a limit at which the search ends.
 NARROW = 0.004
 # Least s + k e, whose logarithm is taken, and least ln of the ratio of two distances that tell a power.
@@ -123,8 +124,9 @@ class Trial:
         """Return the trial with the estimate at its distance."""
         trial, power = replace(self, estimate=estimate), self.power
         step = np.log(self.distance / self.before[0])
-        if np.isfinite(estimate.error) and np.isfinite(self.before[1]) and abs(step) > LEAST_STEP:
-            power = float(np.clip(np.log(self.before[1] / estimate.error) / step, *POWER_RANGE))
+        error_before, error = np.minimum([self.before[1], estimate.error], LARGEST_ERROR)
+        if abs(step) > LEAST_STEP and min(error_before, error) < LARGEST_ERROR:
+            power = float(np.clip(np.log(error_before / error) / step, *POWER_RANGE))
         if trial.excess > 0:
             return replace(trial, power=power, inside=max(self.inside, self.distance))
         return replace(trial, power=power, outside=min(self.outside, self.distance))

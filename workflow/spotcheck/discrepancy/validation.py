@@ -17,8 +17,9 @@ from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
 from spotcheck.discrepancy.residuals import ResidualImages, place_on_sensor, whole_crops
-from spotcheck.model.effect import AppliedEffect, RandomStep, Scope
+from spotcheck.model.effect import AppliedEffect, RandomStep
 from spotcheck.model.forward import ForwardModel
+from spotcheck.model.stage import Stage
 
 # Side of the blocks, and distance from the spot [σ] within which they count.
 BLOCK_PX, GAP_RADIUS = 8, 3.5
@@ -297,9 +298,9 @@ def _variance_of_grains(model: JointModel, pixels: Pixels, part: slice, variance
 
 
 def is_field(applied: AppliedEffect) -> bool:
-    """Return whether all steps of an effect draw something for a whole site."""
+    """Return whether an effect is granular light alone."""
     steps = applied.effect.variants[applied.variant]
-    return bool(steps) and all(isinstance(step, RandomStep) and step.scope is Scope.SITE for step in steps)
+    return bool(steps) and all(isinstance(step, RandomStep) and step.stage is Stage.SPECKLE_FIELD for step in steps)
 
 
 def correlated_area(grain_px: float) -> float:

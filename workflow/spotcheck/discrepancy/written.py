@@ -15,7 +15,7 @@ from spotcheck.model.effects import vocabulary
 from spotcheck.schema import read_schema
 
 # Name of the schema.
-SCHEMA = "verdict-4"
+SCHEMA = "verdict"
 # Digits of all numbers: more than any of them is known to, fewer than differ between processors.
 DIGITS = 9
 # Largest difference of a sum of weights from 1: they are rounded.

@@ -8,12 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
+from spotcheck.discrepancy.words import percent_text, value_text
 from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.figures import style
 from spotcheck.figures.discrepancy import COLOUR_ENDS, plan_of, stages_in
 from spotcheck.figures.entry import VERDICT, Category, Entry
 from spotcheck.figures.results import Results, Unavailable
-from spotcheck.old_engine.verdict.words import percent_text, value_text
 
 MEASURED, BEFORE, AFTER = "measured", "before", "after"
 # Colour, dashes and width of each line of the profile.

@@ -249,8 +249,8 @@ def gap(results: Results) -> style.Drawing:
     caption = (
         f"Root mean square of what is left of block means, over the declared model's noise, on {ds.attrs['gap_on']}."
         f" Noise alone leaves {floor:.3g} ± {scatter:.2g} (line on the colour bar); bold: more than"
-        f" {STANDS_OUT:.0f} standard deviations above. A block has less noise than a reading, so that what is left"
-        " stands out by more here than in the gap of the verdict."
+        f" {STANDS_OUT:.0f} standard deviations above. The gap of the verdict is that of larger blocks near the"
+        " spot, on held-out data."
     )
     if len(stages) == 1:
         caption += " Nothing was added to the model, so there is no after."

@@ -7,12 +7,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
+from spotcheck.discrepancy.criteria import MIN_GAIN
 from spotcheck.estimate.plus_minus import two_digits
 from spotcheck.figures import style
 from spotcheck.figures.discrepancy import Plan, chosen, plan_of
 from spotcheck.figures.entry import VERDICT, Category, Entry
 from spotcheck.figures.results import Results, Unavailable
-from spotcheck.old_engine.criteria import GAIN
 
 MOST_PANELS = 4
 MOST_NAMES = 24
@@ -127,7 +127,7 @@ def evidence(results: Results) -> style.Drawing:
             left.hlines(y[k], 1.0, gain, color=colour, linewidth=1.4)
         if closed is not None:
             right.barh(y[k], 100 * float(np.clip(closed, 0, 1)), height=0.6, color=colour)
-    left.axvline(GAIN.value, color="black", linewidth=0.9, linestyle=(0, (5, 3)))
+    left.axvline(MIN_GAIN, color="black", linewidth=0.9, linestyle=(0, (5, 3)))
     left.set(xscale="log", xlim=(1.0, None), xlabel="gain in −2 ln L")
     right.set(xlim=(0, 100), xlabel="gap closed / %")
     left.set_yticks(y, [name for name, *_ in rows], fontsize=8)
@@ -135,10 +135,11 @@ def evidence(results: Results) -> style.Drawing:
     for ax in (left, right):
         ax.grid(False, axis="y")
         ax.tick_params(axis="y", length=0)
+    held_out = verdict["gap"]["on"]
     caption = (
         "What is named, by its own evidence: −2 ln L of the searched frames drops by so much with it, all else fitted"
-        f" again; less than {GAIN.value:g} (dashed) names nothing. Right: the part of the gap on"
-        f" {verdict['gap']['on']} that it closes."
+        f" again; less than {MIN_GAIN:g} (dashed) names nothing."
+        + (f" Right: the part of the gap on {held_out} that it closes." if held_out else " No frame was held out.")
     )
     return style.Drawing(figure, caption)
 

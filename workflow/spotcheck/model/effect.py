@@ -97,6 +97,8 @@ class Step:
     # Derivatives of the result by parameters, by name; functions with the same arguments. For stages in which the light
     # is proportional to the result (brightness) or contains it as a sum (pedestal).
     derivatives: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
+    # Parameter [DN] that readings follow in whole steps only, since rounding comes behind it; "" if none.
+    rounded: str = ""
 
     def keyword_names(self) -> tuple[str, ...]:
         """Return the names of the parameters that it takes."""

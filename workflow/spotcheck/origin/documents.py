@@ -21,7 +21,7 @@ NAMES = ("name", "effect")
 # A word of a path that says nothing to a person.
 SILENT = ("parameters",)
 # Keys whose numbers have the unit that stands beside them.
-MEASURED = ("value", "low", "high")
+MEASURED = ("value", "low", "high", "measured", "declared", "extended")
 # Keys whose numbers are the errors of others.
 ERRORS = ("stderr", "error", "stated_stderr")
 # A description of a key of the data sheet: words, and the unit in brackets.

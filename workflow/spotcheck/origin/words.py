@@ -5,7 +5,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from spotcheck.old_engine.verdict.words import value_text
+from spotcheck.discrepancy.words import value_text
 from spotcheck.origin.ask import frame_of, related, shown
 from spotcheck.origin.number import Number, Source
 from spotcheck.origin.tree import Node, grown

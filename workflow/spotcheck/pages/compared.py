@@ -11,7 +11,7 @@ from spotcheck.comparison.changes import FALSE_ALARMS, FEWEST, Change
 from spotcheck.comparison.numbers import GROUPS, Number
 from spotcheck.comparison.sets import Set
 from spotcheck.comparison.table import Comparison, Row, full_text, where_text
-from spotcheck.old_engine.verdict.words import UNITS, list_text, percent_text, probability_text, value_text
+from spotcheck.discrepancy.words import UNITS, list_text, percent_text, probability_text, value_text
 from spotcheck.pages import plots, write_page
 
 # Rows of the table of what changed, and of the picture, which should fit on a screen; all of them are in comparison.nc.

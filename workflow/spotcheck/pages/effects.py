@@ -40,8 +40,8 @@ An effect is one Python file, wherever it lies, with functions and an `EFFECT`. 
 
     snakemake --cores 2 --config effects="[lab/vignetting.py]"
 
-or under `effects:` in `config/config.yaml`. `spotcheck simulate` then draws it where `model.yaml` names it. In this
-version effects from files are simulated, but the verdict does not search for them, and says so.
+or under `effects:` in `config/config.yaml`. The verdict then searches for it as for the others, and says in
+`vocabulary` which file it came from. `spotcheck simulate` draws it where `model.yaml` names it.
 `vocabulary: {without: [names]}` leaves effects out, `{only: [names]}` all others. Every subcommand that
 knows effects takes `--effects FILE …`, `--only NAME …` and `--without NAME …` to the same end;
 `spotcheck effects --effects lab/vignetting.py --output page.md` writes this page with your effect on it. A fault in a
@@ -265,7 +265,7 @@ def _chain(effects: Iterable[Effect]) -> str:
     for stage in Stage:
         description = stage.value
         names = ", ".join(effect.name for effect in known if stage in effect.stages)
-        arguments = ", ".join(f"`{argument}`" for argument in description.arguments)
+        arguments = ", ".join(f"`{argument}`" for argument in description.arguments.split(", "))
         rows.append(f"| {stage.title} | {arguments} | {description.returns} | {names or '–'} |")
     head = "| stage, in the order of the chain | a function gets | and returns | effects |"
     return "\n".join([head, "|---|---|---|---|", *rows, ""])

@@ -42,6 +42,8 @@ GRAIN_STEP = 0.05
 LARGEST_GRAIN_STEP = 0.01
 # Probability of darker grains, which are left out.
 LEFT_OUT = 1e-9
+# Finest step in ln g: the tables of finer ones grow long. The rule is exact for steps of one standard deviation.
+FINEST_GRAIN_STEP = 0.002
 # Light [DN] from which on averages over grains are convolutions.
 FAINT_LIGHT = 0.05
 
@@ -208,8 +210,8 @@ def grain_quadrature(*, contrast: float) -> tuple[np.ndarray, np.ndarray]:
     Nodes are uniform in ln g, where the trapezoidal rule of a smooth density converges faster than any power of the
     step.
     """
-    if contrast == 0:
-        return np.ones(1), np.ones(1)
+    if contrast < FINEST_GRAIN_STEP:
+        return _faint_grains(contrast)
     shape = contrast**-2
     # For small g the density of ln g falls as g^shape; for large g as exp(−shape (g − 1 − ln g)).
     ln_g = _grain_nodes(contrast, np.log(LEFT_OUT) / shape - 6 * contrast)
@@ -223,7 +225,7 @@ def partial_grain_quadrature(*, contrast: float, floor: float) -> tuple[np.ndarr
     The rest follows a gamma distribution; g has mean 1 and variance C². Nodes have the probability of their cells,
     since the density ends at the floor.
     """
-    if contrast == 0 or floor == 0:
+    if contrast < FINEST_GRAIN_STEP or floor == 0:
         return grain_quadrature(contrast=contrast)
     shape = ((1 - floor) / contrast) ** 2
     ln_g = _grain_nodes(contrast, np.log(floor))
@@ -233,9 +235,17 @@ def partial_grain_quadrature(*, contrast: float, floor: float) -> tuple[np.ndarr
     return np.exp(ln_g), weight / weight.sum()
 
 
+def _faint_grains(contrast: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return factors of mean 1 and a contrast that hardly shows, and their weights: normal ones."""
+    if contrast == 0:
+        return np.ones(1), np.ones(1)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(5)
+    return 1 + contrast * nodes, weights / weights.sum()
+
+
 def _grain_nodes(contrast: float, lowest: float) -> np.ndarray:
     """Return nodes of ln g from its lowest value on."""
-    step = min(GRAIN_STEP * contrast, LARGEST_GRAIN_STEP)
+    step = float(np.clip(GRAIN_STEP * contrast, FINEST_GRAIN_STEP, LARGEST_GRAIN_STEP))
     highest = np.log1p(8 * contrast + 25 * contrast**2)
     return step * np.arange(np.floor(lowest / step), np.ceil(highest / step) + 1)
 

@@ -9,9 +9,9 @@ import xarray as xr
 
 from spotcheck import optics, store
 from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.words import list_text
 from spotcheck.estimate.sensor import SOURCES
 from spotcheck.model.spot import TOP_HAT_RADIUS
-from spotcheck.old_engine.verdict.words import list_text
 from spotcheck.pages import plots, write_page
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report import tables

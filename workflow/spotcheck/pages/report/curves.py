@@ -204,10 +204,10 @@ def by_condition(files: Mapping[str, xr.Dataset]) -> Curve | None:
             marker = {"symbol": "circle-open" if stage == "before" else "circle"}
             data.append(points(stage, names, values, None, source, marker=marker, hovertemplate=hover))
     floor = np.full(len(names), float(ds["gap_floor"]) ** 0.5)
-    data.append(line("scatter of the frames", names, floor, dash="dot"))
+    data.append(line("noise floor", names, floor, dash="dot"))
     caption = (
         f"Rms of residuals over their noise, in means of blocks of pixels, of each condition, on {ds.attrs['gap_on']}."
-        " A block has less noise than a reading, so that what is left stands out by more here than in the gap above."
+        " The gap above is that of blocks of 8 × 8 px near the spot, on held-out data."
     )
     layout = {
         "xaxis": axis("", tickangle=-45, type="category"),

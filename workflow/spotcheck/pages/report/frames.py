@@ -7,11 +7,11 @@ import xarray as xr
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.words import number_text, over_noise_text
 from spotcheck.estimate.fits import preferred
 from spotcheck.figures import series
 from spotcheck.figures.style import axis_name
 from spotcheck.manifest import Frame
-from spotcheck.old_engine.verdict.words import number_text, over_noise_text
 from spotcheck.pages.report.packed import Layer, block_of, packed, step_of, thinned
 from spotcheck.pages.report.ranking import deviations_of, deviations_text, flags_text, place_text, usual_of
 from spotcheck.sensor.model import NoiseLine

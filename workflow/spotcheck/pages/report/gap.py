@@ -1,16 +1,15 @@
-"""The gap before and after as one bar, with what the scatter of the readings alone would leave: the sensor's noise and,
-where one was found, speckle."""
+"""The gap on held-out data before and after as one bar, with the noise floor."""
 
 from typing import Any, NamedTuple
 
-from spotcheck.old_engine.verdict.words import over_noise_text, percent_text
+from spotcheck.discrepancy.words import over_noise_text, percent_text
 from spotcheck.pages.plots import figure
 
 # Keys of verdict.json's gap: what each is called, and the colour of page.css in which it is drawn.
 SHOWN = {
     "before": ("before", "simulated"),
     "after": ("after", "measured"),
-    "noise_floor": ("scatter of the frames", "ink"),
+    "noise_floor": ("noise floor", "ink"),
 }
 
 
@@ -40,7 +39,7 @@ def gap_of(verdict: dict[str, Any]) -> Gap | None:
     is_closed = added and own["closed"] is not None and own["closed"] > 0
     closed = percent_text(min(own["closed"], 1.0)) if is_closed else ""
     told = ", ".join(f"{name} {text}" for name, _, text, _ in numbers)
-    alt = f"What the model misses on {own['on']}, rms of residuals over their noise: {told}."
+    alt = f"Gap on {own['on']}, mean square of block residuals over that of the noise: {told}."
     return Gap(_figure(own, shown), alt, numbers, closed, str(own["on"]))
 
 
@@ -66,7 +65,7 @@ def _figure(own: dict[str, Any], shown: dict[str, tuple[str, str]]) -> str:
         "xaxis": {
             "rangemode": "tozero",
             "nticks": 8,
-            "title": {"text": "rms of residuals / σ of the sensor's noise", "standoff": 2},
+            "title": {"text": "mean square of block residuals / noise", "standoff": 2},
         },
         "yaxis": {"visible": False, "fixedrange": True},
     }
@@ -82,5 +81,5 @@ def _bar(words: str, colour: str, value: float, height: float) -> dict[str, Any]
         "y": ["gap"],
         "width": height,
         "marker": {"color": f"var(--{colour})"},
-        "hovertemplate": f"{words}: %{{x:.4~g}} noise σ<extra></extra>",
+        "hovertemplate": f"{words}: %{{x:.4~g}}<extra></extra>",
     }

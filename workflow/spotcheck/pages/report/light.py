@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.dataset import Dataset
-from spotcheck.figures.light import LEAST, declared_shape, learned_shape
-from spotcheck.old_engine.verdict.words import percent_text
+from spotcheck.discrepancy.words import percent_text
+from spotcheck.figures.light import LEAST, compare_shapes
 from spotcheck.pages.plots import colour_scales, figure
 
 
@@ -26,13 +26,13 @@ def shape_of(ds: xr.Dataset | None, verdict: dict[str, Any] | None, dataset: Dat
         return None
     if "skipped" in ds.attrs or verdict["light"] is None:
         return Shape("as declared", "The frames ask for no other light than the declared one.", "", "")
-    u, s = learned_shape(ds)
-    before = declared_shape(dataset, u, u)
+    shapes = compare_shapes(ds, dataset)
+    u, before, after = shapes.places, shapes.declared, shapes.learned
     lights = ds.sizes["light"]
     which = "" if lights == 1 else f" Of {lights} lights, one for each pose, that is shown which is least as declared."
     words = f"{str(ds.attrs['described'])[:1].upper()}{str(ds.attrs['described'])[1:]}.{which}"
     hint = f"{percent_text(verdict['light']['power'])} of it lies elsewhere than declared"
-    return Shape(hint, words, _maps(u, before, before + s), _lines(u, before, before + s))
+    return Shape(hint, words, _maps(u, before, after), _lines(u, before, after))
 
 
 def _maps(u: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:

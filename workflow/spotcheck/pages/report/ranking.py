@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 
 from spotcheck import store
+from spotcheck.discrepancy.words import percent_text
 from spotcheck.estimate.plus_minus import two_digits
-from spotcheck.old_engine.verdict.words import percent_text
 from spotcheck.pages.report.packed import thinned
 
 # A deviation from the law of all frames is worth a word above this part of it, or this many px, and this many of its

@@ -2,9 +2,9 @@
 
 from typing import Any, NamedTuple
 
-from spotcheck.old_engine.conclude.limits import ALREADY
-from spotcheck.old_engine.verdict.sentence import effect_text, either_text
-from spotcheck.old_engine.verdict.words import condition_text, list_text, percent_text, probability_text, value_text
+from spotcheck.discrepancy.limits import ALREADY_PRESENT
+from spotcheck.discrepancy.sentence import effect_text, either_text
+from spotcheck.discrepancy.words import condition_text, list_text, percent_text, probability_text, value_text
 
 # A p-value below which a person speaks of certainty: once in ten thousand.
 CERTAIN = 1e-4
@@ -62,6 +62,8 @@ def headline(verdict: dict[str, Any]) -> str:
     status = verdict["status"]
     if status == "not_assessed":
         return f"Nothing could be tested: {_why_none(verdict)}."
+    if status == "not_converged":
+        return f"No effect is named: {_why_none(verdict)}."
     if status == "consistent":
         return f"{subject} what {model}: they differ by no more than noise does."
     if status == "unknown":
@@ -77,7 +79,7 @@ def headline(verdict: dict[str, Any]) -> str:
 def sure(verdict: dict[str, Any]) -> str:
     """How sure that is, in words and with the number behind it."""
     status, p = verdict["status"], verdict["detection"]["p_value"]
-    if status == "not_assessed" or p is None:
+    if status in ("not_assessed", "not_converged") or p is None:
         return ""
     if status == "consistent":
         return f"Noise alone would differ as much in {percent_text(p)} of such measurements ({probability_text(p)})."
@@ -86,7 +88,8 @@ def sure(verdict: dict[str, Any]) -> str:
     elif p < verdict["detection"]["alpha"]:
         chance = f"Sure: noise alone would do this in {percent_text(p)} of such measurements ({probability_text(p)})"
     else:
-        chance = f"No single test is sure of it ({probability_text(p)}), but all frames together are"
+        but = "tests of single effects do" if verdict["effects"] else "the residual exceeds the tolerance"
+        chance = f"The overall test finds no disagreement ({probability_text(p)}), but {but}"
     if status == "unknown":
         return f"{chance}."
     closed = verdict["gap"]["closed"]
@@ -94,7 +97,9 @@ def sure(verdict: dict[str, Any]) -> str:
         return f"{chance}, but not which of them it is."
     if closed is None or closed <= 0:
         return f"{chance}, and no other known effect does as well."
-    what = "what was added closes" if len(verdict["effects"]) > 1 else "it closes"
+    what = "these effects close" if len(verdict["effects"]) > 1 else "this effect closes"
+    if verdict["light"] is not None and len(verdict["effects"]) == 1:
+        what = "the learned shape closes"
     return f"{chance}, and {what} {percent_text(min(closed, 1.0))} of the gap on {verdict['gap']['on']}."
 
 
@@ -104,7 +109,8 @@ def gain_of(verdict: dict[str, Any]) -> str:
         return ""
     line, found = (_in_dn(verdict["levels"][name]) for name in ("straight_line", "gain_dn_per_e"))
     if verdict["effects"]:
-        return f"the gain to use is {found}, with what was added; a straight line (EMVA 1288) would give {line}"
+        which = "this effect" if len(verdict["effects"]) == 1 else "these effects"
+        return f"the gain K is {found} with {which}; a straight line (EMVA 1288) gives {line}"
     return f"the gain K is {line}, by a straight line (EMVA 1288)"
 
 
@@ -117,24 +123,26 @@ def measure_next(verdict: dict[str, Any]) -> str:
     status, left = verdict["status"], verdict["unexplained"]["size"]
     if verdict["advice"]:
         told = [
-            f"{own['frames']} frame{'s' if own['frames'] > 1 else ''} at {condition_text(own['condition'])}, which tell"
-            f"{'s' if own['frames'] == 1 else ''} {own['separates'][0]} from {own['separates'][1]}"
+            f"{own['frames']} frame{'s' if own['frames'] > 1 else ''} at {condition_text(own['condition'])}, which"
+            f" would separate {own['separates'][0]} from {own['separates'][1]}"
             for own in verdict["advice"]
         ]
         return f"Measure next: {list_text(told, '; ')}."
     if status == "ambiguous":
-        return "No next measurement was found that would tell them apart."
+        return "No measurement is known that would separate them."
+    if status == "not_converged":
+        return "No measurement can be advised before the fits converge."
     if status == "not_assessed":
-        return "Mend that first: until then no measurement can be advised."
+        return "No measurement can be advised before that is corrected."
     if status == "unknown":
         shows = f"; it shows most in {verdict['where'][0]['words']}" if verdict["where"] else ""
         return f"No measurement can be advised, for no known effect predicts one{shows}."
     if status == "named_more_remains" and left is not None:
-        seen = [own["effect"] for own in verdict["limits"] if own["more"] == ALREADY][:MOST_LIKE]
+        seen = [own["effect"] for own in verdict["limits"] if own["more"] == ALREADY_PRESENT][:MOST_LIKE]
         none = "none of them explains it" if len(seen) > 1 else "it does not explain it"
         like = f"nearest come {list_text(seen)}, but {none}" if seen else "no known effect comes near"
         return (
-            f"What is named needs no further measurement; {percent_text(left)} of the peak stays unexplained: {like}."
+            f"What is named needs no further measurement; {percent_text(left)} of the peak remains unexplained: {like}."
         )
     if status == "consistent":
         return "Nothing more is needed; further frames would only tighten the limits on what does not show."

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.dataset import Dataset
-from spotcheck.old_engine.verdict.words import value_text
+from spotcheck.discrepancy.words import value_text
 from spotcheck.pages.cited import Cited
 
 # Of the data sheet: parameter, symbol, unit, and key.

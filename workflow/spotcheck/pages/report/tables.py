@@ -10,6 +10,15 @@ from markupsafe import Markup
 
 from spotcheck import store
 from spotcheck.dataset import Dataset
+from spotcheck.discrepancy.words import (
+    condition_text,
+    digits_of,
+    limit_text,
+    number_text,
+    over_noise_text,
+    percent_text,
+    value_text,
+)
 from spotcheck.errors import InputError
 from spotcheck.estimate.caustic import beam_rows
 from spotcheck.estimate.fits import preferred
@@ -19,17 +28,8 @@ from spotcheck.estimate.plus_minus import plus_minus
 from spotcheck.estimate.precision import sentence
 from spotcheck.estimate.sensor import QUANTITIES
 from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.old_engine.model.effect import Effect
-from spotcheck.old_engine.model.effects import built_in, vocabulary
-from spotcheck.old_engine.verdict.words import (
-    condition_text,
-    digits_of,
-    limit_text,
-    number_text,
-    over_noise_text,
-    percent_text,
-    value_text,
-)
+from spotcheck.model.effect import Effect
+from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.pages.cited import Cited
 from spotcheck.pages.report.frames import label_of
 from spotcheck.pages.report.spoken import numbers_in
@@ -273,7 +273,7 @@ def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
                 (key, cite(value_text(p["value"], p["stderr"], p["unit"]), f"verdict.effects.{own['name']}.{key}"))
                 for key, p in own["parameters"].items()
             ],
-            "none": f"{neutral:g}" if np.isfinite(neutral := known[own["name"]].neutral) else "",
+            "none": f"{neutral:g}" if np.isfinite(neutral := known[own["name"]].vanishes_at) else "",
             "gain": cite(number_text(own["evidence"]["gain"]), f"verdict.effects.{own['name']}.evidence.gain"),
             "z": cite(number_text(own["evidence"]["z"]), f"verdict.effects.{own['name']}.evidence.z"),
             # A learned shape is told by all frames together, and by no cells.

@@ -1,1 +1,0 @@
-"""What is said of a set of frames: whether anything disagrees, and what is left."""

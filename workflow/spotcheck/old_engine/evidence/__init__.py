@@ -1,1 +1,0 @@
-"""Every effect's own evidence beside all nuisance: pixels, fields, stripes, noise, laws on frame numbers."""

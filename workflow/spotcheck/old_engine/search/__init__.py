@@ -1,1 +1,0 @@
-"""Forward steps with refit, rivals, ties, and the tests that a name must pass."""

@@ -1,1 +1,0 @@
-"""The answer: verdict.json and its sentence."""
