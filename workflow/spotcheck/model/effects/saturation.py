@@ -89,7 +89,7 @@ EFFECT = Effect(
         Variant.POWER_WITH_NOISE: (Step(Stage.RESPONSE, stop_by_power),),
     },
     # A clip behind all noise lies at the brightest reading; a fit from below it does not find it.
-    starts=lambda scales: [(share * scales.peak_dn, 0.03, 0.02) for share in (1.0, 0.97, 0.8, 0.5)],
+    starts=lambda scales: [(share * scales.peak_dn, 0.03, 0.02) for share in (0.97, 1.0, 0.8, 0.5)],
     vanishes_at=np.inf,
     hidden_in_flats="",
     instrument_keys=state_end,
