@@ -157,15 +157,15 @@ def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -
     """Mask hot pixels, part held-out repeats, and fit the declared model."""
     frames, hot_pixels = mask_hot_pixels(frames, setting.sensor)
     is_unseen = frames.held_out()
-    seen, unseen = np.flatnonzero(~is_unseen), np.flatnonzero(is_unseen)
-    searched = frames.select(seen)
-    declared = fit_declared(searched, spots.select(seen), setting)
+    searched_index, unseen = np.flatnonzero(~is_unseen), np.flatnonzero(is_unseen)
+    searched = frames.select(searched_index)
+    declared = fit_declared(searched, spots.select(searched_index), setting)
     images = measure_residuals(declared.model, searched)
     light_field = find_light_field(images, declared)
     if light_field is not None:
         # Structure of the light that moves with the spot looks like grains unless a free shape takes it.
-        shaped = fit_thinned_shape(declared)[1]
-        light_field = find_light_field(measure_residuals(shaped.model, searched), shaped)
+        with_shape = fit_thinned_shape(declared)[1]
+        light_field = find_light_field(measure_residuals(with_shape.model, searched), with_shape)
     if light_field is not None:
         searched = replace(searched, light_field=light_field)
         declared = fit_declared(searched, declared.model.spots, setting)
@@ -196,7 +196,7 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
         return analysis
     parts = FittedParts(
         declared=prepared.declared,
-        shaped=selected.shaped,
+        with_shape=selected.with_shape,
         final=fit,
         search=search,
         laws=tuple(law for law in found.laws if not law.reasons),

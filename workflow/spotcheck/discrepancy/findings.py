@@ -96,11 +96,11 @@ class SensorPull:
     """A number of the data sheet and what the frames say of it."""
 
     name: str  # key of the instrument's sensor, such as "gain_dn_per_e"
-    unit: str
-    stated: float
-    stated_stderr: float
+    unit: str  # of all four numbers
+    stated: float  # value of the data sheet
+    stated_stderr: float  # its standard error
     fitted: float  # by data sheet and frames together
-    stderr: float
+    stderr: float  # standard error of the fitted value
 
     @property
     def shift(self) -> float:
@@ -145,9 +145,9 @@ class Gap:
 class MetricChange:
     """One of the paper's metrics on held-out frames, mean over conditions."""
 
-    name: str
-    unit: str
-    measured: float
+    name: str  # in words
+    unit: str  # of all values
+    measured: float  # of the held-out frames
     declared: float  # simulated by the declared model
     extended: float  # simulated by the extended model
 
@@ -198,18 +198,18 @@ class Findings:
 
     reason: str = ""  # why nothing could be assessed; "" if it was
     has_converged: bool = True  # whether the fits behind the effects have converged
-    detection: Detection | None = None
+    detection: Detection | None = None  # tests of the declared model; None if nothing was assessed
     rms_of_peak: float = float("nan")  # rms of the mean image about the declared model [peak], noise taken off
-    places: tuple[Place, ...] = ()
+    places: tuple[Place, ...] = ()  # where the declared model fails, the strongest first
     effects: tuple[NamedEffect, ...] = ()  # the one that closes most of the gap first
     light: LearnedLight | None = None  # None if the declared shape stands
-    sensor: tuple[SensorPull, ...] = ()
-    limits: tuple[UpperLimit, ...] = ()
-    law: LawShift = LawShift()
-    unexplained: Unexplained | None = None
-    gap: Gap | None = None
-    metrics: tuple[MetricChange, ...] = ()
-    advice: tuple[Advice, ...] = ()
+    sensor: tuple[SensorPull, ...] = ()  # numbers of the data sheet that were fitted
+    limits: tuple[UpperLimit, ...] = ()  # of effects that are not named
+    law: LawShift = LawShift()  # change of p1 and p2 by the effects
+    unexplained: Unexplained | None = None  # what the extended model leaves; None if nothing was assessed
+    gap: Gap | None = None  # on held-out frames; None if there are none
+    metrics: tuple[MetricChange, ...] = ()  # of the paper; empty without held-out frames
+    advice: tuple[Advice, ...] = ()  # measurements that separate rivals
     not_assessed: tuple[tuple[str, str], ...] = ()  # effects that the design cannot show, and why
     levels: LevelFindings | None = None  # of flats alone
     remarks: tuple[str, ...] = ()  # what a reader should know of the data

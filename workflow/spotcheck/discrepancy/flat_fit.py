@@ -27,7 +27,7 @@ TOLERANCE, DIFFERENCE = 1e-5, 1e-3
 NO_VALUE = 1e6
 # Distance in scales of parameters within which a fit that ranks candidates takes derivatives of a known point.
 NEARBY = 0.02
-# Where a reading follows the light by less than this slope, the lamp's scatter does not show.
+# Slope of a reading by the light below which the lamp's scatter does not show.
 LEAST_SLOPE = 0.1
 # Trials for the error of the converter, in median errors of the means, and largest factor on errors of the variance.
 CONVERTER_TRIALS, LARGEST_FACTOR = np.array([0.0, *2.0 ** np.arange(-3, 11, 0.5)]), 1e3
@@ -104,9 +104,9 @@ def estimate_scatter(levels: FlatLevels, residual: np.ndarray, slopes: np.ndarra
     `lost` is the number of parameters that were fitted to the means, and to the variances. First the likelihood of the
     means gives the scatter of lamp and converter, then that of the variances given the means the factor on theirs.
     """
-    seen = ~levels.is_held_out
-    free = max(seen.sum() - lost, 1.0)
-    error, square = levels.errors[0, seen], residual[0, seen] ** 2
+    searched = ~levels.is_held_out
+    free = max(searched.sum() - lost, 1.0)
+    error, square = levels.errors[0, searched], residual[0, searched] ** 2
     variance = error**2 + (np.median(error) * CONVERTER_TRIALS[:, None]) ** 2
     factor = np.maximum((square / variance).sum(axis=1, keepdims=True) / free, 1.0)
     variance = factor * variance
@@ -115,9 +115,9 @@ def estimate_scatter(levels: FlatLevels, residual: np.ndarray, slopes: np.ndarra
     lamp = float(np.sqrt(factor[best, 0]))
     scatter = LevelScatter(lamp, lamp * float(np.median(error)) * float(CONVERTER_TRIALS[best]))
     means = scatter.standardize(levels, slopes)
-    deviation = (residual[1] - means.share * residual[0])[seen] ** 2
-    stated = levels.errors[1, seen] ** 2
-    common = means.errors[1, seen] ** 2 - stated
+    deviation = (residual[1] - means.share * residual[0])[searched] ** 2
+    stated = levels.errors[1, searched] ** 2
+    common = means.errors[1, searched] ** 2 - stated
 
     def deviance_of(log_factor: float) -> float:
         total = np.exp(2 * log_factor) * stated + common
@@ -175,7 +175,7 @@ class _LevelProblem:
     """Least squares of a model with effects; a point holds ln R, K and the parameters of the effects."""
 
     def __init__(self, levels: FlatLevels, model: ForwardModel, nearby: float) -> None:
-        self.levels, self.model, self.seen, self.nearby = levels, model, ~levels.is_held_out, nearby
+        self.levels, self.model, self.searched, self.nearby = levels, model, ~levels.is_held_out, nearby
         gain, law = levels.declared.sensor.gain_dn_per_e, model.law
         assert law is not None
         names, start = [("", "log_light"), ("", "gain_dn_per_e")], [np.log(law.peak_dn), model.sensor.gain_dn_per_e]
@@ -269,7 +269,7 @@ class _LevelProblem:
 
     def with_deviance(self, fit: LevelFit) -> LevelFit:
         """Return a fit with its −2 ln L."""
-        deviance = deviance_of(self.levels, fit, self.seen) + float(fit.dark_misfit @ fit.dark_misfit)
+        deviance = deviance_of(self.levels, fit, self.searched) + float(fit.dark_misfit @ fit.dark_misfit)
         return replace(fit, deviance=deviance)
 
 

@@ -158,14 +158,16 @@ def match_dark(levels: FlatLevels, model: ForwardModel) -> tuple[ForwardModel, n
     The black level is at least 0: what would lie below is an effect.
     """
     centre = PixelGrid(np.zeros((1, 1)), np.zeros((1, 1)), 1, 1)
-    one = replace(levels.conditions, pixels=centre, x0=0.0, y0=0.0, exposure_s=levels.conditions.longest_s)
+    dark_frame = replace(levels.conditions, pixels=centre, x0=0.0, y0=0.0, exposure_s=levels.conditions.longest_s)
 
     def with_dark(point: np.ndarray) -> ForwardModel:
         sensor = replace(model.sensor, black_level_dn=float(point[0]), read_noise_e=float(point[1]))
         return replace(model, sensor=sensor)
 
     def dark_of(point: np.ndarray) -> np.ndarray:
-        moments = (moved := with_dark(point)).moments(moved.sensor_input(one, light=Light(np.zeros((1, 1)), 0.0)))
+        moments = (moved := with_dark(point)).moments(
+            moved.sensor_input(dark_frame, light=Light(np.zeros((1, 1)), 0.0))
+        )
         return np.array([moments.mean.item(), moments.variance.item()])
 
     def misfit_of(point: np.ndarray) -> np.ndarray:

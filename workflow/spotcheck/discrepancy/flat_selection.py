@@ -217,10 +217,10 @@ def smooth_basis(count: int) -> np.ndarray:
 
 def estimate_rough_scatter(levels: FlatLevels, fit: LevelFit) -> LevelScatter:
     """Return the scatter by what is left of the residuals beyond all that is smooth in light."""
-    seen = ~levels.is_held_out
-    smooth, standard = smooth_basis(int(seen.sum())), fit.scatter.standardize(levels, fit.slopes)
+    searched = ~levels.is_held_out
+    smooth, standard = smooth_basis(int(searched.sum())), fit.scatter.standardize(levels, fit.slopes)
     rough = standard.apply(fit.residual)
-    rough[:, seen] -= rough[:, seen] @ smooth @ smooth.T
+    rough[:, searched] -= rough[:, searched] @ smooth @ smooth.T
     return estimate_scatter(levels, standard.invert(rough), fit.slopes, smooth.shape[1])
 
 
@@ -230,11 +230,11 @@ def assess_smoothness(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) 
     Each is a sum of squares over the smooth directions that the fit has not absorbed. The scatter is at best as well
     known as that of the rough part, so that the sum follows Fisher's F law.
     """
-    seen = ~levels.is_held_out
-    standard, smooth = scatter.standardize(levels, fit.slopes), smooth_basis(int(seen.sum()))
-    rows = standard.apply(fit.jacobian)[..., seen].reshape(len(fit.names), -1)
+    searched = ~levels.is_held_out
+    standard, smooth = scatter.standardize(levels, fit.slopes), smooth_basis(int(searched.sum()))
+    rows = standard.apply(fit.jacobian)[..., searched].reshape(len(fit.names), -1)
     absorbed = np.linalg.qr(rows.T)[0]
-    residual, tests = standard.apply(fit.residual)[:, seen].ravel(), []
+    residual, tests = standard.apply(fit.residual)[:, searched].ravel(), []
     for block in np.eye(2):
         basis = np.kron(block[:, None], smooth)
         directions, parts, _ = np.linalg.svd(basis - absorbed @ (absorbed.T @ basis), full_matrices=False)

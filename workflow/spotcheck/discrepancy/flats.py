@@ -219,9 +219,9 @@ def measure_gap(
 def mean_square_beyond_noise(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> tuple[float, float]:
     """Return the mean square of the residuals of means [peak²] less that of the lamp's scatter, and its standard error;
     the scatter of the converter counts as misfit."""
-    seen, peak = ~levels.is_held_out, levels.values[0].max()
-    lamp = (scatter.lamp * levels.errors[0, seen] / peak) ** 2
-    square = float(np.mean((fit.residual[0, seen] / peak) ** 2 - lamp))
+    searched, peak = ~levels.is_held_out, levels.values[0].max()
+    lamp = (scatter.lamp * levels.errors[0, searched] / peak) ** 2
+    square = float(np.mean((fit.residual[0, searched] / peak) ** 2 - lamp))
     return square, float(np.sqrt(2 * np.sum(lamp**2)) / len(lamp))
 
 
@@ -310,7 +310,7 @@ def limit_fitted(levels: FlatLevels, fit: LevelFit, limit: UpperLimit) -> UpperL
 def find_limit(levels: FlatLevels, fit: LevelFit, start: AppliedEffect, sign: int, quantile: float) -> float:
     """Return the strength on one side of where an effect vanishes of which all is just excluded; NaN if none is.
 
-    Of the change that a strength makes, the part s ± e is there by the score test. All of it is excluded if
+    The score test estimates the part s ± e of the change that a strength makes. All of it is excluded if
     s + `quantile` e < 1, where s < 0 counts as 0. Strengths are tried, since a clip does not follow a straight line. A
     distance is that from where the effect vanishes, or one over the strength of an effect that vanishes at infinity.
     """

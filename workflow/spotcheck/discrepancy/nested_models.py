@@ -39,7 +39,7 @@ class FittedParts:
     """Fits that the chain is made of."""
 
     declared: JointFit  # without effects
-    shaped: JointFit | None  # with the learned shape and no other effect; None beside the declared shape
+    with_shape: JointFit | None  # with the learned shape and no other effect; None beside the declared shape
     final: JointFit  # with all effects of the mean image
     search: LawSearch  # laws of the final fit's spots
     laws: tuple[NamedLaw, ...]  # named laws
@@ -53,9 +53,9 @@ def build_chain(parts: FittedParts) -> list[NestedModel]:
     law = _law_of(parts.declared, parts).law
     chain = [NestedModel("", _clean(parts.declared.model, parts, law))]
     names = list(parts.final.model.effect_names)
-    if parts.shaped is not None:
-        law = _law_of(parts.shaped, parts).law
-        chain.append(NestedModel(LIGHT_SHAPE, _clean(parts.shaped.model, parts, law)))
+    if parts.with_shape is not None:
+        law = _law_of(parts.with_shape, parts).law
+        chain.append(NestedModel(LIGHT_SHAPE, _clean(parts.with_shape.model, parts, law)))
     for count in range(1, len(names)):
         fit = _fit_without(parts.final, names[count:])
         chain.append(NestedModel(names[count - 1], _clean(fit.model, parts, _law_of(fit, parts).law)))

@@ -98,10 +98,10 @@ def strongest_cells(cells: CellSums, design: Design, scatter: KnownScatter = NO_
         member = (np.arange(groups.max() + 1)[:, None] == groups).astype(float)
         norms = member @ cells.norms + _known_variance(cells, design, member, scatter)
         # Read noise is common to all frames, a spot is that of one frame.
-        taken = member @ np.sum(cells.absorbed**2, axis=2) + (member @ cells.common) ** 2
-        usable = (member @ cells.pixels >= FEWEST_PIXELS) & (norms > 0) & (taken < MOST_ABSORBED * norms)
+        absorbed = member @ np.sum(cells.absorbed**2, axis=2) + (member @ cells.common) ** 2
+        usable = (member @ cells.pixels >= FEWEST_PIXELS) & (norms > 0) & (absorbed < MOST_ABSORBED * norms)
         norms = np.where(usable, norms, 1.0)
-        variance = np.where(usable, norms - taken, 1.0)
+        variance = np.where(usable, norms - absorbed, 1.0)
         skewness = (member @ cells.third) / variance**1.5
         usable &= np.abs(skewness) < MOST_SKEWED
         if not usable.any():

@@ -107,10 +107,10 @@ def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], by: Projection) -
         out = np.zeros((2, len(trials), len(at.weight), 2 * SECTORS))
         for k, applied in enumerate(trials):
             (mean, variance), rest = change_by_strength(model, applied, at)
-            taken = np.einsum("fa,afhw->fhw", of_spots[:, :, k], at.slopes, optimize=True)
-            taken = taken if light is None else taken + light[k]
-            mean = mean - at.moments.mean_slope * taken
-            variance = variance - at.moments.variance_slope * taken
+            absorbed = np.einsum("fa,afhw->fhw", of_spots[:, :, k], at.slopes, optimize=True)
+            absorbed = absorbed if light is None else absorbed + light[k]
+            mean = mean - at.moments.mean_slope * absorbed
+            variance = variance - at.moments.variance_slope * absorbed
             others = [(sensor[j, k], column) for j, column in enumerate(fitted)]
             for share, column in others if rest is None else [*others, (by.of_rest[k], rest)]:
                 mean, variance = mean - share * column[0], variance - share * column[1]

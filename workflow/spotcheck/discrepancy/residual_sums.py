@@ -281,8 +281,8 @@ def _cells_of_noise(sums: np.ndarray) -> CellSums:
     """Return the excess variance by range of light, beside a fitted read noise; sums [frame, level, 6].
 
     With I = Σ k²/ν the fit absorbs δ = Σ (k e/ν)/I: a cell's sum is Σ e − (Σ k) δ, of the variance Σ ν − (Σ k)²/I.
-    Where rounding outweighs the read noise, k is not known well, so that dark pixels, the faintest light and the
-    remaining light have a δ each. The third cumulant is that of a scaled χ² of the same mean and variance.
+    The weight k is not known well if rounding outweighs the read noise: dark pixels, the faintest light and the
+    remaining light then have a δ each. The third cumulant is that of a scaled χ² of the same mean and variance.
     """
     e, nu, k, score, information, pixels = np.moveaxis(sums, -1, 0)
     region = np.minimum(np.arange(LEVELS + 1), 1)

@@ -57,7 +57,9 @@ class SelectedEffects:
     rivals: Mapping[
         str, Mapping[str, float]
     ]  # by effect: others in its place, and how much larger −2 ln L is with them
-    shaped: JointFit | None = None  # with the free shape before any effect was sought; None beside the declared shape
+    with_shape: JointFit | None = (
+        None  # with the free shape before any effect was sought; None beside the declared shape
+    )
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def select_effects(
     free = free if free.has_converged else fit_jointly(free.model, free.pixels)
     path = select_forward(free, beside_shape, scales, log, update)
     assert path is not None
-    return replace(eliminate_backward(path, scales, log), shaped=free)
+    return replace(eliminate_backward(path, scales, log), with_shape=free)
 
 
 def select_forward(
@@ -292,7 +294,7 @@ def withdraw_effects(
     for name in present:
         model = model.without_effect(name)
     path = [SelectionStep(fit_jointly(model, selected.fit.pixels), np.nan)]
-    return replace(eliminate_backward(path, scales, log), shaped=selected.shaped)
+    return replace(eliminate_backward(path, scales, log), with_shape=selected.with_shape)
 
 
 def _text(start: AppliedEffect) -> str:

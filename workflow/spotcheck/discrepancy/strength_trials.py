@@ -100,7 +100,7 @@ class Trial:
         return is_close or is_opposite or is_narrow or (self.excess > 0 and self.distance >= self.farthest)
 
     @property
-    def reach(self) -> float:
+    def limit_distance(self) -> float:
         """Distance of the limit by the estimate at the present distance; negative on the other side."""
         part, power = self.estimate.part, np.nan_to_num(self.power, nan=1.0)
         return float(np.sign(part) * self.distance * abs(part) ** (1 / power))
@@ -108,7 +108,7 @@ class Trial:
     @property
     def limit(self) -> float:
         """Limit of the strength; NaN if it is out of range."""
-        return self.strength_at(self.reach) if self.reach < self.farthest else np.nan
+        return self.strength_at(self.limit_distance) if self.limit_distance < self.farthest else np.nan
 
     def applied(self) -> list[AppliedEffect]:
         """Return the effect with the strength of the trial in all its directions."""
@@ -142,7 +142,7 @@ class Trial:
 
     def restart(self) -> "Trial":
         """Return the trial at its limit, to be tried by other pixels."""
-        distance = min(self.reach, self.farthest)
+        distance = min(self.limit_distance, self.farthest)
         return replace(
             self, distance=distance, estimate=NO_ESTIMATE, inside=0.0, outside=np.inf, before=(np.nan, np.nan)
         )
@@ -224,7 +224,10 @@ def choose_farthest(trials: Sequence[Trial], of_variants: bool = False) -> dict[
     best: dict[tuple, Trial] = {}
     for trial in trials:
         key = (trial.start.effect.name, trial.sign, trial.start.variant if of_variants else None)
-        if key not in best or (trial.is_limited, trial.reach) > (best[key].is_limited, best[key].reach):
+        if key not in best or (trial.is_limited, trial.limit_distance) > (
+            best[key].is_limited,
+            best[key].limit_distance,
+        ):
             best[key] = trial
     chosen: dict[str, list[Trial]] = {}
     for (name, *_), trial in best.items():

@@ -28,7 +28,7 @@ BLOCK_PX, GAP_RADIUS = 8, 3.5
 SITE_STEPS, LARGEST_STEPS, SITE_TOLERANCE = 12, (0.7, 0.3, 4.0, 4.0), 0.01
 # Standard deviations of the gap beyond its floor up to which nothing is left open.
 NOISE_Z = 2.0
-# Of the parameters of a spot, ln peak, x and y scatter from frame to frame.
+# Parameters of a spot that scatter from frame to frame: ln peak, x and y.
 SCATTERING = [0, 2, 3]
 
 
