@@ -134,7 +134,8 @@ def measure_gain(fit: JointFit, name: str, wald: float) -> float:
         refit = fit_jointly(without, pixels, tolerance=WITHOUT_TOLERANCE, iterations=WITHOUT_ITERATIONS)
         deviance = fit.deviance if pixels is fit.pixels else assemble(fit.model, pixels).deviance
         gain = (refit.deviance - deviance) / fit.pixels.dispersion
-        if gain > CERTAIN:
+        # Without a significant strength the drop decides nothing.
+        if gain > CERTAIN or wald < MIN_GAIN:
             break
     return gain * fit.pixels.count / pixels.count
 

@@ -77,8 +77,11 @@ def _law_of(fit: JointFit, parts: FittedParts) -> LawFit:
 
 
 def _fit_without(final: JointFit, names: Sequence[str]) -> JointFit:
-    """Return the final fit without some effects, on thinned pixels, with the shape of the light as it is."""
-    model = replace(final.model, grid=None)
+    """Return the final fit without some effects, on thinned pixels; shape, sensor and the other effects stay as they are.
+
+    An effect that was fitted without another one would take on part of its work.
+    """
+    model = replace(final.model, grid=None, free=())
     for name in names:
         model = model.without_effect(name)
     return fit_jointly(model, thin_pixels(final.pixels, PIXELS), tolerance=TOLERANCE, iterations=ITERATIONS)

@@ -23,9 +23,13 @@ from spotcheck.model.stage import Stage
 
 # Side of the blocks, and distance from the spot [σ] within which they count.
 BLOCK_PX, GAP_RADIUS = 8, 3.5
-# Steps of the fit of sites, the largest step of ln peak and ln σ [1] and of the centre [px], and the promised drop of
+# Most steps of the fit of sites, the largest step of ln peak and ln σ [1] and of the centre [px], and the drop of
 # −2 ln L for each site at which it ends.
-SITE_STEPS, LARGEST_STEPS, SITE_TOLERANCE = 12, (0.7, 0.3, 4.0, 4.0), 0.01
+SITE_STEPS, LARGEST_STEPS, SITE_TOLERANCE = 30, (0.7, 0.3, 4.0, 4.0), 0.02
+# Part of the diagonal of the information that is added where a step fails: at first, and from try to try.
+FIRST_DAMPING, DAMPING_FACTOR = 1e-2, 8.0
+# Steps of that fit on all pixels.
+LAST_STEPS = 2
 # Standard deviations of the gap beyond its floor up to which nothing is left open.
 NOISE_Z = 2.0
 # Parameters of a spot that scatter from frame to frame: ln peak, x and y.
@@ -129,7 +133,7 @@ def predict_frames(nested: NestedModel, frames: FrameSet, start: FrameParameters
     model = JointModel(replace(nested.forward, law=None, effects=effects), spots, frames.design)
     near = select_pixels(frames, spots)
     for pixels in (thin_pixels(near), near):
-        model = _fit_sites(model, pixels, nested.scatter.site_sd, SITE_STEPS if pixels is not near else 1)
+        model = _fit_sites(model, pixels, nested.scatter.site_sd, SITE_STEPS if pixels is not near else LAST_STEPS)
     return _measure(model, nested.scatter, frames)
 
 
@@ -150,24 +154,33 @@ def _from_law(model: ForwardModel, design: Design, spots: FrameParameters) -> Fr
 
 
 def _fit_sites(model: JointModel, pixels: Pixels, site_sd: tuple[float, float], steps: int) -> JointModel:
-    """Return the model with one centre for each site and, where sites vary, with one brightness and width."""
+    """Return the model with one centre for each site and, where sites vary, with one brightness and width.
+
+    Steps of Fisher scoring are damped until −2 ln L, with the normal prior of brightness and width, does not rise.
+    """
     site = np.unique(model.design.site, return_inverse=True)[1]
     is_free = np.array([site_sd[0] > 0, site_sd[1] > 0, True, True])
     precision = np.array([1 / site_sd[k] ** 2 if site_sd[k] > 0 else 0.0 for k in (0, 1)] + [0.0, 0.0])
-    moved = np.zeros((site.max() + 1, 4))
+    moved, start = np.zeros((site.max() + 1, 4)), model.spots.as_rows()
+    equations, damping = assemble(model, pixels), 0.0
     for _ in range(steps):
-        gradient, information = _sum_by_site(assemble(model, pixels), site)
+        gradient, information = _sum_by_site(equations, site)
         gradient = gradient - precision * moved
         information = information + np.diag(precision)
         step = np.zeros_like(gradient)
         for number in range(len(step)):
             free = information[number][np.ix_(is_free, is_free)]
-            step[number, is_free] = np.linalg.lstsq(free, gradient[number, is_free], rcond=1e-12)[0]
+            damped = free + damping * np.diag(np.diag(free))
+            step[number, is_free] = np.linalg.lstsq(damped, gradient[number, is_free], rcond=1e-12)[0]
         step = np.clip(step, -np.array(LARGEST_STEPS), LARGEST_STEPS)
-        moved += step
-        rows = model.spots.as_rows() + step[site].T
-        model = replace(model, spots=FrameParameters(*rows))
-        if float(np.sum(gradient * step)) < SITE_TOLERANCE * len(step):
+        trial = replace(model, spots=FrameParameters(*(start + (moved + step)[site].T)))
+        new = assemble(trial, pixels)
+        rise = new.deviance - equations.deviance + float(np.sum(precision * ((moved + step) ** 2 - moved**2)))
+        if not rise <= 0:
+            damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
+            continue
+        model, equations, moved, damping = trial, new, moved + step, damping / DAMPING_FACTOR
+        if -rise < SITE_TOLERANCE * len(step):
             break
     return model
 
