@@ -77,7 +77,7 @@ def _law_of(fit: JointFit, parts: FittedParts) -> LawFit:
 
 
 def _fit_without(final: JointFit, names: Sequence[str]) -> JointFit:
-    """Return the final fit without some effects, on thinned pixels; shape, sensor and the other effects stay as they are.
+    """Return the final fit without some effects, on thinned pixels; shape, sensor and other effects are kept.
 
     An effect that was fitted without another one would take on part of its work.
     """
