@@ -78,9 +78,9 @@ class SpotNumbers:
 
 
 def numbers_of_fit(fit: JointFit) -> SpotNumbers:
-    """Return brightness and width of the spots of a fit with the covariance that its information gives."""
+    """Return brightness and width of the spots of a fit; granular light enters their covariance by the dispersion."""
     spots = 4 * fit.equations.frames
-    covariance = invert_information(fit.equations.information)[:spots, :spots]
+    covariance = invert_information(fit.equations.information)[:spots, :spots] * fit.pixels.dispersion
     return SpotNumbers(fit.model.design, fit.model.spots, covariance)
 
 
