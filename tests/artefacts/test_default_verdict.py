@@ -58,7 +58,8 @@ def test_parameters_are_near_the_truth(verdict, truth):
 def test_p1_and_p2_agree_with_the_truth_within_their_errors(verdict, truth):
     """The width does not depend on the exposure, and p2 is the mean width of the sites less that of the laser.
 
-    The declared model alone is far off both.
+    The declared model alone is far off both. The frames are fixed: two normal estimates are beyond four standard errors
+    with a probability of 1.3e-4.
     """
     instrument = read_instrument(DATASET / "instrument.yaml")
     sites = [site for site in truth["sites"] if site["kind"] == "spot"]
@@ -66,7 +67,7 @@ def test_p1_and_p2_agree_with_the_truth_within_their_errors(verdict, truth):
     p2 = np.mean(widths) - of_instrument(instrument, (1e-4, 9e-4)).laser_px
     for name, true in (("p1", 0.0), ("p2", p2)):
         row = verdict["baseline_shift"][name]
-        assert abs(row["after"] - true) < 2.5 * row["stderr"], name
+        assert abs(row["after"] - true) < 4 * row["stderr"], name
         assert abs(row["before"] - true) > 10 * row["stderr"], name
 
 
