@@ -47,7 +47,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
-    parser.add_argument("--fits", help="fits.nc, from which the fits start (default: second moments)")
+    parser.add_argument("--fits", help="fits.nc, from which the fits start (default: a fit of each frame alone)")
     parser.add_argument("--tolerance", default="{}", help="JSON: of_peak, alpha")
     parser.add_argument("--pictures", required=True, help="discrepancy.nc to write")
     parser.add_argument("--model", required=True, help="model.yaml to write, which `spotcheck simulate` runs")

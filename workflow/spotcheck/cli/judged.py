@@ -1,4 +1,4 @@
-"""What the subcommands of a verdict share: the frames of a dataset, ready to be analysed, and what a user tolerates."""
+"""Frames of a dataset that are ready to be analysed, and what a user tolerates, for the subcommands of a verdict."""
 
 import json
 from collections import Counter
@@ -75,7 +75,7 @@ def prepare_dataset(
     crops, sensor : xr.Dataset
         Content of crops.nc and sensor.nc.
     fits : xr.Dataset or None
-        Content of fits.nc, from which fits start; None to start from moments.
+        Content of fits.nc, from which fits start; None to fit each frame alone first.
     """
     cells = usable_cells(dataset, crops["status"].sel(centring="light"))
     unusable = describe_unusable(dataset, crops)

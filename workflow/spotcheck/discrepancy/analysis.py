@@ -38,7 +38,7 @@ from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
 from spotcheck.discrepancy.scatter import DarkNoise, measure_dark_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects, withdraw_effects
-from spotcheck.discrepancy.validation import correlated_area, is_field
+from spotcheck.discrepancy.validation import correlated_area, has_field
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, EffectScales, Scope
 from spotcheck.model.forward import ForwardModel
@@ -237,7 +237,7 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     grains = estimate_granular_light(measure_fields(images))
     if grains.reasons or not grains.variance > MIN_Z * grains.stderr:
         return None
-    is_in_model = any(is_field(applied) for applied in fit.model.forward.effects)
+    is_in_model = has_field(fit.model)
     variance = grains.variance * images.spot**2
     total = 1 / np.where(images.weight > 0, images.weight, np.inf) + (0.0 if is_in_model else variance)
     information = np.divide(images.spot**2, total, out=np.zeros_like(variance), where=total > 0)
@@ -249,7 +249,7 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
 
 def update_dispersion(fit: JointFit, frames: FrameSet) -> JointFit:
     """Return a fit with the dispersion that its residuals show, if granular light is in its model."""
-    if not any(is_field(applied) for applied in fit.model.forward.effects):
+    if not has_field(fit.model):
         return fit
     light_field = find_light_field(measure_residuals(fit.model, frames), fit)
     if light_field is None:

@@ -31,7 +31,7 @@ from spotcheck.discrepancy.named_scatter import NamedScatter, white_noise
 from spotcheck.discrepancy.nested_models import LIGHT_SHAPE
 from spotcheck.discrepancy.places import KnownScatter, find_places
 from spotcheck.discrepancy.residual_sums import sum_residuals
-from spotcheck.discrepancy.validation import is_field
+from spotcheck.discrepancy.validation import has_field
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep, Scope
 from spotcheck.model.stage import Stage
@@ -141,7 +141,7 @@ def _unexplained(analysis: Analysis, names: Collection[str], black_dn: float) ->
     steps = [step for scattered in analysis.named_scatter if scattered.applied.effect.name in names
              for step in scattered.applied.effect.variants[scattered.applied.variant]]  # fmt: skip
     stages = {step.stage for step in steps if isinstance(step, RandomStep)}
-    is_in_model = any(is_field(applied) for applied in analysis.selected.fit.model.forward.effects)
+    is_in_model = has_field(analysis.selected.fit.model)
     fields = [scatter.grains] if Stage.SPECKLE_FIELD in stages and not is_in_model else []
     fields += [scatter.gains] if Stage.PIXEL_GAIN in stages else []
     rows = scatter.dark.row.value if scatter.dark and Stage.ROW_NOISE_AND_HOT_PIXELS in stages else 0.0

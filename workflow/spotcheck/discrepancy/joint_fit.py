@@ -176,7 +176,8 @@ def fit_jointly(
         Readings of all frames of the model's design.
     tolerance : float
         Newton decrement of the effects beside all nuisance parameters below which the fit has converged; that of all
-        parameters is scaled in proportion. Both grow with the dispersion (mean squared standardised residual).
+        parameters is scaled in proportion. Both grow with the
+        larger of two dispersions: the mean squared standardised residual, and that of granular light.
     iterations : int
         Most steps.
     rival : float, optional

@@ -18,6 +18,7 @@ from spotcheck.discrepancy.validation import (
     NestedModel,
     Prediction,
     estimate_gains,
+    has_field,
     is_field,
     predict_frames,
 )
@@ -108,7 +109,7 @@ def _add_scatter(chain: list[NestedModel], parts: FittedParts) -> list[NestedMod
                 place = (Stage.BRIGHTNESS, Stage.WIDTH).index(step.stage)
                 site_sd[place] = named.applied.parameters[named.parameter_of(step)]
     chain = [replace(nested, scatter=replace(nested.scatter, site_sd=(site_sd[0], site_sd[1]))) for nested in chain]
-    in_law = any(is_field(applied) for applied in parts.final.model.forward.effects)
+    in_law = has_field(parts.final.model)
     for named in parts.scatter:
         if named in by_site or named.applied.effect.name in parts.final.model.effect_names:
             continue

@@ -54,12 +54,10 @@ class SelectedEffects:
     fit: JointFit  # fit to all pixels
     covariance: np.ndarray  # of the fitted parameters of sensor and effects
     tests: dict[str, EffectTest]  # by effect
-    rivals: Mapping[
-        str, Mapping[str, float]
-    ]  # by effect: others in its place, and how much larger −2 ln L is with them
-    with_shape: JointFit | None = (
-        None  # with the free shape before any effect was sought; None beside the declared shape
-    )
+    # By effect: others in its place, and how much larger −2 ln L is with them.
+    rivals: Mapping[str, Mapping[str, float]]
+    # Fit with the free shape before any effect was sought; None beside the declared shape.
+    with_shape: JointFit | None = None
 
 
 @dataclass(frozen=True)

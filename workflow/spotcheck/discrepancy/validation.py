@@ -310,6 +310,11 @@ def _variance_of_grains(model: JointModel, pixels: Pixels, part: slice, variance
     return np.maximum(variance - 1 / np.where(at.weight > 0, at.weight, np.inf), 0.0)
 
 
+def has_field(model: JointModel) -> bool:
+    """Return whether granular light is in the mean image of a model."""
+    return any(is_field(applied) for applied in model.forward.effects)
+
+
 def is_field(applied: AppliedEffect) -> bool:
     """Return whether an effect is granular light alone."""
     steps = applied.effect.variants[applied.variant]

@@ -1,4 +1,4 @@
-"""Where measurement and model disagree, and what speaks for each name."""
+"""Figures of the places at which measurement and model disagree, and of the evidence for each name."""
 
 import numpy as np
 import xarray as xr
@@ -108,7 +108,7 @@ def _parts(part: Figure, ds: xr.Dataset, limit: float) -> int:
 
 
 def evidence(results: Results) -> style.Drawing:
-    """What −2 ln L gains with each effect that is named and with its rivals in its place, and what each closes."""
+    """Draw the drop of −2 ln L by each named effect and by its rivals, and the part of the gap that each closes."""
     verdict = results.verdict()
     if not verdict["effects"]:
         raise Unavailable("nothing was added to the model")

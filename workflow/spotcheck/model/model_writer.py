@@ -90,7 +90,7 @@ def _quote(text: str) -> str:
 
 @dataclass(frozen=True)
 class LightFile:
-    """Where light.nc is written, and what its note says."""
+    """Path, provenance and note of light.nc."""
 
     path: str | Path  # the file
     dataset: str  # name of the dataset that the shape was learned from
