@@ -11,7 +11,7 @@ CHECK  := results/check
 WHEEL  := build/wheel
 
 .PHONY: all quick test docs wheel load load-kills load-hostile load-scale load-rules test-slurm newest licences lint check-numbers bench \
-    validate validate-times validate-second validate-light validate-real snakemake-report lock lock-bench clean
+    validate validate-light validate-real snakemake-report lock lock-bench clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
@@ -110,25 +110,12 @@ $(BENCH)/.ready: requirements-bench.lock pyproject.toml workflow/rig/pyproject.t
 	$(BENCH)/bin/pip install --quiet --no-deps --no-build-isolation --editable . --editable workflow/rig
 	@touch $@
 
-# Data sets with hidden effects, judged for two hours; each call adds to those of the earlier ones at a commit.
-# VALIDATE="--hours 1 --jobs 500" changes that; tests/validation/run.py lists all. `VALIDATE="--report --publish"`, at a
-# release, writes scores and the records that they follow from into the repository.
+# Data sets with hidden effects, judged for two hours; each call adds to those of the earlier ones at a commit. Real beams and
+# frames lie beside the repository; without them their sets are left out. VALIDATE="--hours 1 --jobs 40" changes that;
+# `VALIDATE="--report --publish"` writes the table into workflow/docs/.
 VALIDATE ?= --hours 2
-validate: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run rig --workers $(CORES) $(VALIDATE)
-
-# Times of the whole command, for the same table; nothing else should run beside it.
-validate-times: $(READY)
-	$(BIN)/python -m tests.validation.times
-
-# Hidden effects by a generator that shares nothing with the rig: SECOND="--jobs 40" for fewer sets.
-validate-second: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run second --hours 9 --workers $(CORES) $(SECOND)
-
-# The table of names on real light. Real beams and frames lie beside the repository; without them their sets are left out.
-# LIGHT="--jobs 40" for fewer sets, LIGHT=--publish to write the table into workflow/docs/.
-validate-light: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run names --hours 1.5 --workers $(CORES) $(LIGHT)
+validate validate-light: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run light --workers $(CORES) $(VALIDATE)
 
 # Flats of a real sensor, as they are and with a known effect put into their readings, and their page. Needs the frames beside
 # the repository. REAL=--publish writes the page into workflow/docs/.

@@ -16,16 +16,13 @@ Record = dict[str, Any]
 
 
 class Job(NamedTuple):
-    """One data set to be made and judged: its number in the plan; its seed; what is hidden in it, as `none`,
-    `one:<effect>:<level>`, `two:<level>` or `two:<a>+<b>:<level>` (three, four), `outside:<mechanism>:<level>`, or
-    `real` and `real:<effect>` for real frames (of `light` the kind of light is before the level, and there are more
-    kinds); its design; and the photon budget it is judged by, where that is not the one it was made with."""
+    """One data set to be made and judged: its number in the plan, its seed, what is put into it in the words of its
+    generator, and its design."""
 
     number: int
     seed: int
     kind: str
     design: str
-    budget: str = ""
 
 
 class Generator(Protocol):
@@ -51,7 +48,7 @@ def generator(name: str) -> Generator:
     return cast(Generator, importlib.import_module(f"tests.validation.generators.{name}.generator"))
 
 
-def dealt(shares: dict[str, int]) -> Iterator[str]:
+def deal(shares: dict[str, int]) -> Iterator[str]:
     """Names without end, each as often as its share wants and spread evenly: the most overdue comes next."""
     total, given = sum(shares.values()), dict.fromkeys(shares, 0)
     for number in count(1):

@@ -1,7 +1,7 @@
 """The command: as many jobs of a generator as the time allows, then its report.
 
-`python -m tests.validation.run rig|second|real|light|names [--hours 2] [--workers 2] [--jobs N] [--first SEED]
-[--kinds one,strong] [--report] [--publish] [--verbose]`. A later call at the same commit goes on where the last one
+`python -m tests.validation.run light|real [--hours 2] [--workers 2] [--jobs N] [--first SEED] [--kinds nothing,real]
+[--report] [--publish]`. A later call at the same commit goes on where the last one
 stopped.
 """
 
@@ -15,17 +15,15 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from functools import partial
 from itertools import islice
 
-from tests.validation import judge, outcome, records
+from tests.validation import judge, records
 from tests.validation.protocol import Generator, Job, Record, generator
-
-GENERATORS = ("rig", "second", "real", "light", "names")
 
 
 def main() -> None:
     """Run, report, print."""
     args = arguments()
     own, name = generator(args.generator), records.commit(args.generator)
-    first = records.drawn(own.FIRST, name) if args.first is None else args.first
+    first = records.draw_first_seed(own.FIRST, name) if args.first is None else args.first
     folder = records.RESULTS / args.generator / (name if first >= own.FIRST else f"{name}-tuning")
     path = folder / "records.jsonl"
     done = records.read(path)
@@ -38,7 +36,7 @@ def main() -> None:
             for number, record in enumerate(run(jobs, work, args.workers, deadline), 1):
                 writer.add(record)
                 done.append(record)
-                progress(number, record, deadline, args.verbose)
+                progress(number, deadline)
         finally:
             writer.close()
     if not done:
@@ -49,17 +47,14 @@ def main() -> None:
 def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.validation.run", description=__doc__)
-    parser.add_argument(
-        "generator", choices=("rig", "second", "real", "light", "names"), help="what makes the data sets"
-    )
+    parser.add_argument("generator", choices=("light", "real"), help="what makes the data sets")
     parser.add_argument("--hours", type=float, default=2.0, help="begin nothing after this time (default 2)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--jobs", type=int, help="look no further than the first so many jobs")
     parser.add_argument("--first", type=int, help="seed of the first job; drawn from the commit's hash if not given")
-    parser.add_argument("--kinds", default="", help="only kinds with all these words, such as one,strong")
+    parser.add_argument("--kinds", default="", help="only kinds with all these words, such as nothing,real")
     parser.add_argument("--report", action="store_true", help="report on what is there, run nothing")
     parser.add_argument("--publish", action="store_true", help="write the report into the repository too")
-    parser.add_argument("--verbose", action="store_true", help="a line for every set that is not right")
     return parser.parse_args()
 
 
@@ -85,10 +80,8 @@ def run(jobs: list[Job], work: partial, workers: int, deadline: float) -> Iterat
             yield from (future.result() for future in finished)
 
 
-def progress(number: int, record: Record, deadline: float, verbose: bool) -> None:
+def progress(number: int, deadline: float) -> None:
     """Where the run is, on stderr."""
-    if verbose and (said := outcome.line(record)):
-        print(said, file=sys.stderr, flush=True)
     if number % 20 == 0:
         left = max(deadline - time.time(), 0) / 60
         print(f"{number} jobs done, {left:.0f} min left", file=sys.stderr, flush=True)

@@ -18,11 +18,9 @@ from tests.validation.generators.light.strength import SCATTERS, tune, unknown_o
 from tests.validation.generators.second.case import Case, Effect
 from tests.validation.generators.second.effects import VOCABULARY
 from tests.validation.generators.second.sensor import expose
-from tests.validation.generators.second.write import instrument
+from tests.validation.generators.second.sheet import instrument
 from tests.validation.protocol import Job
 
-# What a sheet states of its own errors where it is off: parts of gain and read noise, DN of the black level.
-STATED = {"gain": 0.03, "read_noise": 0.05, "black_level": 0.3}
 # A third of the sets with one effect on light that is no Gaussian have speckle on top.
 SPECKLED, CONTRAST = 1 / 3, (0.2, 0.5)
 # Not beside this one, whose signal-to-noise is that beside another base.
@@ -31,22 +29,15 @@ ALONE = ("spread_law",)
 
 def write_job(job: Job, folder: Path) -> dict[str, Any]:
     """Make what a job says; returns the truth."""
-    number, *words = job.kind.split(":")
-    if number == "hene":
-        return hene.write(int(job.design.split()[-1]), words[0], job.seed, folder)
-    off: dict[str, float] = {}
-    if number == "sheet":
-        names, light, level = ([] if words[1] == "none" else [words[1]]), "gauss", 50.0
-        off[words[0]] = float(words[2])
-    elif number in ("none", "light"):
-        names, light, level = [], words[0], 0.0
-    else:
-        names, light, level = words[0].split("+"), words[1], float(words[2])
-    names = [f"outside:{name}" for name in names] if number == "outside" else names
+    row, put_in, *drawn = job.kind.split(":")
+    if row == "frame":
+        return hene.write(int(job.design.split()[-1]), put_in, job.seed, folder)
+    light, level = drawn[0], float(drawn[1])
+    names = [f"outside:{put_in}"] if row == "outside" else [name for name in put_in.split("+") if name]
     case = draw_case(job.seed, job.design, light, names)
-    top = _on_top(case) if number == "one" and names[0] not in (*SCATTERS, *ALONE) else None
-    truths = hide(case, names, level, top)
-    write(case, folder, off)
+    alone = row == "outside" or len(names) != 1 or names[0] in (*SCATTERS, *ALONE)
+    truths = hide(case, names, level, None if alone else _on_top(case))
+    write(case, folder)
     return {
         "seed": job.seed,
         "design": job.design,
@@ -56,7 +47,6 @@ def write_job(job: Job, folder: Path) -> dict[str, Any]:
             "off": case.shape.off if case.shape else 0.0,
         },
         "effects": truths,
-        "sheet_off": off,
         "base": {"p1_px": case.p1, "p2_px": case.p2, "peak_dn": case.peak, "frames": len(case.frames),
                  "photon_budget": case.budget},
     }  # fmt: skip
@@ -109,24 +99,13 @@ def _on_top(case: Case) -> Effect | None:
     return effect
 
 
-def write(case: Case, folder: Path, off: dict[str, float]) -> None:
-    """A case as a dataset folder with one file a frame; the sheet is off by parts of gain and read noise, and DN of
-    the black level, of which it then states errors."""
+def write(case: Case, folder: Path) -> None:
+    """A case as a dataset folder with one file a frame."""
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     sheet = instrument(case, folder.name)
     sensor = sheet["sensor"]
     assert isinstance(sensor, dict)
     sensor["full_well_e"] = case.full_well
-    stated = STATED if off else dict.fromkeys(STATED, 0.0)
-    black = case.black + off.get("black_level", 0.0)
-    sensor |= {
-        "gain_dn_per_e": round(case.gain * (1 + off.get("gain", 0.0)), 6),
-        "read_noise_e": round(case.read_noise * (1 + off.get("read_noise", 0.0)), 4),
-        "black_level_dn": max(black, 0.0),
-        "gain_dn_per_e_stderr": round(stated["gain"] * case.gain, 6),
-        "read_noise_e_stderr": round(stated["read_noise"] * case.read_noise, 4),
-        "black_level_dn_stderr": stated["black_level"],
-    }
     (folder / "instrument.yaml").write_text(yaml.safe_dump(sheet, sort_keys=False), encoding="utf-8")
     rows: list[Sequence[object]] = [("file", "kind", "angle_deg", "exposure_s", "repeat")]
     for i, frame in enumerate(case.frames):

@@ -5,7 +5,5 @@ case       grid, camera and base spot of a seed
 optics     light on the sensor: spot, blur, halo, ghost, stripes, grain, pedestals
 sensor     from light to readings
 effects    the 24 effects, each in a form drawn at random; `outside`: mechanisms that the vocabulary lacks
-strength   how strong an effect is after a refit of the base, and the search for a wanted strength
-write, draw    a dataset folder and its truth
-generator  which sets are drawn, in which order
+sheet      the data sheet of a case
 """
