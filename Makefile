@@ -11,7 +11,7 @@ CHECK  := results/check
 WHEEL  := build/wheel
 
 .PHONY: all quick test docs wheel load load-kills load-hostile load-scale load-rules test-slurm newest licences lint check-numbers bench \
-    validate validate-light validate-real snakemake-report lock lock-bench clean
+    validate validate-real snakemake-report lock lock-bench clean
 
 all: $(READY)
 	$(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/default
@@ -114,7 +114,7 @@ $(BENCH)/.ready: requirements-bench.lock pyproject.toml workflow/rig/pyproject.t
 # frames lie beside the repository; without them their sets are left out. VALIDATE="--hours 1 --jobs 40" changes that;
 # `VALIDATE="--report --publish"` writes the table into workflow/docs/.
 VALIDATE ?= --hours 2
-validate validate-light: $(READY)
+validate: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.run light --workers $(CORES) $(VALIDATE)
 
 # Flats of a real sensor, as they are and with a known effect put into their readings, and their page. Needs the frames beside

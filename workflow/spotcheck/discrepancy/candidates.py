@@ -21,10 +21,9 @@ from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep
 from spotcheck.model.stage import Stage
 
-# Multiples of a start's strength at which a fit may begin: the score test extrapolates a straight line.
-SIZES = (0.3, 30.0)
-# Least multiple of a start whose effect is no straight line in its strength, such as a clip: about 1 is expected.
-LEAST_FINITE_SIZE = 0.15
+# Multiples of a start's strength at which a fit may begin: the score test extrapolates a straight line. Beside a free
+# shape a fit begins no farther out than the start, since the shape must move along with the effect.
+SIZES, SIZES_BESIDE_SHAPE = (0.3, 30.0), (0.3, 1.0)
 # Part of a column's information that must be left beside the nuisance parameters; else these can do the same.
 SEPARABLE_SHARE = 1e-5
 # Stages that change the spot of a frame as its own parameters do: effects there are laws across frames.
@@ -80,7 +79,8 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
     Notes
     -----
     With score U and Fisher information I of the change that a start makes, both beside the nuisance parameters, the
-    expected drop of −2 ln L is U²/I at U/I times the start's strength.
+    expected drop of −2 ln L is U²/I at U/I times the start's strength. An effect that is no straight line in its
+    strength, such as a clip, can only begin at the start itself, where the drop is 2U − I.
     """
     score, information, raw = project_changes(fit.model, fit, starts)
     candidates = []
@@ -88,8 +88,9 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
         if not (np.isfinite(u) and i > SEPARABLE_SHARE * whole > 0):
             continue
         scaled = scale_start(start, float(u / i), fit.model)
+        drop = u * u / i if np.isfinite(start.effect.vanishes_at) else 2 * u - i
         if scaled is not None:
-            candidates.append(Candidate(scaled, float(max(u * u / i - 1, 0.0)), place))
+            candidates.append(Candidate(scaled, float(max(drop - 1, 0.0)), place))
     return sorted(candidates, key=lambda candidate: -candidate.score)
 
 
@@ -99,10 +100,11 @@ def scale_start(start: AppliedEffect, size: float, model: JointModel) -> Applied
     strength = effect.parameters[0].name
     value = start.parameters[strength]
     if not np.isfinite(effect.vanishes_at):
-        return start if size > LEAST_FINITE_SIZE else None
+        return start if size > 0 else None
     if size < 0 and value_is_one_sided(start):
         return None
-    size = float(np.sign(size) * np.clip(abs(size), *SIZES))
+    limits = SIZES if model.grid is None else SIZES_BESIDE_SHAPE
+    size = float(np.sign(size) * np.clip(abs(size), *limits))
     return start.with_value(strength, effect.vanishes_at + size * (value - effect.vanishes_at))
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spotcheck.discrepancy.frames import Design, FrameParameters, Pixels
-from spotcheck.discrepancy.normal_equations import NormalEquations, ShapePart, assemble
+from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
 from spotcheck.discrepancy.shape_grid import ShapeGrid
 from spotcheck.model.effect import AppliedEffect, EffectScales, RandomStep, keyword_names_of
 from spotcheck.model.forward import ForwardModel
@@ -164,7 +164,6 @@ def fit_jointly(
     tolerance: float = EFFECT_TOLERANCE,
     iterations: int = ITERATIONS,
     rival: float | None = None,
-    reuse: ShapePart | None = None,
 ) -> JointFit:
     """Fit spots, sensor and effects to the pixels.
 
@@ -183,10 +182,8 @@ def fit_jointly(
     rival : float, optional
         −2 ln L of a model to compare with: the fit also ends, not converged, when a step promises less than 1 % of the
         drop below it.
-    reuse : ShapePart, optional
-        Factor of the shape's information with which the fit begins.
     """
-    equations = assemble(model, pixels, reuse)
+    equations = assemble(model, pixels)
     damping, part, count, age = 0.0, 1.0, 0, 0
     total_tolerance = (TOTAL_TOLERANCE if model.grid is None else SHAPE_TOLERANCE) * tolerance / EFFECT_TOLERANCE
     while True:
@@ -196,9 +193,15 @@ def fit_jointly(
         dispersion = max(equations.dispersion, pixels.dispersion, 1.0)
         has_converged = decrement < total_tolerance * dispersion and of_effects < tolerance * dispersion
         is_decided = rival is not None and decrement < 0.01 * (rival - equations.deviance)
+        if (has_converged or count == iterations) and age > 0:
+            # Where the shape can do nearly the same as an effect, what is left of the effect's information is a small
+            # difference, which a factor that was taken over gets wrong.
+            equations, age = assemble(model, pixels), 0
+            continue
         if has_converged or is_decided or count == iterations:
             break
-        moved, damping, part = _try_steps(model, pixels, equations, damping, part, fixed)
+        is_old = model.grid is not None and (age + 1 >= FACTOR_STEPS or decrement > FACTOR_DECREMENT)
+        moved, damping, part = _try_steps(model, pixels, equations, damping, part, fixed, is_old)
         if moved is None and age > 0:
             # A factor that was taken over is too old.
             equations, age = assemble(model, pixels), 0
@@ -206,26 +209,28 @@ def fit_jointly(
         if moved is None:
             break
         gain, (model, new) = equations.deviance - moved[1].deviance, moved
-        is_old = age + 1 >= FACTOR_STEPS or gain < FACTOR_GAIN * equations.promise(step) or decrement > FACTOR_DECREMENT
-        if model.grid is not None and is_old:
-            new = assemble(model, pixels)
-        equations, count, age = new, count + 1, 0 if is_old else age + 1
+        is_new = model.grid is not None and not new.has_factor_of(equations)
+        if model.grid is not None and not is_new and (is_old or gain < FACTOR_GAIN * equations.promise(step)):
+            new, is_new = assemble(model, pixels), True
+        equations, count, age = new, count + 1, 0 if is_new else age + 1
     return JointFit(model, pixels, equations, bool(has_converged), count)
 
 
 def _try_steps(
-    model: JointModel, pixels: Pixels, equations: NormalEquations, damping: float, part: float, fixed: np.ndarray
-) -> tuple[tuple[JointModel, NormalEquations] | None, float, float]:
+    model: JointModel, pixels: Pixels, equations: NormalEquations, damping: float, part: float, fixed: np.ndarray,
+    is_old: bool,
+) -> tuple[tuple[JointModel, NormalEquations] | None, float, float]:  # fmt: skip
     """Return model and equations after the first step that lowers −2 ln L enough, or None.
 
     Beside them: the damping of the next step, and the part of it to begin with. Damping does not shorten the step of a
-    shape, so that beside a shape steps are halved as well.
+    shape, so that beside a shape steps are halved as well. Where the shape's factor `is_old`, the first trial makes it
+    anew.
     """
     decrement = equations.promise(equations.solve(0.0, fixed))
     for attempt in range(TRIES):
         step = equations.solve(damping, fixed)
         trial = _move(model, equations, part * step, part)
-        new = assemble(trial, pixels, equations.shape)
+        new = assemble(trial, pixels, None if is_old and attempt == 0 else equations.shape)
         gain = equations.deviance - new.deviance
         is_rounding = decrement < ROUNDING_DECREMENT and gain > -ROUNDING_RISE
         if np.isfinite(gain) and (gain > LEAST_GAIN * part * equations.promise(step) or is_rounding):

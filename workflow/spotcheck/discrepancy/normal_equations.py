@@ -62,6 +62,10 @@ class NormalEquations:
         """Number n of unknowns."""
         return len(self.gradient)
 
+    def has_factor_of(self, other: NormalEquations) -> bool:
+        """Whether these equations use the same factor of the shape's information as others."""
+        return self.shape is not None and other.shape is not None and self.shape.factor is other.shape.factor
+
     def solve(self, damping: float, fixed: np.ndarray) -> np.ndarray:
         """Return the step [n] of Fisher scoring; `damping` is added to the diagonal, relative to it. Held unknowns
         [n] do not move."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from spotcheck.discrepancy.criteria import (
     VARIANT_TIE,
 )
 from spotcheck.discrepancy.evidence import EffectTest, assess_effect, estimate_covariance, is_negligible, least_gain
-from spotcheck.discrepancy.frames import Pixels, thin_pixels
+from spotcheck.discrepancy.frames import FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_thinned_evidence
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
@@ -31,6 +32,8 @@ MOST_REFITS, MOST_REFITS_BESIDE_SHAPE, MOST_STARTS = 6, 4, 1
 MOST_VARIANTS, MOST_FULL_FITS = 2, 4
 # Refits that may still win on all pixels: another variant within this drop, another effect with this part of it.
 VARIANT_MARGIN, RIVAL_SHARE = 50.0, 0.9
+# Part of what is demanded of an effect on all pixels that its refit must reach: refits stop early.
+REFIT_SHARE = 0.8
 # Most iterations of a candidate on all pixels.
 FULL_ITERATIONS = 25
 
@@ -67,6 +70,11 @@ class SelectionStep:
     fit: JointFit  # with the effects so far
     gain: float  # drop of −2 ln L by the last of them; NaN if unknown
     rivals: Mapping[str, float] = field(default_factory=dict)  # effects that do as well as the last one
+
+    @property
+    def last_effect(self) -> Effect:
+        """The effect that was added last."""
+        return self.fit.model.forward.effects[-1].effect
 
 
 def select_effects(
@@ -130,15 +138,11 @@ def select_forward(
     for number in range(MOST_EFFECTS):
         present = path[-1].fit
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
-        best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, log)
-        gain = 0.0 if best is None else best.gain
-        shape_drop = 0.0
-        if shape is not None and number == 0:
-            shape_drop = shape.drop
-        elif shape is not None and best is not None:
-            shape_drop = measure_thinned_evidence(present).drop
-        if gain < least_share(best, number) * shape_drop:
-            log(f"a free shape takes {shape_drop:.0f}, the best effect {gain:.0f}: not the declared light")
+        demand = ShapeDemand(present, number, shape)
+        best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, log, demand)
+        is_enough = not demand.is_unmet() if best is None else best.gain >= demand.least_drop(best.last_effect)
+        if not is_enough:
+            log(f"a free shape takes {demand.drop:.0f}, no effect enough of it: not the declared light")
             return None
         if best is None:
             break
@@ -146,21 +150,50 @@ def select_forward(
     return path
 
 
-def least_share(best: SelectionStep | None, number: int) -> float:
-    """Return the part of what a free shape takes that the next effect must take.
+class ShapeDemand:
+    """What the next effect beside the declared shape must take of what a free shape would take.
 
-    A static shape that leaves much of it is no reason to stay with the declared light: it would be named by the
-    explanation of the free shape as well.
+    Parameters
+    ----------
+    present : JointFit
+        Fit with the effects so far.
+    number : int
+        Number of effects that the selection has added.
+    shape : ShapeEvidence or None
+        Evidence for a free shape without effects; None beside a free shape, where nothing is demanded.
     """
-    share = SHAPE_SHARES[min(number, len(SHAPE_SHARES) - 1)]
-    is_static = best is not None and best.fit.model.forward.effects[-1].effect.is_static_shape
-    return max(share, EXPLAINED_SHARE) if is_static else share
+
+    def __init__(self, present: JointFit, number: int, shape: ShapeEvidence | None) -> None:
+        self._present, self._number, self._shape = present, number, shape
+
+    @cached_property
+    def drop(self) -> float:
+        """Drop of −2 ln L by a free shape beside the effects so far."""
+        if self._shape is None:
+            return 0.0
+        return self._shape.drop if self._number == 0 else measure_thinned_evidence(self._present).drop
+
+    def least_drop(self, effect: Effect) -> float:
+        """Return the drop of −2 ln L that an effect must take.
+
+        A static shape that leaves much of what a free shape takes is no reason to stay with the declared light: it
+        would be named by the explanation of the free shape as well.
+        """
+        share = SHAPE_SHARES[min(self._number, len(SHAPE_SHARES) - 1)]
+        return (max(share, EXPLAINED_SHARE) if effect.is_static_shape else share) * self.drop
+
+    def is_unmet(self) -> bool:
+        """Whether a free shape takes something before any effect was added."""
+        return self._number == 0 and self.drop > 0
 
 
 def add_best_effect(
-    present: JointFit, effects: Sequence[Effect], thin: Pixels, scales: EffectScales, log: Log
+    present: JointFit, effects: Sequence[Effect], thin: Pixels, scales: EffectScales, log: Log, demand: ShapeDemand
 ) -> SelectionStep | None:
-    """Return the step with the effect that gains most, or None if none gains enough."""
+    """Return the step with the effect that gains most, or None if none gains enough.
+
+    An effect that takes too little of what a free shape takes, on the thinned pixels, is not fitted to all of them.
+    """
     dispersion = present.pixels.dispersion
     ratio = present.pixels.count / thin.count / dispersion
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
@@ -181,7 +214,10 @@ def add_best_effect(
             margin = max(VARIANT_MARGIN, 0.01 * refits[0].value)
             if refit.value < (refits[0].value - margin if is_variant else RIVAL_SHARE * refits[0].value):
                 continue
-        full = fit_jointly(refit.model, present.pixels, iterations=FULL_ITERATIONS)
+        if refit.value < REFIT_SHARE * demand.least_drop(refit.candidate.start.effect):
+            continue
+        start = transfer_refit(refit.model, thinned.model, present.model)
+        full = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS)
         value = (present.deviance - full.deviance) / dispersion - price_of(refit.candidate)
         log(f"  {_text(refit.candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
         if not full.has_converged or value < least_gain(present.model) - PARAMETER_PRICE:
@@ -200,6 +236,19 @@ def add_best_effect(
     behind = {name: best_value - value for name, value in values.items() if name not in {leader, *general}}
     rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
     return SelectionStep(best, (present.deviance - best.deviance) / dispersion, rivals)
+
+
+def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) -> JointModel:
+    """Return a start on all pixels for a model that was fitted to thinned ones.
+
+    Spots and shape change from those of the present model by what the new effect changed on the thinned pixels: the
+    noise of these cancels.
+    """
+    rows = zip(refit.spots.as_rows(), thinned.spots.as_rows(), present.spots.as_rows(), strict=True)
+    start = replace(refit, spots=FrameParameters(*(whole + new - old for new, old, whole in rows)))
+    if refit.grid is None:
+        return start
+    return start.with_coefficients(present.coefficients + refit.coefficients - thinned.coefficients)
 
 
 def price_of(candidate: Candidate) -> float:
@@ -244,7 +293,7 @@ def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scale
     """Fit the present model with a candidate to the thinned pixels."""
     fit = fit_jointly(
         thinned.model.with_effect(candidate.start, scales), thinned.pixels, tolerance=REFIT_TOLERANCE,
-        iterations=REFIT_ITERATIONS, rival=thinned.deviance, reuse=thinned.equations.shape,
+        iterations=REFIT_ITERATIONS, rival=thinned.deviance,
     )  # fmt: skip
     drop = (thinned.deviance - fit.deviance) * ratio
     log(f"    {_text(candidate.start)}: promised {candidate.score * ratio:.0f}, got {drop:.0f}, {fit.iterations} steps")

@@ -6,8 +6,6 @@ are flat arrays over the pixels of all frames of a batch, and over the copies of
 
 import math
 
-import numpy as np
-
 from spotcheck.model.light_shape import cubic_weights
 from spotcheck.sensor.codes import compiled
 
@@ -19,34 +17,30 @@ NEIGHBOURS = 3
 def add_products(per_step, nodes, u, v, factor, values, out):
     """Add Σ factor · basis · values to out [coefficient, k]; values [point, k]."""
     middle = (nodes - 1) / 2
-    of_row, of_column = np.empty(4), np.empty(4)
     for n in range(u.size):
         x, y = u[n] * per_step + middle, v[n] * per_step + middle
         if factor[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
             continue
         column, row = math.floor(x), math.floor(y)
-        cubic_weights(x - column, of_column)
-        cubic_weights(y - row, of_row)
-        for q in range(4):
-            for p in range(4):
-                tap = factor[n] * of_row[q] * of_column[p]
-                index = (row + q - 1) * nodes + column + p - 1
-                for k in range(values.shape[1]):
-                    out[index, k] += tap * values[n, k]
+        of_column, of_row = cubic_weights(x - column), cubic_weights(y - row)
+        for k in range(values.shape[1]):
+            value = factor[n] * values[n, k]
+            for q in range(4):
+                index = (row + q - 1) * nodes + column - 1
+                for p in range(4):
+                    out[index + p, k] += value * of_row[q] * of_column[p]
 
 
 @compiled
 def add_values(per_step, nodes, u, v, factor, coefficients, out):
     """Add factor · Σ basis · coefficients to out [point, k]; coefficients [coefficient, k]."""
     middle = (nodes - 1) / 2
-    of_row, of_column = np.empty(4), np.empty(4)
     for n in range(u.size):
         x, y = u[n] * per_step + middle, v[n] * per_step + middle
         if factor[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
             continue
         column, row = math.floor(x), math.floor(y)
-        cubic_weights(x - column, of_column)
-        cubic_weights(y - row, of_row)
+        of_column, of_row = cubic_weights(x - column), cubic_weights(y - row)
         for q in range(4):
             for p in range(4):
                 tap = factor[n] * of_row[q] * of_column[p]
@@ -63,14 +57,12 @@ def add_information(per_step, nodes, u, v, weight, band):
     rows and di columns further.
     """
     middle = (nodes - 1) / 2
-    of_row, of_column = np.empty(4), np.empty(4)
     for n in range(u.size):
         x, y = u[n] * per_step + middle, v[n] * per_step + middle
         if weight[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
             continue
         column, row = math.floor(x), math.floor(y)
-        cubic_weights(x - column, of_column)
-        cubic_weights(y - row, of_row)
+        of_column, of_row = cubic_weights(x - column), cubic_weights(y - row)
         for q in range(4):
             for p in range(4):
                 tap = weight[n] * of_row[q] * of_column[p]

@@ -36,13 +36,15 @@ class LightShape:
 
 
 @compiled
-def cubic_weights(fraction, weight):
-    """Fill the values [4] of the cubic B-splines of four neighbouring nodes, `fraction` of a step beyond the second."""
+def cubic_weights(fraction):
+    """Return the values of the cubic B-splines of four neighbouring nodes, `fraction` of a step beyond the second."""
     rest = 1.0 - fraction
-    weight[0] = rest * rest * rest / 6
-    weight[1] = (3 * fraction * fraction * fraction - 6 * fraction * fraction + 4) / 6
-    weight[2] = (3 * rest * rest * rest - 6 * rest * rest + 4) / 6
-    weight[3] = fraction * fraction * fraction / 6
+    return (
+        rest * rest * rest / 6,
+        (3 * fraction * fraction * fraction - 6 * fraction * fraction + 4) / 6,
+        (3 * rest * rest * rest - 6 * rest * rest + 4) / 6,
+        fraction * fraction * fraction / 6,
+    )
 
 
 @compiled
@@ -50,15 +52,23 @@ def fill_spline(coefficients, per_step, u, v, out):
     """Fill the values of a spline at u, v [point]; coefficients [row, column] about the middle."""
     nodes = coefficients.shape[0]
     middle = (nodes - 1) / 2
-    of_row, of_column = np.empty(4), np.empty(4)
     for k in range(u.size):
         x, y = u[k] * per_step + middle, v[k] * per_step + middle
         out[k] = 0.0
         if not (-2.0 < x < nodes + 1.0 and -2.0 < y < nodes + 1.0):
             continue
         column, row = math.floor(x), math.floor(y)
-        cubic_weights(x - column, of_column)
-        cubic_weights(y - row, of_row)
+        of_column, of_row = cubic_weights(x - column), cubic_weights(y - row)
+        if 1 <= column < nodes - 2 and 1 <= row < nodes - 2:
+            for q in range(4):
+                line = coefficients[row + q - 1]
+                out[k] += of_row[q] * (
+                    of_column[0] * line[column - 1]
+                    + of_column[1] * line[column]
+                    + of_column[2] * line[column + 1]
+                    + of_column[3] * line[column + 2]
+                )
+            continue
         for q in range(max(0, 1 - row), min(4, nodes + 1 - row)):
             total = 0.0
             for p in range(max(0, 1 - column), min(4, nodes + 1 - column)):
