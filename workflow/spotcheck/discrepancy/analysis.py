@@ -36,7 +36,7 @@ from spotcheck.discrepancy.nested_models import LIGHT_SHAPE, FittedParts, Valida
 from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
-from spotcheck.discrepancy.scatter import DarkNoise, measure_dark_noise
+from spotcheck.discrepancy.scatter import DarkNoise, DarkSlopes, measure_dark_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects, withdraw_effects
 from spotcheck.discrepancy.validation import correlated_area, has_field
 from spotcheck.model.baseline import Baseline
@@ -270,24 +270,29 @@ def measure_scatter(images: ResidualImages, fit: JointFit, hot_pixels: int) -> S
     """Return the scatter of pixels about a fit."""
     covariances = measure_fields(images)
     return Scatter(
-        dark=measure_dark_noise(images, dark_variance_slope(fit.model.forward)),
+        dark=measure_dark_noise(images, measure_dark_slopes(fit.model.forward)),
         grains=estimate_granular_light(covariances),
         gains=estimate_pixel_gains(covariances),
         hot_pixels=hot_pixels,
     )
 
 
-def dark_variance_slope(forward: ForwardModel) -> float:
-    """Return the change of the variance of a dark reading for each DN² of read noise; 0 at the floor of the fit."""
+def measure_dark_slopes(forward: ForwardModel) -> DarkSlopes:
+    """Return the slopes of dark readings; all are 0 where the variance is at the floor of the fit."""
     sensor, distribution = forward.sensor, forward.distribution()
     if distribution.variance(0.0) < least_variance(distribution):
-        return 0.0
+        return DarkSlopes(0.0, 0.0, 0.0, 0.0)
     noises = [sensor.read_noise_e * (1 + shift) for shift in (-NOISE_STEP, NOISE_STEP)]
-    low, high = (
-        float(replace(forward, sensor=replace(sensor, read_noise_e=noise)).distribution().variance(0.0))
-        for noise in noises
+    low, high = (replace(forward, sensor=replace(sensor, read_noise_e=noise)).distribution() for noise in noises)
+    by_noise = sensor.gain_dn_per_e**2 * (noises[1] ** 2 - noises[0] ** 2)
+    light = NOISE_STEP * distribution.noise_dn
+    variance, mean = (
+        float(high(0.0) - low(0.0)) / by_noise for low, high in ((low.variance, high.variance), (low.mean, high.mean))
     )
-    return (high - low) / (sensor.gain_dn_per_e**2 * (noises[1] ** 2 - noises[0] ** 2))
+    variance_by_light, mean_by_light = (
+        float(at(light) - at(0.0)) / light for at in (distribution.variance, distribution.mean)
+    )
+    return DarkSlopes(variance, mean, variance_by_light, mean_by_light)
 
 
 def scales_of(frames: FrameSet, model: JointModel, setting: Setting, images: ResidualImages) -> EffectScales:

@@ -146,18 +146,14 @@ class WhiteNoise:
 def white_noise(dark: DarkNoise, fitted: SensorModel, stated: SensorModel, stated_stderr: float) -> WhiteNoise:
     """Return the read noise of dark pixels beside a fit; `stated_stderr` [e-] is that of the data sheet."""
     gain = stated.gain_dn_per_e
-    white = (gain * fitted.read_noise_e) ** 2 + dark.excess.value
-    stderr = dark.excess.stderr
-    for line in (dark.row, dark.column):
-        if line.value > MIN_Z * line.stderr:
-            white, stderr = white - line.value, float(np.hypot(stderr, line.stderr))
+    white = (gain * fitted.read_noise_e) ** 2 + dark.white.value
     excess = white - (gain * stated.read_noise_e) ** 2
     of_sheet = 2 * gain**2 * stated.read_noise_e * stated_stderr
     total = float(np.sqrt(max(white, 0.0)) / gain)
     covariance = abs(dark.neighbour.value - dark.row.value)
     is_shared = covariance > MISFIT_SHARE * max(excess, 0.0) + MISFIT_SD * dark.neighbour.stderr
-    stderr_e = stderr / (2 * gain**2 * max(total, 1e-9))
-    return WhiteNoise(total, stderr_e, excess / float(np.hypot(stderr, of_sheet)), is_shared)
+    stderr_e = dark.white.stderr / (2 * gain**2 * max(total, 1e-9))
+    return WhiteNoise(total, stderr_e, excess / float(np.hypot(dark.white.stderr, of_sheet)), is_shared)
 
 
 def name_read_noise(

@@ -28,10 +28,21 @@ class Moment:
 
 
 @dataclass(frozen=True)
+class DarkSlopes:
+    """How mean and variance of a dark reading change with its noise and with light; readings that are cut at 0 rise
+    with both."""
+
+    variance_by_noise: float  # [1], by the variance of the read noise
+    mean_by_noise: float  # [1/DN]
+    variance_by_light: float  # [DN]
+    mean_by_light: float  # [1]
+
+
+@dataclass(frozen=True)
 class DarkNoise:
     """Noise of dark pixels of a signal, before rounding and the cut at 0."""
 
-    excess: Moment  # variance beyond that of the model
+    white: Moment  # variance beyond that of the model, without what rows, columns and smooth light share
     row: Moment  # variance common to a row of a frame
     column: Moment  # variance common to a column of a frame
     next_row: Moment  # covariance of rows that are neighbours
@@ -39,29 +50,27 @@ class DarkNoise:
     neighbour: Moment  # covariance of neighbours in a row
 
 
-def measure_dark_noise(images: ResidualImages, variance_slope: float) -> DarkNoise | None:
+def measure_dark_noise(images: ResidualImages, slopes: DarkSlopes) -> DarkNoise | None:
     """Return the noise of dark pixels, or None if there are too few or their readings do not depend on it.
 
     Parameters
     ----------
     images : ResidualImages
         Residuals of a fit.
-    variance_slope : float
-        Change of the variance of a dark reading for each DN² of read noise.
+    slopes : DarkSlopes
+        Slopes of dark readings beside the fit.
     """
     dark = images.is_dark
-    if dark.sum() < FEWEST_DARK or variance_slope == 0:
+    if dark.sum() < FEWEST_DARK or slopes.variance_by_noise == 0:
         return None
     # Signals that a reading shows, and how much of one it shows.
     residual, slope = images.residual * dark, images.slope * dark
-    squares = np.where(dark, images.residual.astype(float) ** 2 - 1 / np.where(dark, images.weight, 1.0), 0.0)
-    excess = ratio_moment(squares.sum(axis=2), variance_slope * dark.sum(axis=2))
     rows, rows_shown = _block_sums(residual, 2), _block_sums(slope, 2)
     columns, columns_shown = _block_sums(residual, 1), _block_sums(slope, 1)
     row_sum, row_shown = rows.sum(axis=2), rows_shown.sum(axis=2)
     same, same_shown = (float((rows.sum(axis=0) ** 2 - (rows**2).sum(axis=0)).sum()) for rows in (row_sum, row_shown))
     return DarkNoise(
-        excess=excess,
+        white=_white_moment(images, slopes),
         row=ratio_moment(_far_products(rows), _far_products(rows_shown)),
         column=ratio_moment(_far_products(columns), _far_products(columns_shown)),
         next_row=ratio_moment(row_sum[:, 1:] * row_sum[:, :-1], row_shown[:, 1:] * row_shown[:, :-1]),
@@ -71,6 +80,22 @@ def measure_dark_noise(images: ResidualImages, variance_slope: float) -> DarkNoi
             (slope[:, :, 1:].astype(float) * slope[:, :, :-1]).sum(axis=2),
         ),
     )
+
+
+def _white_moment(images: ResidualImages, slopes: DarkSlopes) -> Moment:
+    """Return the variance beyond that of the model from differences of differences of four neighbours: these share no
+    rows, no columns and no slope of the mean image. What light that the model lacks adds to the variance is taken off;
+    it shows in the mean, to which noise adds as well."""
+    rows = images.residual.shape[1] // 2 * 2
+    dark, residual = images.is_dark[:, :rows], images.residual[:, :rows].astype(float)
+    by_mean = slopes.variance_by_light / slopes.mean_by_light
+    expected = 1 / np.where(dark, images.weight[:, :rows], 1.0) + by_mean * residual
+    tall, sums = residual[:, ::2] - residual[:, 1::2], expected[:, ::2] + expected[:, 1::2]
+    both = dark[:, ::2] & dark[:, 1::2]
+    used = both[:, :, 1:] & both[:, :, :-1]
+    squares = np.where(used, (tall[:, :, 1:] - tall[:, :, :-1]) ** 2 - sums[:, :, 1:] - sums[:, :, :-1], 0.0)
+    shown = 4 * (slopes.variance_by_noise - by_mean * slopes.mean_by_noise)
+    return ratio_moment(squares.sum(axis=2), shown * used.sum(axis=2))
 
 
 def ratio_moment(products: np.ndarray, shown: np.ndarray) -> Moment:
