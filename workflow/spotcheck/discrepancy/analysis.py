@@ -14,7 +14,14 @@ from spotcheck import progress
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z
 from spotcheck.discrepancy.evaluation import least_variance
-from spotcheck.discrepancy.fields import FieldEstimate, estimate_granular_light, estimate_pixel_gains, measure_fields
+from spotcheck.discrepancy.field_noise import covariance_by_field
+from spotcheck.discrepancy.fields import (
+    FieldEstimate,
+    correlated_area,
+    estimate_granular_light,
+    estimate_pixel_gains,
+    measure_fields,
+)
 from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
@@ -38,7 +45,7 @@ from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
 from spotcheck.discrepancy.scatter import DarkNoise, DarkSlopes, measure_dark_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects, withdraw_effects
-from spotcheck.discrepancy.validation import correlated_area, has_field
+from spotcheck.discrepancy.validation import has_field
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, EffectScales, Scope
 from spotcheck.model.forward import ForwardModel
@@ -185,7 +192,8 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
     search = None
     if setting.baseline.photon_budget != "free":
         sensor = replace(fit.model.forward.sensor, read_noise_e=setting.sensor.read_noise_e)
-        search = LawSearch(numbers_of_fit(fit), ForwardModel(setting.baseline, sensor), scales)
+        by_field = covariance_by_field(fit, prepared.frames, scatter.grains) if shows_grains(scatter.grains) else 0.0
+        search = LawSearch(numbers_of_fit(fit, by_field), ForwardModel(setting.baseline, sensor), scales)
     named = name_all_scatter(effects, scatter, fit, setting, scales, search)
     analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)
     if search is None:
@@ -235,7 +243,7 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     information on the light. A field that is in the distribution of a reading adds no further variance.
     """
     grains = estimate_granular_light(measure_fields(images))
-    if grains.reasons or not grains.variance > MIN_Z * grains.stderr:
+    if not shows_grains(grains):
         return None
     is_in_model = has_field(fit.model)
     variance = grains.variance * images.spot**2
@@ -245,6 +253,11 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     mean_share = min(float(np.sum(share * information) / np.sum(information)), 1.0)
     dispersion = 1 + (grains.frames * correlated_area(grains.grain_px) - 1) * mean_share
     return LightField(np.zeros_like(variance) if is_in_model else variance, dispersion)
+
+
+def shows_grains(grains: FieldEstimate) -> bool:
+    """Whether an estimate shows granular light."""
+    return not grains.reasons and grains.variance > MIN_Z * grains.stderr
 
 
 def update_dispersion(fit: JointFit, frames: FrameSet) -> JointFit:

@@ -23,7 +23,7 @@ from spotcheck.discrepancy.findings import (
     Unexplained,
 )
 from spotcheck.discrepancy.joint_fit import JointFit
-from spotcheck.discrepancy.laws import LawFit, NamedLaw, numbers_of_fit
+from spotcheck.discrepancy.laws import LawFit, NamedLaw
 from spotcheck.discrepancy.learned_light import describe_light, is_below_zero
 from spotcheck.discrepancy.limits import find_limits, list_not_assessed
 from spotcheck.discrepancy.metric_changes import compare_metrics
@@ -185,7 +185,8 @@ def measure_law_shift(analysis: Analysis) -> LawShift:
     """Return p1 and p2 under the declared and under the extended model; one exposure determines neither."""
     if analysis.search is None or analysis.laws is None or analysis.search.levels.shape[1] < 2:
         return LawShift()
-    declared = analysis.search.with_numbers(numbers_of_fit(analysis.prepared.declared)).fit([])
+    numbers = replace(analysis.search.numbers, spots=analysis.prepared.declared.model.spots)
+    declared = analysis.search.with_numbers(numbers).fit([])
     final = analysis.laws.fit
     return LawShift(_law_values(declared), _law_values(final), _law_errors(final))
 

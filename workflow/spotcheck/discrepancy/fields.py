@@ -155,6 +155,14 @@ def estimate_pixel_gains(covariances: FieldCovariances) -> FieldEstimate:
     return FieldEstimate(variance, stderr, np.nan, reasons)
 
 
+def correlated_area(grain_px: float) -> float:
+    """Return the sum of a field's correlation over all pixels about one [px]; 1 without a grain."""
+    if not grain_px > 0:
+        return 1.0
+    lags = np.arange(-5 * int(np.ceil(grain_px)), 5 * int(np.ceil(grain_px)) + 1)
+    return float(np.exp(-(lags**2) / (2 * grain_px**2)).sum() ** 2)
+
+
 def divide_lit(residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Return residuals over light, and 0 where the light is nothing but the rounding of its transform."""
     is_lit = light > ROUNDING_SHARE * np.max(light, initial=0.0)

@@ -77,10 +77,11 @@ class SpotNumbers:
         return self.covariance[np.ix_(index, index)]
 
 
-def numbers_of_fit(fit: JointFit) -> SpotNumbers:
-    """Return brightness and width of the spots of a fit; granular light enters their covariance by the dispersion."""
+def numbers_of_fit(fit: JointFit, by_field: np.ndarray | float = 0.0) -> SpotNumbers:
+    """Return brightness and width of the spots of a fit; `by_field` [4F, 4F] is what granular light adds to their
+    covariance."""
     spots = 4 * fit.equations.frames
-    covariance = invert_information(fit.equations.information)[:spots, :spots] * fit.pixels.dispersion
+    covariance = invert_information(fit.equations.information)[:spots, :spots] + by_field
     return SpotNumbers(fit.model.design, fit.model.spots, covariance)
 
 

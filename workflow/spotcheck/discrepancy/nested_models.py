@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from spotcheck.discrepancy.criteria import MIN_GAIN
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.laws import LawFit, LawSearch, NamedLaw, numbers_of_fit
+from spotcheck.discrepancy.laws import LawFit, LawSearch, NamedLaw
 from spotcheck.discrepancy.named_scatter import NamedScatter
 from spotcheck.discrepancy.residuals import ResidualImages
 from spotcheck.discrepancy.validation import (
@@ -73,8 +73,8 @@ def build_chain(parts: FittedParts) -> list[NestedModel]:
 
 
 def _law_of(fit: JointFit, parts: FittedParts) -> LawFit:
-    """Return the law without effects of the spots of a fit, under the variance components of the final one."""
-    return parts.search.with_numbers(numbers_of_fit(fit)).fit([])
+    """Return the law without effects of the spots of a fit, with the covariance of the final one's."""
+    return parts.search.with_numbers(replace(parts.search.numbers, spots=fit.model.spots)).fit([])
 
 
 def _fit_without(final: JointFit, names: Sequence[str]) -> JointFit:

@@ -253,7 +253,7 @@ def _compare(
     total = variance + scatter.field_variance * light_square + of_gains
     score = _score(scatter, residual, total, slopes, at, used)
     is_near = used & _is_near(at)
-    area = correlated_area(scatter.grain_px)
+    area = correlated_area_of_block(scatter.grain_px)
 
     def sum_blocks(values: np.ndarray) -> np.ndarray:
         return _block_sums(values * is_near)
@@ -321,7 +321,7 @@ def is_field(applied: AppliedEffect) -> bool:
     return bool(steps) and all(isinstance(step, RandomStep) and step.stage is Stage.SPECKLE_FIELD for step in steps)
 
 
-def correlated_area(grain_px: float) -> float:
+def correlated_area_of_block(grain_px: float) -> float:
     """Return the sum of a field's correlation over the pairs of pixels of a block, for each of its pixels."""
     if not grain_px > 0:
         return 1.0
