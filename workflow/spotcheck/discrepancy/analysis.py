@@ -20,6 +20,7 @@ from spotcheck.discrepancy.fields import (
     correlated_area,
     estimate_granular_light,
     estimate_pixel_gains,
+    estimate_white_field,
     measure_fields,
 )
 from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
@@ -169,7 +170,7 @@ def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -
     declared = fit_declared(searched, spots.select(searched_index), setting)
     images = measure_residuals(declared.model, searched)
     light_field = find_light_field(images, declared)
-    if light_field is not None:
+    if light_field is not None and light_field.dispersion > 1:
         # Structure of the light that moves with the spot looks like grains unless a free shape takes it.
         with_shape = fit_thinned_shape(declared)[1]
         light_field = find_light_field(measure_residuals(with_shape.model, searched), with_shape)
@@ -236,7 +237,10 @@ def free_sensor_parameters(setting: Setting) -> tuple[FreeParameter, ...]:
 
 
 def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None:
-    """Return the granular light that the residuals of a fit show; None if they show none.
+    """Return the field that multiplies the light by the residuals of a fit; None if they show none.
+
+    It is granular light, or, without grains, the scatter of single pixels: gains of pixels, or noise beyond that of
+    photons.
 
     With its part φ of the variance of a reading, the area a of its correlation [px] and n frames of a site that share
     it, sums of residuals have 1 + (n a − 1) φ times the variance of independent ones; φ is its mean over the
@@ -244,7 +248,9 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     """
     grains = estimate_granular_light(measure_fields(images))
     if not shows_grains(grains):
-        return None
+        white = estimate_white_field(images)
+        is_clear = white.variance > MIN_Z * white.stderr
+        return LightField(white.variance * images.spot**2, 1.0) if is_clear else None
     is_in_model = has_field(fit.model)
     variance = grains.variance * images.spot**2
     total = 1 / np.where(images.weight > 0, images.weight, np.inf) + (0.0 if is_in_model else variance)
@@ -280,14 +286,16 @@ def fit_with_field(saturated: JointFit, frames: FrameSet) -> JointFit:
 
 
 def measure_scatter(images: ResidualImages, fit: JointFit, hot_pixels: int) -> Scatter:
-    """Return the scatter of pixels about a fit."""
+    """Return the scatter of pixels about a fit.
+
+    At a single site gains of pixels are what neighbours do not share, unless there are grains.
+    """
     covariances = measure_fields(images)
-    return Scatter(
-        dark=measure_dark_noise(images, measure_dark_slopes(fit.model.forward)),
-        grains=estimate_granular_light(covariances),
-        gains=estimate_pixel_gains(covariances),
-        hot_pixels=hot_pixels,
-    )
+    grains = estimate_granular_light(covariances)
+    is_alone = len(np.unique(images.design.site)) == 1 and not grains.variance > MIN_Z * grains.stderr
+    gains = estimate_white_field(images) if is_alone else estimate_pixel_gains(covariances)
+    dark = measure_dark_noise(images, measure_dark_slopes(fit.model.forward))
+    return Scatter(dark, grains, gains, hot_pixels)
 
 
 def measure_dark_slopes(forward: ForwardModel) -> DarkSlopes:

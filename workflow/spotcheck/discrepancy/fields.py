@@ -141,6 +141,30 @@ def estimate_granular_light(covariances: FieldCovariances) -> FieldEstimate:
     return FieldEstimate(variance, stderr, grain, tuple(reasons), frames)
 
 
+def estimate_white_field(images: ResidualImages) -> FieldEstimate:
+    """Return the field that neighbouring pixels do not share, from blocks of 2 × 2 px of single frames.
+
+    The difference of the differences of a block knows no rows, no columns and no slope of the mean image.
+    """
+
+    def of_blocks(values: np.ndarray, signs: tuple[int, int]) -> np.ndarray:
+        rows, columns = (length // 2 * 2 for length in values.shape[1:])
+        tall = values[:, 0:rows:2] + signs[0] * values[:, 1:rows:2]
+        return tall[:, :, 0:columns:2] + signs[1] * tall[:, :, 1:columns:2]
+
+    is_lit = (images.spot > LIT_SHARE * images.spot.max(axis=(1, 2), keepdims=True)) & (images.weight > 0)
+    whole = of_blocks(is_lit.astype(int), (1, 1)) == 4
+    noise = of_blocks(1 / np.where(is_lit, images.weight, 1.0), (1, 1))[whole]
+    squares = of_blocks(images.residual.astype(float), (-1, -1))[whole] ** 2 - noise
+    light = of_blocks(images.spot.astype(float) ** 2, (1, 1))[whole]
+    if not light.size:
+        return FieldEstimate(np.nan, np.nan, np.nan, ("no pixel is lit",))
+    total = np.sum(light / noise**2)
+    variance = float(np.sum(squares / noise**2) / total)
+    stderr = float(np.sqrt(np.sum(((squares - variance * light) / noise**2) ** 2)) / total)
+    return FieldEstimate(variance, stderr, np.nan, ())
+
+
 def estimate_pixel_gains(covariances: FieldCovariances) -> FieldEstimate:
     """Return the gains of pixels: the covariance of a pixel with itself between sites, above that of its surround."""
     zero, ring = covariances.same_pixel, covariances.ring
