@@ -6,7 +6,13 @@ from math import erf, sqrt
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.fields import FieldEstimate, estimate_granular_light, estimate_pixel_gains, measure_fields
+from spotcheck.discrepancy.fields import (
+    FieldEstimate,
+    estimate_granular_light,
+    estimate_pixel_gains,
+    estimate_white_field,
+    measure_fields,
+)
 from spotcheck.discrepancy.frames import select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
 from spotcheck.discrepancy.joint_fit import fit_jointly
@@ -215,6 +221,16 @@ def test_one_site_does_not_tell_grains_from_gains():
     drawn = draw_frames(5, lay_out(angles_deg=(0.0,), repeats=1), SPECKLE)
     grains = estimate_granular_light(measure_fields(residuals_of(drawn)))
     assert "one site: tied with gains of pixels" in grains.reasons
+
+
+@pytest.mark.parametrize("gain_scatter", [0.0, 0.03])
+def test_the_scatter_of_single_pixels_is_measured_in_one_frame(gain_scatter: float):
+    """Gains of pixels are what neighbours do not share, in spite of an ellipse that the model lacks."""
+    light = DrawnLight(ratio=1.05, direction_deg=20.0)
+    drawn = draw_frames(7, lay_out(), light, DrawnCamera(gain_scatter=gain_scatter)).select(np.arange(2, 3))
+    field = estimate_white_field(residuals_of(drawn))
+    assert abs(field.variance - gain_scatter**2) < LARGEST_Z * field.stderr
+    assert (field.variance > 5 * field.stderr) == (gain_scatter > 0) and field.stderr < 2e-4
 
 
 # Hot pixels.

@@ -1,0 +1,71 @@
+"""What granular light adds to the covariance of spots: neighbouring pixels, and the frames of a site, share it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from spotcheck.discrepancy.evaluation import evaluate
+from spotcheck.discrepancy.fields import FieldEstimate, correlated_area
+from spotcheck.discrepancy.frames import FrameSet
+from spotcheck.discrepancy.joint_fit import JointFit
+from spotcheck.discrepancy.normal_equations import solve_positive
+from spotcheck.discrepancy.residuals import place_on_sensor, whole_crops
+from spotcheck.discrepancy.validation import has_field
+
+# Part of a frame's covariance that the field may have at most: what is left of noise keeps it positive.
+LARGEST_SHARE = 0.99
+
+
+def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) -> np.ndarray:
+    """Return the covariance that granular light adds to the spots of a fit.
+
+    Parameters
+    ----------
+    fit : JointFit
+        Fit whose readings have the variance of the field in single pixels.
+    frames : FrameSet
+        Frames of the fit.
+    grains : FieldEstimate
+        Field that is new at each site.
+
+    Returns
+    -------
+    ndarray
+        Covariance of ln peak, ln σ, x, y of frame after frame [4F, 4F].
+
+    Notes
+    -----
+    A field of relative variance V, whose correlation covers a pixels, gives the scores of two frames of a site the
+    covariance a V Σ g g' with g = (derivative of the mean reading by the spot) · (by ln light) / (variance of the
+    reading). Of a single frame the part V Σ g g' of pixels with themselves is in the fit already.
+    """
+    count = len(frames.left)
+    out = np.zeros((count, 4, count, 4))
+    area, is_in_model = correlated_area(grains.grain_px), has_field(fit.model)
+    for site in np.unique(fit.model.design.site):
+        members = np.flatnonzero(fit.model.design.site == site)
+        model = replace(fit.model, spots=fit.model.spots.select(members), design=fit.model.design.select(members))
+        at = evaluate(model, whole_crops(frames.select(members)), slice(0, len(members)))
+        slopes, by_light = at.moments.mean_slope * at.slopes, at.moments.mean_slope * at.light.spot
+        field = 0.0 if is_in_model else grains.variance * by_light**2
+        weight = at.weight / (1 + field * at.weight)
+        flat = (slopes * np.sqrt(weight)).reshape(4, len(members), -1)
+        information = np.einsum("afp,bfp->fab", flat, flat, optimize=True)
+        left, top = frames.left[members], frames.top[members]
+        scores = np.array([place_on_sensor(slope * weight * by_light, left, top) for slope in slopes])
+        scores = scores.reshape(4, len(members), -1)
+        shared = grains.variance * np.einsum("afp,bgp->fagb", scores, scores, optimize=True)
+        for f, first in enumerate(members):
+            for g, second in enumerate(members):
+                half = solve_positive(information[f], shared[f, :, g])
+                joint = solve_positive(information[g], half.T).T
+                own = share_in_fit(fit, first, joint) if f == g else 0.0
+                out[first, :, second] = (area - own) * joint
+    return out.reshape(4 * count, 4 * count)
+
+
+def share_in_fit(fit: JointFit, frame: int, own: np.ndarray) -> float:
+    """Return how much of the field's covariance of a frame [4, 4] its covariance in the fit holds: all of it, or less
+    where the fit's own estimate of the field is smaller."""
+    root = np.linalg.cholesky(fit.equations.information[4 * frame : 4 * frame + 4, 4 * frame : 4 * frame + 4])
+    return min(1.0, LARGEST_SHARE / float(np.linalg.eigvalsh(root.T @ own @ root)[-1]))
