@@ -11,7 +11,8 @@ from spotcheck import store
 from spotcheck.discrepancy.extended_model import FinalModel, build_extended_model, fit_exposure_law, fit_final_model
 from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect, ParameterValue
 from spotcheck.discrepancy.frames import FrameParameters
-from spotcheck.discrepancy.laws import LawSearch, SpotNumbers, numbers_of_fit
+from spotcheck.discrepancy.laws import LawSearch
+from spotcheck.discrepancy.spot_numbers import SpotNumbers, numbers_of_fit
 from spotcheck.errors import InputError
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary

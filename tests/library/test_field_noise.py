@@ -8,8 +8,8 @@ from spotcheck.discrepancy.field_noise import covariance_by_field
 from spotcheck.discrepancy.fields import FieldEstimate
 from spotcheck.discrepancy.frames import LightField, select_pixels
 from spotcheck.discrepancy.joint_fit import fit_jointly
-from spotcheck.discrepancy.laws import numbers_of_fit
 from spotcheck.discrepancy.residuals import measure_residuals
+from spotcheck.discrepancy.spot_numbers import numbers_of_fit
 from tests.library.drawn_frames import DrawnLight, draw_frames, lay_out
 from tests.library.models_of_frames import frame_set, starting_model
 

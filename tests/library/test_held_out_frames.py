@@ -6,10 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.evidence import invert_information
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
-from spotcheck.discrepancy.laws import LawSearch, SpotNumbers
+from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.nested_models import ValidatedChain
+from spotcheck.discrepancy.normal_equations import invert_information
+from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.discrepancy.validation import FrameScatter, NestedModel, Prediction, predict_frames
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect

@@ -9,10 +9,10 @@ from scipy import stats
 
 from spotcheck.discrepancy import frames as frames_module
 from spotcheck.discrepancy.candidates import list_starts, screen_candidates
-from spotcheck.discrepancy.evidence import estimate_covariance, invert_information
+from spotcheck.discrepancy.evidence import estimate_covariance
 from spotcheck.discrepancy.frames import FrameParameters, Pixels, select_pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.normal_equations import assemble
+from spotcheck.discrepancy.normal_equations import assemble, invert_information
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
 from tests.library import drawn_frames as drawing

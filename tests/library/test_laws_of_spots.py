@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from spotcheck.discrepancy.frames import FrameParameters
-from spotcheck.discrepancy.laws import LawFit, LawSearch, NamedLaw, SpotNumbers, find_laws, is_law
+from spotcheck.discrepancy.laws import LawFit, LawSearch, NamedLaw, find_laws, is_law
+from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
 from tests.library import drawn_frames as drawing

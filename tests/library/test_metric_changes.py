@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.evidence import invert_information
 from spotcheck.discrepancy.findings import MetricChange
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
-from spotcheck.discrepancy.laws import LawSearch, SpotNumbers
+from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.metric_changes import compare_metrics
 from spotcheck.discrepancy.named_scatter import NamedScatter
 from spotcheck.discrepancy.nested_models import ValidatedChain, validate_chain
+from spotcheck.discrepancy.normal_equations import invert_information
+from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.discrepancy.validation import FrameScatter, NestedModel, PixelGains, Prediction
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.forward import ForwardModel

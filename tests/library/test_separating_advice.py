@@ -18,7 +18,8 @@ from spotcheck.discrepancy.advice import (
 from spotcheck.discrepancy.criteria import MIN_GAIN
 from spotcheck.discrepancy.findings import NamedEffect
 from spotcheck.discrepancy.frames import FrameParameters
-from spotcheck.discrepancy.laws import LawSearch, SpotNumbers
+from spotcheck.discrepancy.laws import LawSearch
+from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
 from tests.library import drawn_frames as drawing

@@ -14,11 +14,12 @@ from spotcheck.discrepancy import limits
 from spotcheck.discrepancy.findings import UpperLimit
 from spotcheck.discrepancy.fluctuations import measure_components
 from spotcheck.discrepancy.frames import FrameParameters, select_pixels
-from spotcheck.discrepancy.laws import LawSearch, SpotNumbers
+from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.limits import find_limits, limit_laws, limit_mean_effects, limit_scatter, list_not_assessed
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import NamedScatter, deviation_of_fluctuation, name_scatter
 from spotcheck.discrepancy.shape_grid import ShapeGrid
+from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.model.effect import Need, Scope
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel

@@ -12,7 +12,7 @@ import numpy as np
 
 from spotcheck import progress
 from spotcheck.discrepancy.candidates import changes_mean_image
-from spotcheck.discrepancy.criteria import MIN_Z
+from spotcheck.discrepancy.criteria import MIN_Z, PARAMETER_PRICE
 from spotcheck.discrepancy.evaluation import least_variance
 from spotcheck.discrepancy.field_noise import covariance_by_field
 from spotcheck.discrepancy.fields import (
@@ -27,8 +27,14 @@ from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, 
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
 from spotcheck.discrepancy.joint_fit import READ_NOISE_RANGE, FreeParameter, JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.laws import FoundLaws, LawSearch, find_laws, is_law, numbers_of_fit
-from spotcheck.discrepancy.light_shape import ShapeExplanation, explain_shape, fit_thinned_shape
+from spotcheck.discrepancy.laws import FoundLaws, LawSearch, find_laws, is_law
+from spotcheck.discrepancy.light_shape import (
+    ShapeExplanation,
+    count_coefficients,
+    explain_shape,
+    fit_thinned_shape,
+    shift_by_coarser_shape,
+)
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import (
     Deviation,
@@ -46,6 +52,7 @@ from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
 from spotcheck.discrepancy.scatter import DarkNoise, DarkSlopes, measure_dark_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_effects, withdraw_effects
+from spotcheck.discrepancy.spot_numbers import numbers_of_fit
 from spotcheck.discrepancy.validation import has_field
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, EffectScales, Scope
@@ -141,14 +148,13 @@ def analyse_frames(
     progress.step("fitting the declared model", 0.0, 0.1)
     prepared = prepare_frames(frames, spots, setting)
     progress.step("looking for effects", 0.1, 0.7)
-    mean_effects = [effect for effect in effects if changes_mean_image(effect)]
-    baseline = fit_saturated(prepared.declared, replace(prepared.frames, light_field=None), effects, prepared.scales)
-    if baseline is not prepared.declared:
-        baseline = fit_with_field(baseline, prepared.frames)
-    log(f"first fit: {', '.join(baseline.model.effect_names) or 'no effect'}, converged {baseline.has_converged}")
-    selected = select_effects(
-        baseline, mean_effects, prepared.scales, log, update=partial(update_dispersion, frames=prepared.frames)
-    )
+    selected = search_frames(prepared, effects, log)
+    scattered = add_white_field(prepared)
+    if scattered is not None:
+        log("single pixels scatter: searched again with a field")
+        other = search_frames(scattered, effects, log)
+        if other.fit.deviance + price_of_fit(other.fit) < selected.fit.deviance + price_of_fit(selected.fit):
+            prepared, selected = scattered, other
     progress.step("predicting held-out frames", 0.7, 0.85)
     withdrawn: tuple[str, ...] = ()
     while True:
@@ -161,6 +167,38 @@ def analyse_frames(
         selected = withdraw_effects(selected, withdrawn, prepared.scales, log)
 
 
+def search_frames(prepared: Prepared, effects: Sequence[Effect], log: Log) -> SelectedEffects:
+    """Select the effects of the mean image."""
+    baseline = fit_saturated(prepared.declared, replace(prepared.frames, light_field=None), effects, prepared.scales)
+    if baseline is not prepared.declared:
+        baseline = fit_with_field(baseline, prepared.frames)
+    log(f"first fit: {', '.join(baseline.model.effect_names) or 'no effect'}, converged {baseline.has_converged}")
+    mean_effects = [effect for effect in effects if changes_mean_image(effect)]
+    update = partial(update_dispersion, frames=prepared.frames)
+    return select_effects(baseline, mean_effects, prepared.scales, log, update=update)
+
+
+def add_white_field(prepared: Prepared) -> Prepared | None:
+    """Return the frames with the field of single pixels that residuals of the declared model show; None without one.
+
+    Gains of pixels are such a field. An effect that changes the noise of photons, such as a curved response, looks like
+    one, so that effects are selected without and with it.
+    """
+    white = estimate_white_field(prepared.images)
+    if prepared.frames.light_field is not None or not white.variance > MIN_Z * white.stderr:
+        return None
+    field = LightField(white.variance * prepared.images.spot**2, 1.0)
+    frames = replace(prepared.frames, light_field=field)
+    declared = fit_declared(frames, prepared.declared.model.spots, prepared.setting)
+    return replace(prepared, frames=frames, declared=declared, images=measure_residuals(declared.model, frames))
+
+
+def price_of_fit(fit: JointFit) -> float:
+    """Return what a fit pays in −2 ln L for its parameters."""
+    of_shape = 0.0 if fit.model.grid is None else count_coefficients(fit.model)
+    return PARAMETER_PRICE * len(fit.model.free) + of_shape
+
+
 def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -> Prepared:
     """Mask hot pixels, part held-out repeats, and fit the declared model."""
     frames, hot_pixels = mask_hot_pixels(frames, setting.sensor)
@@ -170,7 +208,7 @@ def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -
     declared = fit_declared(searched, spots.select(searched_index), setting)
     images = measure_residuals(declared.model, searched)
     light_field = find_light_field(images, declared)
-    if light_field is not None and light_field.dispersion > 1:
+    if light_field is not None:
         # Structure of the light that moves with the spot looks like grains unless a free shape takes it.
         with_shape = fit_thinned_shape(declared)[1]
         light_field = find_light_field(measure_residuals(with_shape.model, searched), with_shape)
@@ -193,8 +231,9 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
     search = None
     if setting.baseline.photon_budget != "free":
         sensor = replace(fit.model.forward.sensor, read_noise_e=setting.sensor.read_noise_e)
-        by_field = covariance_by_field(fit, prepared.frames, scatter.grains) if shows_grains(scatter.grains) else 0.0
-        search = LawSearch(numbers_of_fit(fit, by_field), ForwardModel(setting.baseline, sensor), scales)
+        by_field = covariance_by_field(fit, prepared.frames, scatter.grains) if shows_grains(scatter.grains) else None
+        by_shape = 0.0 if fit.model.grid is None else shift_by_coarser_shape(fit)
+        search = LawSearch(numbers_of_fit(fit, by_field, by_shape), ForwardModel(setting.baseline, sensor), scales)
     named = name_all_scatter(effects, scatter, fit, setting, scales, search)
     analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)
     if search is None:
@@ -237,10 +276,7 @@ def free_sensor_parameters(setting: Setting) -> tuple[FreeParameter, ...]:
 
 
 def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None:
-    """Return the field that multiplies the light by the residuals of a fit; None if they show none.
-
-    It is granular light, or, without grains, the scatter of single pixels: gains of pixels, or noise beyond that of
-    photons.
+    """Return the granular light that the residuals of a fit show; None if they show none.
 
     With its part φ of the variance of a reading, the area a of its correlation [px] and n frames of a site that share
     it, sums of residuals have 1 + (n a − 1) φ times the variance of independent ones; φ is its mean over the
@@ -248,9 +284,7 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     """
     grains = estimate_granular_light(measure_fields(images))
     if not shows_grains(grains):
-        white = estimate_white_field(images)
-        is_clear = white.variance > MIN_Z * white.stderr
-        return LightField(white.variance * images.spot**2, 1.0) if is_clear else None
+        return None
     is_in_model = has_field(fit.model)
     variance = grains.variance * images.spot**2
     total = 1 / np.where(images.weight > 0, images.weight, np.inf) + (0.0 if is_in_model else variance)

@@ -9,7 +9,7 @@ from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MI
 from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches, rounded_parameter
 from spotcheck.discrepancy.frames import Design, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.normal_equations import assemble, solve_positive
+from spotcheck.discrepancy.normal_equations import assemble, invert_information, solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.sensor import ROUNDING_VARIANCE
@@ -20,8 +20,6 @@ MANY_SITES, BLOCK_PX = 8, 16
 SECTORS, RING_RADIUS = 8, 1.2
 # Part of the information below which a cell of the consistency test is left out.
 LEAST_CELL_SHARE = 1e-4
-# Eigenvalues of an information matrix with a unit diagonal below which a direction carries no information.
-NULL_EIGENVALUE = 1e-12
 # Wald z² beyond which the gain is not measured by a fit without the effect.
 CERTAIN = 1e4
 # Effort of a fit without an effect: its drop must be known to about 1.
@@ -271,10 +269,3 @@ def information_beside(fit: JointFit, targets: np.ndarray) -> np.ndarray:
     others = np.setdiff1d(np.arange(fit.equations.size), targets)
     cross = matrix[np.ix_(others, targets)]
     return matrix[np.ix_(targets, targets)] - cross.T @ solve_positive(matrix[np.ix_(others, others)], cross)
-
-
-def invert_information(information: np.ndarray) -> np.ndarray:
-    """Return the inverse of an information matrix, scaled to a unit diagonal first: units differ by many orders."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = information * scale[:, None] * scale
-    return np.linalg.pinv(scaled, rcond=NULL_EIGENVALUE, hermitian=True) * scale[:, None] * scale

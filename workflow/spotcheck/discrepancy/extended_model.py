@@ -11,7 +11,8 @@ from spotcheck.discrepancy.analysis import Analysis, Setting
 from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
-from spotcheck.discrepancy.laws import LawSearch, SpotNumbers, is_law
+from spotcheck.discrepancy.laws import LawSearch, is_law
+from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.discrepancy.starting_spots import fit_spots
 from spotcheck.manifest import Frame
 from spotcheck.model.effect import AppliedEffect, EffectScales

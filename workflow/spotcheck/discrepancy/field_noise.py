@@ -59,7 +59,7 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
             for g, second in enumerate(members):
                 half = solve_positive(information[f], shared[f, :, g])
                 joint = solve_positive(information[g], half.T).T
-                own = share_in_fit(fit, first, joint) if f == g else 0.0
+                own = share_in_fit(fit, int(first), joint) if f == g else 0.0
                 out[first, :, second] = (area - own) * joint
     return out.reshape(4 * count, 4 * count)
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from spotcheck.discrepancy.evidence import invert_information
 from spotcheck.discrepancy.flat_levels import ExpectedLevels, FlatLevels, expect_levels
+from spotcheck.discrepancy.normal_equations import invert_information
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.forward import ForwardModel
 

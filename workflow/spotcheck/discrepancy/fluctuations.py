@@ -25,19 +25,22 @@ def measure_components(search: LawSearch) -> dict[str, Fluctuation]:
     """Return the scatter of each variance component beside a saturated mean, by its name."""
     found = {}
     full = search.variances
+
+    def assess(name: str, variance: float, variance_of_it: float, gain: float) -> Fluctuation:
+        limit = search.numbers.field_variance["width" in name]
+        return Fluctuation(deviation_interval(variance, variance_of_it), gain, _reasons(gain, variance, limit))
+
     for k, name in enumerate(full.names):
         others = {key: matrix for key, matrix in search.components.items() if key != name}
         gain = search.deviance_of(others) - full.deviance
-        interval = deviation_interval(full.variance[k], full.covariance[k, k])
-        found[name] = Fluctuation(interval, gain, _reasons(gain))
+        found[name] = assess(name, full.variance[k], full.covariance[k, k], gain)
     for name, matrix in search.all_components().items() if search.can_estimate else ():
         if name not in found:
             # A component that was left out: its upper end is a limit.
             beside = {**search.components, name: matrix}
             fit = fit_reml(search.observations, search.saturated_mean, search.noise, beside)
             k, gain = fit.names.index(name), full.deviance - fit.deviance
-            interval = deviation_interval(fit.variance[k], fit.covariance[k, k])
-            found[name] = Fluctuation(interval, gain, _reasons(gain))
+            found[name] = assess(name, fit.variance[k], fit.covariance[k, k], gain)
     return found
 
 
@@ -68,11 +71,15 @@ def measure_jitter(search: LawSearch) -> Fluctuation | None:
     square = (centres - mean @ np.linalg.lstsq(mean, centres, rcond=None)[0]) ** 2
     distance = square[:frames] + square[frames:]
     _, left = fit(distance <= np.quantile(distance, 1 - WORST_SHARE))
-    reasons = _reasons(gain)
+    reasons = _reasons(gain, interval.value**2, max(search.numbers.field_variance[2:]))
     if gain >= MIN_GAIN and left < min(MIN_GAIN, LEFT_SHARE * gain):
         reasons = (*reasons, "carried by a tenth of the frames")
     return Fluctuation(interval, gain, reasons)
 
 
-def _reasons(gain: float) -> tuple[str, ...]:
-    return () if gain >= MIN_GAIN else (f"gain {gain:.0f} below the least",)
+def _reasons(gain: float, variance: float, by_field: float) -> tuple[str, ...]:
+    reasons = [] if gain >= MIN_GAIN else [f"gain {gain:.0f} below the least"]
+    # The scatter that granular light brings is known from few grains, so that as much again may be its own.
+    if variance < by_field:
+        reasons.append("no more than granular light brings")
+    return tuple(reasons)

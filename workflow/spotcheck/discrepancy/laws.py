@@ -16,10 +16,11 @@ from scipy import special, stats
 
 from spotcheck.discrepancy.candidates import SPOT_STAGES
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, LAW_TIE, MIN_GAIN, MIN_Z, VARIANT_TIE
-from spotcheck.discrepancy.evidence import invert_information, is_negligible
-from spotcheck.discrepancy.frames import Design, FrameParameters
-from spotcheck.discrepancy.joint_fit import JointFit
+from spotcheck.discrepancy.evidence import is_negligible
+from spotcheck.discrepancy.frames import Design
 from spotcheck.discrepancy.mixed_model import Interval, fit_reml
+from spotcheck.discrepancy.normal_equations import invert_information
+from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, Need, RandomStep
 from spotcheck.model.forward import ForwardModel
@@ -55,34 +56,6 @@ def spot_conditions(design: Design) -> FrameConditions:
     exposure_s, angle, order = (v[:, None, None] for v in (design.exposure_s, design.angle, design.order))
     grid = PixelGrid(nowhere, nowhere, 1, 1)
     return FrameConditions(grid, nowhere, nowhere, exposure_s, design.longest_s, design.reference_s, angle, order)
-
-
-@dataclass(frozen=True)
-class SpotNumbers:
-    """Brightness and width of F frames with their covariance."""
-
-    design: Design  # conditions of the frames
-    spots: FrameParameters  # spot of each frame
-    covariance: np.ndarray  # of ln peak, ln σ, x, y of frame after frame [4F, 4F]
-
-    @property
-    def observations(self) -> np.ndarray:
-        """ln peak, then ln σ_g of all frames [2F]."""
-        return np.concatenate([self.spots.log_peak, self.spots.log_sigma])
-
-    def covariance_of(self, *parameters: int) -> np.ndarray:
-        """Return the covariance of parameters (0 … 3) of all frames, one parameter after the other."""
-        frames = np.arange(len(self.spots.x))
-        index = np.concatenate([4 * frames + parameter for parameter in parameters])
-        return self.covariance[np.ix_(index, index)]
-
-
-def numbers_of_fit(fit: JointFit, by_field: np.ndarray | float = 0.0) -> SpotNumbers:
-    """Return brightness and width of the spots of a fit; `by_field` [4F, 4F] is what granular light adds to their
-    covariance."""
-    spots = 4 * fit.equations.frames
-    covariance = invert_information(fit.equations.information)[:spots, :spots] + by_field
-    return SpotNumbers(fit.model.design, fit.model.spots, covariance)
 
 
 @dataclass(frozen=True)
@@ -232,7 +205,11 @@ class LawSearch:
         for _ in range(ITERATIONS):
             mean, jacobian = self._linearize(model, names)
             whitened = self.whitening @ jacobian
-            step = np.linalg.lstsq(whitened, self.whitening @ (self.observations - mean), rcond=1e-10)[0]
+            # Units of the parameters differ by many orders.
+            scale = np.maximum(np.linalg.norm(whitened, axis=0), 1e-300)
+            step = (
+                np.linalg.lstsq(whitened / scale, self.whitening @ (self.observations - mean), rcond=1e-10)[0] / scale
+            )
             has_converged = bool(np.sum((whitened @ step) ** 2) < TOLERANCE)
             model = self._descend(model, names, step)
             if has_converged:
@@ -240,7 +217,7 @@ class LawSearch:
         mean, jacobian = self._linearize(model, names)
         residual, whitened = self.observations - mean, self.whitening @ jacobian
         chi2 = self._chi2_of(model)
-        covariance = np.linalg.pinv(whitened.T @ whitened, hermitian=True)
+        covariance = invert_information(whitened.T @ whitened)
         assert model.law is not None
         return LawFit(model.law, model.effects, tuple(names), covariance, chi2, jacobian, residual, has_converged)
 

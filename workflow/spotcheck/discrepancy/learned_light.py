@@ -14,10 +14,10 @@ from scipy import linalg, ndimage, optimize
 
 from spotcheck.discrepancy.criteria import BELOW_ERRORS, CLEAR_ERRORS, LEAST_FALL
 from spotcheck.discrepancy.evaluation import columns_of, evaluate, map_batches
-from spotcheck.discrepancy.evidence import MANY_SITES, NULL_EIGENVALUE
+from spotcheck.discrepancy.evidence import MANY_SITES
 from spotcheck.discrepancy.findings import LearnedLight
 from spotcheck.discrepancy.joint_fit import JointFit
-from spotcheck.discrepancy.normal_equations import solve_positive
+from spotcheck.discrepancy.normal_equations import NULL_EIGENVALUE, solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.discrepancy.words import percent_text
 from spotcheck.model.baseline import FLOOR, Baseline, keep_positive

@@ -11,7 +11,7 @@ from spotcheck.discrepancy.evaluation import evaluate, map_batches
 from spotcheck.discrepancy.evidence import estimate_covariance
 from spotcheck.discrepancy.frames import thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.shape_grid import ShapeGrid
+from spotcheck.discrepancy.shape_grid import STEP, ShapeGrid
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 
 # Effort of the fits of a shape: decrement of the effects, and most iterations on thinned and on all pixels.
@@ -19,6 +19,8 @@ TOLERANCE, THINNED_ITERATIONS, ITERATIONS = 0.1, 18, 8
 # The same of fits that only measure how much a shape, or a static effect that may stand for it, takes.
 EVIDENCE_PIXELS = 200_000
 EVIDENCE_TOLERANCE, EVIDENCE_ITERATIONS, STATIC_ITERATIONS = 0.3, 10, 15
+# How much farther apart the nodes of a coarser shape lie.
+COARSER = 1.4
 # Distance from the centre [σ] within which the rms of a shape is taken.
 RMS_RADIUS = 3.0
 # Coefficients below this size [peak] are not fitted ones.
@@ -57,14 +59,35 @@ def fit_free_shape(declared: JointFit) -> JointFit:
     return fit_jointly(thinned.model, declared.pixels, tolerance=TOLERANCE, iterations=ITERATIONS)
 
 
+def shift_by_coarser_shape(fit: JointFit) -> np.ndarray:
+    """Return how ln peak, ln σ, x, y of frame after frame [4F] move when the nodes of the free shape lie farther apart.
+
+    Structure of the light that is finer than the nodes moves the spots of all frames together: this is its size.
+    """
+    coarse = ShapeGrid(step=COARSER * STEP)
+    model = replace(fit.model, free=()).with_free_shape(coarse)
+    nodes = (np.arange(coarse.nodes) - (coarse.nodes - 1) / 2) * coarse.step
+    learned = fit.model.forward.baseline.learned
+    assert learned is not None
+    start = model.with_coefficients(learned(nodes[None, :], nodes[:, None]).ravel())
+    moved = fit_jointly(start, fit.pixels, tolerance=TOLERANCE, iterations=ITERATIONS).model.spots
+    rows = zip(moved.as_rows(), fit.model.spots.as_rows(), strict=True)
+    return np.stack([after - before for after, before in rows], axis=1).ravel()
+
+
 def measure_evidence(declared: JointFit, free: JointFit) -> ShapeEvidence:
     """Return the evidence for a free shape from two fits of the same pixels.
 
     Each coefficient lowers −2 ln L by 1 through noise alone. The rms follows from the rest: a deviation s of the light
     lowers it by Σ (peak s)² information.
     """
-    fitted = np.count_nonzero(np.abs(free.model.coefficients) > ZERO)
-    return evidence_of_drop(declared, declared.deviance - free.deviance - declared.pixels.dispersion * fitted)
+    by_noise = declared.pixels.dispersion * count_coefficients(free.model)
+    return evidence_of_drop(declared, declared.deviance - free.deviance - by_noise)
+
+
+def count_coefficients(model: JointModel) -> int:
+    """Return the number of coefficients of the shape that pixels determine."""
+    return int(np.count_nonzero(np.abs(model.coefficients) > ZERO))
 
 
 def evidence_of_drop(declared: JointFit, drop: float) -> ShapeEvidence:
@@ -129,14 +152,20 @@ def explain_shape(
 ) -> ShapeExplanation:
     """Return the fewest static effects that take `EXPLAINED_SHARE` of what a free shape takes.
 
-    The effects of the final model are fixed. Frame parameters and the sensor are fitted anew to thinned pixels.
+    The effects and the shape of the final model are fixed. Frame parameters and the sensor are fitted anew to thinned
+    pixels.
     """
     thin = thin_pixels(final.pixels)
-    fixed = replace(final.model, free=tuple(parameter for parameter in final.model.free if not parameter.effect))
+    sensor = tuple(parameter for parameter in final.model.free if not parameter.effect)
+    fixed = replace(final.model, grid=None, free=sensor)
     free = fit_jointly(fixed, thin, tolerance=EVIDENCE_TOLERANCE, iterations=EVIDENCE_ITERATIONS)
     declared = fit_jointly(without_shape(fixed), thin, tolerance=EVIDENCE_TOLERANCE)
-    evidence = measure_evidence(declared, free)
+    # The shape was fitted to all pixels: the thinned ones have their part of what noise gave.
+    by_noise = final.pixels.dispersion * count_coefficients(final.model) * thin.count / final.pixels.count
+    evidence = evidence_of_drop(declared, declared.deviance - free.deviance - by_noise)
     none = ShapeExplanation((), np.zeros((0, 0)), (), evidence.rms)
+    if not evidence.drop > 0:
+        return none
     drops: list[float] = []
     fit, static = declared, [effect for effect in effects if effect.is_static_shape]
     for least_share in EXPLAINED_STEPS:
@@ -146,7 +175,7 @@ def explain_shape(
             return none
         drops.append((fit.deviance - best.deviance) * final.pixels.share / thin.share)
         fit = best
-        share = (declared.deviance - fit.deviance) / thin.dispersion / max(evidence.drop, 1e-300)
+        share = (declared.deviance - fit.deviance) / thin.dispersion / evidence.drop
         log(f"  static {', '.join(fit.model.effect_names)}: {100 * share:.1f} % of the free shape")
         if share > EXPLAINED_SHARE:
             fit = fit_jointly(fit.model, thin, tolerance=EVIDENCE_TOLERANCE)

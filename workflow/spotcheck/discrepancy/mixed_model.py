@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from spotcheck.discrepancy.normal_equations import invert_information
+
 # Promised gain in ln L below which the variances have converged, and most steps.
 TOLERANCE, ITERATIONS = 1e-5, 40
 # Part of a step below which halving it ends.
@@ -96,7 +98,7 @@ def fit_reml(
         else:
             break
         variance, value, inverse = trial, trial_value, trial_inverse
-    return VarianceComponents(tuple(components), variance, np.linalg.pinv(information, hermitian=True), value)
+    return VarianceComponents(tuple(components), variance, invert_information(information), value)
 
 
 def _differentiate(matrices: Sequence[np.ndarray], inverse: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,8 @@ from spotcheck.discrepancy.shape_sums import ShapeSums
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import JointModel
 
+# Eigenvalues of an information matrix with a unit diagonal below which a direction carries no information.
+NULL_EIGENVALUE = 1e-12
 # Weight of the condition that steps of spots sum to 0 over frames, in terms of a spot's median information over F.
 GAUGE_WEIGHT = 1e4
 # Added to the diagonal of an information matrix that is scaled to 1, so that it can be factored.
@@ -110,6 +112,13 @@ def solve_positive(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     except linalg.LinAlgError:
         solution = np.linalg.lstsq(scaled, rhs, rcond=1e-9)[0]
     return (solution.T * scale).T
+
+
+def invert_information(information: np.ndarray) -> np.ndarray:
+    """Return the inverse of an information matrix, scaled to a unit diagonal first: units differ by many orders."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * scale[:, None] * scale
+    return np.linalg.pinv(scaled, rcond=NULL_EIGENVALUE, hermitian=True) * scale[:, None] * scale
 
 
 def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) -> NormalEquations:

@@ -14,6 +14,7 @@ from spotcheck.discrepancy.evaluation import THREADS
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import is_law
+from spotcheck.discrepancy.normal_equations import invert_information
 from spotcheck.estimate.fits import preferred
 from spotcheck.estimate.moments import second_moments
 from spotcheck.manifest import Frame
@@ -167,7 +168,7 @@ def fit_spots(forward: ForwardModel, frames: FrameSet, start: FrameParameters) -
         fits = list(pool.map(fit_one, range(len(frames))))
     covariance = [
         # A misfit widens the errors, and so does granular light that neighbouring pixels share.
-        np.linalg.pinv(fit.equations.information, hermitian=True) * max(fit.equations.dispersion, fit.pixels.dispersion)
+        invert_information(fit.equations.information) * max(fit.equations.dispersion, fit.pixels.dispersion)
         for fit in fits
     ]
     rows = np.array([fit.model.spots.as_rows()[:, 0] for fit in fits]).reshape(-1, 4)

@@ -127,6 +127,8 @@ def pulls(record: Record) -> dict[str, float]:
     if not record["truth"] or record["truth"]["light"]["kind"] not in ("gauss", "real"):
         return out
     for effect in record["truth"]["effects"]:
+        if depends_on_width(record, effect["name"]):
+            continue
         for entry in entries(record):
             if entry["name"] == effect["name"] and entry["name"] in named_alone(record):
                 out |= _pulls_of(effect, entry)
@@ -145,6 +147,13 @@ def _pulls_of(effect: dict[str, Any], entry: dict[str, Any]) -> dict[str, float]
             off = (off + period / 2) % period - period / 2
         out[f"{effect['name']}.{key}"] = float(off / error) if np.isfinite(off) else np.inf
     return out
+
+
+def depends_on_width(record: Record, name: str) -> bool:
+    """Whether an effect's value depends on what is called the width of a light that is no Gaussian: the budget by the
+    spot's area compares brightness with it."""
+    budget = record["truth"].get("base", {}).get("photon_budget")
+    return name == "photon_budget" and budget == "spot_area" and not is_gaussian(record)
 
 
 def is_fixed(effect: dict[str, Any], key: str) -> bool:

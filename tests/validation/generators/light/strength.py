@@ -15,9 +15,10 @@ from tests.validation.generators.second.case import Case, Effect
 from tests.validation.generators.second.optics import spread
 
 # Of an effect's strength s (see second/effects.py) the least that is put in: twice a size that a user would call
-# nothing, however well it is told, or more. DN, fractions or px as s is.
+# nothing, however well it is told, or more; a threshold of black below half a code is lost in rounding. DN, fractions
+# or px as s is.
 LEAST = {
-    "saturation": 0.01, "nonlinearity": 0.01, "black_clipping": 0.3, "dark_offset": 0.3, "background_gradient": 0.3,
+    "saturation": 0.01, "nonlinearity": 0.01, "black_clipping": 1.0, "dark_offset": 0.3, "background_gradient": 0.3,
     "super_gaussian": 0.02, "scatter_halo": 0.004, "fibre_anisotropy": 0.01, "beam_ellipticity": 0.01,
     "angle_reflectance": 0.01, "photon_budget": 0.02, "shutter_offset": 0.01, "spread_law": 0.05, "motion_blur": 2.5,
     "interference_fringes": 0.006, "ghost_reflection": 0.004, "speckle": 0.02, "excess_read_noise": 0.06,
