@@ -26,6 +26,8 @@ from spotcheck.model.stage import Stage
 SIZES, SIZES_BESIDE_SHAPE = (0.3, 30.0), (0.3, 1.0)
 # Part of a column's information that must be left beside the nuisance parameters; else these can do the same.
 SEPARABLE_SHARE = 1e-5
+# Least multiple of a start whose effect is no straight line in its strength, such as a clip: about 1 is expected.
+LEAST_FINITE_SIZE = 0.15
 # Stages that change the spot of a frame as its own parameters do: effects there are laws across frames.
 SPOT_STAGES = {Stage.EXPOSURE, Stage.WIDTH, Stage.BRIGHTNESS}
 
@@ -79,8 +81,7 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
     Notes
     -----
     With score U and Fisher information I of the change that a start makes, both beside the nuisance parameters, the
-    expected drop of −2 ln L is U²/I at U/I times the start's strength. An effect that is no straight line in its
-    strength, such as a clip, can only begin at the start itself, where the drop is 2U − I.
+    expected drop of −2 ln L is U²/I at U/I times the start's strength.
     """
     score, information, raw = project_changes(fit.model, fit, starts)
     candidates = []
@@ -88,9 +89,8 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
         if not (np.isfinite(u) and i > SEPARABLE_SHARE * whole > 0):
             continue
         scaled = scale_start(start, float(u / i), fit.model)
-        drop = u * u / i if np.isfinite(start.effect.vanishes_at) else 2 * u - i
         if scaled is not None:
-            candidates.append(Candidate(scaled, float(max(drop - 1, 0.0)), place))
+            candidates.append(Candidate(scaled, float(max(u * u / i - 1, 0.0)), place))
     return sorted(candidates, key=lambda candidate: -candidate.score)
 
 
@@ -100,7 +100,7 @@ def scale_start(start: AppliedEffect, size: float, model: JointModel) -> Applied
     strength = effect.parameters[0].name
     value = start.parameters[strength]
     if not np.isfinite(effect.vanishes_at):
-        return start if size > 0 else None
+        return start if size > LEAST_FINITE_SIZE else None
     if size < 0 and value_is_one_sided(start):
         return None
     limits = SIZES if model.grid is None else SIZES_BESIDE_SHAPE

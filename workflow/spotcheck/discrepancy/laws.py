@@ -205,11 +205,7 @@ class LawSearch:
         for _ in range(ITERATIONS):
             mean, jacobian = self._linearize(model, names)
             whitened = self.whitening @ jacobian
-            # Units of the parameters differ by many orders.
-            scale = np.maximum(np.linalg.norm(whitened, axis=0), 1e-300)
-            step = (
-                np.linalg.lstsq(whitened / scale, self.whitening @ (self.observations - mean), rcond=1e-10)[0] / scale
-            )
+            step = np.linalg.lstsq(whitened, self.whitening @ (self.observations - mean), rcond=1e-10)[0]
             has_converged = bool(np.sum((whitened @ step) ** 2) < TOLERANCE)
             model = self._descend(model, names, step)
             if has_converged:
