@@ -1,4 +1,4 @@
-"""What granular light adds to the covariance of spots: neighbouring pixels, and the frames of a site, share it."""
+"""Covariance of spots by granular light, which neighbouring pixels and the frames of a site share."""
 
 from dataclasses import replace
 
@@ -59,13 +59,13 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
             for g, second in enumerate(members):
                 half = solve_positive(information[f], shared[f, :, g])
                 joint = solve_positive(information[g], half.T).T
-                own = share_in_fit(fit, int(first), joint) if f == g else 0.0
-                out[first, :, second] = (area - own) * joint
+                held = share_in_fit(fit, int(first), joint) if f == g else 0.0
+                out[first, :, second] = (area - held) * joint
     return out.reshape(4 * count, 4 * count)
 
 
-def share_in_fit(fit: JointFit, frame: int, own: np.ndarray) -> float:
+def share_in_fit(fit: JointFit, frame: int, of_field: np.ndarray) -> float:
     """Return how much of the field's covariance of a frame [4, 4] its covariance in the fit holds: all of it, or less
-    where the fit's own estimate of the field is smaller."""
+    where the fit's estimate of the field is smaller."""
     root = np.linalg.cholesky(fit.equations.information[4 * frame : 4 * frame + 4, 4 * frame : 4 * frame + 4])
-    return min(1.0, LARGEST_SHARE / float(np.linalg.eigvalsh(root.T @ own @ root)[-1]))
+    return min(1.0, LARGEST_SHARE / float(np.linalg.eigvalsh(root.T @ of_field @ root)[-1]))

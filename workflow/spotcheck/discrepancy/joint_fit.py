@@ -194,8 +194,8 @@ def fit_jointly(
         has_converged = decrement < total_tolerance * dispersion and of_effects < tolerance * dispersion
         is_decided = rival is not None and decrement < 0.01 * (rival - equations.deviance)
         if (has_converged or count == iterations) and age > 0:
-            # Where the shape can do nearly the same as an effect, what is left of the effect's information is a small
-            # difference, which a factor that was taken over gets wrong.
+            # The information of an effect beside the shape may be a small difference, which a factor that was taken
+            # over gets wrong.
             equations, age = assemble(model, pixels), 0
             continue
         if has_converged or is_decided or count == iterations:
