@@ -95,6 +95,16 @@ def test_wrong_names():
         assert row([own], "outside the vocabulary").shown.startswith(f"{wrong} of 1")
 
 
+def test_no_row_is_met_by_verdicts_that_did_not_come():
+    """Where nothing was put in, a verdict that did not converge or came late is wrong as well; without sets no row is
+    met."""
+    plain = record("nothing::gauss:0", [], status="consistent")
+    late, stopped = plain | {"cpu_seconds": 201.0}, record("nothing::gauss:0", [], status="not_converged")
+    assert row([plain, late, stopped], "nothing put in").shown.startswith("2 of 3")
+    assert page.describe(late) and page.describe(stopped) and not page.describe(plain)
+    assert all(own.met is None for own in score.tabulate([]))
+
+
 def test_real_frames_are_held_against_the_frame_as_it_is():
     def frame(what, name, said):
         hidden = [put_in(name)] if name else []
@@ -102,8 +112,8 @@ def test_real_frames_are_held_against_the_frame_as_it_is():
 
     plain = frame("as it is", "", [entry("dark_offset")])
     clip = frame("clip 0.9", "saturation", [entry("saturation"), entry("dark_offset"), entry("beam_profile")])
-    assert row([plain, clip], "real frames with a clip").shown == "1 of 1"
-    assert row([clip], "real frames with a clip").shown == "0 of 1"
+    assert row([plain, clip], "real frames, clip").shown == "1 of 1"
+    assert row([clip], "real frames, clip").shown == "0 of 1"
 
 
 def test_the_default_dataset_needs_its_clip_level():

@@ -10,6 +10,7 @@ from tests.validation.generators.light.reading import (
     false_names,
     is_right,
     named_alone,
+    names_nothing_false,
     names_put_in,
     pulls,
     reached,
@@ -62,7 +63,7 @@ def describe(record: Record) -> str:
     if record["outcome"] == "error":
         return f"{where}: {record.get('error', 'no verdict')}"
     if row in ("nothing", "outside", "frames at 600 px"):
-        fine = not false_names(record)
+        fine = names_nothing_false(record)
     else:
         fine = is_right(record) or not reached(record) or not names_put_in(record)
     if fine:

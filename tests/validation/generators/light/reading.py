@@ -68,11 +68,16 @@ def false_names(record: Record, known: set[str] | frozenset[str] = frozenset()) 
     return frozenset(name for name in effect_names(record) if name not in there)
 
 
-def is_right(record: Record, known: set[str] | frozenset[str] = frozenset()) -> bool:
-    """Whether every effect is named as its only candidate and nothing else is, by a converged verdict in time."""
+def names_nothing_false(record: Record, known: set[str] | frozenset[str] = frozenset()) -> bool:
+    """Whether a converged verdict came in time and names nothing that was not put in."""
     if not record["verdict"] or record["verdict"]["status"] == "not_converged":
         return False
-    if record["cpu_seconds"] > LIMIT_SECONDS or false_names(record, known):
+    return record["cpu_seconds"] <= LIMIT_SECONDS and not false_names(record, known)
+
+
+def is_right(record: Record, known: set[str] | frozenset[str] = frozenset()) -> bool:
+    """Whether every effect is named as its only candidate and nothing else is, by a converged verdict in time."""
+    if not names_nothing_false(record, known):
         return False
     wanted = names_put_in(record)
     if hidden_in_shape(record):

@@ -12,10 +12,10 @@ from tests.validation.generators.light.plan import FRAMES
 from tests.validation.generators.light.reading import (
     LIMIT_SECONDS,
     effect_names,
-    false_names,
     is_right,
     is_traceback,
     law_gap_closed,
+    names_nothing_false,
     names_put_in,
     pulls,
     reached,
@@ -57,7 +57,7 @@ def tabulate(records: Sequence[Record]) -> list[Row]:
         return share_row(words, [is_right(record) for record in of.get(row, []) if reached(record)], required)
 
     def wrong(row: str, words: str, allowed: float) -> Row:
-        found = [bool(false_names(record)) or not record["verdict"] for record in of.get(row, [])]
+        found = [not names_nothing_false(record) for record in of.get(row, [])]
         return share_row(words, found, allowed, at_most=True)
 
     frames = of.get("frame", [])
@@ -102,12 +102,12 @@ def frame_row(frames: Sequence[Record], what: str, least: int) -> Row:
     put = [record for record in frames if record["job"]["kind"].split(":")[1].startswith(what)]
     right = sum(bool(record["truth"]) and is_right(record, plain.get(record["truth"]["frame"], set()))
                 for record in put)  # fmt: skip
-    words, met = f"real frames with a {what} put in", right >= least if len(put) == FRAMES else None
+    words, met = f"real frames, {what} put in", right >= least if len(put) == FRAMES else None
     return Row(words, f"{right} of {len(put)}", len(put), f"{least} of {FRAMES}", met)
 
 
 def wide_rows(records: Sequence[Record]) -> list[Row]:
-    """Time, memory and light below zero of the nine frames at a crop of 600 px."""
+    """Time and memory of the nine frames at a crop of 600 px."""
     out = []
     for record in records:
         seconds, memory = record["cpu_seconds"], record["memory_mb"]
@@ -147,6 +147,8 @@ def gap_row(records: Sequence[Record]) -> Row:
 def count_row(name: str, found: Iterable[bool]) -> Row:
     """A count that must be zero."""
     hits = list(found)
+    if not hits:
+        return Row(name, "—", 0, "0", None)
     return Row(name, str(sum(hits)), len(hits), "0", not sum(hits))
 
 
