@@ -17,7 +17,7 @@ import yaml
 
 from spotcheck import store
 from spotcheck.cli import main
-from spotcheck.cli.judged import find_together
+from spotcheck.cli.judged import find_shared_spots
 from spotcheck.discrepancy.frames import Design, FrameSet
 from spotcheck.discrepancy.written import breach_of_verdict
 from spotcheck.estimate.reading_kernel import law_of
@@ -349,7 +349,7 @@ def are_together(frames: Sequence[tuple[int, float, int]]) -> list[bool]:
     same = np.zeros(len(frames), int)
     design = Design(exposure_s, same, same, site, site, same, float(exposure_s.max()), 1e-4, True, True)
     frame_set = FrameSet(np.zeros((len(frames), 1, 1)), left, np.full(len(frames), 5), design, 1000, 1000)
-    return find_together(frame_set, 48).tolist()
+    return find_shared_spots(frame_set, 48).tolist()
 
 
 @pytest.mark.parametrize(

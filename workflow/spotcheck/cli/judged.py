@@ -88,14 +88,14 @@ def prepare_dataset(
         # Without exposures nobody knows what a dark current per second brings.
         model = replace(model, dark_current_e_per_s=0.0)
     frames = load_frames(dataset, crops)
-    together = find_together(frames, dataset.instrument.crop_px)
-    astray = len(frames) - int(together.sum())
-    remarks = [unusable, *store.remarks_of(sensor), never_searched(frames.select(np.flatnonzero(together)))]
-    if astray:
+    shows_spot = find_shared_spots(frames, dataset.instrument.crop_px)
+    left_out = len(frames) - int(shows_spot.sum())
+    remarks = [unusable, *store.remarks_of(sensor), never_searched(frames.select(np.flatnonzero(shows_spot)))]
+    if left_out:
         text = "spots lie more than half a crop from where their site has its others"
-        remarks.append(f"{astray} of {len(frames)} {text}")
-        frames = frames.select(np.flatnonzero(together))
-        cells = [cell for cell, is_kept in zip(cells, together, strict=True) if is_kept]
+        remarks.append(f"{left_out} of {len(frames)} {text}")
+        frames = frames.select(np.flatnonzero(shows_spot))
+        cells = [cell for cell, is_kept in zip(cells, shows_spot, strict=True) if is_kept]
     baseline = of_instrument(dataset.instrument, dataset.exposures)
     spots: FrameParameters | str
     if fits is not None and has_trusted_fit(fits, cells):
@@ -142,21 +142,21 @@ def describe_unusable(dataset: Dataset, crops: xr.Dataset) -> str:
     return f"{subject} be used ({'; '.join(parts)})"
 
 
-def find_together(frames: FrameSet, crop_px: int) -> np.ndarray:
+def find_shared_spots(frames: FrameSet, crop_px: int) -> np.ndarray:
     """Return which frames [frame] show the spot of their site.
 
     Crops of a site that lie far apart show different things. The largest group counts; of equal ones, that with the
     longest exposure.
     """
     site, exposure_s = frames.design.site, frames.design.exposure_s
-    together = np.zeros(len(frames), bool)
+    shows_spot = np.zeros(len(frames), bool)
     for number in np.unique(site):
         members = np.flatnonzero(site == number)
         corners = np.stack([frames.left[members], frames.top[members]], 1)
         distance = np.abs(corners[:, None] - corners[None]).max(axis=2)
         groups = [members[near] for near in distance <= SITE_SHIFT * crop_px]
-        together[max(groups, key=lambda group: (len(group), exposure_s[group].max()))] = True
-    return together
+        shows_spot[max(groups, key=lambda group: (len(group), exposure_s[group].max()))] = True
+    return shows_spot
 
 
 def never_searched(frames: FrameSet) -> str:

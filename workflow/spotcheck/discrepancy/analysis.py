@@ -184,8 +184,10 @@ def add_white_field(prepared: Prepared) -> Prepared | None:
     Gains of pixels are such a field. An effect that changes the noise of photons, such as a curved response, looks like
     one, so that effects are selected without and with it.
     """
+    if prepared.frames.light_field is not None:
+        return None
     white = estimate_white_field(prepared.images)
-    if prepared.frames.light_field is not None or not white.variance > MIN_Z * white.stderr:
+    if not white.variance > MIN_Z * white.stderr:
         return None
     field = LightField(white.variance * prepared.images.spot**2, 1.0)
     frames = replace(prepared.frames, light_field=field)
@@ -232,7 +234,7 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
     if setting.baseline.photon_budget != "free":
         sensor = replace(fit.model.forward.sensor, read_noise_e=setting.sensor.read_noise_e)
         by_field = covariance_by_field(fit, prepared.frames, scatter.grains) if shows_grains(scatter.grains) else None
-        by_shape = 0.0 if fit.model.grid is None else shift_by_coarser_shape(fit)
+        by_shape = None if fit.model.grid is None else shift_by_coarser_shape(fit)
         search = LawSearch(numbers_of_fit(fit, by_field, by_shape), ForwardModel(setting.baseline, sensor), scales)
     named = name_all_scatter(effects, scatter, fit, setting, scales, search)
     analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)

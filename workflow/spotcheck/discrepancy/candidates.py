@@ -24,10 +24,10 @@ from spotcheck.model.stage import Stage
 # Multiples of a start's strength at which a fit may begin: the score test extrapolates a straight line. Beside a free
 # shape a fit begins no farther out than the start, since the shape must move along with the effect.
 SIZES, SIZES_BESIDE_SHAPE = (0.3, 30.0), (0.3, 1.0)
-# Part of a column's information that must be left beside the nuisance parameters; else these can do the same.
-SEPARABLE_SHARE = 1e-5
 # Least multiple of a start whose effect is no straight line in its strength, such as a clip: about 1 is expected.
 LEAST_FINITE_SIZE = 0.15
+# Part of a column's information that must be left beside the nuisance parameters; else these can do the same.
+SEPARABLE_SHARE = 1e-5
 # Stages that change the spot of a frame as its own parameters do: effects there are laws across frames.
 SPOT_STAGES = {Stage.EXPOSURE, Stage.WIDTH, Stage.BRIGHTNESS}
 

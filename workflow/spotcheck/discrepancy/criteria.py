@@ -27,6 +27,9 @@ EXPLAINED_SHARE = 0.9
 EXPLAINED_STEPS = (0.3, 0.6, 0.9)
 # p-value of detection below which model and measurement disagree: one false alarm in a hundred datasets.
 ALPHA = 0.01
+# Variance of spots that is named a fluctuation, over that which granular light brings: this is known from few grains,
+# so that as much again may be its part.
+FIELD_MULTIPLE = 1.0
 # Rms of the mean image that may stay unexplained [peak]: half a code of an 8-bit camera used to its full scale.
 TOLERANCE = 0.002
 # Standard errors beyond which a change counts: of the data sheet, of what is left over the tolerance, of p1 and p2, and

@@ -59,13 +59,14 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
             for g, second in enumerate(members):
                 half = solve_positive(information[f], shared[f, :, g])
                 joint = solve_positive(information[g], half.T).T
-                held = share_in_fit(fit, int(first), joint) if f == g else 0.0
-                out[first, :, second] = (area - held) * joint
+                share = share_in_fit(fit, int(first), joint) if f == g else 0.0
+                out[first, :, second] = (area - share) * joint
     return out.reshape(4 * count, 4 * count)
 
 
 def share_in_fit(fit: JointFit, frame: int, of_field: np.ndarray) -> float:
-    """Return how much of the field's covariance of a frame [4, 4] its covariance in the fit holds: all of it, or less
-    where the fit's estimate of the field is smaller."""
-    root = np.linalg.cholesky(fit.equations.information[4 * frame : 4 * frame + 4, 4 * frame : 4 * frame + 4])
-    return min(1.0, LARGEST_SHARE / float(np.linalg.eigvalsh(root.T @ of_field @ root)[-1]))
+    """Return the part of the field's covariance of a frame [4, 4] that the fit knows of: all of it, or less where the
+    fit's estimate of the field is smaller."""
+    information = fit.equations.information[4 * frame : 4 * frame + 4, 4 * frame : 4 * frame + 4]
+    largest = float(np.linalg.eigvals(information @ of_field).real.max())
+    return LARGEST_SHARE / largest if largest > LARGEST_SHARE else 1.0

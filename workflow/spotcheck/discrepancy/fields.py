@@ -28,6 +28,8 @@ GRAIN_LAGS, GRAIN_RANGE = 5.0, (0.3, 12.0)
 FAR_LAG, FAR_SHARE = 8.0, 0.15
 # Part of the largest product of light below which products are rounding of Fourier transforms.
 ROUNDING_SHARE = 1e-12
+# Standard deviations of a correlation beyond which it is nothing: 4e-6.
+FARTHEST = 5
 # Part of a field's variance that lines along rows or columns may have.
 LINE_SHARE = 0.2
 
@@ -179,12 +181,17 @@ def estimate_pixel_gains(covariances: FieldCovariances) -> FieldEstimate:
     return FieldEstimate(variance, stderr, np.nan, reasons)
 
 
-def correlated_area(grain_px: float) -> float:
-    """Return the sum of a field's correlation over all pixels about one [px]; 1 without a grain."""
+def correlated_area(grain_px: float, block_px: int | None = None) -> float:
+    """Return the sum of a field's correlation over the pixels about one [px]; 1 without a grain.
+
+    With `block_px` it is taken over the pairs of pixels of a square block, for each of its pixels.
+    """
     if not grain_px > 0:
         return 1.0
-    lags = np.arange(-5 * int(np.ceil(grain_px)), 5 * int(np.ceil(grain_px)) + 1)
-    return float(np.exp(-(lags**2) / (2 * grain_px**2)).sum() ** 2)
+    farthest = FARTHEST * int(np.ceil(grain_px)) if block_px is None else block_px - 1
+    lags = np.arange(-farthest, farthest + 1)
+    share = 1.0 if block_px is None else 1 - np.abs(lags) / block_px
+    return float((share * np.exp(-(lags**2) / (2 * grain_px**2))).sum() ** 2)
 
 
 def divide_lit(residuals: np.ndarray, light: np.ndarray) -> np.ndarray:

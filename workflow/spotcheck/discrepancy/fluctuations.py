@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spotcheck.discrepancy.criteria import MIN_GAIN
+from spotcheck.discrepancy.criteria import FIELD_MULTIPLE, MIN_GAIN
 from spotcheck.discrepancy.laws import LEAST_FREE, LawSearch
 from spotcheck.discrepancy.mixed_model import Interval, deviation_interval, fit_reml
 
@@ -27,8 +27,9 @@ def measure_components(search: LawSearch) -> dict[str, Fluctuation]:
     full = search.variances
 
     def assess(name: str, variance: float, variance_of_it: float, gain: float) -> Fluctuation:
-        limit = search.numbers.field_variance["width" in name]
-        return Fluctuation(deviation_interval(variance, variance_of_it), gain, _reasons(gain, variance, limit))
+        of_brightness, of_width, *_ = search.numbers.field_variance
+        by_field = of_width if name.endswith("width") else of_brightness
+        return Fluctuation(deviation_interval(variance, variance_of_it), gain, _reasons(gain, variance, by_field))
 
     for k, name in enumerate(full.names):
         others = {key: matrix for key, matrix in search.components.items() if key != name}
@@ -79,7 +80,6 @@ def measure_jitter(search: LawSearch) -> Fluctuation | None:
 
 def _reasons(gain: float, variance: float, by_field: float) -> tuple[str, ...]:
     reasons = [] if gain >= MIN_GAIN else [f"gain {gain:.0f} below the least"]
-    # The scatter that granular light brings is known from few grains, so that as much again may be its own.
-    if variance < by_field:
+    if variance < FIELD_MULTIPLE * by_field:
         reasons.append("no more than granular light brings")
     return tuple(reasons)

@@ -175,8 +175,8 @@ def fit_jointly(
         Readings of all frames of the model's design.
     tolerance : float
         Newton decrement of the effects beside all nuisance parameters below which the fit has converged; that of all
-        parameters is scaled in proportion. Both grow with the
-        larger of two dispersions: the mean squared standardised residual, and that of granular light.
+        parameters is scaled in proportion. Both grow with the larger of two dispersions: the mean squared standardised
+        residual, and that of granular light.
     iterations : int
         Most steps.
     rival : float, optional
@@ -217,9 +217,14 @@ def fit_jointly(
 
 
 def _try_steps(
-    model: JointModel, pixels: Pixels, equations: NormalEquations, damping: float, part: float, fixed: np.ndarray,
+    model: JointModel,
+    pixels: Pixels,
+    equations: NormalEquations,
+    damping: float,
+    part: float,
+    fixed: np.ndarray,
     is_old: bool,
-) -> tuple[tuple[JointModel, NormalEquations] | None, float, float]:  # fmt: skip
+) -> tuple[tuple[JointModel, NormalEquations] | None, float, float]:
     """Return model and equations after the first step that lowers −2 ln L enough, or None.
 
     Beside them: the damping of the next step, and the part of it to begin with. Damping does not shorten the step of a

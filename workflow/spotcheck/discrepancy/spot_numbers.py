@@ -31,7 +31,7 @@ class SpotNumbers:
 
 
 def numbers_of_fit(
-    fit: JointFit, by_field: np.ndarray | None = None, by_shape: np.ndarray | float = 0.0
+    fit: JointFit, by_field: np.ndarray | None = None, by_shape: np.ndarray | None = None
 ) -> SpotNumbers:
     """Return brightness and width of the spots of a fit.
 
@@ -46,7 +46,7 @@ def numbers_of_fit(
     """
     spots = 4 * fit.equations.frames
     covariance = invert_information(fit.equations.information)[:spots, :spots]
-    if np.ndim(by_shape):
+    if by_shape is not None:
         covariance = covariance + np.outer(by_shape, by_shape)
     if by_field is None:
         return SpotNumbers(fit.model.design, fit.model.spots, covariance)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spotcheck.discrepancy.evaluation import Evaluation, evaluate, map_batches
+from spotcheck.discrepancy.fields import correlated_area
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixels, select_pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
@@ -253,7 +254,7 @@ def _compare(
     total = variance + scatter.field_variance * light_square + of_gains
     score = _score(scatter, residual, total, slopes, at, used)
     is_near = used & _is_near(at)
-    area = correlated_area_of_block(scatter.grain_px)
+    area = correlated_area(scatter.grain_px, BLOCK_PX)
 
     def sum_blocks(values: np.ndarray) -> np.ndarray:
         return _block_sums(values * is_near)
@@ -319,15 +320,6 @@ def is_field(applied: AppliedEffect) -> bool:
     """Return whether an effect is granular light alone."""
     steps = applied.effect.variants[applied.variant]
     return bool(steps) and all(isinstance(step, RandomStep) and step.stage is Stage.SPECKLE_FIELD for step in steps)
-
-
-def correlated_area_of_block(grain_px: float) -> float:
-    """Return the sum of a field's correlation over the pairs of pixels of a block, for each of its pixels."""
-    if not grain_px > 0:
-        return 1.0
-    lags = np.arange(-BLOCK_PX + 1, BLOCK_PX)
-    weight = (1 - np.abs(lags) / BLOCK_PX) * np.exp(-(lags**2) / (2 * grain_px**2))
-    return float(weight.sum() ** 2)
 
 
 def _is_near(at: Evaluation) -> np.ndarray:

@@ -97,7 +97,9 @@ def _parts(part: Figure, ds: xr.Dataset, limit: float) -> int:
     few = np.argsort(-z)[:MOST_PARTS]
     y = -np.arange(len(few))
     clear = z[few] > limit
-    ax.barh(y, np.maximum(z[few], 1.0), height=0.7, color=[style.SIMULATED if own else "0.6" for own in clear])
+    ax.barh(
+        y, np.maximum(z[few], 1.0), height=0.7, color=[style.SIMULATED if is_clear else "0.6" for is_clear in clear]
+    )
     ax.axvline(limit, color="black", linewidth=0.9, linestyle=(0, (5, 3)))
     ax.set(xscale="log", xlim=(1.0, max(1.5 * limit, 2 * float(z[few].max(initial=1.0)))))
     ax.set_yticks(y, [names[k] for k in few], fontsize=7.5)
@@ -113,10 +115,10 @@ def evidence(results: Results) -> style.Drawing:
     if not verdict["effects"]:
         raise Unavailable("nothing was added to the model")
     rows: list[tuple[str, float | None, float | None, str]] = []
-    for own in verdict["effects"]:
-        gain = own["evidence"]["gain"]
-        rows.append((own["name"], gain, own["gap_closed"], FOUND))
-        for rival in own["evidence"]["rivals"]:
+    for effect in verdict["effects"]:
+        gain = effect["evidence"]["gain"]
+        rows.append((effect["name"], gain, effect["gap_closed"], FOUND))
+        for rival in effect["evidence"]["rivals"]:
             rows.append((f"or {rival['name']}", None if gain is None else gain - rival["behind"], None, RIVAL))
     y = -np.arange(len(rows))
     figure = style.new(1.1 + 0.28 * len(rows))
@@ -137,7 +139,7 @@ def evidence(results: Results) -> style.Drawing:
         ax.tick_params(axis="y", length=0)
     held_out = verdict["gap"]["on"]
     caption = (
-        "What is named, by its own evidence: −2 ln L of the searched frames drops by so much with it, all else fitted"
+        "Evidence for each named effect: −2 ln L of the searched frames drops by so much with it, all else fitted"
         f" again; less than {MIN_GAIN:g} (dashed) names nothing."
         + (f" Right: the part of the gap on {held_out} that it closes." if held_out else " No frame was held out.")
     )
