@@ -24,7 +24,7 @@ from spotcheck.discrepancy.findings import (
 )
 from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.laws import LawFit, NamedLaw
-from spotcheck.discrepancy.learned_light import describe_light, is_below_zero
+from spotcheck.discrepancy.learned_light import describe_light
 from spotcheck.discrepancy.limits import find_limits, list_not_assessed
 from spotcheck.discrepancy.metric_changes import compare_metrics
 from spotcheck.discrepancy.named_scatter import NamedScatter, white_noise
@@ -65,7 +65,7 @@ def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[st
     present = PresentFits(fit, prepared.scales, analysis.search, laws)
     baseline = prepared.setting.baseline
     return Findings(
-        has_converged=has_converged(analysis) and (light is None or not is_below_zero(light)),
+        has_converged=has_converged(analysis),
         detection=detection,
         rms_of_peak=measure_rms(prepared.images),
         places=find_places(prepared.images, black_dn, sums=sums),
@@ -114,7 +114,7 @@ def _learned_light(analysis: Analysis) -> LearnedLight | None:
     least = LEARNED_SHAPE.parameters[0].negligible
     least = least(analysis.prepared.scales) if callable(least) else least
     is_clear = light.power > CLEAR_ERRORS * light.stderr and light.power > least
-    return replace(light, gap_closed=_share(analysis, LIGHT_SHAPE)) if is_clear or is_below_zero(light) else None
+    return replace(light, gap_closed=_share(analysis, LIGHT_SHAPE)) if is_clear else None
 
 
 def _pulls(analysis: Analysis) -> tuple[SensorPull, ...]:

@@ -35,9 +35,6 @@ TOLERANCE = 0.002
 # Standard errors beyond which a change counts: of the data sheet, of what is left over the tolerance, of p1 and p2, and
 # of the power of a learned light shape.
 CLEAR_ERRORS = 3.0
-# A learned shape is no light where it is so many standard errors below 0 (of some 8,000 splines, one falls so far by
-# chance with a probability of 1e-4), and below minus this part of its peak (splines ring by 0.0015 about a kink).
-BELOW_ERRORS, LEAST_FALL = 6.0, 0.005
 # Confidence of upper limits.
 CONFIDENCE = 0.95
 # z from which on a strength that is not named is more than noise, and inflation of its errors by misfit from which on

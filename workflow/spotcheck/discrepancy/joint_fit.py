@@ -38,6 +38,9 @@ LARGEST_STEPS = (0.7, 0.4, 1.0)
 # Largest peak of a spot [full scales]: its flanks at full scale would lie beyond 3 σ. Tables of brighter light take
 # gigabytes.
 LARGEST_PEAK = 100.0
+# Least light of a free shape [peak]: splines ring by 0.0015 about a kink. No light is below 0, and a shape that may go
+# there makes room for false clips.
+LEAST_LIGHT = -0.002
 # Part of the stated read noise that the fitted one is at least and at most.
 READ_NOISE_RANGE = (0.5, 3.0)
 
@@ -78,6 +81,13 @@ class JointModel:
         learned = self.forward.baseline.learned
         assert learned is not None
         return learned.coefficients.ravel()
+
+    @property
+    def least_coefficients(self) -> np.ndarray:
+        """Least values of the coefficients, at which the light is `LEAST_LIGHT` [coefficient, peak]."""
+        assert self.grid is not None
+        declared, places = replace(self.forward.baseline, learned=None), self.grid.places
+        return LEAST_LIGHT - declared.spot(places[None, :], places[:, None], 1.0, 1.0).ravel()
 
     def with_coefficients(self, coefficients: np.ndarray) -> "JointModel":
         """Return the model with other coefficients of the light shape."""
@@ -228,7 +238,7 @@ def _try_steps(
     """Return model and equations after the first step that lowers −2 ln L enough, or None.
 
     Beside them: the damping of the next step, and the part of it to begin with. Damping does not shorten the step of a
-    shape, so that beside a shape steps are halved as well. Where the shape's factor `is_old`, the first trial makes it
+    shape, so that beside a shape steps are halved instead. Where the shape's factor `is_old`, the first trial makes it
     anew.
     """
     decrement = equations.promise(equations.solve(0.0, fixed))
@@ -241,8 +251,9 @@ def _try_steps(
         if np.isfinite(gain) and (gain > LEAST_GAIN * part * equations.promise(step) or is_rounding):
             eased = damping / DAMPING_FACTOR**2 if attempt == 0 else damping
             return (trial, new), eased if eased > FIRST_DAMPING / 2 else 0.0, min(2 * part, 1.0)
-        damping = max(damping * DAMPING_FACTOR, FIRST_DAMPING)
-        if model.grid is not None:
+        if model.grid is None:
+            damping = max(damping * DAMPING_FACTOR, FIRST_DAMPING)
+        else:
             part /= 2
     return None, damping, part
 
@@ -266,7 +277,7 @@ def _move(model: JointModel, equations: NormalEquations, step: np.ndarray, part:
     """Return the model after a step, each parameter limited to what a linear step can know; `part` of the shape's."""
     if model.grid is not None:
         change = equations.shape_step(step / part)
-        model = model.with_coefficients(model.coefficients + part * change)
+        model = model.with_coefficients(np.maximum(model.coefficients + part * change, model.least_coefficients))
     frames = len(model.spots.x)
     of_spots = step[: 4 * frames].reshape(frames, 4).T
     sigma = np.exp(model.spots.log_sigma)

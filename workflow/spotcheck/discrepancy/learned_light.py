@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, ndimage, optimize
 
-from spotcheck.discrepancy.criteria import BELOW_ERRORS, CLEAR_ERRORS, LEAST_FALL
+from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.discrepancy.evaluation import columns_of, evaluate, map_batches
 from spotcheck.discrepancy.evidence import MANY_SITES
 from spotcheck.discrepancy.findings import LearnedLight
@@ -20,7 +20,7 @@ from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.normal_equations import NULL_EIGENVALUE, solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.discrepancy.words import percent_text
-from spotcheck.model.baseline import FLOOR, Baseline, keep_positive
+from spotcheck.model.baseline import Baseline
 from spotcheck.model.light_shape import LightShape
 
 # Distance of the rings [σ] on which integrals are taken, about half the distance of the nodes; places on each ring.
@@ -116,32 +116,21 @@ def describe_light(fit: JointFit, declared: Baseline | None = None, seed: int = 
     shape = baseline.learned
     if fit.model.grid is None or shape is None:
         raise ValueError("the fit has no free light shape")
-    plain = replace(baseline, learned=None)
-    declared = plain if declared is None else declared
+    declared = replace(baseline, learned=None) if declared is None else declared
     grid = PolarGrid(int(shape.step * (len(shape.coefficients) - 1) / 2 / RING_STEP))
     gauge = fit_gauge(baseline, declared, grid, find_reached(fit, grid.u, grid.v))
     u, v = gauge.places_of(grid)
     is_reached = find_reached(fit, u, v)
     before = Gauge().shape_of(declared, grid)
     light = np.where(is_reached, baseline.spot(u, v, 1.0, 1.0) / gauge.brightness, before)
-    # Light below 0 is compressed, and so is its noise: the shape itself tells how far it falls.
-    unbounded = np.where(is_reached, (plain.spot(u, v, 1.0, 1.0) + shape(u, v)) / gauge.brightness, before)
-    of_shape = draw_noise(fit, gauge, grid, np.random.default_rng(seed)) * is_reached
-    positive = np.maximum(unbounded, 0.0)
-    noise = keep_positive(positive + of_shape, FLOOR / gauge.brightness) - positive
+    noise = draw_noise(fit, gauge, grid, np.random.default_rng(seed)) * is_reached
     noise -= project_on_gauge(noise, declared, grid, is_reached)
     power, stderr = measure_power(light - before, noise, grid, float(np.sum(light * grid.area)))
     orders = measure_orders(light - before, noise, grid) if power > CLEAR_ERRORS * stderr else np.zeros(ORDERS)
     major, minor, direction_deg = measure_axes(light - noise.mean(axis=0), before, grid)
-    lowest = measure_lowest(unbounded, of_shape)
-    words = describe_difference(power, stderr, orders, (major, minor, direction_deg), lowest)
+    words = describe_difference(power, stderr, orders, (major, minor, direction_deg))
+    lowest = float(light.min())
     return LearnedLight(shape, power, stderr, tuple(map(float, orders)), major, minor, direction_deg, lowest, words)
-
-
-def is_below_zero(light: LearnedLight) -> bool:
-    """Return whether a learned shape falls below 0 by more than its noise and more than splines do: as no light does
-    so, the fit is invalid. Also true if the least value is NaN."""
-    return not light.lowest >= -LEAST_FALL
 
 
 def summarize_shape(light: LearnedLight) -> dict[str, Any]:
@@ -324,23 +313,12 @@ def measure_axes(light: np.ndarray, before: np.ndarray, grid: PolarGrid) -> tupl
     return float(major), float(minor), float(np.rad2deg(np.arctan2(axes[1, 1], axes[0, 1])) % 180)
 
 
-def measure_lowest(light: np.ndarray, noise: np.ndarray) -> float:
-    """Return the least value of a shape where it is below 0 by `BELOW_ERRORS`, or else its least value or 0."""
-    is_below = light + BELOW_ERRORS * np.sqrt(np.mean(noise**2, axis=0)) < 0
-    return float(light[is_below].min()) if is_below.any() else max(float(light.min()), 0.0)
-
-
-def describe_difference(
-    power: float, stderr: float, orders: np.ndarray, axes: tuple[float, float, float], lowest: float
-) -> str:
+def describe_difference(power: float, stderr: float, orders: np.ndarray, axes: tuple[float, float, float]) -> str:
     """Return the comparison in words that follow "the light does not have the declared shape:"."""
     if not power > CLEAR_ERRORS * stderr:
         most = max(max(power, 0.0) + 2 * stderr, LEAST_LIMIT)
         return f"less than {percent_text(most)} of its power lies elsewhere"
-    words = f"{percent_text(power)} of its power lies elsewhere, {describe_pattern(orders, axes)}"
-    if lowest < -LEAST_FALL:
-        words += f"; the learned shape falls to {percent_text(lowest)} of its peak, which no light does"
-    return words
+    return f"{percent_text(power)} of its power lies elsewhere, {describe_pattern(orders, axes)}"
 
 
 def describe_pattern(orders: np.ndarray, axes: tuple[float, float, float]) -> str:

@@ -19,6 +19,7 @@ from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, eva
 from spotcheck.discrepancy.frames import Pixels
 from spotcheck.discrepancy.shape_grid import BlockFactor
 from spotcheck.discrepancy.shape_sums import ShapeSums
+from spotcheck.discrepancy.spline_basis import NEIGHBOURS
 
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import JointModel
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 NULL_EIGENVALUE = 1e-12
 # Weight of the condition that steps of spots sum to 0 over frames, in terms of a spot's median information over F.
 GAUGE_WEIGHT = 1e4
+# Added to the information on a coefficient of the shape that is held at its least value, in terms of the largest.
+HELD = 1e8
 # Added to the diagonal of an information matrix that is scaled to 1, so that it can be factored.
 RIDGE = 1e-11
 
@@ -159,7 +162,10 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     penalty = pixels.share * model.grid.penalize(coefficients)
     products = sum(part[4] for part in parts)
     if reuse is None:
-        factor = BlockFactor(model.grid, sum(part[5] for part in parts), pixels.share)
+        band = sum(part[5] for part in parts)
+        is_held = (coefficients <= model.least_coefficients) & (products[:, 0] - penalty < 0)
+        band[NEIGHBOURS] += HELD * band[NEIGHBOURS].max() * is_held
+        factor = BlockFactor(model.grid, band, pixels.share)
         of_spots = factor.half_solve(np.hstack([part[6] for part in parts]))
         reuse = ShapePart(factor, of_spots, of_spots.T @ of_spots, np.zeros((0, 0)), np.zeros(0))
     products[:, 0] -= penalty

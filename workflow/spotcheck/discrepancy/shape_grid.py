@@ -34,6 +34,11 @@ class ShapeGrid:
         """Nodes along each side."""
         return 2 * round(HALF_WIDTH / self.step) + 3
 
+    @property
+    def places(self) -> np.ndarray:
+        """Places of the nodes along each side [node, σ]."""
+        return (np.arange(self.nodes) - (self.nodes - 1) / 2) * self.step
+
     @cached_property
     def penalty(self) -> dict[int, np.ndarray]:
         """Matrix P of the penalty c'Pc in −2 ln L on the coefficients c [peak], as diagonals of its lower half."""

@@ -12,8 +12,6 @@ from spotcheck.instrument import Instrument
 from spotcheck.model import propagation, spot
 from spotcheck.model.light_shape import LightShape, read_light
 
-# Width w of the compression of light below 0, in peaks.
-FLOOR = 0.002
 # A step of the derivative by complex step: its square vanishes beside 1 in double precision, so the result is exact.
 STEP = 1e-30
 
@@ -58,12 +56,12 @@ class Baseline:
         return self.finish(light, dx, dy, peak_dn, sigma_px)
 
     def finish(self, light, dx, dy, peak_dn, sigma_px):
-        """Return light [DN] of a profile with top hat and learned shape; see `keep_positive`."""
+        """Return light [DN] of a profile with top hat and learned shape."""
         if self.top_hat:
             light = spot.top_hat(light, peak_dn)
         if self.learned is None:
             return light
-        return keep_positive(light + peak_dn * self.learned(dx / sigma_px, dy / sigma_px), FLOOR * peak_dn)
+        return light + peak_dn * self.learned(dx / sigma_px, dy / sigma_px)
 
     def declared_light(self, x, y, peak_dn, x0, y0, sigma_px):
         """Return what pixels at x, y [px] receive [DN] of a spot of the declared shape."""
@@ -86,15 +84,6 @@ class Baseline:
     def plateau(self, peak_dn):
         """Return the highest light [DN] of a spot whose Gaussian has a peak [DN]."""
         return spot.top_hat_level(peak_dn) if self.top_hat else peak_dn
-
-
-def keep_positive(light, width_dn):
-    """Return light [DN] that a learned shape makes, of which values below 0 become −w ln(1 − light/w).
-
-    They leave 0 smoothly and hardly fall: a hard cut is a kink at which fits stall, and a shape that is free to go
-    below 0 makes room for false clips.
-    """
-    return np.where(light < 0, -width_dn * np.log1p(np.maximum(-light, 0.0) / width_dn), light)
 
 
 def of_instrument(instrument: Instrument, exposures_s) -> Baseline:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.model.baseline import FLOOR, Baseline
+from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, SpotState, WidthLaw
 from spotcheck.model.effect import AppliedEffect, AppliedStep
 from spotcheck.model.spot import PIXEL
@@ -132,9 +132,7 @@ class LightStages:
         for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD, Stage.PIXEL_GAIN):
             factor = self.apply_stage(stage, NOTHING_DRAWN, frame, factor)
         for dx, dy, weight in self.copies(frame):
-            light = self._sharp(frame, spot, dx, dy, NOTHING_DRAWN)
-            slope = np.exp(np.minimum(light, 0.0) / (FLOOR * spot.peak_dn))
-            yield dx / spot.sigma_px, dy / spot.sigma_px, weight * spot.peak_dn * factor * slope
+            yield dx / spot.sigma_px, dy / spot.sigma_px, weight * spot.peak_dn * factor
 
 
 def convolve_paths(first: np.ndarray, second: np.ndarray) -> np.ndarray:
