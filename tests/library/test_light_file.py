@@ -152,16 +152,14 @@ def test_a_model_without_the_light_that_it_needs(cases, lights, edit, words, tmp
 
 
 def spot(centre: tuple[float, float], exposure: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Light A (B + s) [row, column] of a spot by numpy and scipy alone, under the law t/σ²; below 0 it is compressed to
-    −w ln(1 − light/w) with w of 0.2 % of the peak."""
+    """Light A (B + s) [row, column] of a spot by numpy and scipy alone, under the law t/σ²."""
 
     def width(t):
         return LAW.p1 * np.log(t) + LAW.p2
 
     u, v = ((own - at) / width(exposure) for own, at in zip((x, y), centre, strict=True))
     peak = LAW.peak_dn * exposure / width(exposure) ** 2 * width(EXPOSURES[-1]) ** 2 / EXPOSURES[-1]
-    light = peak * (np.exp(-(u[None, :] ** 2) / 2) * np.exp(-(v[:, None] ** 2) / 2) + by_scipy(u, v))
-    return np.where(light < 0, -0.002 * peak * np.log1p(np.maximum(-light, 0) / (0.002 * peak)), light)
+    return peak * (np.exp(-(u[None, :] ** 2) / 2) * np.exp(-(v[:, None] ** 2) / 2) + by_scipy(u, v))
 
 
 def follows(folder: Path, ds: xr.Dataset) -> None:

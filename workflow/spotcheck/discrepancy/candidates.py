@@ -12,11 +12,13 @@ from spotcheck.discrepancy.evaluation import (
     change_of_moments,
     columns_of,
     evaluate,
-    map_batches,
     stages_of,
+    sum_batches,
 )
+from spotcheck.discrepancy.frames import conditions_of
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel
 from spotcheck.discrepancy.normal_equations import solve_positive
+from spotcheck.discrepancy.shape_grid import HALF_WIDTH
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep
 from spotcheck.model.stage import Stage
@@ -28,6 +30,11 @@ SIZES, SIZES_BESIDE_SHAPE = (0.3, 30.0), (0.3, 1.0)
 LEAST_FINITE_SIZE = 0.15
 # Part of a column's information that must be left beside the nuisance parameters; else these can do the same.
 SEPARABLE_SHARE = 1e-5
+# Part of a candidate's information that a free shape leaves, over the part of the candidate that differs between
+# frames, from which on it is a shape finer than the nodes.
+UNRESOLVED = 5.0
+# Frames that are compared for it; places along each side, and the farthest of them [σ].
+MOST_COMPARED, PLACES, FARTHEST = 16, 61, 7.0
 # Stages that change the spot of a frame as its own parameters do: effects there are laws across frames.
 SPOT_STAGES = {Stage.EXPOSURE, Stage.WIDTH, Stage.BRIGHTNESS}
 
@@ -39,6 +46,7 @@ class Candidate:
     start: AppliedEffect  # where a fit of the effect begins
     score: float  # expected drop of −2 ln L on the tested pixels beside all nuisance parameters, less 1 for noise
     place: int  # position among all starting points: variants that tie are taken in this order
+    share: float  # part of the information on its strength that the nuisance parameters leave
 
 
 def changes_mean_image(effect: Effect) -> bool:
@@ -90,7 +98,7 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
             continue
         scaled = scale_start(start, float(u / i), fit.model)
         if scaled is not None:
-            candidates.append(Candidate(scaled, float(max(u * u / i - 1, 0.0)), place))
+            candidates.append(Candidate(scaled, float(max(u * u / i - 1, 0.0)), place, float(i / whole)))
     return sorted(candidates, key=lambda candidate: -candidate.score)
 
 
@@ -125,28 +133,60 @@ def project_changes(
         fitted = columns_of(model, at)
         cross = np.zeros((equations.size, len(starts)))
         score, alone = np.zeros(len(starts)), np.zeros(len(starts))
-        equivalents = []
+        sums = None if model.grid is None else ShapeSums(model, at)
+        of_shape = np.zeros((0 if sums is None else sums.nodes**2, len(starts)))
         for k, start in enumerate(starts):
             column = change_by(model, start, at)
             score[k] = at.score(column)
             alone[k] = at.information_of(column, column)
-            equivalents.append(at.light_equivalent(column))
-            cross[4 * part.start : 4 * part.stop, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalents[-1]).ravel()
+            equivalent = at.light_equivalent(column)
+            cross[4 * part.start : 4 * part.stop, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalent).ravel()
             cross[4 * frames :, k] = [at.information_of(column, other) for other in fitted]
-        if model.grid is None:
-            return cross, score, alone
-        return cross, score, alone, ShapeSums(model, at).products(np.stack(equivalents))
+            if sums is not None:
+                of_shape[:, k] = sums.products(equivalent[None])[:, 0]
+        return cross, score, alone, of_shape
 
-    parts = map_batches(of_batch, fit.pixels)
-    cross, score, alone = (sum(part[k] for part in parts) for k in range(3))
+    cross, score, alone, of_shape = sum_batches(of_batch, fit.pixels)
     beside = alone.copy()
     if equations.shape is not None:
-        half = equations.shape.factor.half_solve(sum(part[3] for part in parts))
+        half = equations.shape.factor.half_solve(of_shape)
         cross = cross - equations.shape.cross.T @ half
         score = score - half.T @ equations.shape.score
         beside -= np.sum(half**2, axis=0)
     absorbed = solve_positive(equations.information, cross)
     return score - absorbed.T @ equations.gradient, beside - np.sum(cross * absorbed, axis=0), alone
+
+
+def is_unresolved_shape(fit: JointFit, candidate: Candidate) -> bool:
+    """Return whether a candidate is a shape of the light that is finer than the nodes of the free shape beside it.
+
+    Of a change that is the same in every frame, in units of the spot, a free shape with nodes close enough would leave
+    nothing. A candidate of which the free shape leaves much more than what differs between frames is such a change.
+    """
+    if fit.model.grid is None or stages_of(candidate.start) & SENSOR:
+        return False
+    return candidate.share > UNRESOLVED * varying_share(fit, candidate.start)
+
+
+def varying_share(fit: JointFit, applied: AppliedEffect) -> float:
+    """Return the part of an effect's change of the light that differs between frames in units of the spot, or lies
+    beyond the nodes of the free shape; by squares in units of the peak, weighted with the peak as photons count."""
+    model, pixels = fit.model, fit.pixels
+    frames = np.unique(np.linspace(0, len(model.spots.x) - 1, MOST_COMPARED).astype(int))
+    spots, some = model.spots.select(frames), pixels.select(frames)
+    places = np.linspace(-FARTHEST, FARTHEST, PLACES)
+    sigma = np.exp(spots.log_sigma)[:, None]
+    x, y = spots.x[:, None] + sigma * places, spots.y[:, None] + sigma * places
+    inside_x = (x > some.x[:, 0].min(axis=1, keepdims=True)) & (x < some.x[:, 0].max(axis=1, keepdims=True))
+    inside_y = (y > some.y[:, :, 0].min(axis=1, keepdims=True)) & (y < some.y[:, :, 0].max(axis=1, keepdims=True))
+    grid = replace(some, x=x[:, None, :], y=y[:, :, None], row_share=np.ones((len(frames), PLACES, 1)))
+    conditions = conditions_of(model.design.select(frames), spots, grid)
+    with_effect = replace(model.forward, effects=(*model.forward.effects, applied))
+    change = (with_effect.light(conditions).total - model.forward.light(conditions).total) / conditions.peak_dn
+    weight = conditions.peak_dn * inside_x[:, None, :] * inside_y[:, :, None]
+    mean = np.sum(weight * change, axis=0) / np.maximum(np.sum(weight, axis=0), 1e-300)
+    mean[np.hypot(places[:, None], places) > HALF_WIDTH] = 0.0
+    return float(np.sum(weight * (change - mean) ** 2) / max(np.sum(weight * change**2), 1e-300))
 
 
 def change_by(model: JointModel, start: AppliedEffect, at: Evaluation) -> Column:

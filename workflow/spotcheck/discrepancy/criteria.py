@@ -8,15 +8,15 @@ MIN_Z = 5.0
 PARAMETER_PRICE = 6.0
 # Variants of one effect within this drop are tied, and the first in the effect's list is named.
 VARIANT_TIE = 10.0
-# Consistency: Cochran's Q may exceed its degrees of freedom by so many standard deviations, or by this part of z². True
-# effects stay below 0.017 of z², false ones lie above 0.2.
+# Consistency: Cochran's Q may exceed its degrees of freedom by so many standard deviations, or by this part of the drop.
+# True effects stay below 0.017 of it, false ones lie above 0.07.
 CELL_SLACK, CELL_MISFIT = 8.0, 0.02
 # Most effects of the mean image in one search.
 MOST_EFFECTS = 5
 # Sets of laws within this χ² of the best are its rivals.
 LAW_TIE = 10.0
-# Least drop of −2 ln L beside a free shape: structure finer than its nodes gives 40 to 300 by chance on real beams.
-MIN_GAIN_BESIDE_SHAPE = 400.0
+# Least drop of −2 ln L beside a free shape: structure finer than its nodes gives some by chance on real beams.
+MIN_GAIN_BESIDE_SHAPE = 100.0
 # Rms of a free shape [peak] below which the declared one is kept.
 SHAPE_FLOOR = 0.002
 # Part of what a free shape takes that the 1st, 2nd, 3rd effect beside the declared shape must take.

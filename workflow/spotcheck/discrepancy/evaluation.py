@@ -92,12 +92,28 @@ def batches(pixels: Pixels) -> Iterator[slice]:
 
 
 def map_batches(function: Callable[[slice], Any], pixels: Pixels) -> list[Any]:
-    """Return the results of a function of each batch of frames, computed in threads."""
+    """Return the results of a function of each batch of frames."""
+    return list(_results_of_batches(function, pixels))
+
+
+def _results_of_batches(function: Callable[[slice], Any], pixels: Pixels) -> Iterator[Any]:
+    """Yield the results of a function of each batch of frames, computed in threads."""
     parts = list(batches(pixels))
     if len(parts) == 1 or THREADS == 1:
-        return [function(part) for part in parts]
+        yield from map(function, parts)
+        return
     with ThreadPoolExecutor(THREADS) as pool:
-        return list(pool.map(function, parts))
+        yield from pool.map(function, parts)
+
+
+def sum_batches(function: Callable[[slice], tuple[Any, ...]], pixels: Pixels) -> tuple[Any, ...]:
+    """Return the sums over batches of frames of the numbers and arrays that a function returns."""
+    results = _results_of_batches(function, pixels)
+    total = list(next(results))
+    for parts in results:
+        for k, part in enumerate(parts):
+            total[k] += part
+    return tuple(total)
 
 
 def evaluate(model: JointModel, pixels: Pixels, part: slice, with_slopes: bool = True) -> Evaluation:
@@ -121,8 +137,8 @@ def _moments_of(
 ) -> tuple[ReadingDistribution, ReadingMoments]:
     """Return the distribution of readings given their light, and their moments.
 
-    The variance is at least `LEAST_VARIANCE`, where it has no slope. Moments are interpolated between the two values of
-    a rounded parameter next to it, so that −2 ln L has a slope in it.
+    The variance v stays above its floor f as (v⁴ + f⁴)^¼: smoothly, since fits stall at a kink. Moments are interpolated
+    between the two values of a rounded parameter next to it, so that −2 ln L has a slope in it.
     """
     parts = []
     for weight, other in _rounded_neighbours(forward):
@@ -134,11 +150,9 @@ def _moments_of(
         mixed = [low * first + high * second for first, second in zip(below, above, strict=True)]
         mixed[1] = mixed[1] + low * high * (above.mean - below.mean) ** 2
         moments = ReadingMoments(*mixed)
-    least = least_variance(inputs.distribution)
-    is_less = moments.variance < least
-    if np.any(is_less):
-        variance, slope = np.where(is_less, least, moments.variance), np.where(is_less, 0.0, moments.variance_slope)
-        moments = moments._replace(variance=variance, variance_slope=slope)
+    variance = (moments.variance**4 + least_variance(inputs.distribution) ** 4) ** 0.25
+    slope = moments.variance_slope * (moments.variance / variance) ** 3
+    moments = moments._replace(variance=variance, variance_slope=slope)
     return inputs.distribution, moments
 
 

@@ -111,8 +111,9 @@ def assess_effect(
     pooled = score[used].sum() ** 2 / max(information[used].sum(), 1e-300)
     heterogeneity = float(np.sum(score[used] ** 2 / information[used]) - pooled) / fit.pixels.dispersion
     gain = measure_gain(fit, name, wald) if known_gain is None else known_gain
-    cells, evidence = int(used.sum()), min(gain, wald)
-    limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * max(cells - 1, 0)), CELL_MISFIT * evidence)
+    cells = int(used.sum())
+    # Both by the model-based information, so that misfit common to all cells is no reason against an effect.
+    limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * max(cells - 1, 0)), CELL_MISFIT * gain)
     is_nothing = is_negligible(applied, scales)
     return EffectTest(gain, wald, heterogeneity, cells, float(limit), is_nothing, least_gain(fit.model))
 

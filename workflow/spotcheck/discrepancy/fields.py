@@ -72,7 +72,8 @@ class FieldEstimate:
 def measure_fields(images: ResidualImages) -> FieldCovariances:
     """Return the covariances of the residuals of a fit."""
     is_lit = images.spot > LIT_SHARE * images.spot.max(axis=(1, 2), keepdims=True)
-    factors = [images.residual * images.spot * images.weight * is_lit, images.spot**2 * images.weight * is_lit]
+    weighted = images.spot * images.weight * is_lit
+    factors = [images.residual * weighted, images.spot * weighted]
     site, shape = images.design.site, images.residual.shape[1:]
     extent = [int(np.ptp(corner)) + length for corner, length in zip((images.top, images.left), shape, strict=True)]
     # Sites whose spots lie far apart share no pixels.
@@ -155,7 +156,7 @@ def estimate_white_field(images: ResidualImages) -> FieldEstimate:
         return tall[:, :, 0:columns:2] + signs[1] * tall[:, :, 1:columns:2]
 
     is_lit = (images.spot > LIT_SHARE * images.spot.max(axis=(1, 2), keepdims=True)) & (images.weight > 0)
-    whole = of_blocks(is_lit.astype(int), (1, 1)) == 4
+    whole = of_blocks(is_lit.astype(np.int8), (1, 1)) == 4
     noise = of_blocks(1 / np.where(is_lit, images.weight, 1.0), (1, 1))[whole]
     squares = of_blocks(images.residual.astype(float), (-1, -1))[whole] ** 2 - noise
     light = of_blocks(images.spot.astype(float) ** 2, (1, 1))[whole]

@@ -27,6 +27,8 @@ SHAPE_TOLERANCE = 1.5
 FACTOR_STEPS, FACTOR_GAIN, FACTOR_DECREMENT = 4, 0.8, 1e3
 # Most iterations of a fit.
 ITERATIONS = 40
+# Multiple of a promised drop of −2 ln L that a fit may still gain.
+HOPE = 2.0
 # Part of the promised drop of −2 ln L that a step must keep.
 LEAST_GAIN = 0.05
 # Decrement below which a step may raise −2 ln L by rounding, and by how much.
@@ -40,7 +42,7 @@ LARGEST_STEPS = (0.7, 0.4, 1.0)
 LARGEST_PEAK = 100.0
 # Least light of a free shape [peak]: splines ring by 0.0015 about a kink. No light is below 0, and a shape that may go
 # there makes room for false clips.
-LEAST_LIGHT = -0.002
+LEAST_LIGHT = -0.0005
 # Part of the stated read noise that the fitted one is at least and at most.
 READ_NOISE_RANGE = (0.5, 3.0)
 
@@ -174,6 +176,7 @@ def fit_jointly(
     tolerance: float = EFFECT_TOLERANCE,
     iterations: int = ITERATIONS,
     rival: float | None = None,
+    target: float | None = None,
 ) -> JointFit:
     """Fit spots, sensor and effects to the pixels.
 
@@ -192,6 +195,9 @@ def fit_jointly(
     rival : float, optional
         −2 ln L of a model to compare with: the fit also ends, not converged, when a step promises less than 1 % of the
         drop below it.
+    target : float, optional
+        −2 ln L that the fit must reach: it also ends, not converged, when `HOPE` times the drop that a step promises
+        does not lead there.
     """
     equations = assemble(model, pixels)
     damping, part, count, age = 0.0, 1.0, 0, 0
@@ -202,13 +208,12 @@ def fit_jointly(
         decrement, of_effects = equations.decrements(step, fixed)
         dispersion = max(equations.dispersion, pixels.dispersion, 1.0)
         has_converged = decrement < total_tolerance * dispersion and of_effects < tolerance * dispersion
-        is_decided = rival is not None and decrement < 0.01 * (rival - equations.deviance)
         if (has_converged or count == iterations) and age > 0:
             # The information of an effect beside the shape may be a small difference, which a factor that was taken
             # over gets wrong.
             equations, age = assemble(model, pixels), 0
             continue
-        if has_converged or is_decided or count == iterations:
+        if has_converged or _is_decided(equations.deviance, decrement, rival, target) or count == iterations:
             break
         is_old = model.grid is not None and (age + 1 >= FACTOR_STEPS or decrement > FACTOR_DECREMENT)
         moved, damping, part = _try_steps(model, pixels, equations, damping, part, fixed, is_old)
@@ -224,6 +229,12 @@ def fit_jointly(
             new, is_new = assemble(model, pixels), True
         equations, count, age = new, count + 1, 0 if is_new else age + 1
     return JointFit(model, pixels, equations, bool(has_converged), count)
+
+
+def _is_decided(deviance: float, decrement: float, rival: float | None, target: float | None) -> bool:
+    """Return whether a fit ends by what it compares with; see `fit_jointly`."""
+    is_ahead = rival is not None and decrement < 0.01 * (rival - deviance)
+    return is_ahead or (target is not None and deviance - HOPE * decrement > target)
 
 
 def _try_steps(

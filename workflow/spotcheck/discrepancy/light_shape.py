@@ -167,7 +167,8 @@ def explain_shape(
     if not evidence.drop > 0:
         return none
     drops: list[float] = []
-    fit, static = declared, [effect for effect in effects if effect.is_static_shape]
+    present = final.model.effect_names
+    fit, static = declared, [effect for effect in effects if effect.is_static_shape and effect.name not in present]
     for least_share in EXPLAINED_STEPS:
         absent = [effect for effect in static if effect.name not in fit.model.effect_names]
         best = add_static_effect(fit, absent, scales)

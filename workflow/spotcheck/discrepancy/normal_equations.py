@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import linalg
 
-from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches
+from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, sum_batches
 from spotcheck.discrepancy.frames import Pixels
 from spotcheck.discrepancy.shape_grid import BlockFactor
 from spotcheck.discrepancy.shape_sums import ShapeSums
@@ -133,6 +133,8 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     frames, free = len(model.spots.x), len(model.free)
     size = 4 * frames + free
     has_new_factor = model.grid is not None and reuse is None
+    coefficients = np.zeros(0) if model.grid is None else model.coefficients
+    of_spots = np.zeros((coefficients.size, 4 * frames) if has_new_factor else (0, 0))
 
     def of_batch(part: slice) -> tuple[Any, ...]:
         at = evaluate(model, pixels, part)
@@ -147,26 +149,24 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
         sums = ShapeSums(model, at)
         equivalents = np.array([at.light_equivalent(column) for column in columns]).reshape(-1, *used.shape)
         products = np.column_stack([sums.score(), sums.products(equivalents)])
-        band = sums.band() if has_new_factor else None
-        of_spots = sums.products_of_spots() if has_new_factor else None
-        return information, gradient, deviance, squares, products, band, of_spots
+        if not has_new_factor:
+            return information, gradient, deviance, squares, products
+        of_spots[:, 4 * part.start : 4 * part.stop] = sums.products_of_spots()
+        return information, gradient, deviance, squares, products, sums.band()
 
-    parts = map_batches(of_batch, pixels)
-    information, gradient = (sum(part[k] for part in parts) for k in (0, 1))
-    deviance, squares = (sum(part[k] for part in parts) for k in (2, 3))
+    information, gradient, deviance, squares, *of_shape = sum_batches(of_batch, pixels)
     dispersion = squares / max(pixels.count, 1)
     deviance += _add_priors(model, information, gradient, pixels.share)
     if model.grid is None:
         return NormalEquations(information, gradient, np.diag(information), deviance, dispersion, frames)
-    coefficients = model.coefficients
     penalty = pixels.share * model.grid.penalize(coefficients)
-    products = sum(part[4] for part in parts)
+    products = of_shape[0]
     if reuse is None:
-        band = sum(part[5] for part in parts)
+        band = of_shape[1]
         is_held = (coefficients <= model.least_coefficients) & (products[:, 0] - penalty < 0)
         band[NEIGHBOURS] += HELD * band[NEIGHBOURS].max() * is_held
         factor = BlockFactor(model.grid, band, pixels.share)
-        of_spots = factor.half_solve(np.hstack([part[6] for part in parts]))
+        of_spots = factor.half_solve(of_spots)
         reuse = ShapePart(factor, of_spots, of_spots.T @ of_spots, np.zeros((0, 0)), np.zeros(0))
     products[:, 0] -= penalty
     solved = reuse.factor.half_solve(products)

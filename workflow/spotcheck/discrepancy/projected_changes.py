@@ -6,7 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spotcheck.discrepancy.candidates import SEPARABLE_SHARE, change_by
-from spotcheck.discrepancy.evaluation import SENSOR, Column, Evaluation, columns_of, evaluate, map_batches, stages_of
+from spotcheck.discrepancy.evaluation import (
+    SENSOR,
+    Column,
+    Evaluation,
+    columns_of,
+    evaluate,
+    map_batches,
+    stages_of,
+    sum_batches,
+)
 from spotcheck.discrepancy.evidence import SECTORS, divide_spot
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel
 from spotcheck.discrepancy.normal_equations import solve_positive
@@ -55,20 +64,29 @@ def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection
     def of_batch(part: slice) -> tuple[np.ndarray, ...]:
         at = evaluate(model, fit.pixels, part)
         fitted = columns_of(model, at)
-        pairs = [change_by_strength(model, applied, at) for applied in trials]
-        columns = [change for change, _ in pairs] + [rest for _, rest in pairs if rest is not None]
-        between = np.array([at.information_of(pairs[k][0], columns[count + j]) for j, k in enumerate(with_rest)])
-        alone = np.array([at.information_of(column, column) for column in columns])
-        equivalents = np.stack([at.light_equivalent(column) for column in columns])
-        cross = np.zeros((equations.size, len(columns)))
-        of_spots = np.einsum("afhw,kfhw->fak", at.slopes, equivalents, optimize=True)
-        cross[4 * part.start : 4 * part.stop] = of_spots.reshape(-1, len(columns))
-        cross[4 * frames :] = [[at.information_of(other, column) for column in columns] for other in fitted]
-        of_shape = np.zeros((0, 0)) if model.grid is None else ShapeSums(model, at).products(equivalents)
+        sums = None if model.grid is None else ShapeSums(model, at)
+        size = count + len(with_rest)
+        cross, alone, between = np.zeros((equations.size, size)), np.zeros(size), np.zeros(len(with_rest))
+        of_shape = np.zeros((0 if sums is None else sums.nodes**2, size))
+
+        def add_column(k: int, column: Column) -> None:
+            alone[k] = at.information_of(column, column)
+            equivalent = at.light_equivalent(column)
+            cross[4 * part.start : 4 * part.stop, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalent).ravel()
+            cross[4 * frames :, k] = [at.information_of(column, other) for other in fitted]
+            if sums is not None:
+                of_shape[:, k] = sums.products(equivalent[None])[:, 0]
+
+        for k, applied in enumerate(trials):
+            change, rest = change_by_strength(model, applied, at)
+            add_column(k, change)
+            if rest is not None:
+                j = with_rest.index(k)
+                between[j] = at.information_of(change, rest)
+                add_column(count + j, rest)
         return cross, alone, between, of_shape
 
-    parts = map_batches(of_batch, fit.pixels)
-    cross, alone, between, shape_products = (sum(part[k] for part in parts) for k in range(4))
+    cross, alone, between, shape_products = sum_batches(of_batch, fit.pixels)
     half = np.zeros((0, len(alone)))
     if equations.shape is not None:
         half = equations.shape.factor.half_solve(shape_products)

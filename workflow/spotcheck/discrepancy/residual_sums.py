@@ -123,10 +123,12 @@ def sum_residuals(images: ResidualImages) -> ResidualSums:
     across = np.zeros((2, 5, *extent))
     sites = np.unique(images.design.site)
     with ThreadPoolExecutor(THREADS) as pool:
-        for of_pairs, site_sums, (y, x) in pool.map(of_site, sites):
-            pattern[0] += of_pairs
-            if is_together and site_sums.size:
-                across[:, :, y : y + site_sums.shape[2], x : x + site_sums.shape[3]] += site_sums
+        # Sums of a site are as large as an image: few are kept at a time.
+        for some in np.array_split(sites, -(-len(sites) // (2 * THREADS))):
+            for of_pairs, site_sums, (y, x) in pool.map(of_site, some):
+                pattern[0] += of_pairs
+                if is_together and site_sums.size:
+                    across[:, :, y : y + site_sums.shape[2], x : x + site_sums.shape[3]] += site_sums
     pattern[1] = [_pair_moments(*sums) for sums in across]
     parts = np.split(cells, np.cumsum([kind.count for kind in kinds])[:-1], axis=1)
     means = [_cells_of_means(kind, sums, of_fit) for kind, sums in zip(kinds, parts, strict=True)]

@@ -64,38 +64,49 @@ def measure_dark_noise(images: ResidualImages, slopes: DarkSlopes) -> DarkNoise 
     if dark.sum() < FEWEST_DARK or slopes.variance_by_noise == 0:
         return None
     # Signals that a reading shows, and how much of one it shows.
-    residual, slope = images.residual * dark, images.slope * dark
-    rows, rows_shown = _block_sums(residual, 2), _block_sums(slope, 2)
-    columns, columns_shown = _block_sums(residual, 1), _block_sums(slope, 1)
-    row_sum, row_shown = rows.sum(axis=2), rows_shown.sum(axis=2)
-    same, same_shown = (float((rows.sum(axis=0) ** 2 - (rows**2).sum(axis=0)).sum()) for rows in (row_sum, row_shown))
+    shown = [_products_of_lines(slope, is_dark) for slope, is_dark in zip(images.slope, dark, strict=True)]
+    found = [_products_of_lines(residual, is_dark) for residual, is_dark in zip(images.residual, dark, strict=True)]
+    row, column, next_row, neighbour = (
+        ratio_moment(np.array([lines[k] for lines in found]), np.array([lines[k] for lines in shown])) for k in range(4)
+    )
+    row_sums, rows_shown = (np.array([lines[4] for lines in all_lines]) for all_lines in (found, shown))
+    same, same_shown = (float((rows.sum(axis=0) ** 2 - (rows**2).sum(axis=0)).sum()) for rows in (row_sums, rows_shown))
     return DarkNoise(
         white=_white_moment(images, slopes),
-        row=ratio_moment(_far_products(rows), _far_products(rows_shown)),
-        column=ratio_moment(_far_products(columns), _far_products(columns_shown)),
-        next_row=ratio_moment(row_sum[:, 1:] * row_sum[:, :-1], row_shown[:, 1:] * row_shown[:, :-1]),
+        row=row,
+        column=column,
+        next_row=next_row,
         same_row=Moment(same / max(same_shown, 1e-300), np.nan),
-        neighbour=ratio_moment(
-            (residual[:, :, 1:].astype(float) * residual[:, :, :-1]).sum(axis=2),
-            (slope[:, :, 1:].astype(float) * slope[:, :, :-1]).sum(axis=2),
-        ),
+        neighbour=neighbour,
     )
+
+
+def _products_of_lines(values: np.ndarray, is_dark: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return sums of products of the dark pixels of a frame [row, column]: of the blocks of each row and of each
+    column, of rows that are neighbours, of neighbours in a row; and the sums of rows."""
+    values = values * is_dark
+    rows = _block_sums(values)
+    sums = rows.sum(axis=1)
+    neighbours = (values[:, 1:].astype(float) * values[:, :-1]).sum(axis=1)
+    return _far_products(rows), _far_products(_block_sums(values.T)), sums[1:] * sums[:-1], neighbours, sums
 
 
 def _white_moment(images: ResidualImages, slopes: DarkSlopes) -> Moment:
     """Return the variance beyond that of the model from differences of differences of four neighbours: these share no
     rows, no columns and no slope of the mean image. What light that the model lacks adds to the variance is taken off;
     it shows in the mean, to which noise adds as well."""
-    rows = images.residual.shape[1] // 2 * 2
-    dark, residual = images.is_dark[:, :rows], images.residual[:, :rows].astype(float)
     by_mean = slopes.variance_by_light / slopes.mean_by_light
-    expected = 1 / np.where(dark, images.weight[:, :rows], 1.0) + by_mean * residual
-    tall, sums = residual[:, ::2] - residual[:, 1::2], expected[:, ::2] + expected[:, 1::2]
-    both = dark[:, ::2] & dark[:, 1::2]
-    used = both[:, :, 1:] & both[:, :, :-1]
-    squares = np.where(used, (tall[:, :, 1:] - tall[:, :, :-1]) ** 2 - sums[:, :, 1:] - sums[:, :, :-1], 0.0)
-    shown = 4 * (slopes.variance_by_noise - by_mean * slopes.mean_by_noise)
-    return ratio_moment(squares.sum(axis=2), shown * used.sum(axis=2))
+    lines = []
+    for residual, weight, dark in zip(images.residual, images.weight, images.is_dark, strict=True):
+        top, bottom = np.s_[: len(dark) // 2 * 2 : 2], np.s_[1::2]
+        expected = 1 / np.where(dark, weight, 1.0).astype(float) + by_mean * residual
+        tall, sums = residual[top].astype(float) - residual[bottom], expected[top] + expected[bottom]
+        both = dark[top] & dark[bottom]
+        used = both[:, 1:] & both[:, :-1]
+        squares = np.where(used, (tall[:, 1:] - tall[:, :-1]) ** 2 - sums[:, 1:] - sums[:, :-1], 0.0)
+        lines.append((squares.sum(axis=1), used.sum(axis=1)))
+    squares, used = (np.array(part) for part in zip(*lines, strict=True))
+    return ratio_moment(squares, 4 * (slopes.variance_by_noise - by_mean * slopes.mean_by_noise) * used)
 
 
 def ratio_moment(products: np.ndarray, shown: np.ndarray) -> Moment:
@@ -110,15 +121,13 @@ def ratio_moment(products: np.ndarray, shown: np.ndarray) -> Moment:
     return Moment(value, float(max(over_frames, over_lines)))
 
 
-def _block_sums(values: np.ndarray, axis: int) -> np.ndarray:
-    """Return sums over blocks of each line [frame, line, block] along rows (axis 2) or columns (axis 1)."""
-    lines = values if axis == 2 else values.transpose(0, 2, 1)
-    blocks = lines.shape[2] // BLOCK_PX
-    shape = (*lines.shape[:2], blocks, BLOCK_PX)
-    return lines[:, :, : blocks * BLOCK_PX].reshape(shape).sum(axis=3, dtype=float)
+def _block_sums(lines: np.ndarray) -> np.ndarray:
+    """Return sums over blocks of lines [line, block]."""
+    blocks = lines.shape[1] // BLOCK_PX
+    return lines[:, : blocks * BLOCK_PX].reshape(len(lines), blocks, BLOCK_PX).sum(axis=2, dtype=float)
 
 
 def _far_products(sums: np.ndarray) -> np.ndarray:
-    """Return twice the sum of products of the blocks of a line that do not touch [frame, line]."""
-    touching = (sums[:, :, 1:] * sums[:, :, :-1]).sum(axis=2)
-    return sums.sum(axis=2) ** 2 - (sums**2).sum(axis=2) - 2 * touching
+    """Return twice the sum of products of the blocks of a line that do not touch [line]."""
+    touching = (sums[:, 1:] * sums[:, :-1]).sum(axis=1)
+    return sums.sum(axis=1) ** 2 - (sums**2).sum(axis=1) - 2 * touching

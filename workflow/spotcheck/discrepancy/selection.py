@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from spotcheck.discrepancy.candidates import Candidate, list_starts, screen_candidates
+from spotcheck.discrepancy.candidates import Candidate, is_unresolved_shape, list_starts, screen_candidates
 from spotcheck.discrepancy.criteria import (
     EXPLAINED_SHARE,
     MIN_GAIN,
@@ -22,7 +22,7 @@ from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, mea
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 
 # Effort of fits that only rank candidates: decrement of the effects and most iterations.
-SCREEN_TOLERANCE, SCREEN_ITERATIONS = 0.1, 8
+SCREEN_TOLERANCE, SCREEN_ITERATIONS = 0.1, 25
 REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 9
 # Candidates below this part of the best score are not refitted.
 SCORE_SHARE = 0.05
@@ -48,6 +48,14 @@ class Refit:
     candidate: Candidate  # its start
     model: JointModel  # the fitted model
     value: float  # drop of −2 ln L scaled to all pixels, less the price of its parameters
+
+    @property
+    def is_at_bound(self) -> bool:
+        """Whether a parameter is at its bound, where the variant is much the same as another one."""
+        name = self.candidate.start.effect.name
+        of_effect = [parameter for parameter in self.model.free if parameter.effect == name]
+        values = [(self.model.value_of(parameter), parameter) for parameter in of_effect]
+        return any(value <= parameter.low or value >= parameter.high for value, parameter in values)
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,8 @@ def select_effects(
     """Select the effects of the mean image.
 
     Beside the declared shape each effect must take its share of what a free shape would take, and what is left must be
-    no shape. Else the light is not the declared one, and the effects are sought beside a free shape.
+    no shape. Else the light is not the declared one, and the effects are sought beside a free shape. Static shapes are
+    among them: one whose size on the sensor does not follow the width of the spot is not the same in every frame.
 
     Parameters
     ----------
@@ -112,11 +121,9 @@ def select_effects(
             log(f"a free shape takes {evidence.drop:.0f} beside them, {100 * evidence.rms:.2f} % of the peak")
         if evidence.drop == 0:
             return selected
-    # A static shape beside a free one is the same light.
-    beside_shape = [effect for effect in effects if not effect.is_static_shape]
     free = fit_free_shape(declared)
     free = free if free.has_converged else fit_jointly(free.model, free.pixels)
-    path = select_forward(free, beside_shape, scales, log, update)
+    path = select_forward(free, effects, scales, log, update)
     assert path is not None
     return replace(eliminate_backward(path, scales, log), with_shape=free)
 
@@ -177,8 +184,11 @@ class ShapeDemand:
         """Return the drop of −2 ln L that an effect must take.
 
         A static shape that leaves much of what a free shape takes is no reason to stay with the declared light: it
-        would be named by the explanation of the free shape as well.
+        would be named by the explanation of the free shape as well. Noise takes nothing of a shape: it only makes
+        misfit count less.
         """
+        if effect.acts_on_noise:
+            return np.inf if self.drop > 0 else 0.0
         share = SHAPE_SHARES[min(self._number, len(SHAPE_SHARES) - 1)]
         return (max(share, EXPLAINED_SHARE) if effect.is_static_shape else share) * self.drop
 
@@ -197,6 +207,8 @@ def add_best_effect(
     dispersion = present.pixels.dispersion
     ratio = present.pixels.count / thin.count / dispersion
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
+    if demand.is_unmet():
+        effects = [effect for effect in effects if not effect.acts_on_noise]
     candidates = screen_candidates(thinned, list_starts(effects, scales))
     log("screen " + ", ".join(f"{_text(c.start)} {c.score * ratio:.0f}" for c in candidates[:5]))
     if not candidates or candidates[0].score * ratio < least_gain(present.model) / 2:
@@ -211,13 +223,17 @@ def add_best_effect(
             continue
         if best is not None:
             is_variant = name == best.model.effect_names[-1]
+            if is_variant and refit.is_at_bound:
+                continue
             margin = max(VARIANT_MARGIN, 0.01 * refits[0].value)
             if refit.value < (refits[0].value - margin if is_variant else RIVAL_SHARE * refits[0].value):
                 continue
         if refit.value < REFIT_SHARE * demand.least_drop(refit.candidate.start.effect):
             continue
         start = transfer_refit(refit.model, thinned.model, present.model)
-        full = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS)
+        least = least_gain(present.model) - PARAMETER_PRICE + price_of(refit.candidate)
+        target = present.deviance - least * dispersion
+        full = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
         value = (present.deviance - full.deviance) / dispersion - price_of(refit.candidate)
         log(f"  {_text(refit.candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
         if not full.has_converged or value < least_gain(present.model) - PARAMETER_PRICE:
@@ -274,6 +290,7 @@ def refit_candidates(
             candidate.score * ratio < least_gain(thinned.model)
             or tried.get(variant, 0) >= MOST_STARTS
             or variants >= MOST_VARIANTS
+            or is_unresolved_shape(thinned, candidate)
         ):
             continue
         refits.append(refit_candidate(thinned, candidate, ratio, scales, log))
@@ -291,9 +308,10 @@ def refit_candidates(
 
 def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scales: EffectScales, log: Log) -> Refit:
     """Fit the present model with a candidate to the thinned pixels."""
+    least = least_gain(thinned.model) / 2 + price_of(candidate)
     fit = fit_jointly(
         thinned.model.with_effect(candidate.start, scales), thinned.pixels, tolerance=REFIT_TOLERANCE,
-        iterations=REFIT_ITERATIONS, rival=thinned.deviance,
+        iterations=REFIT_ITERATIONS, rival=thinned.deviance, target=thinned.deviance - least / ratio,
     )  # fmt: skip
     drop = (thinned.deviance - fit.deviance) * ratio
     log(f"    {_text(candidate.start)}: promised {candidate.score * ratio:.0f}, got {drop:.0f}, {fit.iterations} steps")
