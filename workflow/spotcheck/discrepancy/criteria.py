@@ -8,8 +8,8 @@ MIN_Z = 5.0
 PARAMETER_PRICE = 6.0
 # Variants of one effect within this drop are tied, and the first in the effect's list is named.
 VARIANT_TIE = 10.0
-# Consistency: Cochran's Q may exceed its degrees of freedom by so many standard deviations, or by this part of the drop.
-# True effects stay below 0.017 of it, false ones lie above 0.07.
+# Consistency: Cochran's Q may exceed its degrees of freedom by so many standard deviations, or by this part of the
+# drop. True effects stay below 0.017 of it, false ones lie above 0.07.
 CELL_SLACK, CELL_MISFIT = 8.0, 0.02
 # Most effects of the mean image in one search.
 MOST_EFFECTS = 5

@@ -137,8 +137,8 @@ def _moments_of(
 ) -> tuple[ReadingDistribution, ReadingMoments]:
     """Return the distribution of readings given their light, and their moments.
 
-    The variance v stays above its floor f as (v⁴ + f⁴)^¼: smoothly, since fits stall at a kink. Moments are interpolated
-    between the two values of a rounded parameter next to it, so that −2 ln L has a slope in it.
+    The variance v stays above its floor f as (v⁴ + f⁴)^¼: smoothly, since fits stall at a kink. Moments are
+    interpolated between the two values of a rounded parameter next to it, so that −2 ln L has a slope in it.
     """
     parts = []
     for weight, other in _rounded_neighbours(forward):
