@@ -13,7 +13,7 @@ import numpy as np
 from spotcheck import progress
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z, PARAMETER_PRICE
-from spotcheck.discrepancy.evaluation import least_variance
+from spotcheck.discrepancy.evaluation import LEAST_VARIANCE
 from spotcheck.discrepancy.field_noise import covariance_by_field
 from spotcheck.discrepancy.fields import (
     FieldEstimate,
@@ -337,7 +337,7 @@ def measure_scatter(images: ResidualImages, fit: JointFit, hot_pixels: int) -> S
 def measure_dark_slopes(forward: ForwardModel) -> DarkSlopes:
     """Return the slopes of dark readings; all are 0 where the variance is at the floor of the fit."""
     sensor, distribution = forward.sensor, forward.distribution()
-    if distribution.variance(0.0) < least_variance(distribution):
+    if distribution.variance(0.0) < LEAST_VARIANCE:
         return DarkSlopes(0.0, 0.0, 0.0, 0.0)
     noises = [sensor.read_noise_e * (1 + shift) for shift in (-NOISE_STEP, NOISE_STEP)]
     low, high = (replace(forward, sensor=replace(sensor, read_noise_e=noise)).distribution() for noise in noises)

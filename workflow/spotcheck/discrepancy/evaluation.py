@@ -33,8 +33,9 @@ BATCH_PIXELS = 100_000
 SPOT_STEP, PARAMETER_STEP = 1e-6, 1e-5
 # Scale of a parameter near 0 in terms of its range.
 LEAST_SCALE = 1e-3
-# Smallest variance [DN²] of a reading in the likelihood, in terms of that of rounding and read noise.
-LEAST_VARIANCE = 0.25
+# Smallest variance [DN²] of a reading in the likelihood: one reading in 60 is off by 1. It does not depend on the read
+# noise, which would be fitted to it. Exponent with which the floor fades.
+LEAST_VARIANCE, FLOOR_EXPONENT = 0.2 * ROUNDING_VARIANCE, 12
 # Cores that evaluate batches.
 THREADS = min(os.cpu_count() or 1, 2)
 # Stages whose effects change readings other than through the light.
@@ -137,7 +138,7 @@ def _moments_of(
 ) -> tuple[ReadingDistribution, ReadingMoments]:
     """Return the distribution of readings given their light, and their moments.
 
-    The variance v stays above its floor f as (v⁴ + f⁴)^¼: smoothly, since fits stall at a kink. Moments are
+    The variance v stays above its floor f as (vⁿ + fⁿ)^(1/n): smoothly, since fits stall at a kink. Moments are
     interpolated between the two values of a rounded parameter next to it, so that −2 ln L has a slope in it.
     """
     parts = []
@@ -150,15 +151,11 @@ def _moments_of(
         mixed = [low * first + high * second for first, second in zip(below, above, strict=True)]
         mixed[1] = mixed[1] + low * high * (above.mean - below.mean) ** 2
         moments = ReadingMoments(*mixed)
-    variance = (moments.variance**4 + least_variance(inputs.distribution) ** 4) ** 0.25
-    slope = moments.variance_slope * (moments.variance / variance) ** 3
+    n = FLOOR_EXPONENT
+    variance = LEAST_VARIANCE * ((moments.variance / LEAST_VARIANCE) ** n + 1) ** (1 / n)
+    slope = moments.variance_slope * (moments.variance / variance) ** (n - 1)
     moments = moments._replace(variance=variance, variance_slope=slope)
     return inputs.distribution, moments
-
-
-def least_variance(distribution: ReadingDistribution) -> float:
-    """Return the floor of the variance of readings [DN²]."""
-    return LEAST_VARIANCE * (distribution.noise_dn**2 + ROUNDING_VARIANCE)
 
 
 def _rounded_neighbours(forward: ForwardModel) -> list[tuple[float, ForwardModel]]:
