@@ -16,8 +16,9 @@ from tests.validation.generators.second.case import LASER_WIDTH, Case
 from tests.validation.generators.second.optics import budget, coordinates, light, spread
 
 # Distance of the free shape's nodes and how far they go [σ]. Stripes stand out of the spectrum of any light, so a net
-# fine enough to draw them is no rival: beside them, that of which the light itself needs no finer.
-NODES, BESIDE_STRIPES, REACH = 0.15, 0.3, 4.8
+# fine enough to draw them is no rival: beside them, that of which the light itself needs no finer. Beside a shape of the
+# light, such as a halo, the light may reach as far as the frame does.
+NODES, BESIDE_STRIPES, REACH, FAR_REACH = 0.15, 0.3, 4.8, 8.0
 # What is thought of a coefficient of the shape before there are data: 0 ± this, in peaks. Wide; it only keeps parts of
 # the shape that no pixel sees from being singular.
 PRIOR = 0.3
@@ -53,10 +54,12 @@ class Snr(NamedTuple):
 class Reference:
     """The readings of a case without effects, and what is not known of them."""
 
-    def __init__(self, case: Case, also: Sequence[int] = (), nodes: float | None = None) -> None:
+    def __init__(
+        self, case: Case, also: Sequence[int] = (), nodes: float | None = None, reach: float | None = None
+    ) -> None:
         """`also` are frames of sites that have to be among those that stand for all; `nodes` the distance of the free
-        shape's [σ]."""
-        self.case, self.nodes = case.only(), nodes or NODES
+        shape's, and `reach` how far they go [σ]."""
+        self.case, self.nodes, self.reach = case.only(), nodes or NODES, reach or REACH
         sites = SITES[case.design]
         every = sorted({frame.site for frame in case.frames})
         chosen = [own[(3 * k + 1) % len(own)] for k, own in enumerate(_groups(case, every, sites))]
@@ -115,7 +118,9 @@ class Reference:
             by_y, by_x = np.gradient(image)
             own = (image, -(dx * by_x + dy * by_y), -self.sigma[k] * by_x, -self.sigma[k] * by_y)
             slopes.append([self.thin(part) for part in own])
-            self.axes.append([_basis(d.ravel()[:: self.stride] / self.sigma[k], self.nodes) for d in (dx, dy)])
+            self.axes.append(
+                [_basis(d.ravel()[:: self.stride] / self.sigma[k], self.nodes, self.reach) for d in (dx, dy)]
+            )
         self.slopes = np.array(slopes)  # [frame, number, y, x], light by number [DN]
         self.sure = self.by_light.mean**2 + self.by_light.variance**2
         side = self.axes[0][0].shape[1]
@@ -208,9 +213,9 @@ def _groups(case: Case, sites: list[int], count: int) -> list[list[int]]:
     return [list(part) for a in angles for part in np.array_split(own[a], each) if len(part)]
 
 
-def _basis(u: np.ndarray, step: float) -> np.ndarray:
-    """Cubic B-splines [point, node] at u, with nodes so far from each other [σ]."""
-    count = int(np.ceil(REACH / step))
+def _basis(u: np.ndarray, step: float, reach: float) -> np.ndarray:
+    """Cubic B-splines [point, node] at u, with nodes so far from each other, as far as `reach` [σ]."""
+    count = int(np.ceil(reach / step))
     t = np.abs(u[:, None] / step - np.arange(-count, count + 1))
     return np.where(t < 1, 2 / 3 - t * t * (1 - t / 2), np.maximum(2 - t, 0.0) ** 3 / 6)
 

@@ -11,9 +11,10 @@ import tifffile
 import yaml
 
 from tests.validation.generators.light import hene
-from tests.validation.generators.light.bound import BESIDE_STRIPES, Reference, behind_grain
+from tests.validation.generators.light.bound import BESIDE_STRIPES, FAR_REACH, Reference, behind_grain
 from tests.validation.generators.light.case import draw_case
 from tests.validation.generators.light.outside import MECHANISMS, RARE
+from tests.validation.generators.light.plan import SHAPES
 from tests.validation.generators.light.strength import SCATTERS, tune, unknown_of
 from tests.validation.generators.second.case import Case, Effect
 from tests.validation.generators.second.effects import VOCABULARY
@@ -67,7 +68,8 @@ def hide(case: Case, names: Sequence[str], level: float, top: Effect | None = No
             reference = Reference(case, also=effect.state["frames"].tolist())
             effect.cap = effect.floor
         else:
-            reference = Reference(case, nodes=BESIDE_STRIPES if name == "interference_fringes" else None)
+            nodes = BESIDE_STRIPES if name == "interference_fringes" else None
+            reference = Reference(case, nodes=nodes, reach=FAR_REACH if name in SHAPES else None)
         behind = partial(_behind, reference, case, effect, top) if top else None
         tuned = tune(reference, case, effect, level, behind)
         truth: dict[str, Any] = {"name": name, "form": effect.form, "parameters": effect.at(effect.s)}
