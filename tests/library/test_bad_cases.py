@@ -266,7 +266,6 @@ CASES: dict[str, Callable[[], Case]] = {
 
 # What the verdict gets wrong today, and why.
 WRONG = {
-    "saturated spots": "p-values beside saturated light are too small: below 0.01 in 7 of 12 draws without any effect",
     "two spots": "the second spot, whose light does not follow the exposure, passes for a law of the brightness",
 }
 

@@ -196,8 +196,8 @@ def fit_jointly(
         −2 ln L of a model to compare with: the fit also ends, not converged, when a step promises less than 1 % of the
         drop below it.
     target : float, optional
-        −2 ln L that the fit must reach: it also ends, not converged, when `HOPE` times the drop that a step promises
-        does not lead there.
+        −2 ln L that a fit from a near start must reach: it also ends, not converged, when `HOPE` times the drop that a
+        step promises does not lead there.
     """
     equations = assemble(model, pixels)
     damping, part, count, age = 0.0, 1.0, 0, 0

@@ -308,10 +308,9 @@ def refit_candidates(
 
 def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scales: EffectScales, log: Log) -> Refit:
     """Fit the present model with a candidate to the thinned pixels."""
-    least = least_gain(thinned.model) / 2 + price_of(candidate)
     fit = fit_jointly(
         thinned.model.with_effect(candidate.start, scales), thinned.pixels, tolerance=REFIT_TOLERANCE,
-        iterations=REFIT_ITERATIONS, rival=thinned.deviance, target=thinned.deviance - least / ratio,
+        iterations=REFIT_ITERATIONS, rival=thinned.deviance,
     )  # fmt: skip
     drop = (thinned.deviance - fit.deviance) * ratio
     log(f"    {_text(candidate.start)}: promised {candidate.score * ratio:.0f}, got {drop:.0f}, {fit.iterations} steps")

@@ -16,8 +16,8 @@ from tests.validation.generators.second.case import LASER_WIDTH, Case
 from tests.validation.generators.second.optics import budget, coordinates, light, spread
 
 # Distance of the free shape's nodes and how far they go [σ]. Stripes stand out of the spectrum of any light, so a net
-# fine enough to draw them is no rival: beside them, that of which the light itself needs no finer. Beside a shape of the
-# light, such as a halo, the light may reach as far as the frame does.
+# fine enough to draw them is no rival: beside them, that of which the light itself needs no finer. Beside a shape of
+# the light, such as a halo, the light may reach as far as the frame does.
 NODES, BESIDE_STRIPES, REACH, FAR_REACH = 0.15, 0.3, 4.8, 8.0
 # What is thought of a coefficient of the shape before there are data: 0 ± this, in peaks. Wide; it only keeps parts of
 # the shape that no pixel sees from being singular.
