@@ -189,6 +189,15 @@ def test_a_fit_ends_early_when_it_beats_its_rival():
     assert fit_jointly(start, fit.pixels, rival=fit.deviance - 1e6).has_converged
 
 
+def test_a_fit_ends_early_when_its_target_is_out_of_reach():
+    """With a target below the optimum a fit ends and says so; with one that can be reached it is the same fit."""
+    drawn, fit = plain_fit()
+    start = starting_model(drawn)
+    early = fit_jointly(start, fit.pixels, target=fit.deviance - 1e9)
+    assert not early.has_converged and early.iterations < fit.iterations
+    assert fit_jointly(start, fit.pixels, target=fit.deviance + 1.0).deviance == fit.deviance
+
+
 def test_parameters_stay_within_their_bounds():
     """A pedestal that frames with a lower black level would make negative stays at its bound 0, in a converged fit."""
     drawn = draw_frames(3, lay_out(angles_deg=FEW_ANGLES_DEG), PLAIN_LIGHT, DrawnCamera(black_dn=drawing.BLACK - 0.5))

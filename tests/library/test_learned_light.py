@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import integrate, ndimage, optimize, special
 
+from spotcheck.discrepancy.candidates import Candidate, is_unresolved_shape
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.learned_light import (
@@ -23,7 +24,7 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
 from tests.library import drawn_frames as drawing
 from tests.library.drawn_frames import DrawnCamera, DrawnLight
-from tests.library.models_of_frames import BASELINE, SENSOR, design_of, frame_set, starting_model
+from tests.library.models_of_frames import BASELINE, SENSOR, apply_effect, design_of, frame_set, starting_model
 
 GRID = ShapeGrid()
 NODES = GRID.step * (np.arange(GRID.nodes) - (GRID.nodes - 1) / 2)
@@ -242,6 +243,19 @@ def test_a_shape_is_held_where_it_would_fall_below_zero():
     assert (fit.model.coefficients >= fit.model.least_coefficients).all() and 100 < held.sum() < held.size / 2
     raised = fit.model.with_coefficients(fit.model.coefficients + 1e-4 * held)
     assert assemble(raised, fit.pixels).deviance > fit.deviance
+
+
+@pytest.mark.parametrize(("exposures_s", "is_unresolved"), [((9e-4,), True), (drawing.EXPOSURES_S, False)])
+def test_stripes_of_one_width_are_part_of_the_shape(exposures_s: tuple[float, ...], is_unresolved: bool):
+    """Stripes that move with the spot are the same in all frames of one exposure, in units of the spot; over widths of
+    5.6 to 7.2 px stripes of 3 px are not. The nodes are taken to leave half of their information."""
+    drawn = drawing.draw_frames(7, drawing.lay_out(exposures_s))
+    model = starting_model(drawn).with_free_shape(GRID)
+    fit = replace(fit_of(GAUSSIAN), model=model, pixels=select_pixels(frame_set(drawn), model.spots))
+    stripes = apply_effect("interference_fringes", "spot", d=0.02, period=3.0, direction=20.0, phase=0.0)
+    candidate = Candidate(stripes, score=500.0, place=0, share=0.5)
+    assert is_unresolved_shape(fit, candidate) == is_unresolved
+    assert is_unresolved_shape(fit, replace(candidate, share=1e-6)) is False
 
 
 def test_attributes_of_the_file():

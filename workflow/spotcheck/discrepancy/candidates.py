@@ -91,7 +91,7 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
     With score U and Fisher information I of the change that a start makes, both beside the nuisance parameters, the
     expected drop of −2 ln L is U²/I at U/I times the start's strength.
     """
-    score, information, raw = project_changes(fit.model, fit, starts)
+    score, information, raw = project_changes(fit, starts)
     candidates = []
     for place, (start, u, i, whole) in enumerate(zip(starts, score, information, raw, strict=True)):
         if not (np.isfinite(u) and i > SEPARABLE_SHARE * whole > 0):
@@ -122,29 +122,54 @@ def value_is_one_sided(start: AppliedEffect) -> bool:
     return not callable(low) and low == start.effect.vanishes_at
 
 
-def project_changes(
-    model: JointModel, fit: JointFit, starts: Sequence[AppliedEffect]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+class ChangeSums:
+    """Sums over the pixels of some frames with changes of their readings, as the normal equations of a fit need them.
+
+    Parameters
+    ----------
+    fit : JointFit
+        Fit beside whose unknowns the changes are judged.
+    at : Evaluation
+        Its model at the pixels of the frames.
+    part : slice
+        The frames.
+    count : int
+        Number of changes.
+    """
+
+    def __init__(self, fit: JointFit, at: Evaluation, part: slice, count: int) -> None:
+        self._at, self._part, self._fitted = at, part, columns_of(fit.model, at)
+        self._shape = None if fit.model.grid is None else ShapeSums(fit.model, at)
+        self._first_fitted = 4 * fit.equations.frames
+        # Information of each change [change], with the unknowns beside a free shape [unknown, change], and with the
+        # coefficients of that [coefficient, change].
+        self.alone = np.zeros(count)
+        self.cross = np.zeros((fit.equations.size, count))
+        self.of_shape = np.zeros((0 if self._shape is None else self._shape.nodes**2, count))
+
+    def add(self, k: int, change: Column) -> None:
+        """Add change number k."""
+        at, spots = self._at, slice(4 * self._part.start, 4 * self._part.stop)
+        self.alone[k] = at.information_of(change, change)
+        equivalent = at.light_equivalent(change)
+        self.cross[spots, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalent).ravel()
+        self.cross[self._first_fitted :, k] = [at.information_of(change, column) for column in self._fitted]
+        if self._shape is not None:
+            self.of_shape[:, k] = self._shape.products(equivalent[None])[:, 0]
+
+
+def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return score, Fisher information beside the nuisance parameters, and that alone, of the change by each start."""
-    frames, equations = len(model.spots.x), fit.equations
+    model, equations = fit.model, fit.equations
 
     def of_batch(part: slice) -> tuple[np.ndarray, ...]:
         at = evaluate(model, fit.pixels, part)
-        fitted = columns_of(model, at)
-        cross = np.zeros((equations.size, len(starts)))
-        score, alone = np.zeros(len(starts)), np.zeros(len(starts))
-        sums = None if model.grid is None else ShapeSums(model, at)
-        of_shape = np.zeros((0 if sums is None else sums.nodes**2, len(starts)))
+        sums, score = ChangeSums(fit, at, part, len(starts)), np.zeros(len(starts))
         for k, start in enumerate(starts):
-            column = change_by(model, start, at)
-            score[k] = at.score(column)
-            alone[k] = at.information_of(column, column)
-            equivalent = at.light_equivalent(column)
-            cross[4 * part.start : 4 * part.stop, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalent).ravel()
-            cross[4 * frames :, k] = [at.information_of(column, other) for other in fitted]
-            if sums is not None:
-                of_shape[:, k] = sums.products(equivalent[None])[:, 0]
-        return cross, score, alone, of_shape
+            change = change_by(model, start, at)
+            score[k] = at.score(change)
+            sums.add(k, change)
+        return sums.cross, score, sums.alone, sums.of_shape
 
     cross, score, alone, of_shape = sum_batches(of_batch, fit.pixels)
     beside = alone.copy()
@@ -160,8 +185,8 @@ def project_changes(
 def is_unresolved_shape(fit: JointFit, candidate: Candidate) -> bool:
     """Return whether a candidate is a shape of the light that is finer than the nodes of the free shape beside it.
 
-    Of a change that is the same in every frame, in units of the spot, a free shape with nodes close enough would leave
-    nothing. A candidate of which the free shape leaves much more than what differs between frames is such a change.
+    A free shape with nodes close enough takes every change that is the same in all frames, in units of the spot. If the
+    nodes leave much more of a candidate than differs between frames, they cannot draw it.
     """
     if fit.model.grid is None or stages_of(candidate.start) & SENSOR:
         return False
@@ -173,17 +198,19 @@ def varying_share(fit: JointFit, applied: AppliedEffect) -> float:
     beyond the nodes of the free shape; by squares in units of the peak, weighted with the peak as photons count."""
     model, pixels = fit.model, fit.pixels
     frames = np.unique(np.linspace(0, len(model.spots.x) - 1, MOST_COMPARED).astype(int))
-    spots, some = model.spots.select(frames), pixels.select(frames)
+    spots, compared = model.spots.select(frames), pixels.select(frames)
     places = np.linspace(-FARTHEST, FARTHEST, PLACES)
     sigma = np.exp(spots.log_sigma)[:, None]
     x, y = spots.x[:, None] + sigma * places, spots.y[:, None] + sigma * places
-    inside_x = (x > some.x[:, 0].min(axis=1, keepdims=True)) & (x < some.x[:, 0].max(axis=1, keepdims=True))
-    inside_y = (y > some.y[:, :, 0].min(axis=1, keepdims=True)) & (y < some.y[:, :, 0].max(axis=1, keepdims=True))
-    grid = replace(some, x=x[:, None, :], y=y[:, :, None], row_share=np.ones((len(frames), PLACES, 1)))
-    conditions = conditions_of(model.design.select(frames), spots, grid)
+    is_inside_x, is_inside_y = (
+        (place > pixel.min(axis=1, keepdims=True)) & (place < pixel.max(axis=1, keepdims=True))
+        for place, pixel in ((x, compared.x[:, 0]), (y, compared.y[:, :, 0]))
+    )
+    sampled = replace(compared, x=x[:, None, :], y=y[:, :, None], row_share=np.ones((len(frames), PLACES, 1)))
+    conditions = conditions_of(model.design.select(frames), spots, sampled)
     with_effect = replace(model.forward, effects=(*model.forward.effects, applied))
     change = (with_effect.light(conditions).total - model.forward.light(conditions).total) / conditions.peak_dn
-    weight = conditions.peak_dn * inside_x[:, None, :] * inside_y[:, :, None]
+    weight = conditions.peak_dn * is_inside_x[:, None, :] * is_inside_y[:, :, None]
     mean = np.sum(weight * change, axis=0) / np.maximum(np.sum(weight, axis=0), 1e-300)
     mean[np.hypot(places[:, None], places) > HALF_WIDTH] = 0.0
     return float(np.sum(weight * (change - mean) ** 2) / max(np.sum(weight * change**2), 1e-300))

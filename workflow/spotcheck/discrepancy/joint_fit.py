@@ -27,8 +27,8 @@ SHAPE_TOLERANCE = 1.5
 FACTOR_STEPS, FACTOR_GAIN, FACTOR_DECREMENT = 4, 0.8, 1e3
 # Most iterations of a fit.
 ITERATIONS = 40
-# Multiple of a promised drop of −2 ln L that a fit may still gain.
-HOPE = 2.0
+# Multiple of the drop of −2 ln L that a step promises which a fit may still reach.
+REACHABLE_DROP = 2.0
 # Part of the promised drop of −2 ln L that a step must keep.
 LEAST_GAIN = 0.05
 # Decrement below which a step may raise −2 ln L by rounding, and by how much.
@@ -40,8 +40,8 @@ LARGEST_STEPS = (0.7, 0.4, 1.0)
 # Largest peak of a spot [full scales]: its flanks at full scale would lie beyond 3 σ. Tables of brighter light take
 # gigabytes.
 LARGEST_PEAK = 100.0
-# Least light of a free shape [peak]: splines ring by 0.0015 about a kink. No light is below 0, and a shape that may go
-# there makes room for false clips.
+# Least light of a free shape [peak]: no light is below 0, and a shape that may go far below makes room for false clips.
+# The little that is left lets noise scatter about 0.
 LEAST_LIGHT = -0.0005
 # Part of the stated read noise that the fitted one is at least and at most.
 READ_NOISE_RANGE = (0.5, 3.0)
@@ -196,8 +196,8 @@ def fit_jointly(
         −2 ln L of a model to compare with: the fit also ends, not converged, when a step promises less than 1 % of the
         drop below it.
     target : float, optional
-        −2 ln L that a fit from a near start must reach: it also ends, not converged, when `HOPE` times the drop that a
-        step promises does not lead there.
+        −2 ln L that a fit from a near start must reach: it also ends, not converged, when `REACHABLE_DROP` times
+        the drop that a step promises does not lead there.
     """
     equations = assemble(model, pixels)
     damping, part, count, age = 0.0, 1.0, 0, 0
@@ -234,7 +234,7 @@ def fit_jointly(
 def _is_decided(deviance: float, decrement: float, rival: float | None, target: float | None) -> bool:
     """Return whether a fit ends by what it compares with; see `fit_jointly`."""
     is_ahead = rival is not None and decrement < 0.01 * (rival - deviance)
-    return is_ahead or (target is not None and deviance - HOPE * decrement > target)
+    return is_ahead or (target is not None and deviance - REACHABLE_DROP * decrement > target)
 
 
 def _try_steps(

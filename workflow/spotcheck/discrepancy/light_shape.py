@@ -66,10 +66,9 @@ def shift_by_coarser_shape(fit: JointFit) -> np.ndarray:
     """
     coarse = ShapeGrid(step=COARSER * STEP)
     model = replace(fit.model, free=()).with_free_shape(coarse)
-    nodes = (np.arange(coarse.nodes) - (coarse.nodes - 1) / 2) * coarse.step
     learned = fit.model.forward.baseline.learned
     assert learned is not None
-    start = model.with_coefficients(learned(nodes[None, :], nodes[:, None]).ravel())
+    start = model.with_coefficients(learned(coarse.places[None, :], coarse.places[:, None]).ravel())
     moved = fit_jointly(start, fit.pixels, tolerance=TOLERANCE, iterations=ITERATIONS).model.spots
     rows = zip(moved.as_rows(), fit.model.spots.as_rows(), strict=True)
     return np.stack([after - before for after, before in rows], axis=1).ravel()

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 NULL_EIGENVALUE = 1e-12
 # Weight of the condition that steps of spots sum to 0 over frames, in terms of a spot's median information over F.
 GAUGE_WEIGHT = 1e4
-# Added to the information on a coefficient of the shape that is held at its least value, in terms of the largest.
-HELD = 1e8
+# Added to the information on a coefficient of the shape that stays at its least value, in terms of the largest.
+AT_BOUND = 1e8
 # Added to the diagonal of an information matrix that is scaled to 1, so that it can be factored.
 RIDGE = 1e-11
 
@@ -163,8 +163,8 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     products = of_shape[0]
     if reuse is None:
         band = of_shape[1]
-        is_held = (coefficients <= model.least_coefficients) & (products[:, 0] - penalty < 0)
-        band[NEIGHBOURS] += HELD * band[NEIGHBOURS].max() * is_held
+        is_at_bound = (coefficients <= model.least_coefficients) & (products[:, 0] - penalty < 0)
+        band[NEIGHBOURS] += AT_BOUND * band[NEIGHBOURS].max() * is_at_bound
         factor = BlockFactor(model.grid, band, pixels.share)
         of_spots = factor.half_solve(of_spots)
         reuse = ShapePart(factor, of_spots, of_spots.T @ of_spots, np.zeros((0, 0)), np.zeros(0))

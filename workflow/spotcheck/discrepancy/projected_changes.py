@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spotcheck.discrepancy.candidates import SEPARABLE_SHARE, change_by
+from spotcheck.discrepancy.candidates import SEPARABLE_SHARE, ChangeSums, change_by
 from spotcheck.discrepancy.evaluation import (
     SENSOR,
     Column,
@@ -57,34 +57,20 @@ def change_at(model: JointModel, applied: AppliedEffect, at: Evaluation) -> Colu
 
 def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection:
     """Return the changes by trials beside the nuisance parameters of a fit."""
-    model, equations, frames = fit.model, fit.equations, len(fit.model.spots.x)
-    count = len(trials)
+    model, equations, count = fit.model, fit.equations, len(trials)
     with_rest = [k for k, applied in enumerate(trials) if applied.effect.special_cases]
 
     def of_batch(part: slice) -> tuple[np.ndarray, ...]:
         at = evaluate(model, fit.pixels, part)
-        fitted = columns_of(model, at)
-        sums = None if model.grid is None else ShapeSums(model, at)
-        size = count + len(with_rest)
-        cross, alone, between = np.zeros((equations.size, size)), np.zeros(size), np.zeros(len(with_rest))
-        of_shape = np.zeros((0 if sums is None else sums.nodes**2, size))
-
-        def add_column(k: int, column: Column) -> None:
-            alone[k] = at.information_of(column, column)
-            equivalent = at.light_equivalent(column)
-            cross[4 * part.start : 4 * part.stop, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalent).ravel()
-            cross[4 * frames :, k] = [at.information_of(column, other) for other in fitted]
-            if sums is not None:
-                of_shape[:, k] = sums.products(equivalent[None])[:, 0]
-
+        sums, between = ChangeSums(fit, at, part, count + len(with_rest)), np.zeros(len(with_rest))
         for k, applied in enumerate(trials):
             change, rest = change_by_strength(model, applied, at)
-            add_column(k, change)
+            sums.add(k, change)
             if rest is not None:
                 j = with_rest.index(k)
                 between[j] = at.information_of(change, rest)
-                add_column(count + j, rest)
-        return cross, alone, between, of_shape
+                sums.add(count + j, rest)
+        return sums.cross, sums.alone, between, sums.of_shape
 
     cross, alone, between, shape_products = sum_batches(of_batch, fit.pixels)
     half = np.zeros((0, len(alone)))

@@ -5,6 +5,7 @@ the slope of the mean reading, which is below 1 where readings are cut at 0.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,31 +65,41 @@ def measure_dark_noise(images: ResidualImages, slopes: DarkSlopes) -> DarkNoise 
     if dark.sum() < FEWEST_DARK or slopes.variance_by_noise == 0:
         return None
     # Signals that a reading shows, and how much of one it shows.
-    shown = [_products_of_lines(slope, is_dark) for slope, is_dark in zip(images.slope, dark, strict=True)]
-    found = [_products_of_lines(residual, is_dark) for residual, is_dark in zip(images.residual, dark, strict=True)]
-    row, column, next_row, neighbour = (
-        ratio_moment(np.array([lines[k] for lines in found]), np.array([lines[k] for lines in shown])) for k in range(4)
+    found, shown = _multiply_lines(images.residual, dark), _multiply_lines(images.slope, dark)
+    same, same_shown = (
+        float((sums.sum(axis=0) ** 2 - (sums**2).sum(axis=0)).sum()) for sums in (found.row_sums, shown.row_sums)
     )
-    row_sums, rows_shown = (np.array([lines[4] for lines in all_lines]) for all_lines in (found, shown))
-    same, same_shown = (float((rows.sum(axis=0) ** 2 - (rows**2).sum(axis=0)).sum()) for rows in (row_sums, rows_shown))
     return DarkNoise(
         white=_white_moment(images, slopes),
-        row=row,
-        column=column,
-        next_row=next_row,
+        row=ratio_moment(found.row, shown.row),
+        column=ratio_moment(found.column, shown.column),
+        next_row=ratio_moment(found.next_row, shown.next_row),
         same_row=Moment(same / max(same_shown, 1e-300), np.nan),
-        neighbour=neighbour,
+        neighbour=ratio_moment(found.neighbour, shown.neighbour),
     )
 
 
-def _products_of_lines(values: np.ndarray, is_dark: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return sums of products of the dark pixels of a frame [row, column]: of the blocks of each row and of each
-    column, of rows that are neighbours, of neighbours in a row; and the sums of rows."""
-    values = values * is_dark
-    rows = _block_sums(values)
-    sums = rows.sum(axis=1)
-    neighbours = (values[:, 1:].astype(float) * values[:, :-1]).sum(axis=1)
-    return _far_products(rows), _far_products(_block_sums(values.T)), sums[1:] * sums[:-1], neighbours, sums
+class LineProducts(NamedTuple):
+    """Sums of products of dark pixels [frame, line]."""
+
+    row: np.ndarray  # of blocks of a row
+    column: np.ndarray  # of blocks of a column
+    next_row: np.ndarray  # of the sums of two rows that touch
+    neighbour: np.ndarray  # of neighbours in a row
+    row_sums: np.ndarray  # sums of rows, without products
+
+
+def _multiply_lines(values: np.ndarray, is_dark: np.ndarray) -> LineProducts:
+    """Return the products of images [frame, row, column], frame by frame to save memory."""
+    frames = []
+    for image, dark in zip(values, is_dark, strict=True):
+        image = image * dark
+        rows = _block_sums(image)
+        sums = rows.sum(axis=1)
+        neighbours = (image[:, 1:].astype(float) * image[:, :-1]).sum(axis=1)
+        columns = _far_products(_block_sums(image.T))
+        frames.append((_far_products(rows), columns, sums[1:] * sums[:-1], neighbours, sums))
+    return LineProducts(*map(np.array, zip(*frames, strict=True)))
 
 
 def _white_moment(images: ResidualImages, slopes: DarkSlopes) -> Moment:

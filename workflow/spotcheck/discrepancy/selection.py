@@ -214,6 +214,7 @@ def add_best_effect(
     if not candidates or candidates[0].score * ratio < least_gain(present.model) / 2:
         return None
     refits = refit_candidates(thinned, candidates, ratio, scales, log)
+    least_value = least_gain(present.model) - PARAMETER_PRICE
     best: JointFit | None = None
     best_value, best_place = -np.inf, -1
     values: dict[str, float] = {}
@@ -231,12 +232,11 @@ def add_best_effect(
         if refit.value < REFIT_SHARE * demand.least_drop(refit.candidate.start.effect):
             continue
         start = transfer_refit(refit.model, thinned.model, present.model)
-        least = least_gain(present.model) - PARAMETER_PRICE + price_of(refit.candidate)
-        target = present.deviance - least * dispersion
+        target = present.deviance - (least_value + price_of(refit.candidate)) * dispersion
         full = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
         value = (present.deviance - full.deviance) / dispersion - price_of(refit.candidate)
         log(f"  {_text(refit.candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
-        if not full.has_converged or value < least_gain(present.model) - PARAMETER_PRICE:
+        if not full.has_converged or value < least_value:
             continue
         if is_negligible(full.model.effect_named(name), scales):
             continue
