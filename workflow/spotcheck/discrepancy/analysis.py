@@ -24,7 +24,7 @@ from spotcheck.discrepancy.fields import (
     measure_fields,
 )
 from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
-from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, select_pixels
+from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, add_field, select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
 from spotcheck.discrepancy.joint_fit import READ_NOISE_RANGE, FreeParameter, JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import FoundLaws, LawSearch, find_laws, is_law
@@ -51,7 +51,7 @@ from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
 from spotcheck.discrepancy.scatter import DarkNoise, DarkSlopes, measure_dark_noise
-from spotcheck.discrepancy.selection import SelectedEffects, select_effects, withdraw_effects
+from spotcheck.discrepancy.selection import SelectedEffects, select_again, select_effects, withdraw_effects
 from spotcheck.discrepancy.spot_numbers import numbers_of_fit
 from spotcheck.discrepancy.validation import has_field
 from spotcheck.model.baseline import Baseline
@@ -148,11 +148,16 @@ def analyse_frames(
     progress.step("fitting the declared model", 0.0, 0.1)
     prepared = prepare_frames(frames, spots, setting)
     progress.step("looking for effects", 0.1, 0.7)
-    selected = search_frames(prepared, effects, log)
-    scattered = add_white_field(prepared)
+    first = fit_with_clip(prepared, effects)
+    log(f"first fit: {', '.join(first.model.effect_names) or 'no effect'}, converged {first.has_converged}")
+    mean_effects = [effect for effect in effects if changes_mean_image(effect)]
+    update = partial(update_dispersion, frames=prepared.frames)
+    selected = select_effects(first, mean_effects, prepared.scales, log, update)
+    scattered = add_white_field(prepared, first)
     if scattered is not None:
         log("single pixels scatter: searched again with a field")
-        other = search_frames(scattered, effects, log)
+        pixels = add_field(selected.fit.pixels, scattered.frames)
+        other = select_again(selected, pixels, mean_effects, prepared.scales, log, update)
         if other.fit.deviance + price_of_fit(other.fit) < selected.fit.deviance + price_of_fit(selected.fit):
             prepared, selected = scattered, other
     progress.step("predicting held-out frames", 0.7, 0.85)
@@ -167,30 +172,25 @@ def analyse_frames(
         selected = withdraw_effects(selected, withdrawn, prepared.scales, log)
 
 
-def search_frames(prepared: Prepared, effects: Sequence[Effect], log: Log) -> SelectedEffects:
-    """Select the effects of the mean image."""
-    baseline = fit_saturated(prepared.declared, replace(prepared.frames, light_field=None), effects, prepared.scales)
-    if baseline is not prepared.declared:
-        baseline = fit_with_field(baseline, prepared.frames)
-    log(f"first fit: {', '.join(baseline.model.effect_names) or 'no effect'}, converged {baseline.has_converged}")
-    mean_effects = [effect for effect in effects if changes_mean_image(effect)]
-    update = partial(update_dispersion, frames=prepared.frames)
-    return select_effects(baseline, mean_effects, prepared.scales, log, update=update)
+def fit_with_clip(prepared: Prepared, effects: Sequence[Effect]) -> JointFit:
+    """Return the fit with a clip where readings pile up, else the declared fit."""
+    fit = fit_saturated(prepared.declared, replace(prepared.frames, light_field=None), effects, prepared.scales)
+    return fit if fit is prepared.declared else fit_with_field(fit, prepared.frames)
 
 
-def add_white_field(prepared: Prepared) -> Prepared | None:
-    """Return the frames with the field of single pixels that residuals of the declared model show; None without one.
+def add_white_field(prepared: Prepared, first: JointFit) -> Prepared | None:
+    """Return the frames with the field of single pixels that residuals of the first fit show; None without one.
 
     Gains of pixels are such a field. An effect that changes the noise of photons, such as a curved response, looks like
     one, so that effects are selected without and with it.
     """
     if prepared.frames.light_field is not None:
         return None
-    white = estimate_white_field(prepared.images)
+    images = prepared.images if first is prepared.declared else measure_residuals(first.model, prepared.frames)
+    white = estimate_white_field(images)
     if not white.variance > MIN_Z * white.stderr:
         return None
-    field = LightField(white.variance * prepared.images.spot**2, 1.0)
-    frames = replace(prepared.frames, light_field=field)
+    frames = replace(prepared.frames, light_field=LightField(white.variance * images.spot**2, 1.0))
     declared = fit_declared(frames, prepared.declared.model.spots, prepared.setting)
     return replace(prepared, frames=frames, declared=declared, images=measure_residuals(declared.model, frames))
 

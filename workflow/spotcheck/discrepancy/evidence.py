@@ -7,7 +7,7 @@ import numpy as np
 
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_BESIDE_SHAPE
 from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches, rounded_parameter
-from spotcheck.discrepancy.frames import Design, thin_pixels
+from spotcheck.discrepancy.frames import Design, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.normal_equations import assemble, invert_information, solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
@@ -20,7 +20,8 @@ MANY_SITES, BLOCK_PX = 8, 16
 SECTORS, RING_RADIUS = 8, 1.2
 # Part of the information below which a cell of the consistency test is left out.
 LEAST_CELL_SHARE = 1e-4
-# Wald z² beyond which the gain is not measured by a fit without the effect.
+# Wald z² beyond which the gain is not measured by a fit without the effect, and gain beyond which that of thinned pixels,
+# known to some 10 %, leaves no doubt.
 CERTAIN = 1e4
 # Effort of a fit without an effect: its drop must be known to about 1.
 WITHOUT_TOLERANCE, WITHOUT_ITERATIONS = 0.3, 12
@@ -129,14 +130,18 @@ def measure_gain(fit: JointFit, name: str, wald: float) -> float:
     if CERTAIN < wald < np.inf:
         return wald
     without = fit.model.without_effect(name)
-    for pixels in (thin_pixels(fit.pixels), fit.pixels):
+
+    def gain_on(pixels: Pixels, deviance: float) -> float:
         refit = fit_jointly(without, pixels, tolerance=WITHOUT_TOLERANCE, iterations=WITHOUT_ITERATIONS)
-        deviance = fit.deviance if pixels is fit.pixels else assemble(fit.model, pixels).deviance
-        gain = (refit.deviance - deviance) / fit.pixels.dispersion
-        # Without a significant strength the drop decides nothing.
+        return (refit.deviance - deviance) / fit.pixels.dispersion * fit.pixels.count / pixels.count
+
+    # Without a significant strength the drop decides nothing.
+    if wald < MIN_GAIN or wald == np.inf:
+        thin = thin_pixels(fit.pixels)
+        gain = gain_on(thin, assemble(fit.model, thin).deviance)
         if gain > CERTAIN or wald < MIN_GAIN:
-            break
-    return gain * fit.pixels.count / pixels.count
+            return gain
+    return gain_on(fit.pixels, fit.deviance)
 
 
 def distance_from_nothing(applied: AppliedEffect) -> float:

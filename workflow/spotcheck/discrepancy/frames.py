@@ -134,6 +134,16 @@ class Pixels:
         return replace(self, **{name: getattr(self, name)[frames] for name in names})
 
 
+def add_field(pixels: Pixels, frames: FrameSet) -> Pixels:
+    """Return pixels of frames with the variance of the frames' light field beside their present one."""
+    assert frames.light_field is not None
+    number = np.arange(len(frames))[:, None, None]
+    row, column = (
+        (place - corner[:, None, None]).astype(int) for place, corner in ((pixels.y, frames.top), (pixels.x, frames.left))
+    )
+    return replace(pixels, extra_variance=pixels.extra_variance + frames.light_field.variance[number, row, column])
+
+
 def conditions_of(design: Design, spots: FrameParameters, pixels: Pixels) -> FrameConditions:
     """Return what the forward model needs of all frames at once: arrays [frame, 1, 1] beside the pixels."""
 

@@ -128,6 +128,20 @@ def select_effects(
     return replace(eliminate_backward(path, scales, log), with_shape=free)
 
 
+def select_again(
+    selected: SelectedEffects, pixels: Pixels, effects: Sequence[Effect], scales: EffectScales, log: Log, update: Update
+) -> SelectedEffects:
+    """Return the selection on pixels with another variance: selected effects are tested anew, others sought beside
+    those that pass."""
+    start = SelectionStep(fit_jointly(selected.fit.model, pixels), np.nan)
+    passed = eliminate_backward([start], scales, log)
+    path = select_forward(passed.fit, effects, scales, log, update)
+    assert path is not None
+    if len(path) > 1:
+        passed = eliminate_backward(path, scales, log)
+    return replace(passed, with_shape=selected.with_shape)
+
+
 def select_forward(
     fit: JointFit,
     effects: Sequence[Effect],
@@ -324,11 +338,11 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log:
         path[-1] = finish_step(path[-1])
     rivals = {step.fit.model.effect_names[-1]: step.rivals for step in path if step.rivals}
     while True:
-        fit, gain = path[-1].fit, path[-1].gain
+        fit = path[-1].fit
         covariance = estimate_covariance(fit)
         names = fit.model.effect_names
-        known = gain if len(names) == 1 and np.isfinite(gain) else None
-        tests = {name: assess_effect(fit, name, covariance, scales, known) for name in names}
+        known = {names[-1]: path[-1].gain} if len(path) > 1 and path[-2].fit.has_converged else {}
+        tests = {name: assess_effect(fit, name, covariance, scales, known.get(name)) for name in names}
         for name, test in tests.items():
             log(f"  test {name}: gain {test.gain:.0f} wald {test.wald:.0f} Q {test.heterogeneity:.0f}"
                 f" limit {test.limit:.0f} {'passes' if test.passes else 'FAILS'}")  # fmt: skip
