@@ -16,7 +16,9 @@ rule judge:
         f"{OUT}/benchmarks/judge.tsv"
     wildcard_constraints:
         dataset=one_of(SPOTS),
-    threads: 2
+    # It keeps little more than one core busy, and most figures wait for it.
+    priority: 1
+    threads: 1
     resources:
         mem_mb=memory(2000),
         runtime=minutes(60),
