@@ -20,8 +20,8 @@ MANY_SITES, BLOCK_PX = 8, 16
 SECTORS, RING_RADIUS = 8, 1.2
 # Part of the information below which a cell of the consistency test is left out.
 LEAST_CELL_SHARE = 1e-4
-# Wald z² beyond which the gain is not measured by a fit without the effect, and gain beyond which that of thinned pixels,
-# known to some 10 %, leaves no doubt.
+# Wald z² beyond which the gain is not measured by a fit without the effect, and gain beyond which that of thinned
+# pixels, known to some 10 %, leaves no doubt.
 CERTAIN = 1e4
 # Effort of a fit without an effect: its drop must be known to about 1.
 WITHOUT_TOLERANCE, WITHOUT_ITERATIONS = 0.3, 12

@@ -139,7 +139,8 @@ def add_field(pixels: Pixels, frames: FrameSet) -> Pixels:
     assert frames.light_field is not None
     number = np.arange(len(frames))[:, None, None]
     row, column = (
-        (place - corner[:, None, None]).astype(int) for place, corner in ((pixels.y, frames.top), (pixels.x, frames.left))
+        (place - corner[:, None, None]).astype(int)
+        for place, corner in ((pixels.y, frames.top), (pixels.x, frames.left))
     )
     return replace(pixels, extra_variance=pixels.extra_variance + frames.light_field.variance[number, row, column])
 

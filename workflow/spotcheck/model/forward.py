@@ -25,6 +25,8 @@ TABULATED = (Stage.SPECKLE_FIELD, Stage.WELL)
 SENSOR_STAGES = tuple(Stage)[tuple(Stage).index(Stage.PIXEL_GAIN) :]
 # Brightest grain that tables of granular light are made for [mean]; the table behind it is constant beyond.
 BRIGHTEST_GRAIN = 16.0
+# Digits [DN] to which pedestals are even beside grains: those of single pixels differ by rounding.
+EVEN_DIGITS = 9
 # Relative step of central differences in parameters of the light and of the sensor; the latter is larger, since tables
 # are interpolated.
 LIGHT_STEP, SENSOR_STEP = 1e-5, 1e-3
@@ -193,15 +195,18 @@ class ForwardModel(LightStages):
             return plain(total)
         # ASSUME: uneven pedestals, gains of pixels and smear are small beside the light that clips, so that their
         # changes of the moments add to those of the grains.
-        even = float(np.mean(light.pedestal))
+        even = round(float(np.mean(light.pedestal)), EVEN_DIGITS)
         highest = float(np.max(light.spot))
         table = distribution.tabulate(BRIGHTEST_GRAIN * highest)
         # Rounded, so that frames share tables.
         highest = 2.0 ** np.ceil(np.log2(max(highest, 1.0)))
-        granular = np.array(_granular_table(table, tuple(grains), even, highest).moments(light.spot))
+        granular = _granular_table(table, tuple(grains), even, highest).moments(light.spot)
+        is_even = np.max(np.abs(light.pedestal - even)) < 10.0**-EVEN_DIGITS
+        if is_even and np.all(at.smear_e == 0) and np.all(at.offset_dn == 0):
+            return granular
         alone = np.array(moments_with_offsets(distribution, light.spot + even))
-        mean, variance, *slopes = granular + np.array(plain(total)) - alone
-        return ReadingMoments(mean, np.maximum(variance, 0.1 * granular[1]), *slopes)
+        mean, variance, *slopes = np.array(granular) + np.array(plain(total)) - alone
+        return ReadingMoments(mean, np.maximum(variance, 0.1 * granular.variance), *slopes)
 
     # What is random.
 

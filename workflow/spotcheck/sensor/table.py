@@ -22,8 +22,8 @@ from spotcheck.sensor.codes import MOST_ELECTRONS, compiled
 if TYPE_CHECKING:
     from spotcheck.sensor.distribution import ReadingDistribution
 
-# Nodes for each standard deviation of the light.
-NODES_PER_SD = 6
+# Distance of nodes [e-^½]: six for each standard deviation of the light.
+NODE_STEP = 1 / 12
 # Standard deviations beyond the upper end of the converter at which a reading no longer changes.
 SATURATED_SD = 10.0
 # Light of the last node at most, in terms of the light that saturates.
@@ -261,20 +261,29 @@ def _tabulate(distribution: ReadingDistribution, light_max: float) -> ReadingTab
     sensor = distribution.sensor
     gain, dark_e = sensor.gain_dn_per_e, float(distribution.mean_electrons(0.0))
     highest_e = min(light_max / gain + dark_e, saturating_electrons(distribution))
+    first_root, nodes = _changing_nodes(distribution, highest_e)
+    # Saturated nodes up to the light that was asked for: dark grains of such light are not saturated.
+    farthest_e = max(min(light_max / gain + dark_e, MOST_SATURATION * highest_e), highest_e)
+    last_root = first_root + NODE_STEP * (nodes.shape[1] - 1)
+    saturated = max(math.ceil((np.sqrt(farthest_e - dark_e + first_root**2) - last_root) / NODE_STEP), 0)
+    nodes = np.concatenate([nodes, np.repeat(nodes[:, -1:] * [[1.0], [1.0], [0.0], [0.0]], saturated, axis=1)], axis=1)
+    return ReadingTable(gain, first_root, NODE_STEP, nodes, distribution)
+
+
+@lru_cache(maxsize=32)
+def _changing_nodes(distribution: ReadingDistribution, highest_e: float) -> tuple[float, np.ndarray]:
+    """Return u of the first node, and the nodes up to a number of electrons."""
+    sensor, dark_e = distribution.sensor, float(distribution.mean_electrons(0.0))
     # A clip of the charge bends the mean within the shot noise, however strong the read noise behind it.
     noise_e = max(min(sensor.read_noise_e, np.sqrt(max(min(highest_e, sensor.full_well_e), 1.0))), LEAST_NOISE_E)
     first_root, last_root = np.sqrt(dark_e + noise_e**2), np.sqrt(max(highest_e, dark_e + 1.0) + noise_e**2)
-    step = 1 / (2 * NODES_PER_SD)
-    root = first_root + step * np.arange(np.ceil((last_root - first_root) / step) + 1)
+    root = first_root + NODE_STEP * np.arange(np.ceil((last_root - first_root) / NODE_STEP) + 1)
     # Squares of arrays and of numbers round differently, so that the first light could be below 0.
-    nodes = np.stack(distribution.moments(gain * np.maximum(root**2 - first_root**2, 0.0)))
-    # Saturated nodes up to the light that was asked for: dark grains of such light are not saturated.
-    farthest_e = max(min(light_max / gain + dark_e, MOST_SATURATION * highest_e), highest_e)
-    saturated = max(math.ceil((np.sqrt(farthest_e + noise_e**2) - root[-1]) / step), 0)
-    nodes = np.concatenate([nodes, np.repeat(nodes[:, -1:] * [[1.0], [1.0], [0.0], [0.0]], saturated, axis=1)], axis=1)
-    return ReadingTable(gain, first_root, step, nodes, distribution)
+    light = sensor.gain_dn_per_e * np.maximum(root**2 - first_root**2, 0.0)
+    return first_root, np.stack(distribution.moments(light))
 
 
+@lru_cache(maxsize=32)
 def saturating_electrons(distribution: ReadingDistribution) -> float:
     """Return the mean electrons [e-] from which on readings no longer change; infinite if there are none."""
     sensor = distribution.sensor
