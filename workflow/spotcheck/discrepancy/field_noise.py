@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy import ndimage
 
 from spotcheck.discrepancy.evaluation import evaluate
 from spotcheck.discrepancy.fields import FieldEstimate, correlated_area
@@ -10,9 +11,10 @@ from spotcheck.discrepancy.frames import FrameSet
 from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.residuals import place_on_sensor, whole_crops
+from spotcheck.discrepancy.spot_numbers import covariance_of_spots
 from spotcheck.discrepancy.validation import has_field
 
-# Part of a frame's covariance that the field may have at most: what is left of noise keeps it positive.
+# Part of a spot's covariance that the field may have at most: what is left of noise keeps it positive.
 LARGEST_SHARE = 0.99
 
 
@@ -35,13 +37,16 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
 
     Notes
     -----
-    A field of relative variance V, whose correlation covers a pixels, gives the scores of two frames of a site the
-    covariance a V Σ g g' with g = (derivative of the mean reading by the spot) · (by ln light) / (variance of the
-    reading). Of a single frame the part V Σ g g' of pixels with themselves is in the fit already.
+    A field of relative variance V, whose Gaussian correlation covers a pixels, gives the scores of two frames of a site
+    the covariance a V Σ g h' with g = (derivative of the mean reading by the spot) · (by ln light) / (variance of the
+    reading) of one and h that of the other, smoothed by the correlation. Of a single frame the part V Σ g g' of pixels
+    with themselves is in the fit already.
     """
     count = len(frames.left)
     out = np.zeros((count, 4, count, 4))
-    area, is_in_model = correlated_area(grains.grain_px), has_field(fit.model)
+    grain_px = max(grains.grain_px, 0.0) if np.isfinite(grains.grain_px) else 0.0
+    area, is_in_model = correlated_area(grain_px), has_field(fit.model)
+    in_fit = covariance_of_spots(fit)
     for site in np.unique(fit.model.design.site):
         members = np.flatnonzero(fit.model.design.site == site)
         model = replace(fit.model, spots=fit.model.spots.select(members), design=fit.model.design.select(members))
@@ -53,20 +58,26 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
         information = np.einsum("afp,bfp->fab", flat, flat, optimize=True)
         left, top = frames.left[members], frames.top[members]
         scores = np.array([place_on_sensor(slope * weight * by_light, left, top) for slope in slopes])
-        scores = scores.reshape(4, len(members), -1)
-        shared = grains.variance * np.einsum("afp,bgp->fagb", scores, scores, optimize=True)
+        grained = np.array([ndimage.gaussian_filter(score, (0, grain_px, grain_px)) for score in scores])
+        products = [
+            grains.variance * np.einsum("afhw,bghw->fagb", scores, other, optimize=True)
+            for other in (scores, area * grained)
+        ]
         for f, first in enumerate(members):
             for g, second in enumerate(members):
-                half = solve_positive(information[f], shared[f, :, g])
-                joint = solve_positive(information[g], half.T).T
-                share = share_in_fit(fit, int(first), joint) if f == g else 0.0
-                out[first, :, second] = (area - share) * joint
+                of_pixels, of_field = (
+                    solve_positive(information[g], solve_positive(information[f], product[f, :, g]).T).T
+                    for product in products
+                )
+                if f == g:
+                    covariance = in_fit[4 * first : 4 * first + 4, 4 * first : 4 * first + 4]
+                    of_field = of_field - share_in_fit(covariance, of_pixels) * of_pixels
+                out[first, :, second] = of_field
     return out.reshape(4 * count, 4 * count)
 
 
-def share_in_fit(fit: JointFit, frame: int, of_field: np.ndarray) -> float:
-    """Return the part of the field's covariance of a frame [4, 4] that the fit knows of: all of it, or less where the
-    fit's estimate of the field is smaller."""
-    information = fit.equations.information[4 * frame : 4 * frame + 4, 4 * frame : 4 * frame + 4]
-    largest = float(np.linalg.eigvals(information @ of_field).real.max())
+def share_in_fit(covariance: np.ndarray, of_field: np.ndarray) -> float:
+    """Return the part of the field's covariance of a spot that the fit's covariance has, both [4, 4]: all of it, or
+    less where the fit's estimate of the field is smaller."""
+    largest = float(np.linalg.eigvals(solve_positive(covariance, of_field)).real.max())
     return LARGEST_SHARE / largest if largest > LARGEST_SHARE else 1.0

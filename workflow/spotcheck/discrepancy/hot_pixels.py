@@ -14,6 +14,8 @@ from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 LEAST_Z, LEAST_SHARE = 8.0, 0.03
 # Part of the highest mean above which pixels show the relative scatter of the light.
 LIT_SHARE = 0.3
+# Relative scatter of the light at a single site from which on single grains stand out like hot pixels.
+GRANULAR = 0.2
 # Neighbourhoods of a pixel [px] for its level and for the scatter about it.
 LEVEL_PX, SCATTER_PX = 5, 11
 # Standard deviation of a Gaussian over its median absolute deviation.
@@ -21,10 +23,11 @@ MAD_TO_SD = 1.4826
 
 
 def mask_hot_pixels(frames: FrameSet, sensor: SensorModel) -> tuple[FrameSet, int]:
-    """Return the frames without hot pixels, and the number of these; none if spots lie far apart or in one frame."""
+    """Return the frames without hot pixels, and the number of these; none if spots lie far apart, or where the light of
+    a single site is granular."""
     _, rows, columns = frames.readings.shape
     extent = (int(np.ptp(frames.top)) + rows, int(np.ptp(frames.left)) + columns)
-    if len(frames) < 2 or np.prod(extent) > MOST_CANVAS * rows * columns:
+    if np.prod(extent) > MOST_CANVAS * rows * columns:
         return frames, 0
     is_known = np.isfinite(frames.readings)
     total = place_on_sensor(np.where(is_known, frames.readings, 0.0), frames.left, frames.top).sum(axis=0, dtype=float)
@@ -36,6 +39,8 @@ def mask_hot_pixels(frames: FrameSet, sensor: SensorModel) -> tuple[FrameSet, in
     excess = mean - ndimage.median_filter(mean, LEVEL_PX)
     is_lit = light > LIT_SHARE * light.max()
     relative = MAD_TO_SD * np.median(np.abs(excess[is_lit] / light[is_lit]))
+    if len(np.unique(frames.design.site)) == 1 and relative > GRANULAR:
+        return frames, 0
     local = MAD_TO_SD * ndimage.median_filter(np.abs(excess), SCATTER_PX)
     deviation = np.sqrt(variance / np.maximum(count, 1) + (relative * light) ** 2 + local**2)
     is_hot = (excess > LEAST_Z * deviation + LEAST_SHARE * light) & (count > len(frames) / 2)

@@ -44,11 +44,16 @@ def numbers_of_fit(
     by_shape : array [4F], optional
         How misfit of the shape moves them; one standard deviation.
     """
-    spots = 4 * fit.equations.frames
-    covariance = invert_information(fit.equations.information)[:spots, :spots]
+    covariance = covariance_of_spots(fit)
     if by_shape is not None:
         covariance = covariance + np.outer(by_shape, by_shape)
     if by_field is None:
         return SpotNumbers(fit.model.design, fit.model.spots, covariance)
     of_field = tuple(np.diag(by_field).reshape(-1, 4).mean(axis=0))
     return SpotNumbers(fit.model.design, fit.model.spots, covariance + by_field, of_field)
+
+
+def covariance_of_spots(fit: JointFit) -> np.ndarray:
+    """Return the covariance of ln peak, ln σ, x, y of frame after frame [4F, 4F] by the information of a fit."""
+    spots = 4 * fit.equations.frames
+    return invert_information(fit.equations.information)[:spots, :spots]
