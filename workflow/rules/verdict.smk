@@ -16,8 +16,7 @@ rule judge:
         f"{OUT}/benchmarks/judge.tsv"
     wildcard_constraints:
         dataset=one_of(SPOTS),
-    # It keeps little more than one core busy, and most figures wait for it.
-    priority: 1
+    # It keeps little more than one core busy.
     threads: 1
     resources:
         mem_mb=memory(2000),
