@@ -13,7 +13,7 @@ from spotcheck.cli import main
 from spotcheck.design import simulate_dataset
 from spotcheck.errors import InputError
 from spotcheck.model.baseline import of_instrument
-from spotcheck.model.light_shape import LIGHT, LightShape, read_light
+from spotcheck.model.light_shape import LIGHT, LightShape, read_light, read_lights
 from spotcheck.model.model_file import ExtendedModel, read_model
 from spotcheck.model.model_writer import LightFile, write_light
 from spotcheck.simulation import STACK
@@ -58,6 +58,17 @@ def test_what_is_written_is_read(tmp_path):
     with store.read(tmp_path / LIGHT) as ds:
         assert ds["s"].dims == ("light", "v", "u") and ds.attrs["power"] == 0.06 and ds.attrs["code_version"] == "c"
         np.testing.assert_allclose(ds["s"].values[0], by_scipy(ds["u"].values, ds["v"].values), atol=1e-7)
+
+
+def test_structure_between_the_nodes_is_read_again(tmp_path):
+    """It is part of the light at every place, also beside a light without one."""
+    finer = LightShape(0.1, np.random.default_rng(4).normal(0, 0.01, (15, 15)))
+    both = LightShape(SHAPE.step, SHAPE.coefficients, finer)
+    write_light([both, SHAPE], LightFile(tmp_path / LIGHT, "d", "c"))
+    u, v = np.linspace(-1, 1, 9)[None, :], np.linspace(-1, 1, 7)[:, None]
+    for found, put_in in zip(read_lights(tmp_path / LIGHT), (both, SHAPE), strict=True):
+        np.testing.assert_array_equal(found(u, v), put_in(u, v))
+    np.testing.assert_array_equal(both(u, v), SHAPE(u, v) + finer(u, v))
 
 
 def changed(**values):

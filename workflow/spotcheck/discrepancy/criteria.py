@@ -15,8 +15,8 @@ CELL_SLACK, CELL_MISFIT = 8.0, 0.02
 MOST_EFFECTS = 5
 # Sets of laws within this χ² of the best are its rivals.
 LAW_TIE = 10.0
-# Least drop of −2 ln L beside a free shape: structure finer than its nodes gives some by chance on real beams.
-MIN_GAIN_BESIDE_SHAPE = 100.0
+# Least drop of −2 ln L beside the free shape of a single site, where nothing tells structure of the light from noise.
+MIN_GAIN_AT_ONE_SITE = 100.0
 # Rms of a free shape [peak] below which the declared one is kept.
 SHAPE_FLOOR = 0.002
 # Part of what a free shape takes that the 1st, 2nd, 3rd effect beside the declared shape must take.

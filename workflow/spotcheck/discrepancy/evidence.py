@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_BESIDE_SHAPE
+from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_AT_ONE_SITE
 from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches, rounded_parameter
 from spotcheck.discrepancy.frames import Design, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
@@ -121,7 +121,8 @@ def assess_effect(
 
 def least_gain(model: JointModel) -> float:
     """Return the drop of −2 ln L that a name needs."""
-    return MIN_GAIN if model.grid is None else MIN_GAIN_BESIDE_SHAPE
+    is_alone = model.grid is not None and len(np.unique(model.design.site)) == 1
+    return MIN_GAIN_AT_ONE_SITE if is_alone else MIN_GAIN
 
 
 def measure_gain(fit: JointFit, name: str, wald: float) -> float:

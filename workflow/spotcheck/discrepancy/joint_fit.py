@@ -94,7 +94,9 @@ class JointModel:
     def with_coefficients(self, coefficients: np.ndarray) -> "JointModel":
         """Return the model with other coefficients of the light shape."""
         assert self.grid is not None
-        shape = LightShape(self.grid.step, coefficients.reshape(self.grid.nodes, self.grid.nodes))
+        learned = self.forward.baseline.learned
+        finer = None if learned is None else learned.finer
+        shape = LightShape(self.grid.step, coefficients.reshape(self.grid.nodes, self.grid.nodes), finer)
         return replace(self, forward=replace(self.forward, baseline=replace(self.forward.baseline, learned=shape)))
 
     def with_free_shape(self, grid: ShapeGrid) -> "JointModel":

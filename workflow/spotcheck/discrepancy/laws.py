@@ -40,6 +40,8 @@ MOST_HALVINGS = 12
 DIFFERENCE, LEAST_SCALE = 1e-6, 1e-2
 # Part of the range of a parameter that one step may cross.
 LARGEST_STEP = 0.3
+# Range of the degrees of freedom of Student's t.
+LEAST_FREEDOM, LARGEST_FREEDOM = 2.0, 1e5
 # Factor of the design that the lack of fit of a law is tested over.
 FACTORS = {Need.ANGLES: "angle", Need.EXPOSURES: "exposure", Need.THREE_EXPOSURES: "exposure", Need.ORDER: "order"}
 
@@ -328,7 +330,8 @@ class LawSearch:
     def judge(self, applied: AppliedEffect, fit: LawFit, gain: float) -> NamedLaw:
         """Return what speaks for and against one law of a fitted set; `gain` is the drop of χ² by it."""
         rows = [k for k, name in enumerate(fit.names) if name[0] == applied.effect.name]
-        dof = self._degrees_of_freedom(fit, rows[0])
+        weights = self.inverse @ fit.jacobian @ fit.covariance[:, rows[0]]
+        dof = self.degrees_of_freedom(weights, fit.covariance[rows[0], rows[0]])
         quantile = float(stats.t.ppf(0.975, dof))
         errors = np.sqrt(np.diag(fit.covariance)[rows])
         intervals = {
@@ -350,14 +353,14 @@ class LawSearch:
                 reasons.append(f"lack of fit over {factor}: {excess:.0f} on {freed}")
         return NamedLaw(applied, intervals, z, gain, tuple(reasons))
 
-    def _degrees_of_freedom(self, fit: LawFit, row: int) -> float:
-        """Return Satterthwaite's degrees of freedom of a parameter, since the variance components are estimates."""
+    def degrees_of_freedom(self, weights: np.ndarray, variance: float) -> float:
+        """Return Satterthwaite's degrees of freedom of a weighted sum of the observations [2F] with a variance, since
+        the variance components are estimates."""
         if not self.components:
-            return 1e5
-        weights = self.inverse @ fit.jacobian @ fit.covariance[:, row]
+            return LARGEST_FREEDOM
         gradient = np.array([weights @ matrix @ weights for matrix in self.components.values()])
         spread = float(gradient @ self.variances.covariance @ gradient)
-        return float(np.clip(2 * fit.covariance[row, row] ** 2 / max(spread, 1e-300), 2, 1e5))
+        return float(np.clip(2 * variance**2 / max(spread, 1e-300), LEAST_FREEDOM, LARGEST_FREEDOM))
 
     def lack_of_fit(self, fit: LawFit, factor: str) -> tuple[float, int]:
         """Return the drop of χ² when the means of a factor's levels are freed, and its degrees of freedom."""

@@ -50,9 +50,6 @@ SEPARABLE_SHARE_OF_LAWS = 1e-10
 # Thinned pixels beside the declared light shape.
 THINNED_PIXELS = 50_000
 
-# Range of the degrees of freedom of Student's quantile.
-LEAST_FREEDOM, LARGEST_FREEDOM = 2.0, 1e5
-
 NOT_FOUND = "not found"
 NOT_CONFIRMED = "not found in held-out frames"
 TOO_SMALL = "too small to matter"
@@ -316,7 +313,7 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
             return Estimate(0.0, np.inf, 1.0)
         sizes = [change @ residual / max(square, 1e-300) for change, square in zip(changes, squares, strict=True)]
         size = add_directions(sizes)
-        freedom = degrees_of_freedom(search, search.whitening.T @ changes[0] / squares[0], 1 / squares[0])
+        freedom = search.degrees_of_freedom(search.whitening.T @ changes[0] / squares[0], 1 / squares[0])
         quantile = float(stats.t.ppf(trial.quantile_level, freedom))
         size = max(size, 0.0) if trial.is_one_sided else size
         return Estimate(size, inflation / float(np.sqrt(squares[0])), quantile, inflation)
@@ -327,15 +324,6 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
         for name, sides in choose_farthest(trials).items()
         if all(trial.is_limited for trial in sides)
     }
-
-
-def degrees_of_freedom(search: LawSearch, weights: np.ndarray, variance: float) -> float:
-    """Return Satterthwaite's degrees of freedom of a weighted sum of the observations with a variance."""
-    if not search.components:
-        return LARGEST_FREEDOM
-    gradient = np.array([weights @ matrix @ weights for matrix in search.components.values()])
-    spread = float(gradient @ search.variances.covariance @ gradient)
-    return float(np.clip(2 * variance**2 / max(spread, 1e-300), LEAST_FREEDOM, LARGEST_FREEDOM))
 
 
 def limit_scatter(named: NamedScatter, frames: int, scales: EffectScales) -> UpperLimit:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from spotcheck.discrepancy.criteria import MIN_GAIN, MIN_GAIN_BESIDE_SHAPE, PARAMETER_PRICE
+from spotcheck.discrepancy.criteria import MIN_GAIN, PARAMETER_PRICE
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.residuals import measure_residuals
@@ -100,7 +100,7 @@ def fit_saturated(declared: JointFit, frames: FrameSet, effects: Sequence[Effect
     # The effects that are sought beside it move it further: it need not converge here.
     full = fit_jointly(best.model, select_pixels(frames, best.model.spots), tolerance=1.0, iterations=FIRST_ITERATIONS)
     without = fit_jointly(declared.model, full.pixels, iterations=FIRST_ITERATIONS)
-    return full if without.deviance - full.deviance > MIN_GAIN_BESIDE_SHAPE else declared
+    return full if without.deviance - full.deviance > MIN_GAIN else declared
 
 
 def starts_of_clip(clips: Sequence[Effect], pile: PileUp, is_random: bool) -> list[AppliedEffect]:

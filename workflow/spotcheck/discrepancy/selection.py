@@ -16,6 +16,7 @@ from spotcheck.discrepancy.criteria import (
     VARIANT_TIE,
 )
 from spotcheck.discrepancy.evidence import EffectTest, assess_effect, estimate_covariance, is_negligible, least_gain
+from spotcheck.discrepancy.fine_structure import add_fine_structure
 from spotcheck.discrepancy.frames import FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_thinned_evidence
@@ -77,7 +78,8 @@ class SelectionStep:
 
     fit: JointFit  # with the effects so far
     gain: float  # drop of −2 ln L by the last of them; NaN if unknown
-    rivals: Mapping[str, float] = field(default_factory=dict)  # effects that do as well as the last one
+    # By effect: others that do as well in its place, and how much larger −2 ln L is with them.
+    rivals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def last_effect(self) -> Effect:
@@ -125,6 +127,11 @@ def select_effects(
     free = free if free.has_converged else fit_jointly(free.model, free.pixels)
     path = select_forward(free, effects, scales, log, update)
     assert path is not None
+    last = path[-1] if path[-1].fit.has_converged else finish_step(path[-1])
+    fine = add_fine_structure(last.fit)
+    log(f"structure between the nodes takes {last.fit.deviance - fine.deviance:.0f}")
+    if fine is not last.fit:
+        path = [replace(last, fit=fine, gain=np.nan)]
     return replace(eliminate_backward(path, scales, log), with_shape=free)
 
 
@@ -167,7 +174,7 @@ def select_forward(
             return None
         if best is None:
             break
-        path.append(replace(best, fit=update(best.fit)))
+        path.append(replace(best, fit=update(best.fit), rivals={**path[-1].rivals, **best.rivals}))
     return path
 
 
@@ -265,7 +272,7 @@ def add_best_effect(
     general = {effect.name for effect in effects if leader in effect.special_cases}
     behind = {name: best_value - value for name, value in values.items() if name not in {leader, *general}}
     rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
-    return SelectionStep(best, (present.deviance - best.deviance) / dispersion, rivals)
+    return SelectionStep(best, (present.deviance - best.deviance) / dispersion, {leader: rivals} if rivals else {})
 
 
 def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) -> JointModel:
@@ -336,7 +343,7 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log:
     path = list(path)
     if not path[-1].fit.has_converged:
         path[-1] = finish_step(path[-1])
-    rivals = {step.fit.model.effect_names[-1]: step.rivals for step in path if step.rivals}
+    rivals = path[-1].rivals
     while True:
         fit = path[-1].fit
         covariance = estimate_covariance(fit)

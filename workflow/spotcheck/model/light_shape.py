@@ -26,13 +26,15 @@ class LightShape:
 
     step: float  # distance of the nodes [σ]
     coefficients: np.ndarray  # of the splines [row, column], in peaks of the declared shape; the middle is the centre
+    finer: "LightShape | None" = None  # structure between the nodes, which is added
 
     def __call__(self, u, v) -> np.ndarray:
         """Return s [1] at u, v [σ], arrays that broadcast."""
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         out = np.empty(u.size)
         fill_spline(self.coefficients, 1 / self.step, np.ravel(u), np.ravel(v), out)
-        return out.reshape(u.shape)
+        out = out.reshape(u.shape)
+        return out if self.finer is None else out + self.finer(u, v)
 
 
 @compiled
@@ -95,13 +97,21 @@ def read_lights(path: str | Path) -> tuple[LightShape, ...]:
         raise InputError(f"{path.name}: is no file; name a light.nc, as a verdict writes it")
     try:
         with store.read(path) as ds:
-            step, coefficients = float(ds["step"]), np.array(ds["coefficients"].values, float)
+            layers = [
+                (float(ds[step]), np.array(ds[name].values, float))
+                for step, name in (("fine_step", "fine_coefficients"), ("step", "coefficients"))
+                if name in ds or name == "coefficients"
+            ]
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{path.name}: holds no shape of a light; name a light.nc, as a verdict writes it") from None
-    is_square = coefficients.ndim == 3 and coefficients.shape[1] == coefficients.shape[2] >= FEWEST_NODES
-    if not (is_square and len(coefficients) and np.isfinite(coefficients).all() and np.isfinite(step) and step > 0):
-        raise InputError(
-            f"{path.name}: step and coefficients make no shape; they must be numbers, the step above 0 and as many rows"
-            " as columns"
-        )
-    return tuple(LightShape(step, shape) for shape in coefficients)
+    shapes: list[LightShape | None] = [None] * len(np.atleast_1d(layers[-1][1]))
+    for step, coefficients in layers:
+        is_square = coefficients.ndim == 3 and coefficients.shape[1] == coefficients.shape[2] >= FEWEST_NODES
+        is_usable = is_square and np.isfinite(coefficients).all() and np.isfinite(step) and step > 0
+        if not (is_usable and 0 < len(coefficients) == len(shapes)):
+            raise InputError(
+                f"{path.name}: step and coefficients make no shape; they must be numbers, the step above 0 and as many"
+                " rows as columns"
+            )
+        shapes = [LightShape(step, shape, finer) for shape, finer in zip(coefficients, shapes, strict=True)]
+    return tuple(shape for shape in shapes if shape is not None)
