@@ -23,14 +23,12 @@ TOLERANCE, ITERATIONS = 0.1, 8
 
 def add_fine_structure(fit: JointFit) -> JointFit:
     """Return a fit with the structure between the nodes of its free shape; as it is if sites do not share any."""
-    learned = fit.model.forward.baseline.learned
-    assert learned is not None
     nodes = 2 * int(RINGS[-1] / FINE_STEP) + 1
     for _ in range(PASSES if len(np.unique(fit.model.design.site)) > 1 else 0):
         structure = estimate_structure(fit, nodes)
         if not structure.any():
             break
-        present = fit.model.forward.baseline.learned.finer
+        present = learned.finer if (learned := fit.model.forward.baseline.learned) else None
         total = structure if present is None else present.coefficients + structure
         fit = fit_jointly(
             with_structure(fit.model, LightShape(FINE_STEP, total)),
