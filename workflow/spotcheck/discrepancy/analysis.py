@@ -328,7 +328,7 @@ def measure_scatter(images: ResidualImages, fit: JointFit, hot_pixels: int) -> S
     """
     covariances = measure_fields(images)
     grains = estimate_granular_light(covariances)
-    is_alone = len(np.unique(images.design.site)) == 1 and not grains.variance > MIN_Z * grains.stderr
+    is_alone = images.design.sites == 1 and not grains.variance > MIN_Z * grains.stderr
     gains = estimate_white_field(images) if is_alone else estimate_pixel_gains(covariances)
     dark = measure_dark_noise(images, measure_dark_slopes(fit.model.forward))
     return Scatter(dark, grains, gains, hot_pixels)

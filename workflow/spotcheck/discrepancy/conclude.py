@@ -289,7 +289,7 @@ def _scatter(scattered: NamedScatter, analysis: Analysis, effects: Sequence[Effe
     applied = scattered.applied
     design = analysis.prepared.frames.design
     rivals = dict.fromkeys(scattered.rivals, 0.0)
-    if len(np.unique(design.site)) == len(design.site):
+    if design.sites == len(design.site):
         rivals |= {effect.name: 0.0 for effect in effects if effect is not applied.effect
                   and _scatters_alike(applied, effect)}  # fmt: skip
     return NamedEffect(

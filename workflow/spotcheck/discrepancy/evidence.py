@@ -121,7 +121,7 @@ def assess_effect(
 
 def least_gain(model: JointModel) -> float:
     """Return the drop of −2 ln L that a name needs."""
-    is_alone = model.grid is not None and len(np.unique(model.design.site)) == 1
+    is_alone = model.grid is not None and model.design.sites == 1
     return MIN_GAIN_AT_ONE_SITE if is_alone else MIN_GAIN
 
 
@@ -248,7 +248,7 @@ def label_cells(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:
 def label_sites(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:
     """Return the cluster of each pixel: site × sector, or blocks of a frame if sites are few."""
     design: Design = model.design
-    if len(np.unique(design.site)) >= MANY_SITES:
+    if design.sites >= MANY_SITES:
         return design.site[part][:, None, None] * SECTORS + divide_spot(at)[0]
     pixels = at.conditions.pixels
     block = (pixels.y // BLOCK_PX) * 10_000 + pixels.x // BLOCK_PX

@@ -44,7 +44,7 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
     """
     count = len(frames.left)
     out = np.zeros((count, 4, count, 4))
-    grain_px = max(grains.grain_px, 0.0) if np.isfinite(grains.grain_px) else 0.0
+    grain_px = grains.grain_px if grains.grain_px > 0 else 0.0
     area, is_in_model = correlated_area(grain_px), has_field(fit.model)
     in_fit = covariance_of_spots(fit)
     for site in np.unique(fit.model.design.site):

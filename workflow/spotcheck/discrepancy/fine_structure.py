@@ -1,6 +1,6 @@
 """Structure of the light that is finer than the nodes of its free shape, from residuals that all sites share.
 
-Unresolved, it would pass for noise that grows with the light, as that of a bent response does.
+Without it such structure passes for noise that grows with the light, as that of a bent response does.
 """
 
 from dataclasses import replace
@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from spotcheck.discrepancy.evaluation import evaluate, sum_batches
-from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
+from spotcheck.discrepancy.joint_fit import JointFit, fit_jointly
 from spotcheck.discrepancy.shape_grid import STEP
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.light_shape import LightShape
 
 # Distance of the nodes, and bounds of the rings in which the structure has one variance [σ].
 FINE_STEP, RINGS = STEP / 2, (0.0, 0.75, 1.5, 2.25, 3.0, 4.0)
-# Estimates one after the other: nodes are smoothed by the splines between them, and each estimate adds what is left.
+# Number of estimates: splines smooth the values at the nodes, so that each estimate adds what the one before left.
 PASSES = 3
 # Effort of the fits of the spots beside the structure.
 TOLERANCE, ITERATIONS = 0.1, 8
@@ -23,28 +23,18 @@ TOLERANCE, ITERATIONS = 0.1, 8
 
 def add_fine_structure(fit: JointFit) -> JointFit:
     """Return a fit with the structure between the nodes of its free shape; as it is if sites do not share any."""
+    if fit.model.design.sites == 1:
+        return fit
     nodes = 2 * int(RINGS[-1] / FINE_STEP) + 1
-    for _ in range(PASSES if len(np.unique(fit.model.design.site)) > 1 else 0):
-        structure = estimate_structure(fit, nodes)
+    for _ in range(PASSES):
+        learned, structure = fit.model.forward.baseline.learned, estimate_structure(fit, nodes)
+        assert learned is not None
         if not structure.any():
             break
-        present = learned.finer if (learned := fit.model.forward.baseline.learned) else None
-        total = structure if present is None else present.coefficients + structure
-        fit = fit_jointly(
-            with_structure(fit.model, LightShape(FINE_STEP, total)),
-            fit.pixels,
-            tolerance=TOLERANCE,
-            iterations=ITERATIONS,
-        )
+        total = structure if learned.finer is None else learned.finer.coefficients + structure
+        model = fit.model.with_learned(replace(learned, finer=LightShape(FINE_STEP, total)))
+        fit = fit_jointly(model, fit.pixels, tolerance=TOLERANCE, iterations=ITERATIONS)
     return fit
-
-
-def with_structure(model: JointModel, finer: LightShape) -> JointModel:
-    """Return a model whose light shape has a structure between its nodes."""
-    baseline = model.forward.baseline
-    assert baseline.learned is not None
-    baseline = replace(baseline, learned=replace(baseline.learned, finer=finer))
-    return replace(model, forward=replace(model.forward, baseline=baseline))
 
 
 def estimate_structure(fit: JointFit, nodes: int) -> np.ndarray:

@@ -39,6 +39,11 @@ class Design:
     has_exposures: bool  # whether exposures were recorded
     has_order: bool  # whether the order of acquisition is known
 
+    @property
+    def sites(self) -> int:
+        """Number of sites."""
+        return len(np.unique(self.site))
+
     def select(self, frames: np.ndarray | slice) -> "Design":
         """Return the conditions of some frames."""
         names = ("exposure_s", "angle", "order", "repeat", "site", "condition")

@@ -39,7 +39,7 @@ def mask_hot_pixels(frames: FrameSet, sensor: SensorModel) -> tuple[FrameSet, in
     excess = mean - ndimage.median_filter(mean, LEVEL_PX)
     is_lit = light > LIT_SHARE * light.max()
     relative = MAD_TO_SD * np.median(np.abs(excess[is_lit] / light[is_lit]))
-    if len(np.unique(frames.design.site)) == 1 and relative > GRANULAR:
+    if frames.design.sites == 1 and relative > GRANULAR:
         return frames, 0
     local = MAD_TO_SD * ndimage.median_filter(np.abs(excess), SCATTER_PX)
     deviation = np.sqrt(variance / np.maximum(count, 1) + (relative * light) ** 2 + local**2)

@@ -97,6 +97,10 @@ class JointModel:
         learned = self.forward.baseline.learned
         finer = None if learned is None else learned.finer
         shape = LightShape(self.grid.step, coefficients.reshape(self.grid.nodes, self.grid.nodes), finer)
+        return self.with_learned(shape)
+
+    def with_learned(self, shape: LightShape | None) -> "JointModel":
+        """Return the model with a learned shape of the light, or with the declared one alone."""
         return replace(self, forward=replace(self.forward, baseline=replace(self.forward.baseline, learned=shape)))
 
     def with_free_shape(self, grid: ShapeGrid) -> "JointModel":

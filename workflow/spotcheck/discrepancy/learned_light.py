@@ -191,7 +191,7 @@ def draw_noise(fit: JointFit, gauge: Gauge, grid: PolarGrid, rng: np.random.Gene
         return np.array([LightShape(shape.step, draw)(u, v) for draw in draws])
 
     noise = noise_of(draw_by_information(fit, rng))
-    if len(np.unique(fit.model.design.site)) < MANY_SITES:
+    if fit.model.design.sites < MANY_SITES:
         return noise * np.sqrt(max(fit.equations.dispersion, 1.0))
     spectrum = np.fft.rfft(noise, axis=2)
     between_sites = np.fft.rfft(noise_of(draw_by_sites(fit, rng)), axis=2)

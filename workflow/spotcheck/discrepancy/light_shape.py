@@ -213,5 +213,4 @@ def add_static_effect(fit: JointFit, effects: Sequence[Effect], scales: EffectSc
 
 def without_shape(model: JointModel) -> JointModel:
     """Return the model with the declared shape."""
-    baseline = replace(model.forward.baseline, learned=None)
-    return replace(model, grid=None, forward=replace(model.forward, baseline=baseline))
+    return replace(model, grid=None).with_learned(None)

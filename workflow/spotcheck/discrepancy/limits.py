@@ -126,7 +126,7 @@ def list_not_assessed(effects: Sequence[Effect], design: Design, baseline: Basel
         Need.ANGLES: angles > 2,
         Need.ORDER: design.has_order and frames > 2,
         Need.FRAMES: frames > 2 and np.bincount(design.condition).max() > 1,
-        Need.SITES: len(np.unique(design.site)) > 1,
+        Need.SITES: design.sites > 1,
         Need.LAW: design.has_exposures and baseline.photon_budget != "free",
     }
     missing = {effect.name: [need.value for need in effect.needs if not is_met[need]] for effect in effects}

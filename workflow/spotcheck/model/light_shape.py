@@ -1,7 +1,8 @@
 """Learned shapes of the light beside the declared one, and light.nc, the file that holds them.
 
 S(u, v) = B(u, v) + s(u, v) with u = (x − x₀)/σ, v = (y − y₀)/σ. B is the declared shape with peak 1. s is a tensor
-product of uniform cubic B-splines (de Boor, A Practical Guide to Splines, ch. IX), 0 beyond the last nodes.
+product of uniform cubic B-splines (de Boor, A Practical Guide to Splines, ch. IX), 0 beyond the last nodes; another one
+with nodes closer together may be added to it.
 """
 
 import math
@@ -26,7 +27,7 @@ class LightShape:
 
     step: float  # distance of the nodes [σ]
     coefficients: np.ndarray  # of the splines [row, column], in peaks of the declared shape; the middle is the centre
-    finer: "LightShape | None" = None  # structure between the nodes, which is added
+    finer: "LightShape | None" = None  # structure between the nodes, which is added; None for none
 
     def __call__(self, u, v) -> np.ndarray:
         """Return s [1] at u, v [σ], arrays that broadcast."""

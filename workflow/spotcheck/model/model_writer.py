@@ -126,9 +126,13 @@ def write_light(shapes: Sequence[LightShape], file: LightFile) -> None:
     if finer:
         none = np.zeros_like(finer[0].coefficients)
         structure = np.array([none if shape.finer is None else shape.finer.coefficients for shape in shapes])
-        text = "the same of structure between the nodes"
+        text = "coefficients of cubic B-splines of structure between the nodes, which is added, over the same peak"
         ds["fine_coefficients"] = (("light", "fine_v", "fine_u"), structure, {"units": "1", "long_name": text})
-        ds["fine_step"] = ((), float(finer[0].step), {"units": "1", "long_name": "distance of its nodes, over sigma_g"})
+        ds["fine_step"] = (
+            (),
+            float(finer[0].step),
+            {"units": "1", "long_name": "distance of nodes of that structure, over sigma_g"},
+        )
     maps = np.array([shape(points[None, :], points[:, None]) for shape in shapes]).astype("f4")
     text = "light beside the declared shape, over that one's peak"
     ds["s"] = (("light", "v", "u"), maps, {"units": "1", "long_name": text})
