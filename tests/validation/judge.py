@@ -53,8 +53,9 @@ def record_of(name: str, job: Job) -> Record:
     own = generator(name)
     record: Record = {"job": job._asdict(), "truth": None, "verdict": None, "outcome": "error", "cpu_seconds": None,
                       "memory_mb": None}  # fmt: skip
-    with tempfile.TemporaryDirectory(prefix="spotcheck-") as base:
-        folder, results, truth = Path(base, f"set{job.seed}"), Path(base, "results"), Path(base, "truth.json")
+    with tempfile.TemporaryDirectory(prefix="spotcheck-") as scratch:
+        base = Path(scratch)
+        folder, results, truth = base / f"set{job.seed}", base / "results", base / "truth.json"
         try:
             if not own.write(job, folder, truth):
                 return record | {"outcome": "passed over"}
@@ -65,6 +66,10 @@ def record_of(name: str, job: Job) -> Record:
                 # Whatever is recorded must be fit for a file.
                 record["verdict"] = json.loads(json.dumps(verdict_of(folder, results), allow_nan=False))
             record |= {"outcome": "judged", "cpu_seconds": time.process_time() - start, "memory_mb": peak_memory()}
+            if job := own.unaltered(record):
+                own.write(job, base / "unaltered", base / "nothing.json")
+                verdict = verdict_of(base / "unaltered", base / "results of unaltered")
+                record["unaltered"] = [effect["name"] for effect in verdict["effects"]]
         except Exception as error:
             record |= {"outcome": "error", "verdict": None, "error": said(error)}
     return record

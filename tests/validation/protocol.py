@@ -39,6 +39,9 @@ class Generator(Protocol):
     def write(self, job: Job, folder: Path, truth: Path) -> bool:
         """Write a dataset folder and the truth; False where the job is passed over."""
 
+    def unaltered(self, record: Record) -> Job | None:
+        """The job of a judged set without what was put in, whose names count as there; None where it tells nothing."""
+
     def report(self, records: Sequence[Record], folder: Path, name: str, publish: bool) -> str:
         """Write pages into a folder of results, with `publish` into the repository too; returns what to print."""
 

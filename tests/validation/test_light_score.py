@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.validation.generators.light import page, reading, score
+from tests.validation.generators.light import generator, page, reading, score
 from tests.validation.intervals import wilson
 
 
@@ -55,6 +55,17 @@ def test_every_effect_is_named_alone_and_nothing_else(said, on_gauss, on_real):
     both = [put_in("smear"), put_in("speckle") | {"on_top": True}]
     assert reading.is_right(record(REAL, both, [*said, entry("speckle")])) is on_real
     assert not reading.is_right(record(REAL, both, said))
+
+
+def test_a_name_that_the_beam_gets_without_the_effect_is_not_false():
+    """Such a set asks for its unaltered beam, others do not."""
+    right = record(REAL, [put_in("smear")], [entry("smear"), entry("beam_profile")])
+    more = record(REAL, [put_in("smear")], [entry("smear"), entry("saturation")])
+    plain = record("nothing::real:0", [], [entry("saturation")])
+    assert [generator.unaltered(known) for known in (right, plain)] == [None, None]
+    assert generator.unaltered(more).kind == "unaltered:strong real:smear:real"
+    assert not reading.is_right(more) and not reading.is_right(more | {"unaltered": ["beam_profile"]})
+    assert reading.is_right(more | {"unaltered": ["saturation"]})
 
 
 def test_no_verdict_in_time_or_converged_is_right():

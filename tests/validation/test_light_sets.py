@@ -75,6 +75,21 @@ def test_a_job_is_a_folder_and_a_truth(tmp_path, kind, design, names, frames):
         assert own["known"] >= own["free"] > 0 and own["wanted"] > 0 and isinstance(own["tied"], bool)
 
 
+@pytest.mark.skipif(not beams.there(), reason="real beams lie beside the repository")
+def test_an_unaltered_set_has_the_light_and_the_sheet_of_the_other(tmp_path):
+    """Smear of half the light leaves its trace in the one and not in the other."""
+    jobs = [
+        Job(0, 51_000_007, kind, "single_frame")
+        for kind in ("strong real:smear:real:50", "unaltered:strong real:smear:real")
+    ]
+    truths = [draw.write_job(job, tmp_path / job.kind[:6]) for job in jobs]
+    sheets = [(tmp_path / job.kind[:6] / "instrument.yaml").read_text().replace(job.kind[:6], "") for job in jobs]
+    assert sheets[0] == sheets[1]
+    assert truths[0]["light"] == truths[1]["light"] and truths[0]["base"] == truths[1]["base"]
+    assert truths[0]["effects"] and not truths[1]["effects"]
+    assert all(len(list((tmp_path / job.kind[:6] / "frames").iterdir())) == 1 for job in jobs)
+
+
 def test_two_effects_and_speckle_on_top(tmp_path):
     case = draw_case(8, "one_exposure", "drawn", [])
     truths = draw.hide(case, ["smear", "row_noise"], 50.0)

@@ -33,7 +33,6 @@ from spotcheck.discrepancy.light_shape import (
     count_coefficients,
     explain_shape,
     fit_thinned_shape,
-    shift_by_coarser_shape,
 )
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import (
@@ -234,8 +233,7 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
     if setting.baseline.photon_budget != "free":
         sensor = replace(fit.model.forward.sensor, read_noise_e=setting.sensor.read_noise_e)
         by_field = covariance_by_field(fit, prepared.frames, scatter.grains) if shows_grains(scatter.grains) else None
-        by_shape = None if fit.model.grid is None else shift_by_coarser_shape(fit)
-        search = LawSearch(numbers_of_fit(fit, by_field, by_shape), ForwardModel(setting.baseline, sensor), scales)
+        search = LawSearch(numbers_of_fit(fit, by_field), ForwardModel(setting.baseline, sensor), scales)
     named = name_all_scatter(effects, scatter, fit, setting, scales, search)
     analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)
     if search is None:

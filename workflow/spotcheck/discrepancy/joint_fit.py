@@ -103,6 +103,12 @@ class JointModel:
         """Return the model with a learned shape of the light, or with the declared one alone."""
         return replace(self, forward=replace(self.forward, baseline=replace(self.forward.baseline, learned=shape)))
 
+    def with_fine_structure(self, other: "JointModel") -> "JointModel":
+        """Return the model with the structure between the nodes of another model's light shape."""
+        learned, shape = self.forward.baseline.learned, other.forward.baseline.learned
+        assert learned is not None and shape is not None
+        return self.with_learned(replace(learned, finer=shape.finer))
+
     def with_free_shape(self, grid: ShapeGrid) -> "JointModel":
         """Return the model with a light shape that is fitted, from the declared one on."""
         return replace(self, grid=grid).with_coefficients(np.zeros(grid.nodes**2))

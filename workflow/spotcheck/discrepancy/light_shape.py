@@ -11,7 +11,7 @@ from spotcheck.discrepancy.evaluation import evaluate, map_batches
 from spotcheck.discrepancy.evidence import estimate_covariance
 from spotcheck.discrepancy.frames import thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.shape_grid import STEP, ShapeGrid
+from spotcheck.discrepancy.shape_grid import ShapeGrid
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 
 # Effort of the fits of a shape: decrement of the effects, and most iterations on thinned and on all pixels.
@@ -19,8 +19,6 @@ TOLERANCE, THINNED_ITERATIONS, ITERATIONS = 0.1, 18, 8
 # The same of fits that only measure how much a shape, or a static effect that may stand for it, takes.
 EVIDENCE_PIXELS = 200_000
 EVIDENCE_TOLERANCE, EVIDENCE_ITERATIONS, STATIC_ITERATIONS = 0.3, 10, 15
-# How much farther apart the nodes of a coarser shape lie.
-COARSER = 1.4
 # Distance from the centre [σ] within which the rms of a shape is taken.
 RMS_RADIUS = 3.0
 # Coefficients below this size [peak] are not fitted ones.
@@ -57,21 +55,6 @@ def fit_free_shape(declared: JointFit) -> JointFit:
         iterations=THINNED_ITERATIONS,
     )
     return fit_jointly(thinned.model, declared.pixels, tolerance=TOLERANCE, iterations=ITERATIONS)
-
-
-def shift_by_coarser_shape(fit: JointFit) -> np.ndarray:
-    """Return how ln peak, ln σ, x, y of frame after frame [4F] move when the nodes of the free shape lie farther apart.
-
-    Structure of the light that is finer than the nodes moves the spots of all frames together: this is its size.
-    """
-    coarse = ShapeGrid(step=COARSER * STEP)
-    model = replace(fit.model, free=()).with_free_shape(coarse)
-    learned = fit.model.forward.baseline.learned
-    assert learned is not None
-    start = model.with_coefficients(learned(coarse.places[None, :], coarse.places[:, None]).ravel())
-    moved = fit_jointly(start, fit.pixels, tolerance=TOLERANCE, iterations=ITERATIONS).model.spots
-    rows = zip(moved.as_rows(), fit.model.spots.as_rows(), strict=True)
-    return np.stack([after - before for after, before in rows], axis=1).ravel()
 
 
 def measure_evidence(declared: JointFit, free: JointFit) -> ShapeEvidence:

@@ -56,7 +56,8 @@ def build_chain(parts: FittedParts) -> list[NestedModel]:
     names = list(parts.final.model.effect_names)
     if parts.with_shape is not None:
         law = _law_of(parts.with_shape, parts).law
-        chain.append(NestedModel(LIGHT_SHAPE, _clean(parts.with_shape.model, parts, law)))
+        model = parts.with_shape.model.with_fine_structure(parts.final.model)
+        chain.append(NestedModel(LIGHT_SHAPE, _clean(model, parts, law)))
     for count in range(1, len(names)):
         fit = _fit_without(parts.final, names[count:])
         chain.append(NestedModel(names[count - 1], _clean(fit.model, parts, _law_of(fit, parts).law)))

@@ -131,7 +131,7 @@ def select_effects(
     fine = add_fine_structure(last.fit)
     log(f"structure between the nodes takes {last.fit.deviance - fine.deviance:.0f}")
     if fine is not last.fit:
-        path = [replace(last, fit=fine, gain=np.nan)]
+        path = [finish_step(replace(last, fit=fine, gain=np.nan))]
     return replace(eliminate_backward(path, scales, log), with_shape=free)
 
 
@@ -236,19 +236,17 @@ def add_best_effect(
         return None
     refits = refit_candidates(thinned, candidates, ratio, scales, log)
     least_value = least_gain(present.model) - PARAMETER_PRICE
-    best: JointFit | None = None
-    best_value, best_place = -np.inf, -1
-    values: dict[str, float] = {}
+    fits: dict[str, tuple[JointFit, float, int]] = {}  # by effect: its best fit, value and place
+    best = ""
     for refit in refits[:MOST_FULL_FITS]:
         name = refit.candidate.start.effect.name
         if refit.value < least_gain(present.model) / 2 or is_negligible(refit.model.effect_named(name), scales):
             continue
-        if best is not None:
-            is_variant = name == best.model.effect_names[-1]
-            if is_variant and refit.is_at_bound:
+        if best:
+            if name == best and refit.is_at_bound:
                 continue
             margin = max(VARIANT_MARGIN, 0.01 * refits[0].value)
-            if refit.value < (refits[0].value - margin if is_variant else RIVAL_SHARE * refits[0].value):
+            if refit.value < (refits[0].value - margin if name == best else RIVAL_SHARE * refits[0].value):
                 continue
         if refit.value < REFIT_SHARE * demand.least_drop(refit.candidate.start.effect):
             continue
@@ -257,22 +255,34 @@ def add_best_effect(
         full = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
         value = (present.deviance - full.deviance) / dispersion - price_of(refit.candidate)
         log(f"  {_text(refit.candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
-        if not full.has_converged or value < least_value:
+        if not full.has_converged or value < least_value or is_negligible(full.model.effect_named(name), scales):
             continue
-        if is_negligible(full.model.effect_named(name), scales):
-            continue
-        values[name] = max(value, values.get(name, -np.inf))
-        is_tied = best is not None and name == best.model.effect_names[-1] and abs(value - best_value) < VARIANT_TIE
-        if refit.candidate.place < best_place if is_tied else value > best_value:
-            best, best_value, best_place = full, value, refit.candidate.place
-    if best is None:
+        place, (_, known, known_place) = refit.candidate.place, fits.get(name, (full, -np.inf, -1))
+        if place < known_place if abs(value - known) < VARIANT_TIE else value > known:
+            fits[name] = (full, value, place)
+        best = max(fits, key=lambda name: fits[name][1])
+    if not best:
         return None
-    leader = best.model.effect_names[-1]
+    best = find_special_case(best, {name: fit for name, (fit, _, _) in fits.items()}, least_gain(present.model))
     # An effect that has the leader as a special case fits as well in any case: it is no rival.
-    general = {effect.name for effect in effects if leader in effect.special_cases}
-    behind = {name: best_value - value for name, value in values.items() if name not in {leader, *general}}
+    general = {effect.name for effect in effects if best in effect.special_cases}
+    behind = {name: max(fits[best][1] - fits[name][1], 0.0) for name in fits if name not in {best, *general}}
     rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
-    return SelectionStep(best, (present.deviance - best.deviance) / dispersion, {leader: rivals} if rivals else {})
+    fit = fits[best][0]
+    return SelectionStep(fit, (present.deviance - fit.deviance) / dispersion, {best: rivals} if rivals else {})
+
+
+def find_special_case(name: str, fits: Mapping[str, JointFit], least_drop: float) -> str:
+    """Return the name of the special case of an effect that fits as well, if there is one, else its own name.
+
+    The strength of an effect is what it has beyond its special case: it must lower −2 ln L by `least_drop` itself.
+    """
+    for other in fits[name].model.effect_named(name).effect.special_cases:
+        if other in fits:
+            drop = (fits[other].deviance - fits[name].deviance) / fits[name].pixels.dispersion
+            if drop < least_drop:
+                return other
+    return name
 
 
 def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) -> JointModel:

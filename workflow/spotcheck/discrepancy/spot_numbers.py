@@ -30,9 +30,7 @@ class SpotNumbers:
         return self.covariance[np.ix_(index, index)]
 
 
-def numbers_of_fit(
-    fit: JointFit, by_field: np.ndarray | None = None, by_shape: np.ndarray | None = None
-) -> SpotNumbers:
+def numbers_of_fit(fit: JointFit, by_field: np.ndarray | None = None) -> SpotNumbers:
     """Return brightness and width of the spots of a fit.
 
     Parameters
@@ -41,12 +39,8 @@ def numbers_of_fit(
         Fit of the spots.
     by_field : array [4F, 4F], optional
         What granular light adds to their covariance.
-    by_shape : array [4F], optional
-        How misfit of the shape moves them; one standard deviation.
     """
     covariance = covariance_of_spots(fit)
-    if by_shape is not None:
-        covariance = covariance + np.outer(by_shape, by_shape)
     if by_field is None:
         return SpotNumbers(fit.model.design, fit.model.spots, covariance)
     of_field = tuple(np.diag(by_field).reshape(-1, 4).mean(axis=0))

@@ -24,20 +24,23 @@ from tests.validation.protocol import Job
 
 # A third of the sets with one effect on light that is no Gaussian have speckle on top.
 SPECKLED, CONTRAST = 1 / 3, (0.2, 0.5)
+# Row of the sets that have the light of another set and no effect.
+UNALTERED = "unaltered"
 # Not beside this one, whose signal-to-noise is that beside another base.
 ALONE = ("spread_law",)
 
 
 def write_job(job: Job, folder: Path) -> dict[str, Any]:
     """Make what a job says; returns the truth."""
-    row, put_in, *drawn = job.kind.split(":")
+    is_unaltered = job.kind.startswith(UNALTERED)
+    row, put_in, *drawn = job.kind.removeprefix(f"{UNALTERED}:").split(":")
     if row == "frame":
         return hene.write(int(job.design.split()[-1]), put_in, job.seed, folder)
-    light, level = drawn[0], float(drawn[1])
+    light = drawn[0]
     names = [f"outside:{put_in}"] if row == "outside" else [name for name in put_in.split("+") if name]
     case = draw_case(job.seed, job.design, light, names)
     alone = row == "outside" or len(names) != 1 or names[0] in (*SCATTERS, *ALONE)
-    truths = hide(case, names, level, None if alone else _on_top(case))
+    truths = [] if is_unaltered else hide(case, names, float(drawn[1]), None if alone else _on_top(case))
     write(case, folder)
     return {
         "seed": job.seed,

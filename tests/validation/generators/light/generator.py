@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tests.validation.generators.light import beams, page, whole
-from tests.validation.generators.light.draw import write_job
+from tests.validation.generators.light.draw import UNALTERED, write_job
 from tests.validation.generators.light.plan import COUNTS, plan
+from tests.validation.generators.light.reading import false_names
 from tests.validation.protocol import Job, Record
 from tests.validation.records import ROOT
 
@@ -39,6 +40,15 @@ def write(job: Job, folder: Path, truth: Path) -> bool:
     known = makers[row](folder) if row in makers else write_job(job, folder)
     truth.write_text(json.dumps(known, indent=1, default=float) + "\n", encoding="utf-8")
     return True
+
+
+def unaltered(record: Record) -> Job | None:
+    """The same beam without effects, for a set that names what was not put in: a real beam has effects of its own."""
+    job = Job(**record["job"])
+    row, names, light, *_ = [*job.kind.split(":"), "", ""]
+    if light != "real" or not names or not false_names(record):
+        return None
+    return job._replace(kind=f"{UNALTERED}:{row}:{names}:{light}")
 
 
 def report(rows: Sequence[Record], folder: Path, name: str, publish: bool) -> str:

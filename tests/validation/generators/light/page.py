@@ -32,8 +32,9 @@ def as_markdown(records: Sequence[Record], commit: str) -> str:
         f"{len(scored)} data sets with hidden effects were judged at commit `{commit}` by `make validate`, on seeds "
         "that follow from the commit's hash, once. Generator and library share no code.", "",
         "*Right*: every effect is named as its only candidate, nothing else is named, and the verdict converged within "
-        "200 CPU seconds. On real beams names of static shapes do not count as false, and an effect that the beam's "
-        "shape hides by design is right where a shape is named. The *bound* of an effect is the strength of "
+        "200 CPU seconds. On real beams names of static shapes do not count as false, nor do names that the same beam "
+        "gets without what was put in, and an effect that the beam's shape hides by design is right where a shape is "
+        "named. The *bound* of an effect is the strength of "
         "signal-to-noise 1 beside all that is fitted. A row is met unless its 95 % interval excludes what is required.",
         "", *markdown(("row", "measured (95 %)", "sets", "required", "result"), rows), "",
         "## Errors of parameters, in standard errors", "",

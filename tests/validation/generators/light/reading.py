@@ -61,6 +61,7 @@ def false_names(record: Record, known: set[str] | frozenset[str] = frozenset()) 
     truth = names_put_in(record)
     there = truth | known | {RIGHT_OUTSIDE[name] for name in truth & set(RIGHT_OUTSIDE)}
     there |= frozenset(record["truth"].get("allowed", ())) if record["truth"] else frozenset()
+    there |= set(record.get("unaltered", ()))
     if not is_gaussian(record) or hidden_in_shape(record):
         there |= SHAPES
     if record["job"]["kind"].startswith("outside"):
