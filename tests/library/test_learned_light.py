@@ -253,7 +253,7 @@ def test_stripes_of_one_width_are_part_of_the_shape(exposures_s: tuple[float, ..
     model = starting_model(drawn).with_free_shape(GRID)
     fit = replace(fit_of(GAUSSIAN), model=model, pixels=select_pixels(frame_set(drawn), model.spots))
     stripes = apply_effect("interference_fringes", "spot", d=0.02, period=3.0, direction=20.0, phase=0.0)
-    candidate = Candidate(stripes, score=500.0, place=0, share=0.5)
+    candidate = Candidate(stripes, score=500.0, place=0, share=0.5, field_share=0.0)
     assert is_unresolved_shape(fit, candidate) == is_unresolved
     assert is_unresolved_shape(fit, replace(candidate, share=1e-6)) is False
 

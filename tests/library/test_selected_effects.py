@@ -17,7 +17,7 @@ from tests.library.models_of_frames import DEPARTURES, fit_drawn
 # Bound on the distance of one estimate from its truth in standard errors: two-sided 6.8e-6 for a normal estimate.
 LARGEST_Z = 4.5
 # Pixels on which candidates are ranked: these small frames have 17 000.
-RANKED_PIXELS = 8_000
+RANKED_PIXELS = 11_000
 # Factor on the brightness: tables of readings up to 512 DN take half the time of those up to 1024 DN.
 PEAK_FACTOR = 0.7
 SCALES = replace(models_of_frames.SCALES, peak_dn=PEAK_FACTOR * drawn_frames.PEAK)

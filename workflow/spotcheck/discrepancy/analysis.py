@@ -189,7 +189,8 @@ def add_white_field(prepared: Prepared, first: JointFit) -> Prepared | None:
     white = estimate_white_field(images)
     if not white.variance > MIN_Z * white.stderr:
         return None
-    frames = replace(prepared.frames, light_field=LightField(white.variance * images.spot**2, 1.0))
+    variance = white.variance * images.spot**2
+    frames = replace(prepared.frames, light_field=LightField(variance, 1.0, np.zeros_like(variance), 0.0))
     declared = fit_declared(frames, prepared.declared.model.spots, prepared.setting)
     return replace(prepared, frames=frames, declared=declared, images=measure_residuals(declared.model, frames))
 
@@ -292,7 +293,8 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     share = np.divide(variance, total, out=np.zeros_like(variance), where=total > 0)
     mean_share = min(float(np.sum(share * information) / np.sum(information)), 1.0)
     dispersion = 1 + (grains.frames * correlated_area(grains.grain_px) - 1) * mean_share
-    return LightField(np.zeros_like(variance) if is_in_model else variance, dispersion)
+    variance = np.zeros_like(variance) if is_in_model else variance
+    return LightField(variance, dispersion, share.astype(np.float32), mean_share)
 
 
 def shows_grains(grains: FieldEstimate) -> bool:

@@ -13,6 +13,7 @@ from spotcheck.discrepancy.evaluation import (
     columns_of,
     evaluate,
     stages_of,
+    subtract_absorbed,
     sum_batches,
 )
 from spotcheck.discrepancy.frames import conditions_of
@@ -33,6 +34,8 @@ SEPARABLE_SHARE = 1e-5
 # Part of a candidate's information that a free shape leaves, over the part of the candidate that differs between
 # frames, from which on it is a shape finer than the nodes.
 UNRESOLVED = 5.0
+# Leading candidates of which the part of a granular field is measured.
+MOST_FIELD_SHARES = 24
 # Frames that are compared for it; places along each side, and the farthest of them [σ].
 MOST_COMPARED, PLACES, FARTHEST = 16, 61, 7.0
 # Stages that change the spot of a frame as its own parameters do: effects there are laws across frames.
@@ -47,6 +50,8 @@ class Candidate:
     score: float  # expected drop of −2 ln L on the tested pixels beside all nuisance parameters, less 1 for noise
     place: int  # position among all starting points: variants that tie are taken in this order
     share: float  # part of the information on its strength that the nuisance parameters leave
+    # Part of the variance that a granular field has, over that information; the mean of the light for minor candidates.
+    field_share: float
 
 
 def changes_mean_image(effect: Effect) -> bool:
@@ -91,15 +96,23 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
     With score U and Fisher information I of the change that a start makes, both beside the nuisance parameters, the
     expected drop of −2 ln L is U²/I at U/I times the start's strength.
     """
-    score, information, raw = project_changes(fit, starts)
+    changes = project_changes(fit, starts)
     candidates = []
-    for place, (start, u, i, whole) in enumerate(zip(starts, score, information, raw, strict=True)):
+    rows = zip(starts, changes.score, changes.information, changes.alone, strict=True)
+    for place, (start, u, i, whole) in enumerate(rows):
         if not (np.isfinite(u) and i > SEPARABLE_SHARE * whole > 0):
             continue
         scaled = scale_start(start, float(u / i), fit.model)
         if scaled is not None:
-            candidates.append(Candidate(scaled, float(max(u * u / i - 1, 0.0)), place, float(i / whole)))
-    return sorted(candidates, key=lambda candidate: -candidate.score)
+            score, share = float(max(u * u / i - 1, 0.0)), float(i / whole)
+            candidates.append(Candidate(scaled, score, place, share, fit.pixels.mean_field_share))
+    candidates.sort(key=lambda candidate: -candidate.score)
+    if fit.pixels.mean_field_share == 0 or not candidates:
+        return candidates
+    places = [candidate.place for candidate in candidates[:MOST_FIELD_SHARES]]
+    shares = measure_field_shares(fit, [starts[place] for place in places], changes.select(places))
+    leading = [replace(c, field_share=float(share)) for c, share in zip(candidates, shares, strict=False)]
+    return [*leading, *candidates[len(places) :]]
 
 
 def scale_start(start: AppliedEffect, size: float, model: JointModel) -> AppliedEffect | None:
@@ -158,8 +171,27 @@ class ChangeSums:
             self.of_shape[:, k] = self._shape.products(equivalent[None])[:, 0]
 
 
-def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return score, Fisher information beside the nuisance parameters, and that alone, of the change by each start."""
+@dataclass(frozen=True)
+class ProjectedChanges:
+    """Changes by N starts beside the nuisance parameters."""
+
+    score: np.ndarray  # of each change beside them [start]
+    information: np.ndarray  # Fisher information beside them [start]
+    alone: np.ndarray  # information without them [start]
+    absorbed: np.ndarray  # what spots, sensor and fitted effects take of each change [unknown, start]
+    # L⁻¹ times the information between the coefficients of a free shape and each start [coefficient, start], where L L'
+    # is that of the coefficients; None beside the declared shape.
+    half_shape: np.ndarray | None
+
+    def select(self, starts: Sequence[int]) -> "ProjectedChanges":
+        """Return the changes by some of the starts."""
+        half = None if self.half_shape is None else self.half_shape[:, starts]
+        parts = (self.score[starts], self.information[starts], self.alone[starts], self.absorbed[:, starts])
+        return ProjectedChanges(*parts, half)
+
+
+def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> ProjectedChanges:
+    """Return the changes by starts beside the nuisance parameters of a fit."""
     model, equations = fit.model, fit.equations
 
     def of_batch(part: slice) -> tuple[np.ndarray, ...]:
@@ -172,14 +204,40 @@ def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> tuple[np.
         return sums.cross, score, sums.alone, sums.of_shape
 
     cross, score, alone, of_shape = sum_batches(of_batch, fit.pixels)
-    beside = alone.copy()
+    beside, half = alone.copy(), None
     if equations.shape is not None:
         half = equations.shape.factor.half_solve(of_shape)
         cross = cross - equations.shape.cross.T @ half
         score = score - half.T @ equations.shape.score
         beside -= np.sum(half**2, axis=0)
     absorbed = solve_positive(equations.information, cross)
-    return score - absorbed.T @ equations.gradient, beside - np.sum(cross * absorbed, axis=0), alone
+    score, information = score - absorbed.T @ equations.gradient, beside - np.sum(cross * absorbed, axis=0)
+    return ProjectedChanges(score, information, alone, absorbed, half)
+
+
+def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], changes: ProjectedChanges) -> np.ndarray:
+    """Return the part of the variance that a granular field has, in the mean over the information on each start."""
+    model, equations, frames = fit.model, fit.equations, len(fit.model.spots.x)
+    of_shape = None
+    if changes.half_shape is not None and equations.shape is not None:
+        of_shape = equations.shape.factor.back_solve(changes.half_shape - equations.shape.cross @ changes.absorbed)
+
+    def of_batch(part: slice) -> tuple[np.ndarray]:
+        at = evaluate(model, fit.pixels, part)
+        fitted, of_sensor = columns_of(model, at), changes.absorbed[4 * frames :]
+        of_spots = changes.absorbed[4 * part.start : 4 * part.stop].reshape(-1, 4, len(starts))
+        light = None if of_shape is None else ShapeSums(model, at).values(of_shape)
+        sums = np.zeros((2, len(starts)))
+        for k, start in enumerate(starts):
+            absorbed = np.einsum("fa,afhw->fhw", of_spots[:, :, k], at.slopes, optimize=True)
+            absorbed = absorbed if light is None else absorbed + light[k]
+            others = [(of_sensor[j, k], column) for j, column in enumerate(fitted)]
+            information = at.information_per_pixel(subtract_absorbed(at, change_by(model, start, at), absorbed, others))
+            sums[:, k] = np.sum(at.field_share * information), np.sum(information)
+        return (sums,)
+
+    ((of_field, information),) = sum_batches(of_batch, fit.pixels)
+    return of_field / np.maximum(information, 1e-300)
 
 
 def is_unresolved_shape(fit: JointFit, candidate: Candidate) -> bool:

@@ -8,7 +8,7 @@ residual r = y − m.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -55,6 +55,7 @@ class Evaluation:
     residual: np.ndarray  # reading less mean [DN]
     weight: np.ndarray  # 1/variance [1/DN²]
     variance_score: np.ndarray  # derivative of ln L by the variance [1/DN²]
+    field_share: np.ndarray  # part of the variance that a granular field has
     slopes: np.ndarray  # derivatives of the light by ln peak, ln σ, x, y [parameter, frame, h, w]; maybe left out
 
     @property
@@ -71,17 +72,37 @@ class Evaluation:
 
     def score(self, column: Column) -> float:
         """Return the score of a column."""
-        return float(np.sum(column[0] * self.residual * self.weight + column[1] * self.variance_score))
+        return float(np.sum(self.score_per_pixel(column)))
 
     def information_of(self, first: Column, second: Column) -> float:
         """Return the Fisher information between two columns."""
         means, variances = first[0] * second[0], first[1] * second[1]
         return float(np.sum(means * self.weight + variances * self.weight**2 / 2))
 
+    def information_per_pixel(self, column: Column) -> np.ndarray:
+        """Return the Fisher information of each reading on the unknown of a column."""
+        return column[0] ** 2 * self.weight + (column[1] * self.weight) ** 2 / 2
+
+    def score_per_pixel(self, column: Column) -> np.ndarray:
+        """Return the score of each reading for a column."""
+        return column[0] * self.residual * self.weight + column[1] * self.variance_score
+
     def light_equivalent(self, column: Column) -> np.ndarray:
         """Return what, times a change of the light, is the information between a column and that change."""
         moments, weight = self.moments, self.weight
         return moments.mean_slope * column[0] * weight + moments.variance_slope * column[1] * weight**2 / 2
+
+
+def subtract_absorbed(
+    at: Evaluation, column: Column, of_light: np.ndarray, others: Sequence[tuple[float, Column]]
+) -> Column:
+    """Return a column less what nuisance parameters take of it: a change of the light [DN], and shares of others."""
+    mean, variance = column
+    mean, variance = mean - at.moments.mean_slope * of_light, variance - at.moments.variance_slope * of_light
+    for share, (other_mean, other_variance) in others:
+        if share:
+            mean, variance = mean - share * other_mean, variance - share * other_variance
+    return mean, variance
 
 
 def batches(pixels: Pixels) -> Iterator[slice]:
@@ -130,7 +151,8 @@ def evaluate(model: JointModel, pixels: Pixels, part: slice, with_slopes: bool =
     weight = np.where(used, 1 / variance, 0.0)
     variance_score = (residual**2 * weight - used) * weight / 2
     slopes = _spot_slopes(forward, conditions, light.spot) if with_slopes else np.zeros((0, *used.shape))
-    return Evaluation(conditions, light, distribution, moments, residual, weight, variance_score, slopes)
+    return Evaluation(conditions, light, distribution, moments, residual, weight, variance_score, selected.field_share,
+                      slopes)  # fmt: skip
 
 
 def _moments_of(

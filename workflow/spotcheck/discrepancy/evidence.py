@@ -6,7 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_AT_ONE_SITE
-from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, map_batches, rounded_parameter
+from spotcheck.discrepancy.evaluation import (
+    Column,
+    Evaluation,
+    columns_of,
+    evaluate,
+    map_batches,
+    rounded_parameter,
+    subtract_absorbed,
+)
 from spotcheck.discrepancy.frames import Design, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.normal_equations import assemble, invert_information, solve_positive
@@ -33,7 +41,8 @@ Labels = Callable[[JointModel, Evaluation, slice], np.ndarray]
 class EffectTest:
     """Evidence for one fitted effect."""
 
-    gain: float  # drop of −2 ln L by the effect, maybe scaled from thinned pixels; its Wald z² if above `CERTAIN`
+    # Drop of −2 ln L by the effect over its dispersion, maybe scaled from thinned pixels; Wald's z² if above `CERTAIN`.
+    gain: float
     wald: float  # z² of the effect's strength under the cluster-robust covariance
     heterogeneity: float  # Cochran's Q of the strength over cells of the spot
     cells: int  # number of cells
@@ -57,6 +66,15 @@ class EffectTest:
         return self.heterogeneity / self.limit + (0.0 if self.has_evidence else 1e3)
 
 
+@dataclass(frozen=True)
+class ClusterSums:
+    """Sums over the pixels of each cluster for some unknowns [cluster, target]."""
+
+    score: np.ndarray  # derivative of ln L by the unknowns, beside all others
+    information: np.ndarray  # Fisher information on them
+    field_information: np.ndarray  # the same, times the part of the variance that a granular field has
+
+
 def estimate_covariance(fit: JointFit) -> np.ndarray:
     """Return the covariance [free, free] of the fitted parameters of sensor and effects.
 
@@ -77,8 +95,8 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
     information = information_beside(fit, targets)
     model_based = invert_information(information)
     estimates = []
-    for scores, _ in sum_by_clusters(fit, targets, (label_sites, label_cells, label_rows)):
-        scores = scores - scores.mean(axis=0)
+    for sums in sum_by_clusters(fit, targets, (label_sites, label_cells, label_rows)):
+        scores = sums.score - sums.score.mean(axis=0)
         factor = len(scores) / max(len(scores) - 1, 1)
         estimates.append(model_based @ (scores.T @ scores * factor) @ model_based)
     largest = np.max([np.diag(estimate) for estimate in (*estimates, model_based)], axis=0)
@@ -106,12 +124,18 @@ def assess_effect(
     variance = max(covariance[position, position], 1e-300)
     wald = distance**2 / variance if np.isfinite(distance) else (np.inf if np.isfinite(variance) else 0.0)
     target = 4 * fit.equations.frames + position
-    ((score, information),) = sum_by_clusters(fit, np.array([target]), (label_cells,))
-    score, information = score[:, 0], information[:, 0]
+    (sums,) = sum_by_clusters(fit, np.array([target]), (label_cells,))
+    score, information, of_field = sums.score[:, 0], sums.information[:, 0], sums.field_information[:, 0]
     used = information > LEAST_CELL_SHARE * information.sum()
-    pooled = score[used].sum() ** 2 / max(information[used].sum(), 1e-300)
-    heterogeneity = float(np.sum(score[used] ** 2 / information[used]) - pooled) / fit.pixels.dispersion
-    gain = measure_gain(fit, name, wald) if known_gain is None else known_gain
+    # A granular field widens the score of a cell. Over its dispersion the score has the variance `known`.
+    dispersion = fit.pixels.dispersion_of(of_field[used] / information[used])
+    score, known = score[used] / dispersion, information[used] / dispersion
+    heterogeneity = float(np.sum(score**2 / known) - score.sum() ** 2 / max(known.sum(), 1e-300))
+    if known_gain is None:
+        of_effect = fit.pixels.dispersion_of(of_field.sum() / max(information.sum(), 1e-300))
+        gain = measure_gain(fit, name, wald, float(of_effect))
+    else:
+        gain = known_gain
     cells = int(used.sum())
     # Both by the model-based information, so that misfit common to all cells is no reason against an effect.
     limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * max(cells - 1, 0)), CELL_MISFIT * gain)
@@ -125,16 +149,16 @@ def least_gain(model: JointModel) -> float:
     return MIN_GAIN_AT_ONE_SITE if is_alone else MIN_GAIN
 
 
-def measure_gain(fit: JointFit, name: str, wald: float) -> float:
-    """Return the drop of −2 ln L by an effect: `wald`, or that of thinned pixels, if it leaves no doubt; else that of
-    all pixels."""
+def measure_gain(fit: JointFit, name: str, wald: float, dispersion: float) -> float:
+    """Return the drop of −2 ln L by an effect over its dispersion: `wald`, or that of thinned pixels, if it leaves no
+    doubt; else that of all pixels."""
     if CERTAIN < wald < np.inf:
         return wald
     without = fit.model.without_effect(name)
 
     def gain_on(pixels: Pixels, deviance: float) -> float:
         refit = fit_jointly(without, pixels, tolerance=WITHOUT_TOLERANCE, iterations=WITHOUT_ITERATIONS)
-        return (refit.deviance - deviance) / fit.pixels.dispersion * fit.pixels.count / pixels.count
+        return (refit.deviance - deviance) / dispersion * fit.pixels.count / pixels.count
 
     # Without a significant strength the drop decides nothing.
     if wald < MIN_GAIN or wald == np.inf:
@@ -159,10 +183,8 @@ def is_negligible(applied: AppliedEffect, scales: EffectScales) -> bool:
 # Sums over clusters of pixels
 
 
-def sum_by_clusters(
-    fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return, for each division into clusters, score and information of the targets [cluster, target].
+def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]) -> list[ClusterSums]:
+    """Return the sums of the targets for each division into clusters.
 
     Targets are numbers of unknowns behind the spots; their columns are projected off all other unknowns, but not off
     each other.
@@ -187,15 +209,13 @@ def sum_by_clusters(
         projected = [_project_column(at, fitted, part, t, coefficients[:, k], equations.frames,
                                      None if light is None else light[k])
                      for k, t in enumerate(targets)]  # fmt: skip
-        scores = [(dm * at.residual * at.weight + dv * at.variance_score)[used] for dm, dv in projected]
-        informations = [(dm**2 * at.weight + (dv * at.weight) ** 2 / 2)[used] for dm, dv in projected]
+        informations = [at.information_per_pixel(column) for column in projected]
+        values = ([at.score_per_pixel(column) for column in projected], informations,
+                  [at.field_share * information for information in informations])  # fmt: skip
         out = []
         for label in labels:
             keys, index = np.unique(np.broadcast_to(label(model, at, part), used.shape)[used], return_inverse=True)
-            sums = (
-                np.stack([np.bincount(index, values, len(keys)) for values in rows], 1)
-                for rows in (scores, informations)
-            )
+            sums = (np.stack([np.bincount(index, row[used], len(keys)) for row in rows], 1) for rows in values)
             out.append((keys, *sums))
         return out
 
@@ -217,25 +237,20 @@ def _project_column(
     light = np.einsum("fa,afhw->fhw", of_spots, at.slopes)
     if of_shape is not None:
         light = light + of_shape
-    mean, variance = fitted[target - 4 * frames]
-    mean, variance = mean - at.moments.mean_slope * light, variance - at.moments.variance_slope * light
-    for k, (other_mean, other_variance) in enumerate(fitted):
-        share = coefficients[4 * frames + k]
-        if share:
-            mean, variance = mean - share * other_mean, variance - share * other_variance
-    return mean, variance
+    others = [(coefficients[4 * frames + k], column) for k, column in enumerate(fitted)]
+    return subtract_absorbed(at, fitted[target - 4 * frames], light, others)
 
 
-def _merge(parts: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray]:
+def _merge(parts: Sequence[tuple[np.ndarray, ...]]) -> ClusterSums:
     """Return sums over the batches by cluster."""
     keys, index = np.unique(np.concatenate([part[0] for part in parts]), return_inverse=True)
     out = []
-    for k in (1, 2):
+    for k in (1, 2, 3):
         rows = np.concatenate([part[k] for part in parts])
         total = np.zeros((len(keys), rows.shape[1]))
         np.add.at(total, index, rows)
         out.append(total)
-    return out[0], out[1]
+    return ClusterSums(*out)
 
 
 def label_cells(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:

@@ -58,12 +58,14 @@ class LightField:
     would pull on the mean.
     """
 
-    variance: np.ndarray  # of the readings by the field [frame, row, column] DN²
-    dispersion: float  # variance of sums of residuals over that of independent ones
+    variance: np.ndarray  # of the readings by the field, beyond the model's [frame, row, column] DN²
+    dispersion: float  # variance of the light's score over that of independent readings
+    share: np.ndarray  # part of the variance of a reading that is the field's [frame, row, column]
+    mean_share: float  # its mean over the information on the light
 
     def select(self, frames: np.ndarray) -> "LightField":
         """Return the field of some frames."""
-        return replace(self, variance=self.variance[frames])
+        return replace(self, variance=self.variance[frames], share=self.share[frames])
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,9 @@ class Pixels:
     sensor_columns: int  # columns of the sensor's frame
     sensor_rows: int  # rows of the sensor's frame
     extra_variance: np.ndarray  # of readings beyond that of the model [frame, h, w] DN²; broadcasts
-    dispersion: float = 1.0  # by how much drops of −2 ln L exceed those of independent readings
+    field_share: np.ndarray  # part of the variance that a granular field has [frame, h, w]; broadcasts
+    mean_field_share: float = 0.0  # its mean over the information on the light
+    dispersion: float = 1.0  # variance of the light's score over that of independent readings
     share: float = 1.0  # part of the pixels of a fit; the penalty of a free shape is scaled by it
 
     @property
@@ -135,8 +139,18 @@ class Pixels:
 
     def select(self, frames: slice | np.ndarray) -> "Pixels":
         """Return the pixels of some frames."""
-        names = ("x", "y", "readings", "is_used", "row_share", "extra_variance")
+        names = ("x", "y", "readings", "is_used", "row_share", "extra_variance", "field_share")
         return replace(self, **{name: getattr(self, name)[frames] for name in names})
+
+    def dispersion_of(self, field_share: float | np.ndarray) -> float | np.ndarray:
+        """Return the variance of the score of a change of the readings over that of independent readings.
+
+        Pixels share the noise of a granular field only. `field_share` is the field's part of the variance, in the mean
+        over the information on the change: a change where the field is dark has a dispersion of 1.
+        """
+        if self.mean_field_share == 0:
+            return self.dispersion
+        return 1 + (self.dispersion - 1) * field_share / self.mean_field_share
 
 
 def add_field(pixels: Pixels, frames: FrameSet) -> Pixels:
@@ -188,13 +202,22 @@ def select_pixels(frames: FrameSet, spots: FrameParameters) -> Pixels:
 
 
 def thin_pixels(pixels: Pixels, count: int = THINNED_PIXELS) -> Pixels:
-    """Return a random subset of rows and columns of each frame with about `count` pixels, the same at every call."""
+    """Return a random subset of rows and columns of each frame with about `count` pixels, the same at every call.
+
+    One row, and one column, is drawn out of as many neighbours as it stands for: a sum over a column by `row_share` is
+    then off by much less than one over rows that are drawn out of all.
+    """
     frames, rows, columns = pixels.readings.shape
     share = np.sqrt(min(count / (frames * rows * columns), 1.0))
     kept_rows, kept_columns = (max(round(share * size), min(size, 8)) for size in (rows, columns))
     rng = np.random.default_rng(THINNED_SEED)
-    row = np.sort(np.argsort(rng.random((frames, rows)), axis=1)[:, :kept_rows], axis=1)
-    column = np.sort(np.argsort(rng.random((frames, columns)), axis=1)[:, :kept_columns], axis=1)
+    row, column = (
+        rng.integers(edges[:-1], edges[1:], size=(frames, len(edges) - 1))
+        for edges in (
+            np.linspace(0, rows, kept_rows + 1).astype(int),
+            np.linspace(0, columns, kept_columns + 1).astype(int),
+        )
+    )
     number = np.arange(frames)[:, None, None]
     at = (number, row[:, :, None], column[:, None, :])
     y = np.take_along_axis(pixels.y[:, :, 0], row, axis=1)
@@ -205,6 +228,7 @@ def thin_pixels(pixels: Pixels, count: int = THINNED_PIXELS) -> Pixels:
         "is_used": pixels.is_used[at],
         "row_share": share_of_rows[:, :, None],
         "extra_variance": np.broadcast_to(pixels.extra_variance, pixels.readings.shape)[at],
+        "field_share": np.broadcast_to(pixels.field_share, pixels.readings.shape)[at],
     }
     thinned = replace(pixels, x=x[:, None, :], y=y[:, :, None], **selected)
     part = thinned.count / max(pixels.count, 1)
@@ -247,6 +271,8 @@ def _take_pixels(
         sensor_columns=frames.sensor_columns,
         sensor_rows=frames.sensor_rows,
         extra_variance=np.zeros((len(frames), 1, 1)) if light_field is None else light_field.variance[at],
+        field_share=np.zeros((len(frames), 1, 1)) if light_field is None else light_field.share[at],
+        mean_field_share=0.0 if light_field is None else light_field.mean_share,
         dispersion=1.0 if light_field is None else light_field.dispersion,
     )
 

@@ -14,6 +14,7 @@ from spotcheck.discrepancy.evaluation import (
     evaluate,
     map_batches,
     stages_of,
+    subtract_absorbed,
     sum_batches,
 )
 from spotcheck.discrepancy.evidence import SECTORS, divide_spot
@@ -110,17 +111,13 @@ def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], by: Projection) -
         label = np.broadcast_to(sector + SECTORS * (ring + 2 * number), at.weight.shape).ravel()
         out = np.zeros((2, len(trials), len(at.weight), 2 * SECTORS))
         for k, applied in enumerate(trials):
-            (mean, variance), rest = change_by_strength(model, applied, at)
+            change, rest = change_by_strength(model, applied, at)
             absorbed = np.einsum("fa,afhw->fhw", of_spots[:, :, k], at.slopes, optimize=True)
             absorbed = absorbed if light is None else absorbed + light[k]
-            mean = mean - at.moments.mean_slope * absorbed
-            variance = variance - at.moments.variance_slope * absorbed
             others = [(sensor[j, k], column) for j, column in enumerate(fitted)]
-            for share, column in others if rest is None else [*others, (by.of_rest[k], rest)]:
-                mean, variance = mean - share * column[0], variance - share * column[1]
-            score = mean * at.residual * at.weight + variance * at.variance_score
-            information = mean**2 * at.weight + (variance * at.weight) ** 2 / 2
-            for j, values in enumerate((score, information)):
+            others = others if rest is None else [*others, (by.of_rest[k], rest)]
+            change = subtract_absorbed(at, change, absorbed, others)
+            for j, values in enumerate((at.score_per_pixel(change), at.information_per_pixel(change))):
                 out[j, k] = np.bincount(label, values.ravel(), out[j, k].size).reshape(out[j, k].shape)
         return out
 

@@ -40,6 +40,7 @@ def whole_crops(frames: FrameSet) -> Pixels:
         sensor_columns=frames.sensor_columns,
         sensor_rows=frames.sensor_rows,
         extra_variance=np.zeros((len(frames), 1, 1)),
+        field_share=np.zeros((len(frames), 1, 1)),
     )
 
 

@@ -48,7 +48,9 @@ class Refit:
 
     candidate: Candidate  # its start
     model: JointModel  # the fitted model
-    value: float  # drop of −2 ln L scaled to all pixels, less the price of its parameters
+    value: (
+        float  # drop of −2 ln L, scaled to all pixels and over the light's dispersion, less the price of its parameters
+    )
 
     @property
     def is_at_bound(self) -> bool:
@@ -57,6 +59,16 @@ class Refit:
         of_effect = [parameter for parameter in self.model.free if parameter.effect == name]
         values = [(self.model.value_of(parameter), parameter) for parameter in of_effect]
         return any(value <= parameter.low or value >= parameter.high for value, parameter in values)
+
+
+@dataclass(frozen=True)
+class FullFit:
+    """The present model with one more effect, fitted to all pixels."""
+
+    fit: JointFit  # the fit
+    value: float  # drop of −2 ln L over the light's dispersion, less the price of the effect's parameters
+    place: int  # position of its start among all: variants that tie are taken in this order
+    dispersion: float  # of the effect
 
 
 @dataclass(frozen=True)
@@ -77,7 +89,7 @@ class SelectionStep:
     """A fit on the way of the forward selection."""
 
     fit: JointFit  # with the effects so far
-    gain: float  # drop of −2 ln L by the last of them; NaN if unknown
+    gain: float  # drop of −2 ln L by the last of them over its dispersion; NaN if unknown
     # By effect: others that do as well in its place, and how much larger −2 ln L is with them.
     rivals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
@@ -168,7 +180,11 @@ def select_forward(
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
         demand = ShapeDemand(present, number, shape)
         best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, log, demand)
-        is_enough = not demand.is_unmet() if best is None else best.gain >= demand.least_drop(best.last_effect)
+        if best is None:
+            is_enough = not demand.is_unmet()
+        else:
+            drop = (present.deviance - best.fit.deviance) / present.pixels.dispersion
+            is_enough = drop >= demand.least_drop(best.last_effect)
         if not is_enough:
             log(f"a free shape takes {demand.drop:.0f}, no effect enough of it: not the declared light")
             return None
@@ -232,15 +248,14 @@ def add_best_effect(
         effects = [effect for effect in effects if not effect.acts_on_noise]
     candidates = screen_candidates(thinned, list_starts(effects, scales))
     log("screen " + ", ".join(f"{_text(c.start)} {c.score * ratio:.0f}" for c in candidates[:5]))
-    if not candidates or candidates[0].score * ratio < least_gain(present.model) / 2:
-        return None
-    refits = refit_candidates(thinned, candidates, ratio, scales, log)
-    least_value = least_gain(present.model) - PARAMETER_PRICE
-    fits: dict[str, tuple[JointFit, float, int]] = {}  # by effect: its best fit, value and place
+    refits = refit_candidates(thinned, candidates, present, scales, log)
+    fits: dict[str, FullFit] = {}  # the best of each effect
     best = ""
     for refit in refits[:MOST_FULL_FITS]:
-        name = refit.candidate.start.effect.name
-        if refit.value < least_gain(present.model) / 2 or is_negligible(refit.model.effect_named(name), scales):
+        name, candidate = refit.candidate.start.effect.name, refit.candidate
+        own_dispersion = float(present.pixels.dispersion_of(candidate.field_share))
+        least = least_gain(present.model) * own_dispersion / dispersion
+        if refit.value < least / 2 or is_negligible(refit.model.effect_named(name), scales):
             continue
         if best:
             if name == best and refit.is_at_bound:
@@ -248,38 +263,40 @@ def add_best_effect(
             margin = max(VARIANT_MARGIN, 0.01 * refits[0].value)
             if refit.value < (refits[0].value - margin if name == best else RIVAL_SHARE * refits[0].value):
                 continue
-        if refit.value < REFIT_SHARE * demand.least_drop(refit.candidate.start.effect):
+        if refit.value < REFIT_SHARE * demand.least_drop(candidate.start.effect):
             continue
         start = transfer_refit(refit.model, thinned.model, present.model)
-        target = present.deviance - (least_value + price_of(refit.candidate)) * dispersion
+        least_value = least - PARAMETER_PRICE
+        target = present.deviance - (least_value + price_of(candidate)) * dispersion
         full = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
-        value = (present.deviance - full.deviance) / dispersion - price_of(refit.candidate)
-        log(f"  {_text(refit.candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
+        value = (present.deviance - full.deviance) / dispersion - price_of(candidate)
+        log(f"  {_text(candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
         if not full.has_converged or value < least_value or is_negligible(full.model.effect_named(name), scales):
             continue
-        place, (_, known, known_place) = refit.candidate.place, fits.get(name, (full, -np.inf, -1))
-        if place < known_place if abs(value - known) < VARIANT_TIE else value > known:
-            fits[name] = (full, value, place)
-        best = max(fits, key=lambda name: fits[name][1])
+        known = fits.get(name)
+        is_tied = known is not None and abs(value - known.value) < VARIANT_TIE
+        if known is None or (candidate.place < known.place if is_tied else value > known.value):
+            fits[name] = FullFit(full, value, candidate.place, own_dispersion)
+        best = max(fits, key=lambda name: fits[name].value)
     if not best:
         return None
-    best = find_special_case(best, {name: fit for name, (fit, _, _) in fits.items()}, least_gain(present.model))
+    best = find_special_case(best, fits, least_gain(present.model))
     # An effect that has the leader as a special case fits as well in any case: it is no rival.
     general = {effect.name for effect in effects if best in effect.special_cases}
-    behind = {name: max(fits[best][1] - fits[name][1], 0.0) for name in fits if name not in {best, *general}}
+    behind = {name: max(fits[best].value - fits[name].value, 0.0) for name in fits if name not in {best, *general}}
     rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
-    fit = fits[best][0]
-    return SelectionStep(fit, (present.deviance - fit.deviance) / dispersion, {best: rivals} if rivals else {})
+    gain = (present.deviance - fits[best].fit.deviance) / fits[best].dispersion
+    return SelectionStep(fits[best].fit, gain, {best: rivals} if rivals else {})
 
 
-def find_special_case(name: str, fits: Mapping[str, JointFit], least_drop: float) -> str:
+def find_special_case(name: str, fits: Mapping[str, FullFit], least_drop: float) -> str:
     """Return the name of the special case of an effect that fits as well, if there is one, else its own name.
 
     The strength of an effect is what it has beyond its special case: it must lower −2 ln L by `least_drop` itself.
     """
-    for other in fits[name].model.effect_named(name).effect.special_cases:
+    for other in fits[name].fit.model.effect_named(name).effect.special_cases:
         if other in fits:
-            drop = (fits[other].deviance - fits[name].deviance) / fits[name].pixels.dispersion
+            drop = (fits[other].fit.deviance - fits[name].fit.deviance) / fits[name].dispersion
             if drop < least_drop:
                 return other
     return name
@@ -305,20 +322,27 @@ def price_of(candidate: Candidate) -> float:
 
 
 def refit_candidates(
-    thinned: JointFit, candidates: Sequence[Candidate], ratio: float, scales: EffectScales, log: Log
+    thinned: JointFit, candidates: Sequence[Candidate], present: JointFit, scales: EffectScales, log: Log
 ) -> list[Refit]:
-    """Refit the leading candidates and all variants of the best effect; the best first."""
+    """Refit the leading candidates and all variants of the best effect; the best first.
+
+    Values of `present`, a fit to all pixels, are in terms of the dispersion of the light. What a candidate must promise
+    is in terms of its own one.
+    """
+    dispersion = present.pixels.dispersion
+    ratio = present.pixels.count / thinned.pixels.count / dispersion
     refits: list[Refit] = []
     tried: dict[tuple, int] = {}
     most = MOST_REFITS if thinned.model.grid is None else MOST_REFITS_BESIDE_SHAPE
     for candidate in candidates:
         start = candidate.start
         variant = (start.effect.name, start.variant)
+        own_dispersion = present.pixels.dispersion_of(candidate.field_share)
         variants = len({key for key in tried if key[0] == start.effect.name} - {variant})
         if candidate.score < SCORE_SHARE * candidates[0].score or len(refits) >= most:
             break
         if (
-            candidate.score * ratio < least_gain(thinned.model)
+            candidate.score * ratio < least_gain(thinned.model) * own_dispersion / dispersion
             or tried.get(variant, 0) >= MOST_STARTS
             or variants >= MOST_VARIANTS
             or is_unresolved_shape(thinned, candidate)
