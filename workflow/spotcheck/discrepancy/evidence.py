@@ -67,6 +67,20 @@ class EffectTest:
 
 
 @dataclass(frozen=True)
+class CellComparison:
+    """Cochran's Q of an effect's strength over cells of the data, without a verdict on it."""
+
+    q: float  # Cochran's Q
+    count: int  # number of cells
+    dispersion: float  # variance of the effect's score over that of independent readings
+
+    def limit(self, gain: float) -> float:
+        """Return the largest Q of a consistent effect that lowers −2 ln L by `gain`."""
+        freedom = max(self.count - 1, 0)
+        return self.count - 1 + float(max(CELL_SLACK * np.sqrt(2 * freedom), CELL_MISFIT * gain))
+
+
+@dataclass(frozen=True)
 class ClusterSums:
     """Sums over the pixels of each cluster for some unknowns [cluster, target]."""
 
@@ -123,24 +137,28 @@ def assess_effect(
     distance = distance_from_nothing(applied)
     variance = max(covariance[position, position], 1e-300)
     wald = distance**2 / variance if np.isfinite(distance) else (np.inf if np.isfinite(variance) else 0.0)
-    target = 4 * fit.equations.frames + position
-    (sums,) = sum_by_clusters(fit, np.array([target]), (label_cells,))
+    cells = compare_cells(fit, name)
+    gain = measure_gain(fit, name, wald, cells.dispersion) if known_gain is None else known_gain
+    is_nothing = is_negligible(applied, scales)
+    return EffectTest(gain, wald, cells.q, cells.count, cells.limit(gain), is_nothing, least_gain(fit.model))
+
+
+def compare_cells(fit: JointFit, name: str) -> CellComparison:
+    """Compare what the cells of the data say of the strength of an effect of a fit.
+
+    The model-based information is used, so that misfit common to all cells is no reason against an effect.
+    """
+    strength = fit.model.effect_named(name).effect.parameters[0].name
+    position = next(k for k, p in enumerate(fit.model.free) if (p.effect, p.name) == (name, strength))
+    (sums,) = sum_by_clusters(fit, np.array([4 * fit.equations.frames + position]), (label_cells,))
     score, information, of_field = sums.score[:, 0], sums.information[:, 0], sums.field_information[:, 0]
+    of_effect = fit.pixels.dispersion_of(of_field.sum() / max(information.sum(), 1e-300))
     used = information > LEAST_CELL_SHARE * information.sum()
     # A granular field widens the score of a cell. Over its dispersion the score has the variance `known`.
     dispersion = fit.pixels.dispersion_of(of_field[used] / information[used])
     score, known = score[used] / dispersion, information[used] / dispersion
-    heterogeneity = float(np.sum(score**2 / known) - score.sum() ** 2 / max(known.sum(), 1e-300))
-    if known_gain is None:
-        of_effect = fit.pixels.dispersion_of(of_field.sum() / max(information.sum(), 1e-300))
-        gain = measure_gain(fit, name, wald, float(of_effect))
-    else:
-        gain = known_gain
-    cells = int(used.sum())
-    # Both by the model-based information, so that misfit common to all cells is no reason against an effect.
-    limit = cells - 1 + max(CELL_SLACK * np.sqrt(2 * max(cells - 1, 0)), CELL_MISFIT * gain)
-    is_nothing = is_negligible(applied, scales)
-    return EffectTest(gain, wald, heterogeneity, cells, float(limit), is_nothing, least_gain(fit.model))
+    q = float(np.sum(score**2 / known) - score.sum() ** 2 / max(known.sum(), 1e-300))
+    return CellComparison(q, int(used.sum()), float(of_effect))
 
 
 def least_gain(model: JointModel) -> float:

@@ -15,7 +15,14 @@ from spotcheck.discrepancy.criteria import (
     SHAPE_SHARES,
     VARIANT_TIE,
 )
-from spotcheck.discrepancy.evidence import EffectTest, assess_effect, estimate_covariance, is_negligible, least_gain
+from spotcheck.discrepancy.evidence import (
+    EffectTest,
+    assess_effect,
+    compare_cells,
+    estimate_covariance,
+    is_negligible,
+    least_gain,
+)
 from spotcheck.discrepancy.fine_structure import add_fine_structure
 from spotcheck.discrepancy.frames import FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
@@ -189,6 +196,10 @@ def select_forward(
             log(f"a free shape takes {demand.drop:.0f}, no effect enough of it: not the declared light")
             return None
         if best is None:
+            break
+        cells = compare_cells(best.fit, best.last_effect.name)
+        if cells.q > max(best.gain, cells.limit(best.gain)):
+            log(f"  cells disagree about {best.last_effect.name} by more than it gains: Q {cells.q:.0f}")
             break
         path.append(replace(best, fit=update(best.fit), rivals={**path[-1].rivals, **best.rivals}))
     return path
