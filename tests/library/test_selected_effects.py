@@ -53,6 +53,18 @@ def test_selection_finds_the_effect_and_no_other(name: str):
             assert abs(model.value_of(parameter) - departure.truth[parameter.name]) < LARGEST_Z * error
 
 
+def test_selection_ends_where_cells_disagree():
+    """Two frames that are dimmer on one side have no effect of the vocabulary. The first that gains most is a matter of
+    few cells, so that nothing is built on it."""
+    drawn = draw_frames(32, lay_out(angles_deg=(0.0, 60.0), repeats=1), DrawnLight(), DrawnCamera(), PEAK_FACTOR)
+    readings, half = drawn.readings.copy(), drawn.readings.shape[2] // 2
+    readings[:2, :, :half] = np.rint(0.8 * readings[:2, :, :half])
+    effects, lines = [effect for effect in vocabulary().values() if changes_mean_image(effect)], []
+    selected = select_effects(fit_drawn(replace(drawn, readings=readings)), effects, SCALES, lines.append)
+    assert selected.fit.model.effect_names == ()
+    assert any("cells disagree" in line for line in lines)
+
+
 def test_selection_finds_nothing_on_plain_frames():
     """Frames without an effect keep the model without effects.
 
