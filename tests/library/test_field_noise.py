@@ -37,7 +37,8 @@ def test_scatter_of_spots_under_granular_light_is_predicted(has_shape: bool):
     first = fit_jointly(model, select_pixels(frames, model.spots))
     grains = FieldEstimate(CONTRAST**2, 0.0, GRAIN_PX, ())
     variance = grains.variance * measure_residuals(first.model, frames).spot ** 2
-    frames = replace(frames, light_field=LightField(variance, 1.0, np.zeros_like(variance), 0.0))
+    light_field = LightField(variance, dispersion=1.0, share=np.zeros_like(variance), mean_share=0.0)
+    frames = replace(frames, light_field=light_field)
     start = first.model.with_free_shape(ShapeGrid()) if has_shape else first.model
     fit = fit_jointly(start, select_pixels(frames, first.model.spots))
     numbers = numbers_of_fit(fit, covariance_by_field(fit, frames, grains))
@@ -72,10 +73,8 @@ def test_dispersion_of_an_effect_is_that_of_its_score():
     either side. The dispersion takes the change for constant over a grain, which is worth another factor of 1.5 for
     spots as small as these. The dispersion of the light, which is 8, is far off for smear and pedestal.
     """
-    draws, starts = (
-        30,
-        [list_starts([vocabulary()[name]], SCALES)[0] for name in ("smear", "dark_offset", "nonlinearity")],
-    )
+    draws, names = 30, ("smear", "dark_offset", "nonlinearity")
+    starts = [list_starts([vocabulary()[name]], SCALES)[0] for name in names]
     squares, dispersions = np.zeros((draws, 3)), np.zeros((draws, 3))
     for number in range(draws):
         drawn = draw_frames(number, lay_out(repeats=3), DrawnLight(speckle_contrast=CONTRAST, grain_px=GRAIN_PX))

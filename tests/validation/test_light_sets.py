@@ -77,7 +77,7 @@ def test_a_job_is_a_folder_and_a_truth(tmp_path, kind, design, names, frames):
 
 @pytest.mark.skipif(not beams.there(), reason="real beams lie beside the repository")
 def test_an_unaltered_set_has_the_light_and_the_sheet_of_the_other(tmp_path):
-    """Smear of half the light leaves its trace in the one and not in the other."""
+    """Beam, data sheet and law are those of the set with smear; only its effects are missing."""
     jobs = [
         Job(0, 51_000_007, kind, "single_frame")
         for kind in ("strong real:smear:real:50", "unaltered:strong real:smear:real")

@@ -190,7 +190,8 @@ def add_white_field(prepared: Prepared, first: JointFit) -> Prepared | None:
     if not white.variance > MIN_Z * white.stderr:
         return None
     variance = white.variance * images.spot**2
-    frames = replace(prepared.frames, light_field=LightField(variance, 1.0, np.zeros_like(variance), 0.0))
+    light_field = LightField(variance, dispersion=1.0, share=np.zeros_like(variance), mean_share=0.0)
+    frames = replace(prepared.frames, light_field=light_field)
     declared = fit_declared(frames, prepared.declared.model.spots, prepared.setting)
     return replace(prepared, frames=frames, declared=declared, images=measure_residuals(declared.model, frames))
 

@@ -217,22 +217,20 @@ def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> Projected
 
 def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], changes: ProjectedChanges) -> np.ndarray:
     """Return the part of the variance that a granular field has, in the mean over the information on each start."""
-    model, equations, frames = fit.model, fit.equations, len(fit.model.spots.x)
+    model, equations = fit.model, fit.equations
     of_shape = None
     if changes.half_shape is not None and equations.shape is not None:
         of_shape = equations.shape.factor.back_solve(changes.half_shape - equations.shape.cross @ changes.absorbed)
 
     def of_batch(part: slice) -> tuple[np.ndarray]:
         at = evaluate(model, fit.pixels, part)
-        fitted, of_sensor = columns_of(model, at), changes.absorbed[4 * frames :]
-        of_spots = changes.absorbed[4 * part.start : 4 * part.stop].reshape(-1, 4, len(starts))
+        fitted = columns_of(model, at)
         light = None if of_shape is None else ShapeSums(model, at).values(of_shape)
         sums = np.zeros((2, len(starts)))
         for k, start in enumerate(starts):
-            absorbed = np.einsum("fa,afhw->fhw", of_spots[:, :, k], at.slopes, optimize=True)
-            absorbed = absorbed if light is None else absorbed + light[k]
-            others = [(of_sensor[j, k], column) for j, column in enumerate(fitted)]
-            information = at.information_per_pixel(subtract_absorbed(at, change_by(model, start, at), absorbed, others))
+            change, of_light = change_by(model, start, at), None if light is None else light[k]
+            change = subtract_absorbed(at, part, change, changes.absorbed[:, k], fitted, of_light)
+            information = at.information_per_pixel(change)
             sums[:, k] = np.sum(at.field_share * information), np.sum(information)
         return (sums,)
 

@@ -94,12 +94,36 @@ class Evaluation:
 
 
 def subtract_absorbed(
-    at: Evaluation, column: Column, of_light: np.ndarray, others: Sequence[tuple[float, Column]]
+    at: Evaluation,
+    part: slice,
+    column: Column,
+    absorbed: np.ndarray,
+    others: Sequence[Column],
+    of_shape: np.ndarray | None,
 ) -> Column:
-    """Return a column less what nuisance parameters take of it: a change of the light [DN], and shares of others."""
+    """Return a column less what nuisance parameters take of it.
+
+    Parameters
+    ----------
+    at : Evaluation
+        Model at the pixels of some frames.
+    part : slice
+        The frames.
+    column : pair of arrays [frame, h, w]
+        Derivatives of mean and variance by an unknown, or changes of them.
+    absorbed : array [unknown]
+        Share of each unknown: ln peak, ln σ, x, y of frame after frame, then those of `others`.
+    others : sequence of columns
+        Columns of the unknowns behind the spots.
+    of_shape : array [frame, h, w] or None
+        What a free shape takes [DN of light]; None beside the declared one.
+    """
+    of_spots = absorbed[4 * part.start : 4 * part.stop].reshape(-1, 4)
+    light = np.einsum("fa,afhw->fhw", of_spots, at.slopes, optimize=True)
+    light = light if of_shape is None else light + of_shape
     mean, variance = column
-    mean, variance = mean - at.moments.mean_slope * of_light, variance - at.moments.variance_slope * of_light
-    for share, (other_mean, other_variance) in others:
+    mean, variance = mean - at.moments.mean_slope * light, variance - at.moments.variance_slope * light
+    for share, (other_mean, other_variance) in zip(absorbed[len(absorbed) - len(others) :], others, strict=True):
         if share:
             mean, variance = mean - share * other_mean, variance - share * other_variance
     return mean, variance

@@ -7,7 +7,6 @@ import numpy as np
 
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_AT_ONE_SITE
 from spotcheck.discrepancy.evaluation import (
-    Column,
     Evaluation,
     columns_of,
     evaluate,
@@ -131,9 +130,7 @@ def assess_effect(
     fit: JointFit, name: str, covariance: np.ndarray, scales: EffectScales, known_gain: float | None = None
 ) -> EffectTest:
     """Test one effect of a fit; `known_gain` is the drop of −2 ln L by it if a fit without it exists."""
-    applied = fit.model.effect_named(name)
-    strength = applied.effect.parameters[0].name
-    position = next(k for k, p in enumerate(fit.model.free) if (p.effect, p.name) == (name, strength))
+    applied, position = fit.model.effect_named(name), position_of_strength(fit.model, name)
     distance = distance_from_nothing(applied)
     variance = max(covariance[position, position], 1e-300)
     wald = distance**2 / variance if np.isfinite(distance) else (np.inf if np.isfinite(variance) else 0.0)
@@ -143,14 +140,19 @@ def assess_effect(
     return EffectTest(gain, wald, cells.q, cells.count, cells.limit(gain), is_nothing, least_gain(fit.model))
 
 
+def position_of_strength(model: JointModel, name: str) -> int:
+    """Return the position of an effect's strength among the fitted parameters of sensor and effects."""
+    strength = model.effect_named(name).effect.parameters[0].name
+    return next(k for k, p in enumerate(model.free) if (p.effect, p.name) == (name, strength))
+
+
 def compare_cells(fit: JointFit, name: str) -> CellComparison:
     """Compare what the cells of the data say of the strength of an effect of a fit.
 
     The model-based information is used, so that misfit common to all cells is no reason against an effect.
     """
-    strength = fit.model.effect_named(name).effect.parameters[0].name
-    position = next(k for k, p in enumerate(fit.model.free) if (p.effect, p.name) == (name, strength))
-    (sums,) = sum_by_clusters(fit, np.array([4 * fit.equations.frames + position]), (label_cells,))
+    target = 4 * fit.equations.frames + position_of_strength(fit.model, name)
+    (sums,) = sum_by_clusters(fit, np.array([target]), (label_cells,))
     score, information, of_field = sums.score[:, 0], sums.information[:, 0], sums.field_information[:, 0]
     of_effect = fit.pixels.dispersion_of(of_field.sum() / max(information.sum(), 1e-300))
     used = information > LEAST_CELL_SHARE * information.sum()
@@ -224,9 +226,9 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
         fitted = columns_of(model, at)
         used = at.weight > 0
         light = None if of_shape is None else ShapeSums(model, at).values(of_shape)
-        projected = [_project_column(at, fitted, part, t, coefficients[:, k], equations.frames,
-                                     None if light is None else light[k])
-                     for k, t in enumerate(targets)]  # fmt: skip
+        projected = [subtract_absorbed(at, part, fitted[target - 4 * equations.frames], coefficients[:, k], fitted,
+                                       None if light is None else light[k])
+                     for k, target in enumerate(targets)]  # fmt: skip
         informations = [at.information_per_pixel(column) for column in projected]
         values = ([at.score_per_pixel(column) for column in projected], informations,
                   [at.field_share * information for information in informations])  # fmt: skip
@@ -239,24 +241,6 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
 
     parts = map_batches(of_batch, fit.pixels)
     return [_merge([part[k] for part in parts]) for k in range(len(labels))]
-
-
-def _project_column(
-    at: Evaluation,
-    fitted: Sequence[Column],
-    part: slice,
-    target: int,
-    coefficients: np.ndarray,
-    frames: int,
-    of_shape: np.ndarray | None,
-) -> Column:
-    """Return the column of an unknown less what others take of it; `of_shape` [DN] is what the shape takes."""
-    of_spots = coefficients[4 * part.start : 4 * part.stop].reshape(-1, 4)
-    light = np.einsum("fa,afhw->fhw", of_spots, at.slopes)
-    if of_shape is not None:
-        light = light + of_shape
-    others = [(coefficients[4 * frames + k], column) for k, column in enumerate(fitted)]
-    return subtract_absorbed(at, fitted[target - 4 * frames], light, others)
 
 
 def _merge(parts: Sequence[tuple[np.ndarray, ...]]) -> ClusterSums:

@@ -211,13 +211,7 @@ def thin_pixels(pixels: Pixels, count: int = THINNED_PIXELS) -> Pixels:
     share = np.sqrt(min(count / (frames * rows * columns), 1.0))
     kept_rows, kept_columns = (max(round(share * size), min(size, 8)) for size in (rows, columns))
     rng = np.random.default_rng(THINNED_SEED)
-    row, column = (
-        rng.integers(edges[:-1], edges[1:], size=(frames, len(edges) - 1))
-        for edges in (
-            np.linspace(0, rows, kept_rows + 1).astype(int),
-            np.linspace(0, columns, kept_columns + 1).astype(int),
-        )
-    )
+    row, column = _draw_evenly(rng, frames, rows, kept_rows), _draw_evenly(rng, frames, columns, kept_columns)
     number = np.arange(frames)[:, None, None]
     at = (number, row[:, :, None], column[:, None, :])
     y = np.take_along_axis(pixels.y[:, :, 0], row, axis=1)
@@ -234,6 +228,12 @@ def thin_pixels(pixels: Pixels, count: int = THINNED_PIXELS) -> Pixels:
     part = thinned.count / max(pixels.count, 1)
     # Of the pixels that a grain covers only this part is left beside each pixel.
     return replace(thinned, share=pixels.share * part, dispersion=1 + part * (pixels.dispersion - 1))
+
+
+def _draw_evenly(rng: np.random.Generator, frames: int, size: int, count: int) -> np.ndarray:
+    """Return one random index out of each of `count` groups of neighbours, ascending [frame, count]."""
+    edges = np.linspace(0, size, count + 1).astype(int)
+    return rng.integers(edges[:-1], edges[1:], size=(frames, count))
 
 
 def _axis_indices(centre: float, size: int, inner: int, stride: int, offset: int) -> np.ndarray:

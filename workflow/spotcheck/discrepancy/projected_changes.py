@@ -99,12 +99,11 @@ def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection
 
 def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], by: Projection) -> tuple[np.ndarray, np.ndarray]:
     """Return score and information of projected changes [trial, frame, place], with 16 sectors and rings as places."""
-    model, frames = fit.model, len(fit.model.spots.x)
+    model = fit.model
 
     def of_batch(part: slice) -> np.ndarray:
         at = evaluate(model, fit.pixels, part)
-        fitted, sensor = columns_of(model, at), by.absorbed[4 * frames :]
-        of_spots = by.absorbed[4 * part.start : 4 * part.stop].reshape(-1, 4, len(trials))
+        fitted = columns_of(model, at)
         light = None if by.of_shape is None else ShapeSums(model, at).values(by.of_shape)
         sector, ring = divide_spot(at)
         number = np.arange(len(at.weight))[:, None, None]
@@ -112,11 +111,10 @@ def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], by: Projection) -
         out = np.zeros((2, len(trials), len(at.weight), 2 * SECTORS))
         for k, applied in enumerate(trials):
             change, rest = change_by_strength(model, applied, at)
-            absorbed = np.einsum("fa,afhw->fhw", of_spots[:, :, k], at.slopes, optimize=True)
-            absorbed = absorbed if light is None else absorbed + light[k]
-            others = [(sensor[j, k], column) for j, column in enumerate(fitted)]
-            others = others if rest is None else [*others, (by.of_rest[k], rest)]
-            change = subtract_absorbed(at, change, absorbed, others)
+            others, absorbed = fitted, by.absorbed[:, k]
+            if rest is not None:
+                others, absorbed = [*fitted, rest], np.append(absorbed, by.of_rest[k])
+            change = subtract_absorbed(at, part, change, absorbed, others, None if light is None else light[k])
             for j, values in enumerate((at.score_per_pixel(change), at.information_per_pixel(change))):
                 out[j, k] = np.bincount(label, values.ravel(), out[j, k].size).reshape(out[j, k].shape)
         return out

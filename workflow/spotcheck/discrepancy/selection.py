@@ -55,9 +55,8 @@ class Refit:
 
     candidate: Candidate  # its start
     model: JointModel  # the fitted model
-    value: (
-        float  # drop of −2 ln L, scaled to all pixels and over the light's dispersion, less the price of its parameters
-    )
+    # Drop of −2 ln L, scaled to all pixels and over the light's dispersion, less the price of its parameters.
+    value: float
 
     @property
     def is_at_bound(self) -> bool:
@@ -187,12 +186,7 @@ def select_forward(
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
         demand = ShapeDemand(present, number, shape)
         best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, log, demand)
-        if best is None:
-            is_enough = not demand.is_unmet()
-        else:
-            drop = (present.deviance - best.fit.deviance) / present.pixels.dispersion
-            is_enough = drop >= demand.least_drop(best.last_effect)
-        if not is_enough:
+        if not demand.is_met_by(best):
             log(f"a free shape takes {demand.drop:.0f}, no effect enough of it: not the declared light")
             return None
         if best is None:
@@ -240,6 +234,13 @@ class ShapeDemand:
         share = SHAPE_SHARES[min(self._number, len(SHAPE_SHARES) - 1)]
         return (max(share, EXPLAINED_SHARE) if effect.is_static_shape else share) * self.drop
 
+    def is_met_by(self, best: SelectionStep | None) -> bool:
+        """Whether the next effect takes enough; of no effect nothing more is demanded once one was added."""
+        if best is None:
+            return not self.is_unmet()
+        drop = (self._present.deviance - best.fit.deviance) / self._present.pixels.dispersion
+        return drop >= self.least_drop(best.last_effect)
+
     def is_unmet(self) -> bool:
         """Whether a free shape takes something before any effect was added."""
         return self._number == 0 and self.drop > 0
@@ -264,8 +265,7 @@ def add_best_effect(
     best = ""
     for refit in refits[:MOST_FULL_FITS]:
         name, candidate = refit.candidate.start.effect.name, refit.candidate
-        own_dispersion = float(present.pixels.dispersion_of(candidate.field_share))
-        least = least_gain(present.model) * own_dispersion / dispersion
+        least = least_drop_of(candidate, present)
         if refit.value < least / 2 or is_negligible(refit.model.effect_named(name), scales):
             continue
         if best:
@@ -287,7 +287,8 @@ def add_best_effect(
         known = fits.get(name)
         is_tied = known is not None and abs(value - known.value) < VARIANT_TIE
         if known is None or (candidate.place < known.place if is_tied else value > known.value):
-            fits[name] = FullFit(full, value, candidate.place, own_dispersion)
+            of_effect = float(present.pixels.dispersion_of(candidate.field_share))
+            fits[name] = FullFit(full, value, candidate.place, of_effect)
         best = max(fits, key=lambda name: fits[name].value)
     if not best:
         return None
@@ -326,6 +327,12 @@ def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) 
     return start.with_coefficients(present.coefficients + refit.coefficients - thinned.coefficients)
 
 
+def least_drop_of(candidate: Candidate, present: JointFit) -> float:
+    """Return the drop of −2 ln L over the light's dispersion that is the least gain over the candidate's own."""
+    pixels = present.pixels
+    return least_gain(present.model) * float(pixels.dispersion_of(candidate.field_share)) / pixels.dispersion
+
+
 def price_of(candidate: Candidate) -> float:
     """Return what a candidate pays in −2 ln L for its parameters."""
     start = candidate.start
@@ -337,23 +344,20 @@ def refit_candidates(
 ) -> list[Refit]:
     """Refit the leading candidates and all variants of the best effect; the best first.
 
-    Values of `present`, a fit to all pixels, are in terms of the dispersion of the light. What a candidate must promise
-    is in terms of its own one.
+    `present` is the fit to all pixels, to which values are scaled.
     """
-    dispersion = present.pixels.dispersion
-    ratio = present.pixels.count / thinned.pixels.count / dispersion
+    ratio = present.pixels.count / thinned.pixels.count / present.pixels.dispersion
     refits: list[Refit] = []
     tried: dict[tuple, int] = {}
     most = MOST_REFITS if thinned.model.grid is None else MOST_REFITS_BESIDE_SHAPE
     for candidate in candidates:
         start = candidate.start
         variant = (start.effect.name, start.variant)
-        own_dispersion = present.pixels.dispersion_of(candidate.field_share)
         variants = len({key for key in tried if key[0] == start.effect.name} - {variant})
         if candidate.score < SCORE_SHARE * candidates[0].score or len(refits) >= most:
             break
         if (
-            candidate.score * ratio < least_gain(thinned.model) * own_dispersion / dispersion
+            candidate.score * ratio < least_drop_of(candidate, present)
             or tried.get(variant, 0) >= MOST_STARTS
             or variants >= MOST_VARIANTS
             or is_unresolved_shape(thinned, candidate)

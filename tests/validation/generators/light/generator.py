@@ -27,8 +27,14 @@ def jobs(first: int) -> Iterator[Job]:
 
 def needs_files(job: Job) -> bool:
     """Whether a job draws from the shared folder."""
-    row, _, light, *_ = [*job.kind.split(":"), "", ""]
+    row, _, light = _words_of(job)
     return row in ("frame", "frames at 600 px") or light == "real"
+
+
+def _words_of(job: Job) -> tuple[str, str, str]:
+    """Row, names of effects and light of a job; "" for what its kind does not have."""
+    row, names, light, *_ = [*job.kind.split(":"), "", ""]
+    return row, names, light
 
 
 def write(job: Job, folder: Path, truth: Path) -> bool:
@@ -45,7 +51,7 @@ def write(job: Job, folder: Path, truth: Path) -> bool:
 def unaltered(record: Record) -> Job | None:
     """The same beam without effects, for a set that names what was not put in: a real beam has effects of its own."""
     job = Job(**record["job"])
-    row, names, light, *_ = [*job.kind.split(":"), "", ""]
+    row, names, light = _words_of(job)
     if light != "real" or not names or not false_names(record):
         return None
     return job._replace(kind=f"{UNALTERED}:{row}:{names}:{light}")
