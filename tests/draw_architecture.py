@@ -1,68 +1,47 @@
 """Draws three pictures for workflow/docs/architecture.md as SVG, and writes its table of the stages of the model.
 
-`python -m tests.draw_architecture` does all of it. The floors are those that test_architecture.py holds; stages of the
-workflow, their files and arrows are held to the rules by tests/library/test_docs.py, which also makes all four again.
-The picture and the table of the model's stages are made from `spotcheck.model.stage.Stage` and the effects.
+`python -m tests.draw_architecture` does all of it. The packages and their order are those of the contract in
+pyproject.toml. The picture and the table of the model's stages are made from `spotcheck.model.stage.Stage` and the
+effects. tests/library/test_docs.py compares stages, files and arrows with the rules, and makes all four again.
 """
 
 import re
 import textwrap
+import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
 from spotcheck.model.effect import Effect, RandomStep
 from spotcheck.model.effects import built_in
 from spotcheck.model.stage import Stage as ModelStage
-from tests.library.test_architecture import FLOORS
 
-DOCS = Path(__file__).parents[1] / "workflow" / "docs"
-# What lives in each room, in a few words.
-ROOMS = {
-    "judging": "a verdict in one call: all stages one after another",
-    "cli": "one subcommand for each stage: parse, call, write",
-    "first_look": "images that nobody described",
-    "figures": "one module a family of figures",
-    "discrepancy": "what the model is missing: the verdict",
-    "views": "each model beside each frame",
-    "pages": "report and tables as HTML, page of effects",
-    "paper": "the paper's numbers beside ours",
-    "origin": "where a number comes from",
-    "adoption": "results as an instrument file",
-    "correction": "frames in electrons",
-    "estimate": "fits, p1 and p2, bounds, sensor, caustic",
-    "metrics": "metrics of one crop, PSNR",
-    "pairs": "measured beside simulated",
-    "comparison": "datasets side by side",
-    "simulation": "simulated frames as a dataset",
-    "design": "a dataset of a model, from Python",
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "workflow" / "docs"
+# What each package does, in a few words.
+PURPOSES = {
+    "cli": "one subcommand for each stage of the workflow: parse, call, write",
+    "quicklook": "a first look at images that nobody has described",
+    "report": "figures, pages, comparison of datasets, where a number comes from",
+    "paper": "the paper's numbers beside those of the workflow",
+    "export": "an instrument file from results, corrected frames",
+    "discrepancy": "what the model lacks: detect, name, add, validate, limit, advise",
+    "metrics": "PSNR, speckle contrast, peak, sums; of pairs and of single crops",
+    "fitting": "spot fit, moments, calibration p1 and p2, caustic, Fisher information",
+    "characterization": "EMVA 1288, gain and noise from spots, maps of the pixels",
+    "model": "forward model, effects, optics, photons, simulated frames",
     "sensor": "the distribution of one reading: exact, as a table, random",
-    "model": "the stages of the light, effects, and the forward model: mean, variance, random frames",
-    "frames": "read and reduce",
-    "spotfinding": "find the spot, cut it out",
-    "formats": "image files",
-    "labels": "what files say of frames",
-    "survey": "a folder of images as it is",
-    "clip": "where readings stop",
-    "siblings": "frames unlike the others",
-    "crops": "stages ingest and crop",
-    "optics": "geometry, diffraction",
-    "template": "new-dataset",
+    "crops": "find the spot, cut it out, set outlier frames aside",
+    "dataset": "manifest, instrument, frames; a folder of images becomes a dataset",
+    "io": "image formats, netCDF files, schemas, configuration, digests, progress",
     "errors": "InputError",
-    "text": "text files",
-    "schema": "YAML",
-    "conditions": "what is one condition",
-    "plausible": "odd numbers",
-    "manifest": "manifest.csv",
-    "instrument": "instrument.yaml",
-    "dataset": "the folder",
-    "store": "netCDF files",
-    "writing": "files appear whole",
-    "configuration": "config.yaml, --config",
-    "running": "one run at a time",
-    "seen": "what changed",
-    "progress": "how far work is",
-    "provenance": "digests",
 }
+
+
+def layers() -> list[list[str]]:
+    """Return the packages from the top down, as the contract of imports in pyproject.toml has them."""
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    (contract,) = (one for one in content["tool"]["importlinter"]["contracts"] if one["type"] == "layers")
+    return [layer.split(" | ") for layer in contract["layers"]]
 
 
 class Stage(NamedTuple):
@@ -148,39 +127,22 @@ def _link(effect: Effect, stage: ModelStage) -> str:
 
 def pictures() -> dict[str, str]:
     """Content of the pictures by file name."""
-    return {"floors.svg": floors(), "stages.svg": stages(), "forward_model.svg": forward_model()}
+    return {"packages.svg": packages(), "stages.svg": stages(), "forward_model.svg": forward_model()}
 
 
-def floors() -> str:
-    """The floors, one above the other, with their rooms."""
-    wide, high, left, gap = 900, 62, 46, 8
+def packages() -> str:
+    """Return the picture of the packages, each above those that it may import from."""
+    wide, high, gap = 820, 40, 8
     parts = []
-    for level, rooms in FLOORS.items():
-        y = 10 + (max(FLOORS) - level) * (high + gap)
-        parts.append(text(left / 2, y + high / 2 + 5, str(level), size=15, colour=FAINT, middle=True))
-        # Rooms share the floor's width by what is written in them.
-        need = [max(len(room) * 1.25, len(words(room)[0]), len(words(room)[1])) + 3 for room in rooms]
-        x, unit = float(left), (wide - left - 10 - gap * (len(rooms) - 1)) / sum(need)
-        for room, share in zip(rooms, need, strict=True):
-            parts.append(box(x, y, share * unit, high))
-            middle = x + share * unit / 2
-            first, second = words(room)
-            parts.append(text(middle, y + (22 if second else 27), room, size=12, bold=True, middle=True))
-            parts.append(text(middle, y + (38 if second else 44), first, size=9.5, colour=FAINT, middle=True))
-            parts.append(text(middle, y + 51, second, size=9.5, colour=FAINT, middle=True) if second else "")
-            x += share * unit + gap
-    height = 10 + len(FLOORS) * (high + gap)
-    return sheet(wide, height, "Rooms of the library by floor; imports only go down", parts)
-
-
-def words(room: str) -> tuple[str, str]:
-    """What lives in a room, on two lines where it is long."""
-    said = ROOMS[room]
-    if len(said) < 16:
-        return said, ""
-    cuts = [k for k, letter in enumerate(said) if letter == " "]
-    cut = min(cuts, key=lambda k: abs(k - len(said) / 2))
-    return said[:cut], said[cut + 1 :]
+    for row, names in enumerate(layers()):
+        y, width = 10 + row * (high + gap), (wide - 20 - gap * (len(names) - 1)) / len(names)
+        for column, name in enumerate(names):
+            x = 10 + column * (width + gap)
+            parts.append(box(x, y, width, high))
+            parts.append(text(x + 12, y + 25, name, size=12, bold=True))
+            parts.append(text(x + 130, y + 25, PURPOSES[name], size=10.5 if len(names) == 1 else 9.5, colour=FAINT))
+    height = 20 + len(layers()) * (high + gap) - gap
+    return sheet(wide, height, "Packages of the library; a package imports only from those below it", parts)
 
 
 # Size of a stage's box and distance from box to box [px].

@@ -8,8 +8,8 @@ import json
 import numpy as np
 import pytest
 
+from spotcheck.dataset.instrument import read_instrument
 from spotcheck.discrepancy.written import breach_of_verdict
-from spotcheck.instrument import read_instrument
 from spotcheck.model.baseline import of_instrument
 from tests.conftest import ROOT
 

@@ -8,10 +8,10 @@ import pytest
 import tifffile
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.estimate.sensor import model_of
-from spotcheck.instrument import RESERVED
-from spotcheck.metrics import PER_IMAGE
+from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.dataset.instrument import RESERVED
+from spotcheck.io import store
+from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.sensor import ReadingDistribution
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from spotcheck.comparison.table import compare
-from spotcheck.pages import compared
+from spotcheck.report.comparison.table import compare
+from spotcheck.report.pages import compared
 from tests.browser.opening import WINDOW, from_disk, look
 from tests.browser.test_page import LEAST_CONTRAST, SCHEMES, WIDTHS
 from tests.library.test_comparison import row, sets

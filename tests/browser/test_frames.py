@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from spotcheck import store
+from spotcheck.io import store
 from tests.browser.conftest import RESULTS
 from tests.browser.opening import REST, WINDOW
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from spotcheck import origin
+from spotcheck.report import origin
 from tests.browser.opening import WINDOW, look
 
 # Widths [px] of a telephone, a notebook and a large screen.

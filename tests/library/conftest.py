@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck import dataset
-from spotcheck.design import simulate_dataset
-from spotcheck.instrument import Instrument, read_instrument
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset.instrument import Instrument, read_instrument
+from spotcheck.model.design import simulate_dataset
 from spotcheck.sensor import SensorModel
 from tests.library.shelf import LAW, design, flats
 from tests.reference.numpy_chain import draw

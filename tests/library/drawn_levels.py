@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from spotcheck.estimate.levels import Level, Spatial, with_common_drift
-from spotcheck.estimate.photon_transfer import Transfer, transfer_of
+from spotcheck.characterization.levels import Level, Spatial, with_common_drift
+from spotcheck.characterization.photon_transfer import Transfer, transfer_of
 
 FULL, GAIN, BLACK, NOISE, TOP, LONGEST = 4095.0, 6.0, 40.0, 1.0, 3000.0, 6e-3
 SHAPE = (480, 640)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import tifffile
 
-from spotcheck.dataset import Dataset, load
+from spotcheck.dataset.folder import Dataset, load
 from spotcheck.sensor import SensorModel
 from tests.library.conftest import folder
 from tests.reference.numpy_chain import draw

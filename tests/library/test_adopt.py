@@ -9,18 +9,19 @@ import pytest
 import tifffile
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.adoption.bad import bad_in
-from spotcheck.adoption.chosen import choices_of
-from spotcheck.adoption.learned import Learned, learned_of
-from spotcheck.adoption.written import write
+from spotcheck.characterization.sensor_choice import SHEET, SOURCES, stderr_of
 from spotcheck.cli import main, run
-from spotcheck.clip import end_of, top_of
+from spotcheck.cli.judging import judge_dataset
+from spotcheck.crops.clip import end_of, top_of
+from spotcheck.dataset.instrument import BadPixels, Instrument, Sensor, read_instrument
 from spotcheck.errors import InputError
-from spotcheck.estimate.fits import fit_crops
-from spotcheck.estimate.sensor import SHEET, SOURCES, stderr_of
-from spotcheck.instrument import BadPixels, Instrument, Sensor, read_instrument
-from spotcheck.judging import judge_dataset
+from spotcheck.export.adoption.bad import bad_in
+from spotcheck.export.adoption.chosen import choices_of
+from spotcheck.export.adoption.learned import Learned, learned_of
+from spotcheck.export.adoption.written import write
+from spotcheck.fitting.fits import fit_crops
+from spotcheck.io import store
+from spotcheck.io.schema import breach_of
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, crop_grid
 from spotcheck.model.effect import AppliedEffect
@@ -29,7 +30,6 @@ from spotcheck.model.effects import built_in
 from spotcheck.model.forward import SENSOR_STAGES, ExpectedReading, ForwardModel
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_writer import LightFile, write_light
-from spotcheck.schema import breach_of
 from spotcheck.sensor import SensorModel
 from tests.library.conftest import SENSOR, folder, gaussian, loaded, noisy
 from tests.reference.numpy_chain import draw

@@ -1,35 +1,18 @@
-"""The walls of the house: floors, the virtual rig apart, small files, documented functions."""
+"""The structure of the code: contracts of imports, the virtual rig apart, small files, documented functions."""
 
 import ast
+import subprocess
+import sys
 from functools import cache
-from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import spotcheck
-from spotcheck.provenance import running
+from spotcheck.io.provenance import running
 from tests.library.conftest import ROOT
 
 WORKFLOW = ROOT / "workflow"
-FLOORS = {
-    0: (
-        *("errors", "text", "writing", "schema", "conditions", "plausible", "manifest", "instrument", "dataset"),
-        *("store", "provenance", "configuration", "running", "seen", "progress"),
-    ),
-    1: ("frames", "formats", "labels", "survey", "spotfinding", "clip", "siblings", "crops", "optics", "template"),
-    2: ("sensor",),
-    3: ("model",),
-    4: ("estimate", "metrics", "pairs", "simulation", "design"),
-    5: (
-        *("first_look", "figures", "discrepancy", "comparison", "views", "pages", "paper", "origin", "adoption"),
-        "correction",
-    ),
-    6: ("cli",),
-    # Runs the subcommands one after another, as the workflow does.
-    7: ("judging",),
-}
-FLOOR = {room: floor for floor, rooms in FLOORS.items() for room in rooms}
 FILES = sorted((WORKFLOW / "spotcheck").rglob("*.py"))
 RIG = sorted((WORKFLOW / "rig").rglob("*.py"))
 
@@ -59,43 +42,22 @@ def imports(path: Path, when_running: bool = False) -> set[str]:
     return found
 
 
-def room_of(module: str) -> str | None:
-    """The room of a module of the library; None for the package itself and for others."""
-    parts = module.split(".")
-    return parts[1] if parts[0] == "spotcheck" and len(parts) > 1 else None
+def test_contracts_of_imports_are_kept():
+    """Packages import only from those below, the sensor stands alone, nothing imports itself: see pyproject.toml."""
+    checked = subprocess.run(
+        [Path(sys.executable).with_name("lint-imports"), "--no-cache"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert checked.returncode == 0, checked.stdout
 
 
 @pytest.mark.parametrize("path", FILES, ids=module_of)
-def test_imports_go_down(path):
-    """A room imports from its own floor or from below, and nothing through the front door, which names them all."""
-    own = room_of(module_of(path))
-    if own is None:
+def test_modules_do_not_import_public_names_of_the_package(path):
+    """`spotcheck/__init__.py` names what all packages offer; a module that imports from it would import them all."""
+    if module_of(path) == "spotcheck":
         # Names for type checkers; a module is imported when one of its names is asked for.
-        assert not {i for i in imports(path, when_running=True) if i.startswith("spotcheck.")}
-        return
-    assert not imports(path) & {f"spotcheck.{name}" for name in spotcheck.__all__}
-    assert own in FLOOR, f"{own}: a room without a floor"
-    for name in imports(path):
-        room = room_of(name)
-        if room in FLOOR:
-            assert FLOOR[room] <= FLOOR[own], f"{module_of(path)} imports {name} from above"
-
-
-def test_the_sensor_stands_alone():
-    """The distribution of a reading needs nothing of the library but its errors."""
-    for path in (path for path in FILES if module_of(path).startswith("spotcheck.sensor")):
-        others = {name for name in imports(path) if name.startswith("spotcheck.")}
-        others = {name for name in others if not name.startswith(("spotcheck.sensor", "spotcheck.errors"))}
-        assert not others, f"{module_of(path)} imports {sorted(others)}"
-
-
-def test_no_rings():
-    """No module imports itself through others, in any room, when it runs."""
-    known = {module_of(p) for p in FILES}
-    graph = {module_of(p): imports(p, when_running=True) & known - {module_of(p), "spotcheck"} for p in FILES}
-    # `from spotcheck.room import name` also names the room's __init__, which the room's own files do not need.
-    graph = {m: {i for i in own if not m.startswith(i + ".")} for m, own in graph.items()}
-    assert len(list(TopologicalSorter(graph).static_order())) == len(known)
+        assert not {name for name in imports(path, when_running=True) if name.startswith("spotcheck.")}
+    else:
+        assert not imports(path) & {f"spotcheck.{name}" for name in spotcheck.__all__}
 
 
 @pytest.mark.parametrize("path", RIG, ids=module_of)
@@ -126,7 +88,7 @@ def test_files_stay_small():
 
 def test_modules_of_the_verdict_are_small():
     """No module of discrepancy is over 450 lines, and no function over 60."""
-    modules = [path for path in FILES if room_of(module_of(path)) == "discrepancy"]
+    modules = [path for path in FILES if module_of(path).startswith("spotcheck.discrepancy")]
     assert len(modules) > 20
     for path in modules:
         assert len(path.read_text(encoding="utf-8").splitlines()) <= 450, path.name

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import crops, dataset, frames
 from spotcheck.cli import main
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import frames
+from spotcheck.dataset.labels.files import labels_of
+from spotcheck.dataset.labels.label import settled
 from spotcheck.errors import InputError
-from spotcheck.formats import files, hdf5
-from spotcheck.formats.page import Page
-from spotcheck.labels.files import labels_of
-from spotcheck.labels.label import settled
-from spotcheck.manifest import parted
+from spotcheck.io.formats import files, hdf5
+from spotcheck.io.formats.names import split_inner_path
+from spotcheck.io.formats.page import Page
 from tests.library.conftest import HEADER, folder
 
 STACK = np.arange(3 * 20 * 32, dtype=np.uint16).reshape(3, 20, 32) * 6
@@ -80,9 +82,9 @@ def test_a_dataset_is_named_where_there_are_several(tmp_path):
 
 def test_a_hash_in_other_names_is_a_letter():
     """Only behind the ending of an HDF5 file it parts the path inside."""
-    assert parted("scan.h5#/entry/data") == ("scan.h5", "/entry/data")
-    assert parted("a#b/scan.NXS#x") == ("a#b/scan.NXS", "/x")
-    assert parted("#1.tif") == ("#1.tif", "") and parted("run#2.h5") == ("run#2.h5", "")
+    assert split_inner_path("scan.h5#/entry/data") == ("scan.h5", "/entry/data")
+    assert split_inner_path("a#b/scan.NXS#x") == ("a#b/scan.NXS", "/x")
+    assert split_inner_path("#1.tif") == ("#1.tif", "") and split_inner_path("run#2.h5") == ("run#2.h5", "")
 
 
 def unwritten(base):

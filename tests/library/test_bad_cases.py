@@ -15,15 +15,15 @@ import pytest
 import tifffile
 import yaml
 
-from spotcheck import store
+from spotcheck.characterization.sensor_choice import judge_darks
 from spotcheck.cli import main
 from spotcheck.cli.judged import find_shared_spots
+from spotcheck.dataset.frames import Surround
 from spotcheck.discrepancy.frames import Design, FrameSet
 from spotcheck.discrepancy.written import breach_of_verdict
-from spotcheck.estimate.reading_kernel import law_of
-from spotcheck.estimate.scoring import LIKELIHOOD, one_pass
-from spotcheck.estimate.sensor import judge_darks
-from spotcheck.frames import Surround
+from spotcheck.fitting.reading_kernel import law_of
+from spotcheck.fitting.scoring import LIKELIHOOD, one_pass
+from spotcheck.io import store
 from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 from tests.library.conftest import HEADER, folder
 from tests.reference.numpy_chain import draw

@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck import crops, dataset, frames, spotfinding, store
+from spotcheck.characterization import levels, same_site
+from spotcheck.crops import spotfinding
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import frames
 from spotcheck.errors import InputError
-from spotcheck.estimate import levels, same_site
-from spotcheck.estimate.fits import fit_crops
+from spotcheck.fitting.fits import fit_crops
+from spotcheck.io import store
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE, X, Y, SIGMA, COLUMN, ROW = 150, 70.3, 81.6, 6.0, 73, 85

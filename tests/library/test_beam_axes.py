@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.estimate import caustic
-from spotcheck.estimate.beam_axes import Widths, along, axes_of
-from spotcheck.instrument import Instrument, Laser, Sensor
+from spotcheck.dataset.instrument import Instrument, Laser, Sensor
+from spotcheck.fitting import caustic
+from spotcheck.fitting.beam_axes import Widths, along, axes_of
+from spotcheck.io import store
 
 WAVELENGTH, PITCH = 1.064e-6, 4.4e-6
 Z = np.linspace(-0.05, 0.25, 15)

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import crops, store
-from spotcheck.estimate import propagation
-from spotcheck.estimate.calibration import calibrate
-from spotcheck.estimate.fits import FITS, fit_crops, fit_in_crop, preferred
-from spotcheck.estimate.fitted import NAMES
-from spotcheck.estimate.propagation import law_light, peak_from_maxima, regress, simulate_and_fit
-from spotcheck.instrument import Instrument, ModelChoice
+from spotcheck.crops import stages as crops
+from spotcheck.dataset.instrument import Instrument, ModelChoice
+from spotcheck.fitting import propagation
+from spotcheck.fitting.calibration import calibrate
+from spotcheck.fitting.fits import FITS, fit_crops, fit_in_crop, preferred
+from spotcheck.fitting.fitted import NAMES
+from spotcheck.fitting.propagation import law_light, peak_from_maxima, regress, simulate_and_fit
+from spotcheck.io import store
 from spotcheck.model.baseline import Baseline
 from spotcheck.sensor import ReadingDistribution, SensorModel
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy

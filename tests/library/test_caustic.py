@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from spotcheck import store
-from spotcheck.estimate import caustic
-from spotcheck.instrument import Instrument, Laser, Sensor
+from spotcheck.dataset.instrument import Instrument, Laser, Sensor
+from spotcheck.fitting import caustic
+from spotcheck.io import store
 
 WAVELENGTH, PITCH = 632.8e-9, 3.75e-6
 NAMES = list(caustic.QUANTITIES)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import store
+from spotcheck.characterization.characterise import characterise_dataset, characterise_sensor
 from spotcheck.cli import main
 from spotcheck.errors import InputError
-from spotcheck.estimate.characterise import characterise_dataset, characterise_sensor
+from spotcheck.io import store
 from tests.library.shelf import levels
 
 

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from spotcheck import crops, store
-from spotcheck.clip import end_of, step_of, top_of
-from spotcheck.estimate.fits import fit_crops, preferred
-from spotcheck.estimate.sensor import model_of, resolve
-from spotcheck.instrument import Instrument, Sensor
+from spotcheck.characterization.sensor_choice import model_of, resolve
+from spotcheck.crops import stages as crops
+from spotcheck.crops.clip import end_of, step_of, top_of
+from spotcheck.dataset.instrument import Instrument, Sensor
+from spotcheck.fitting.fits import fit_crops, preferred
+from spotcheck.io import store
 from spotcheck.model.spot import elliptical_gaussian
 from tests.library.conftest import loaded
 

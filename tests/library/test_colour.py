@@ -6,11 +6,12 @@ import pytest
 import tifffile
 from PIL import Image
 
-from spotcheck import dataset, frames
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import frames
+from spotcheck.dataset.instrument import Sensor
 from spotcheck.errors import InputError
-from spotcheck.formats import files
-from spotcheck.formats.colour import CHANNELS, FILTERS, Colour
-from spotcheck.instrument import Sensor
+from spotcheck.io.formats import files
+from spotcheck.io.formats.colour import CHANNELS, FILTERS, Colour
 from tests.library.conftest import folder
 
 ROWS, COLUMNS = 20, 32

@@ -12,13 +12,14 @@ import tifffile
 import xarray as xr
 from scipy import stats
 
-from spotcheck import cli, store
-from spotcheck.comparison.changes import FALSE_ALARMS, beyond_chance, difference, trend
-from spotcheck.comparison.numbers import ABSENT, Number
-from spotcheck.comparison.table import Comparison, Row, compare
-from spotcheck.comparison.written import dataset_of
-from spotcheck.design import simulate_dataset
+from spotcheck import cli
 from spotcheck.errors import InputError
+from spotcheck.io import store
+from spotcheck.model.design import simulate_dataset
+from spotcheck.report.comparison.changes import FALSE_ALARMS, beyond_chance, difference, trend
+from spotcheck.report.comparison.numbers import ABSENT, Number
+from spotcheck.report.comparison.table import Comparison, Row, compare
+from spotcheck.report.comparison.written import dataset_of
 from spotcheck.sensor import SensorModel
 from tests.library.shelf import HEADER, LAW, design
 

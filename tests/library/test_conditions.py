@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck import crops, store
-from spotcheck.conditions import ANGLE_DEG, EXPOSURE_PART, RANGE_PART, grouped, remarks_on
-from spotcheck.dataset import load
+from spotcheck.characterization.characterise import characterise_dataset
+from spotcheck.characterization.same_site import pairs_along
+from spotcheck.crops import stages as crops
+from spotcheck.dataset.conditions import ANGLE_DEG, EXPOSURE_PART, RANGE_PART, grouped, remarks_on
+from spotcheck.dataset.folder import load
+from spotcheck.dataset.plausible import remarks_on as remarks_on_dataset
 from spotcheck.errors import InputError
-from spotcheck.estimate.characterise import characterise_dataset
-from spotcheck.estimate.same_site import pairs_along
-from spotcheck.plausible import remarks_on as remarks_on_dataset
+from spotcheck.io import store
 from tests.library.conftest import HEADER, SENSOR, folder, gaussian
 from tests.reference.numpy_chain import draw
 

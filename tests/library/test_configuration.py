@@ -4,8 +4,8 @@ import pytest
 import yaml
 
 from spotcheck.cli import main
-from spotcheck.configuration import remark_on, settled
 from spotcheck.errors import InputError
+from spotcheck.io.configuration import remark_on, settled
 from tests.conftest import ROOT
 
 DEFAULT = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))

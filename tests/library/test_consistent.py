@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from spotcheck import store
-from spotcheck.clip import End
-from spotcheck.dataset import load
-from spotcheck.estimate.characterise import characterise_sensor
-from spotcheck.estimate.consistent import LONGER, too_long
-from spotcheck.estimate.photon_transfer import Quantity
-from spotcheck.estimate.sensor import Darks, model_of, resolve
+from spotcheck.characterization.characterise import characterise_sensor
+from spotcheck.characterization.consistent import LONGER, too_long
+from spotcheck.characterization.photon_transfer import Quantity
+from spotcheck.characterization.sensor_choice import Darks, model_of, resolve
+from spotcheck.crops.clip import End
+from spotcheck.dataset.folder import load
+from spotcheck.io import store
 from spotcheck.sensor import SensorModel
 from tests.library.conftest import HEADER, folder
 

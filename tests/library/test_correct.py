@@ -12,9 +12,9 @@ import tifffile
 from scipy import stats
 
 from spotcheck.cli import run
-from spotcheck.correction.electrons import corrected, curve_of
+from spotcheck.cli.judging import judge_dataset
 from spotcheck.errors import InputError
-from spotcheck.judging import judge_dataset
+from spotcheck.export.correction.electrons import corrected, curve_of
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.pixel_maps import PixelMaps
 from tests.library.model_files import applied

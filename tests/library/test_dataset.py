@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from spotcheck import dataset
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset.instrument import Instrument
 from spotcheck.errors import InputError
-from spotcheck.instrument import Instrument
 from tests.library.conftest import HEADER, folder
 
 GOOD = "frames/a.tif,spot,0,1e-4,0"

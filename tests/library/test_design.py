@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spotcheck import frames, store
-from spotcheck.dataset import load
-from spotcheck.design import simulate_dataset
+from spotcheck.dataset import frames
+from spotcheck.dataset.folder import load
 from spotcheck.errors import InputError
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.fitting.spotfit import fit_spots
+from spotcheck.io import store
+from spotcheck.model.design import simulate_dataset
 from spotcheck.sensor import SensorModel
 from tests.library.shelf import CAMERA, LAW, design, levels
 

@@ -12,8 +12,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from spotcheck import store
-from spotcheck.dataset import load
+from spotcheck.dataset.folder import load
 from spotcheck.discrepancy.findings import Findings
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
@@ -24,18 +23,19 @@ from spotcheck.discrepancy.starting_spots import fit_spots
 from spotcheck.discrepancy.verdict import compose_verdict
 from spotcheck.discrepancy.words import value_text
 from spotcheck.discrepancy.written import write_verdict
-from spotcheck.figures import answer, every_figure, style
-from spotcheck.figures.discrepancy import chosen, plan_of
-from spotcheck.figures.entry import Category
-from spotcheck.figures.results import Results, Unavailable
-from spotcheck.figures.write import write_all
+from spotcheck.io import store
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_writer import LightFile, write_light, write_no_light
-from spotcheck.pages import TEMPLATES
-from spotcheck.pages.cited import Cited
-from spotcheck.pages.report.tables import missing_of
+from spotcheck.report.dataset_page.tables import missing_of
+from spotcheck.report.figures import answer, every_figure, style
+from spotcheck.report.figures.discrepancy import chosen, plan_of
+from spotcheck.report.figures.entry import Category
+from spotcheck.report.figures.results import Results, Unavailable
+from spotcheck.report.figures.write import write_all
+from spotcheck.report.pages import TEMPLATES
+from spotcheck.report.pages.cited import Cited
 from tests.library import small_set as small
 from tests.library.conftest import folder
 from tests.library.findings_cases import KINDS, MOVED, PAIR, agree, closed, disagree, learned, named

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from spotcheck.cli import main
+from spotcheck.io.provenance import sources
 from spotcheck.model import effects
 from spotcheck.model.effect_file import EXAMPLE
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import LAW_PARAMETERS
 from spotcheck.model.stage import Stage
-from spotcheck.pages import effects as page
-from spotcheck.provenance import sources
+from spotcheck.report.pages import effects as page
 from tests.library.conftest import ROOT
 from tests.library.effect_cases import (
     ELLIPSES,
@@ -221,10 +221,12 @@ def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch)
 
 # Quantities of EMVA 1288, which bear the names of effects.
 EMVA = {
-    "dark_offset": {"discrepancy/flat_levels.py", "estimate/consistent.py", "estimate/photon_transfer.py",
-                    "estimate/sensor.py", "figures/photon_transfer.py"},
-    "saturation": {"estimate/transfer_data.py", "figures/photon_transfer.py"},
-}  # fmt: skip
+    "dark_offset": {
+        *(f"characterization/{module}.py" for module in ("consistent", "photon_transfer", "sensor_choice")),
+        *("discrepancy/flat_levels.py", "report/figures/photon_transfer.py"),
+    },
+    "saturation": {"characterization/transfer_data.py", "report/figures/photon_transfer.py"},
+}
 
 
 def test_no_effect_is_named_outside_its_file():

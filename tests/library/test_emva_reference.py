@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from spotcheck.dataset import load
-from spotcheck.estimate.characterise import characterise_sensor
-from spotcheck.estimate.levels import levels_of
-from spotcheck.estimate.photon_transfer import transfer_of
+from spotcheck.characterization.characterise import characterise_sensor
+from spotcheck.characterization.levels import levels_of
+from spotcheck.characterization.photon_transfer import transfer_of
+from spotcheck.dataset.folder import load
 from tests.conftest import SHARED
 from tests.library.shelf import flats, levels
 from tests.validation.generators.real.emva import reference

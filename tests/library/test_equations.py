@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from spotcheck.errors import InputError
-from spotcheck.pages import equations
+from spotcheck.report.pages import equations
 from tests.library.conftest import ROOT
 
 # Written in parts, so that these examples claim nothing themselves when a docstring is what names an equation.

@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spotcheck import dataset, frames, simulation, store
 from spotcheck.cli import main
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import frames
+from spotcheck.dataset.instrument import read_instrument
 from spotcheck.errors import InputError
-from spotcheck.instrument import read_instrument
+from spotcheck.io import store
+from spotcheck.model import simulation
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.model_file import ExtendedModel, Site, Spot, read_model

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spotcheck import store
 from spotcheck.discrepancy.extended_model import FinalModel, build_extended_model, fit_exposure_law, fit_final_model
 from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect, ParameterValue
 from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.spot_numbers import SpotNumbers, numbers_of_fit
 from spotcheck.errors import InputError
+from spotcheck.io import store
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel

@@ -11,16 +11,16 @@ import pytest
 import tifffile
 import xarray as xr
 
-from spotcheck import figures
 from spotcheck.cli import main
 from spotcheck.errors import InputError
-from spotcheck.estimate.plus_minus import plus_minus, two_digits
-from spotcheck.figures import chain, every_figure, series, style
-from spotcheck.figures.entry import Category
-from spotcheck.figures.results import Results, Unavailable
-from spotcheck.figures.write import write_all
-from spotcheck.metrics import PER_IMAGE
-from spotcheck.provenance import sources
+from spotcheck.io.plus_minus import plus_minus, two_digits
+from spotcheck.io.provenance import sources
+from spotcheck.metrics.crop_metrics import PER_IMAGE
+from spotcheck.report import figures
+from spotcheck.report.figures import chain, every_figure, series, style
+from spotcheck.report.figures.entry import Category
+from spotcheck.report.figures.results import Results, Unavailable
+from spotcheck.report.figures.write import write_all
 from tests.library.conftest import ROOT
 
 INSTRUMENT = """\
@@ -131,9 +131,9 @@ def test_a_new_file_is_a_new_figure(tiny, tmp_path, monkeypatch):
         patch.setattr(figures, "__path__", [*figures.__path__, str(tmp_path)])
         every_figure.cache_clear()
         after = every_figure()
-        (own,) = [entry for entry in after if entry.draw.__module__ == "spotcheck.figures.one_more"]
+        (own,) = [entry for entry in after if entry.draw.__module__ == "spotcheck.report.figures.one_more"]
         write_all(results, tmp_path / "drawn", (own,))
-    sys.modules.pop("spotcheck.figures.one_more")
+    sys.modules.pop("spotcheck.report.figures.one_more")
     every_figure.cache_clear()
     assert [entry for entry in after if entry is not own] == list(before) == list(every_figure())
     assert own == [entry for entry in after if entry.category is own.category][-1]

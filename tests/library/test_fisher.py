@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate
 from scipy.stats import norm, poisson
 
-from spotcheck.estimate import bounds, fisher
+from spotcheck.fitting import bounds, fisher
 from spotcheck.model.baseline import Baseline, jacobian
 from spotcheck.model.conditions import FrameConditions, crop_grid
 from spotcheck.model.forward import ForwardModel

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.estimate.fitted import PARAMETERS, SpotFits
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.fitting.fitted import PARAMETERS, SpotFits
+from spotcheck.fitting.spotfit import fit_spots
+from spotcheck.io import store
 from tests.library.conftest import noisy
 from tests.library.shelf import CAMERA
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import dataset
+from spotcheck.dataset import folder as dataset
 from spotcheck.discrepancy.flat_fit import LevelScatter, estimate_scatter, fit_levels
 from spotcheck.discrepancy.flat_levels import FlatLevels, collect_levels, expect_levels, match_dark
 from spotcheck.discrepancy.flat_selection import assess_consistency, estimate_rough_scatter, measure_held_out_gain

@@ -9,7 +9,7 @@ import tifffile
 from PIL import Image, PngImagePlugin
 
 from spotcheck.errors import InputError
-from spotcheck.formats import files
+from spotcheck.io.formats import files
 
 RAMP = (np.arange(20 * 32, dtype=np.uint16) * 6).reshape(20, 32)  # 0 … 3834: needs twelve bits
 SMALL = RAMP.astype(np.uint8)

@@ -5,7 +5,8 @@ import pytest
 import tifffile
 from PIL import Image
 
-from spotcheck import dataset, frames
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import frames
 from spotcheck.errors import InputError
 from tests.library.conftest import HEADER, folder, loaded
 

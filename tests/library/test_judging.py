@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from spotcheck.cli import main
-from spotcheck.design import simulate_dataset
+from spotcheck.cli.judging import judge_dataset
 from spotcheck.errors import InputError
-from spotcheck.judging import judge_dataset
+from spotcheck.model.design import simulate_dataset
 from spotcheck.model.effects import chosen
-from spotcheck.pages.effects import MEAN_EXAMPLE
+from spotcheck.report.pages.effects import MEAN_EXAMPLE
 from tests.library.effect_cases import written
 from tests.library.shelf import design
 

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from spotcheck.labels import beside, names, words
-from spotcheck.labels.files import labels_of
-from spotcheck.labels.label import Label, settled
-from spotcheck.labels.words import of_key
+from spotcheck.dataset.labels import beside, names, words
+from spotcheck.dataset.labels.files import labels_of
+from spotcheck.dataset.labels.label import Label, settled
+from spotcheck.dataset.labels.words import of_key
 
 STACK = np.zeros((3, 16, 20), np.uint16)
 NAMES = {

@@ -10,12 +10,7 @@ from scipy import integrate, ndimage, optimize, special
 from spotcheck.discrepancy.candidates import Candidate, is_unresolved_shape
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.learned_light import (
-    DRAWS,
-    describe_light,
-    draw_by_information,
-    summarize_shape,
-)
+from spotcheck.discrepancy.learned_light import DRAWS, describe_light, draw_by_information, summarize_shape
 from spotcheck.discrepancy.light_shape import fit_free_shape
 from spotcheck.discrepancy.normal_equations import NormalEquations, ShapePart, assemble
 from spotcheck.discrepancy.shape_grid import BlockFactor, ShapeGrid

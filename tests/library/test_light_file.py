@@ -8,15 +8,16 @@ import tifffile
 import xarray as xr
 from scipy.interpolate import BSpline
 
-from spotcheck import dataset, store
 from spotcheck.cli import main
-from spotcheck.design import simulate_dataset
+from spotcheck.dataset import folder as dataset
 from spotcheck.errors import InputError
+from spotcheck.io import store
 from spotcheck.model.baseline import of_instrument
+from spotcheck.model.design import simulate_dataset
 from spotcheck.model.light_shape import LIGHT, LightShape, read_light, read_lights
 from spotcheck.model.model_file import ExtendedModel, read_model
 from spotcheck.model.model_writer import LightFile, write_light
-from spotcheck.simulation import STACK
+from spotcheck.model.simulation import STACK
 from tests.library.model_files import applied, model_text
 from tests.library.test_extended import (
     CENTRES,

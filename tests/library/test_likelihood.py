@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spotcheck.estimate.likelihood import SiteFrame, fit_baseline
+from spotcheck.fitting.likelihood import SiteFrame, fit_baseline
 from spotcheck.model.baseline import Baseline
 from tests.library.conftest import SENSOR, gaussian
 from tests.reference.numpy_chain import draw

@@ -13,8 +13,8 @@ import tifffile
 import spotcheck
 from spotcheck.cli import COMMANDS, main
 from spotcheck.cli import open as opening
-from spotcheck.formats import files
-from spotcheck.labels.names import natural
+from spotcheck.dataset.labels.names import natural
+from spotcheck.io.formats import files
 from spotcheck.sensor import SensorModel
 from tests.conftest import SHARED
 

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck import crops, dataset, frames, store
+from spotcheck.characterization.characterise import characterise_dataset
 from spotcheck.cli import main
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import frames
 from spotcheck.errors import InputError
-from spotcheck.estimate.characterise import characterise_dataset
+from spotcheck.io import store
 from tests.library.conftest import HEADER, folder, gaussian, loaded, noisy
 
 GOOD = "frames/a.tif,spot,0,1e-4,0"

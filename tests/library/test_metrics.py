@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 from skimage.metrics import peak_signal_noise_ratio
 
-from spotcheck import metrics
 from spotcheck.errors import InputError
-from spotcheck.pairs import metrics_of_both
+from spotcheck.metrics import crop_metrics as metrics
+from spotcheck.metrics.pairs import metrics_of_both
 from tests.library.conftest import gaussian
 
 

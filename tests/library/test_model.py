@@ -182,7 +182,7 @@ def test_derivatives_with_top_hat(budget):
 
 def test_without_optics_the_laser_counts_as_nothing():
     """And without exposures no law in t holds."""
-    from spotcheck.instrument import Instrument
+    from spotcheck.dataset.instrument import Instrument
 
     assert baseline.of_instrument(Instrument(), EXPOSURES).laser_px == 0
     assert baseline.of_instrument(Instrument(), ()).photon_budget == "free"

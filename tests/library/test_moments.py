@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from spotcheck.estimate.moments import AREA, second_moments
-from spotcheck.first_look.images import images_of
-from spotcheck.first_look.seen import widened_by_clip
+from spotcheck.fitting.moments import AREA, second_moments
+from spotcheck.quicklook.images import images_of
+from spotcheck.quicklook.seen import widened_by_clip
 from tests.conftest import SHARED
 
 SIDE_Y, SIDE_X = 200, 240

@@ -7,11 +7,11 @@ import pytest
 import tifffile
 import yaml
 
-from spotcheck import dataset
 from spotcheck.cli import main
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset.frames import probe_all, read
+from spotcheck.dataset.instrument import Sensor
 from spotcheck.errors import InputError
-from spotcheck.frames import probe_all, read
-from spotcheck.instrument import Sensor
 
 SIDE = 40
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck import store
 from spotcheck.cli import main
+from spotcheck.io import store
 from spotcheck.model.effects import Choice, choose
-from spotcheck.pages.effects import MEAN_EXAMPLE, RANDOM_EXAMPLE
-from spotcheck.simulation import STACK
+from spotcheck.model.simulation import STACK
+from spotcheck.report.pages.effects import MEAN_EXAMPLE, RANDOM_EXAMPLE
 from tests.library import small_set as small
 from tests.library.conftest import folder
 from tests.library.effect_cases import written

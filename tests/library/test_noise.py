@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spotcheck.clip import End
-from spotcheck.estimate import sensor as sensor_stage
-from spotcheck.estimate.by_spots import seen_by_spots
-from spotcheck.estimate.noise_curve import gain_from_curve, noise_curve
+from spotcheck.characterization import sensor_choice as sensor_stage
+from spotcheck.characterization.by_spots import seen_by_spots
+from spotcheck.characterization.noise_curve import gain_from_curve, noise_curve
+from spotcheck.crops.clip import End
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE = 240

@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
-from spotcheck import crops, dataset, frames
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import frames
 from spotcheck.errors import InputError
-from spotcheck.estimate.calibration import calibrate
-from spotcheck.estimate.fits import fit_crops
-from spotcheck.formats import pgm
+from spotcheck.fitting.calibration import calibrate
+from spotcheck.fitting.fits import fit_crops
+from spotcheck.io.formats import pgm
+from spotcheck.io.store import read
 from spotcheck.sensor import ReadingDistribution
-from spotcheck.store import read
 from tests.library.conftest import HEADER, SENSOR, folder, gaussian, loaded, noisy
 
 GOOD = "frames/a.tif,spot,0,1e-4,0"

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from spotcheck import crops, store
-from spotcheck.estimate.fits import TOO_HIGH, fit_crops, remarks_of
-from spotcheck.estimate.odd_pixels import odd_pixels
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.characterization.odd_pixels import odd_pixels
+from spotcheck.crops import stages as crops
+from spotcheck.fitting.fits import TOO_HIGH, fit_crops, remarks_of
+from spotcheck.fitting.spotfit import fit_spots
+from spotcheck.io import store
 from spotcheck.sensor import SensorModel
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 

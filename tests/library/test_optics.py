@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import constants, integrate
 
-from spotcheck import optics
-from spotcheck.model import photons
+from spotcheck.model import optics, photons
 
 # Printed digits: half a unit of the last one.
 PITCH, WAVELENGTH, FOCAL, DISTANCE = 5.5e-6, 650e-9, 50.2e-3, 0.25

@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import cli, dataset, origin, store
-from spotcheck.design import simulate_dataset
+from spotcheck import cli
+from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.dataset import folder as dataset
 from spotcheck.discrepancy.words import value_text
 from spotcheck.errors import InputError
-from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.origin.documents import of_verdict
-from spotcheck.origin.words import measured
-from spotcheck.provenance import file_digest
+from spotcheck.io import store
+from spotcheck.io.provenance import file_digest
+from spotcheck.model.design import simulate_dataset
+from spotcheck.report import origin
+from spotcheck.report.origin.documents import of_verdict
+from spotcheck.report.origin.words import measured
 from tests.library.conftest import ROOT
 from tests.library.shelf import LAW, design, flats
 

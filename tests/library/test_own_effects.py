@@ -8,20 +8,20 @@ from pathlib import Path
 
 import pytest
 
-from spotcheck import dataset
 from spotcheck.cli import main
 from spotcheck.cli import vocabulary as options
+from spotcheck.dataset import folder as dataset
 from spotcheck.discrepancy.written import breach_of_verdict
 from spotcheck.errors import InputError
+from spotcheck.io.schema import breach_of, read_keys
 from spotcheck.model import effects
 from spotcheck.model.effect_file import read_effect
 from spotcheck.model.effects import Choice, built_in, vocabulary
 from spotcheck.model.stage import Stage
-from spotcheck.pages import TEMPLATES
-from spotcheck.pages import effects as page
-from spotcheck.pages.cited import Cited
-from spotcheck.pages.report.tables import missing_of
-from spotcheck.schema import breach_of, read_keys
+from spotcheck.report.dataset_page.tables import missing_of
+from spotcheck.report.pages import TEMPLATES
+from spotcheck.report.pages import effects as page
+from spotcheck.report.pages.cited import Cited
 from tests.library.conftest import ROOT, folder
 from tests.library.effect_cases import knowing, written
 from tests.library.findings_cases import whole

@@ -5,9 +5,10 @@ import re
 import pytest
 import xarray as xr
 
-from spotcheck import dataset, store
-from spotcheck.clip import End
-from spotcheck.estimate import sensor
+from spotcheck.characterization import sensor_choice as sensor
+from spotcheck.crops.clip import End
+from spotcheck.dataset import folder as dataset
+from spotcheck.io import store
 from spotcheck.paper import derived, measured, simulated, verdicts
 from spotcheck.paper.results import Results
 from spotcheck.paper.verdicts import Verdict, interval, lost, shares

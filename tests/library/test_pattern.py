@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from spotcheck.dataset import load
-from spotcheck.estimate.levels import levels_of
-from spotcheck.estimate.pattern import LARGEST, add_patterns, chosen, pattern_of, spectrum
-from spotcheck.estimate.photon_transfer import transfer_of
-from spotcheck.estimate.transfer_data import dataset_of
+from spotcheck.characterization.levels import levels_of
+from spotcheck.characterization.pattern import LARGEST, add_patterns, chosen, pattern_of, spectrum
+from spotcheck.characterization.photon_transfer import transfer_of
+from spotcheck.characterization.transfer_data import dataset_of
+from spotcheck.dataset.folder import load
 
 
 def test_a_spectrum_of_white_noise_is_flat():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from spotcheck.characterization.levels import Level, Spatial, levels_of, pattern_of, photons_of, variance_by_row
+from spotcheck.characterization.photon_transfer import QUANTITIES, line, through_zero, transfer_of
+from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
-from spotcheck.estimate.levels import Level, Spatial, levels_of, pattern_of, photons_of, variance_by_row
-from spotcheck.estimate.photon_transfer import QUANTITIES, line, through_zero, transfer_of
-from spotcheck.manifest import Frame
 
 ROWS, COLUMNS, FULL = 48, 64, 4095.0
 
@@ -251,7 +251,7 @@ def test_levels_of_a_folder_are_grouped(tmp_path):
     """By kind, exposure and light; darks first; the numbers are those of the images."""
     from PIL import Image
 
-    from spotcheck.dataset import load
+    from spotcheck.dataset.folder import load
 
     rng = np.random.default_rng(13)
     rows, images = ["file,kind,angle_deg,exposure_s,repeat,photons_per_px"], {}

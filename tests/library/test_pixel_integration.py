@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from spotcheck import crops, store
-from spotcheck.dataset import load
+from spotcheck.crops import stages as crops
+from spotcheck.dataset.folder import load
 from spotcheck.errors import InputError
-from spotcheck.estimate.fits import fit_crops, preferred
-from spotcheck.estimate.likelihood import SiteFrame, fit_baseline
-from spotcheck.estimate.propagation import simulate_and_fit
+from spotcheck.fitting.fits import fit_crops, preferred
+from spotcheck.fitting.likelihood import SiteFrame, fit_baseline
+from spotcheck.fitting.propagation import simulate_and_fit
+from spotcheck.io import store
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.conditions import PixelGrid
 from spotcheck.model.forward import ForwardModel

@@ -5,10 +5,11 @@ import pytest
 import tifffile
 from scipy import stats
 
-from spotcheck import dataset, store
+from spotcheck.characterization.pixel_maps import maps_in, maps_of, shrunk, smooth
 from spotcheck.cli import run
-from spotcheck.estimate.pixel_maps import maps_in, maps_of, shrunk, smooth
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.dataset import folder as dataset
+from spotcheck.fitting.spotfit import fit_spots
+from spotcheck.io import store
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.pixel_maps import PixelMaps
 from tests.library.conftest import folder

@@ -6,9 +6,9 @@ import pytest
 import yaml
 
 from spotcheck.cli import main
-from spotcheck.dataset import load
+from spotcheck.dataset.folder import load
+from spotcheck.dataset.plausible import USUAL, remarks_on
 from spotcheck.errors import InputError
-from spotcheck.plausible import USUAL, remarks_on
 from tests.library.conftest import HEADER, ROOT, folder
 
 ROW = "frames/a.tif,spot,0,0.002,0"

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.estimate.calibration import USED
-from spotcheck.estimate.fitted import NAMES
-from spotcheck.estimate.precision import ENOUGH, SCATTERED, frame_bounds, pooled_ratio, precision_of, sentence
-from spotcheck.estimate.spotfit import fit_spots
-from spotcheck.instrument import Instrument
+from spotcheck.dataset.instrument import Instrument
+from spotcheck.fitting.calibration import USED
+from spotcheck.fitting.fitted import NAMES
+from spotcheck.fitting.precision import ENOUGH, SCATTERED, frame_bounds, pooled_ratio, precision_of, sentence
+from spotcheck.fitting.spotfit import fit_spots
+from spotcheck.io import store
 from spotcheck.model.baseline import Baseline
 from spotcheck.sensor import SensorModel
 from tests.reference.numpy_chain import draw

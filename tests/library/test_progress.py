@@ -6,7 +6,8 @@ import time
 
 import pytest
 
-from spotcheck import cli, progress
+from spotcheck import cli
+from spotcheck.io import progress
 
 
 class Terminal(io.StringIO):

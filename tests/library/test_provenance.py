@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from spotcheck import provenance
+from spotcheck.io import provenance
 
 FILES = {
     "pkg/__init__.py": "",
@@ -107,7 +107,7 @@ def test_file_digest(tmp_path):
 def test_real_stages_cover_what_they_compute_with(stage):
     """The sensor belongs to fit and simulate, the forward model to simulate, the parser to none."""
     names = {p.relative_to(provenance.ROOT).as_posix() for p in provenance.sources(f"spotcheck.cli.{stage}")}
-    assert {"spotcheck/store.py", "spotcheck/dataset.py"} <= names
+    assert {"spotcheck/io/store.py", "spotcheck/dataset/folder.py"} <= names
     assert ("spotcheck/sensor/distribution.py" in names) == (stage != "crop")
     assert ("spotcheck/model/forward.py" in names) == (stage == "simulate")
     assert "spotcheck/cli/fit.py" not in names or stage == "fit"

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from spotcheck.estimate.reading_kernel import Law, law_of, likelihood_weights, normal_below, reading_variances
+from spotcheck.fitting.reading_kernel import Law, law_of, likelihood_weights, normal_below, reading_variances
 from spotcheck.sensor import ReadingDistribution, SensorModel
 from spotcheck.sensor.pixel_maps import PixelMaps
 from tests.library.test_faint import SENSORS as FAINT_SENSORS

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import crops, store
 from spotcheck.cli import main
-from spotcheck.estimate import caustic
-from spotcheck.estimate.fits import TOO_HIGH, TOO_LOW, fit_crops, preferred
-from spotcheck.estimate.precision import sentence
+from spotcheck.crops import stages as crops
+from spotcheck.fitting import caustic
+from spotcheck.fitting.fits import TOO_HIGH, TOO_LOW, fit_crops, preferred
+from spotcheck.fitting.precision import sentence
+from spotcheck.io import store
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 from tests.library.test_caustic import PITCH, scan, tem00
 from tests.library.test_precision import found as precision_file

@@ -7,16 +7,16 @@ import zlib
 import numpy as np
 import pytest
 
-from spotcheck.figures import style
-from spotcheck.pages import TEMPLATES
-from spotcheck.pages.cited import Cited
-from spotcheck.pages.report import packed, ranking, tables
-from spotcheck.pages.report.gap import gap_of
-from spotcheck.pages.report.ranking import Deviation
-from spotcheck.pages.report.spoken import numbers_in, spoken
+from spotcheck.report.dataset_page import packed, ranking, tables
+from spotcheck.report.dataset_page.gap import gap_of
+from spotcheck.report.dataset_page.ranking import Deviation
+from spotcheck.report.dataset_page.spoken import numbers_in, spoken
+from spotcheck.report.figures import style
+from spotcheck.report.pages import TEMPLATES
+from spotcheck.report.pages.cited import Cited
+from spotcheck.report.views import rms_left
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import noise_line
-from spotcheck.views import rms_left
 from tests.library.conftest import ROOT
 from tests.library.findings_cases import KINDS, whole
 
@@ -203,7 +203,7 @@ def test_a_number_without_a_result_is_plain(tmp_path):
 
 def test_colours_are_those_of_the_figures():
     """page.css repeats them for a light ground."""
-    text = (ROOT / "workflow/spotcheck/pages/page.css").read_text(encoding="utf-8").upper()
+    text = (ROOT / "workflow/spotcheck/report/pages/page.css").read_text(encoding="utf-8").upper()
     for name, own in (("MEASURED", style.MEASURED), ("SIMULATED", style.SIMULATED), ("ACCENT", style.ACCENT)):
         assert f"--{name}: {own.upper()}" in text
 

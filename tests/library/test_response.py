@@ -8,9 +8,9 @@ import tifffile
 
 import spotcheck
 from spotcheck.cli import main
-from spotcheck.correction.electrons import corrected, curve_of
-from spotcheck.instrument import read_instrument
-from spotcheck.judging import judge_dataset
+from spotcheck.cli.judging import judge_dataset
+from spotcheck.dataset.instrument import read_instrument
+from spotcheck.export.correction.electrons import corrected, curve_of
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.response import apply_curvature, remove_curvature
 

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from spotcheck import running
 from spotcheck.errors import InputError
+from spotcheck.io import running
 from tests.library.conftest import ROOT
 
 # A run with two jobs, one of which takes no hint; it says so when they are there.
 RUN = """
 import os, subprocess, sys, time
 from pathlib import Path
-from spotcheck import running
+from spotcheck.io import running
 token = running.new_token()
 held = running.hold(Path(sys.argv[1]), token)
 os.environ[running.TOKEN] = token

@@ -6,9 +6,9 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as moved
 
-from spotcheck.estimate.by_spots import seen_by_spots
-from spotcheck.estimate.noise_curve import gain_from_curve
-from spotcheck.estimate.same_site import aligned, curve_of, pairs_along, tally_of
+from spotcheck.characterization.by_spots import seen_by_spots
+from spotcheck.characterization.noise_curve import gain_from_curve
+from spotcheck.characterization.same_site import aligned, curve_of, pairs_along, tally_of
 
 GAIN, NOISE, SIDE, TOP = 0.2, 8.0, 200, 12000.0
 FLOOR = GAIN**2 * NOISE**2 + 1 / 12

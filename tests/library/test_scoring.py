@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from spotcheck.estimate.reading_kernel import law_of
-from spotcheck.estimate.scoring import EQUAL, LIKELIHOOD, VARIANCE, one_pass
+from spotcheck.fitting.reading_kernel import law_of
+from spotcheck.fitting.scoring import EQUAL, LIKELIHOOD, VARIANCE, one_pass
 from spotcheck.model import spot
 from spotcheck.model.baseline import jacobian
 from spotcheck.sensor import SensorModel

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck import crops, frames, provenance, seen, store
 from spotcheck.cli import main
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import frames
+from spotcheck.dataset import ingested as seen
 from spotcheck.errors import InputError
+from spotcheck.io import provenance, store
 from tests.library.conftest import gaussian, loaded
 
 CROP = "crop_px: 40\n"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from spotcheck.clip import End
-from spotcheck.estimate.photon_transfer import Quantity
-from spotcheck.estimate.sensor import Darks, known_beforehand, resolve
+from spotcheck.characterization.photon_transfer import Quantity
+from spotcheck.characterization.sensor_choice import Darks, known_beforehand, resolve
+from spotcheck.crops.clip import End
 from spotcheck.model.spot import elliptical_gaussian
 from spotcheck.sensor import SensorModel
 from tests.library.conftest import loaded

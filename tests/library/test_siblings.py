@@ -8,12 +8,13 @@ import pytest
 import tifffile
 from scipy import stats
 
-from spotcheck import crops, store
-from spotcheck.dataset import Dataset, load
+from spotcheck.crops import stages as crops
+from spotcheck.crops.siblings import ALARM, Glance, glance, odd_ones
+from spotcheck.dataset.folder import Dataset, load
+from spotcheck.dataset.instrument import Instrument
+from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
-from spotcheck.instrument import Instrument
-from spotcheck.manifest import Frame
-from spotcheck.siblings import ALARM, Glance, glance, odd_ones
+from spotcheck.io import store
 
 SIDE, SIGMA, NOISE = 60, 6.0, 1.5
 

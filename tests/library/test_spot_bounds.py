@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spotcheck.estimate.reading_kernel import law_of
-from spotcheck.estimate.scoring import LIKELIHOOD, one_pass
-from spotcheck.estimate.search import precision_of
-from spotcheck.estimate.spot_bounds import spot_bounds
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.fitting.reading_kernel import law_of
+from spotcheck.fitting.scoring import LIKELIHOOD, one_pass
+from spotcheck.fitting.search import precision_of
+from spotcheck.fitting.spot_bounds import spot_bounds
+from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.sensor import SensorModel
 from tests.library.shelf import CAMERA
 

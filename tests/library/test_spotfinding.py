@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from spotcheck import crops, spotfinding, store
-from spotcheck.spotfinding import Spot
+from spotcheck.crops import spotfinding
+from spotcheck.crops import stages as crops
+from spotcheck.crops.spotfinding import Spot
+from spotcheck.io import store
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE = 300

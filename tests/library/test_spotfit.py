@@ -9,13 +9,13 @@ from scipy.optimize import curve_fit
 from scipy.special import ndtr
 from scipy.stats import ncx2
 
-from spotcheck.estimate.fitted import NAMES, PARAMETERS
-from spotcheck.estimate.reading_kernel import law_of
-from spotcheck.estimate.scoring import LIKELIHOOD, one_pass
-from spotcheck.estimate.spotfit import fit_spots, model_image
+from spotcheck.fitting.fitted import NAMES, PARAMETERS
+from spotcheck.fitting.reading_kernel import law_of
+from spotcheck.fitting.scoring import LIKELIHOOD, one_pass
+from spotcheck.fitting.spotfit import fit_spots, model_image
+from spotcheck.io.store import flag
 from spotcheck.model import spot
 from spotcheck.sensor import SensorModel
-from spotcheck.store import flag
 from tests.library.conftest import SENSOR, gaussian
 from tests.reference.numpy_chain import draw
 from tests.reference.slow_spotfit import fit_spot

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import dataset, store
+from spotcheck.dataset import folder as dataset
 from spotcheck.errors import InputError
+from spotcheck.io import store
 from tests.library.conftest import HEADER, ROOT, folder
 
 ROWS = ["frames/a.tif,spot,0,1e-4,0", "frames/b.tif,spot,90,9e-4,1"]
@@ -199,7 +200,8 @@ def test_asking_whose_a_results_folder_is_writes_nothing(tmp_path):
 LIMITED = """
 import resource
 from tests.library.test_store import good
-from spotcheck import cli, store
+from spotcheck import cli
+from spotcheck.io import store
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 cli.run = lambda words: {write}
 cli.main(["ingest"])
@@ -273,7 +275,8 @@ def test_other_errors_keep_their_names(tmp_path, monkeypatch):
 STOPPED = """
 import time
 from pathlib import Path
-from spotcheck import cli, store
+from spotcheck import cli
+from spotcheck.io import store
 def run(words):
     with store.appearing_whole(Path("{path}")) as scratch:
         scratch.write_text("half")

@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from spotcheck.estimate.by_spots import seen_by_spots
-from spotcheck.estimate.noise_curve import Gain, correlated_px, gain_from_curve, noise_curve
-from spotcheck.estimate.skipped import skipped_codes
+from spotcheck.characterization.by_spots import seen_by_spots
+from spotcheck.characterization.noise_curve import Gain, correlated_px, gain_from_curve, noise_curve
+from spotcheck.characterization.skipped import skipped_codes
 from spotcheck.sensor import ROUNDING_VARIANCE
 from tests.conftest import SHARED
 

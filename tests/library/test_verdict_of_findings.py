@@ -7,18 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.findings import (
-    Consistency,
-    Findings,
-    Gap,
-    MetricChange,
-    Unexplained,
-    UpperLimit,
-)
+from spotcheck.discrepancy.findings import Consistency, Findings, Gap, MetricChange, Unexplained, UpperLimit
 from spotcheck.discrepancy.sentence import summarize_verdict
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE, Status, compose_verdict, weigh_candidates
 from spotcheck.discrepancy.written import breach_of_verdict, rounded, write_verdict
-from spotcheck.store import ContractError
+from spotcheck.io.store import ContractError
 from tests.library.findings_cases import (
     BEND,
     CLIP,

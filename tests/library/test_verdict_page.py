@@ -3,7 +3,7 @@
 import re
 
 from spotcheck.discrepancy import criteria
-from spotcheck.schema import read_schema
+from spotcheck.io.schema import read_schema
 from tests.library.conftest import ROOT
 from tests.library.findings_cases import whole
 from tests.library.test_docs import code, nested, section, table

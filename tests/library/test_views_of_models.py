@@ -9,19 +9,19 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from spotcheck import store
-from spotcheck.dataset import Axis
+from spotcheck.dataset.folder import Axis
 from spotcheck.discrepancy.findings import Detection, ResidualTest
 from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.pictures import AFTER, BEFORE, draw_pictures, sum_blocks, z_of_strongest
 from spotcheck.discrepancy.starting_spots import fit_spots, load_spots, spots_by_moments
+from spotcheck.io import store
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot
-from spotcheck.views import ViewedFrames, rms_left, view_declared, view_extended
+from spotcheck.report.views import ViewedFrames, rms_left, view_declared, view_extended
 from tests.library import drawn_frames as drawing
 from tests.library.drawn_frames import DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
 from tests.library.models_of_frames import (

@@ -29,9 +29,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from spotcheck import crops, dataset
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset.labels.files import labels_of
 from spotcheck.errors import InputError
-from spotcheck.labels.files import labels_of
 from tests.load.rows import Row, write
 
 # A reader that computes longer than this on some kilobytes hangs [s]; a busy machine does not count.

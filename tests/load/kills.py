@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck import running
+from spotcheck.io import running
 from tests.conftest import ROOT, SNAKEMAKE, environment
 from tests.load.rows import Row, write
 from tests.load.values import differing, values_of

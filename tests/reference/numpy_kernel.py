@@ -1,4 +1,4 @@
-"""The approximation that `spotcheck.estimate.reading_kernel` states, in plain numpy, which it must equal.
+"""The approximation that `spotcheck.fitting.reading_kernel` states, in plain numpy, which it must equal.
 
 Mean electrons ν, variance of read noise and rounding n = σ² + 1/(12 K²) [e-²], signal of a reading z = (y − black)/K:
 

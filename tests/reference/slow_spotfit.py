@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.io.store import flag
 from spotcheck.sensor import ReadingDistribution, SensorModel
-from spotcheck.store import flag
 
 MAX_ITERATIONS = 100
 # Converged when the step is below this part of the parameters' own scale; far below any standard error.

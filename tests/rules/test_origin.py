@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from spotcheck.origin.rules import maker_of, written_by
+from spotcheck.report.origin.rules import maker_of, written_by
 from tests.conftest import ROOT, snakemake
 from tests.rules.test_datasets import SAMPLE, flats
 

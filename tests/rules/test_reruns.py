@@ -53,9 +53,9 @@ AFTER_FIT = {"calibrate", "simulate", "ingest_simulated", "crop_simulated", "fit
     ("leaf", "expected"),
     [
         ("metrics.py", {"metrics"}),
-        ("estimate/fisher.py", {"bounds"}),
-        ("estimate/likelihood.py", {"calibrate"}),
-        ("figures/style.py", set()),
+        ("fitting/fisher.py", {"bounds"}),
+        ("fitting/likelihood.py", {"calibrate"}),
+        ("report/figures/style.py", set()),
     ],
 )
 def test_edit_of_one_leaf(checkout, leaf, expected):

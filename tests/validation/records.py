@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-from spotcheck import provenance
+from spotcheck.io import provenance
 from tests.validation.protocol import Record
 
 ROOT = Path(__file__).parents[2]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck import dataset
+from spotcheck.dataset import folder as dataset
 from tests.validation.generators.light import beams, draw, generator, hene, plan
 from tests.validation.generators.light.case import draw_case
 from tests.validation.generators.light.outside import MECHANISMS

@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 
 from spotcheck.cli import main
-from spotcheck.dataset import load
+from spotcheck.dataset.folder import load
 from spotcheck.model.model_file import read_model
 from tests.conftest import planned, snakemake
 

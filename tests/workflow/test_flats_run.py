@@ -10,8 +10,8 @@ import pytest
 import tifffile
 import xarray as xr
 
+from spotcheck.characterization.transfer_data import quantities_of
 from spotcheck.cli import main
-from spotcheck.estimate.transfer_data import quantities_of
 from tests.conftest import SHARED, snakemake
 
 GAIN, NOISE, ETA, BLACK, TOP = 0.3, 9.0, 0.5, 30.0, 4095

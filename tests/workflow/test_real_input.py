@@ -9,7 +9,7 @@ import tifffile
 import xarray as xr
 from PIL import Image
 
-from spotcheck.estimate.fits import preferred
+from spotcheck.fitting.fits import preferred
 from tests.conftest import ROOT, SHARED, snakemake
 
 pytestmark = pytest.mark.slow

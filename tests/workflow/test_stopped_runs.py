@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from spotcheck import running
+from spotcheck.io import running
 from tests.conftest import ROOT, SNAKEMAKE, environment
 from tests.workflow.test_bad_input import digests
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck import store
+from spotcheck.io import store
 from tests.conftest import ROOT, environment, planned, snakemake
 
 

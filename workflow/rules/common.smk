@@ -8,15 +8,17 @@ from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
 
-from spotcheck import configuration, seen, store, writing
-from spotcheck import dataset as contract
+from spotcheck.io import configuration, store, writing
+
+from spotcheck.dataset import ingested as seen
+from spotcheck.dataset import folder as contract
 from spotcheck.cli import COMMANDS, vocabulary
-from spotcheck.crops import check_dataset
+from spotcheck.crops.stages import check_dataset
 from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.baseline import of_instrument
-from spotcheck.simulation import STACK
-from spotcheck.provenance import code_digest, file_digest, notebook_modules
+from spotcheck.model.simulation import STACK
+from spotcheck.io.provenance import code_digest, file_digest, notebook_modules
 
 # Rules call `spotcheck`, `rig` and `papermill` of the environment that runs this file, whether it is active or not.
 os.environ.update(PATH=os.pathsep.join([str(Path(sys.executable).parent), *os.get_exec_path()]))

@@ -4,7 +4,7 @@
 from base64 import urlsafe_b64decode
 from shutil import rmtree
 
-from spotcheck import running
+from spotcheck.io import running
 
 # Dry runs, and what a job of a run asks of Snakemake, write nothing and wait for nobody.
 PLANS = workflow.output_settings.dryrun or not workflow.is_main_process or running.TOKEN in os.environ

@@ -2,8 +2,8 @@
 
 Public names stand in `__all__` and in workflow/docs/api.md; a module is imported when a name of it is first used.
 
-Inside, imports go down: judging > cli > figures, discrepancy > estimate, metrics > model > sensor > frames, optics >
-dataset, store.
+Packages, from the top; each imports only from those below it: cli, quicklook, report, paper and export, discrepancy,
+metrics, fitting, characterization, model, sensor, crops, dataset, io.
 """
 
 from typing import TYPE_CHECKING
@@ -32,18 +32,18 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from spotcheck.dataset import Dataset
-    from spotcheck.dataset import load as read_dataset
-    from spotcheck.design import simulate_dataset
+    from spotcheck.characterization.characterise import Characterisation, characterise_dataset, characterise_sensor
+    from spotcheck.cli.judging import judge_dataset
+    from spotcheck.dataset.folder import Dataset
+    from spotcheck.dataset.folder import load as read_dataset
+    from spotcheck.dataset.frames import read as read_image
     from spotcheck.errors import InputError
-    from spotcheck.estimate.caustic import Caustic, fit_caustic
-    from spotcheck.estimate.characterise import Characterisation, characterise_dataset, characterise_sensor
-    from spotcheck.estimate.fitted import SpotFits
-    from spotcheck.estimate.spot_bounds import SpotBounds, spot_bounds
-    from spotcheck.estimate.spotfit import fit_spots
-    from spotcheck.first_look.looking import Look, look
-    from spotcheck.frames import read as read_image
-    from spotcheck.judging import judge_dataset
+    from spotcheck.fitting.caustic import Caustic, fit_caustic
+    from spotcheck.fitting.fitted import SpotFits
+    from spotcheck.fitting.spot_bounds import SpotBounds, spot_bounds
+    from spotcheck.fitting.spotfit import fit_spots
+    from spotcheck.model.design import simulate_dataset
+    from spotcheck.quicklook.looking import Look, look
     from spotcheck.sensor import SensorModel
     from spotcheck.sensor.pixel_maps import PixelMaps
 
@@ -51,25 +51,25 @@ if TYPE_CHECKING:
 else:
     # Public name → where it lives.
     _HOME = {
-        "Caustic": "estimate.caustic.Caustic",
-        "Characterisation": "estimate.characterise.Characterisation",
-        "Dataset": "dataset.Dataset",
+        "Caustic": "fitting.caustic.Caustic",
+        "Characterisation": "characterization.characterise.Characterisation",
+        "Dataset": "dataset.folder.Dataset",
         "InputError": "errors.InputError",
-        "Look": "first_look.looking.Look",
+        "Look": "quicklook.looking.Look",
         "PixelMaps": "sensor.pixel_maps.PixelMaps",
         "SensorModel": "sensor.model.SensorModel",
-        "SpotBounds": "estimate.spot_bounds.SpotBounds",
-        "SpotFits": "estimate.fitted.SpotFits",
-        "characterise_dataset": "estimate.characterise.characterise_dataset",
-        "characterise_sensor": "estimate.characterise.characterise_sensor",
-        "fit_caustic": "estimate.caustic.fit_caustic",
-        "fit_spots": "estimate.spotfit.fit_spots",
-        "judge_dataset": "judging.judge_dataset",
-        "look": "first_look.looking.look",
-        "read_dataset": "dataset.load",
-        "read_image": "frames.read",
-        "simulate_dataset": "design.simulate_dataset",
-        "spot_bounds": "estimate.spot_bounds.spot_bounds",
+        "SpotBounds": "fitting.spot_bounds.SpotBounds",
+        "SpotFits": "fitting.fitted.SpotFits",
+        "characterise_dataset": "characterization.characterise.characterise_dataset",
+        "characterise_sensor": "characterization.characterise.characterise_sensor",
+        "fit_caustic": "fitting.caustic.fit_caustic",
+        "fit_spots": "fitting.spotfit.fit_spots",
+        "judge_dataset": "cli.judging.judge_dataset",
+        "look": "quicklook.looking.look",
+        "read_dataset": "dataset.folder.load",
+        "read_image": "dataset.frames.read",
+        "simulate_dataset": "model.design.simulate_dataset",
+        "spot_bounds": "fitting.spot_bounds.spot_bounds",
     }
 
     def __getattr__(name):

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.estimate.fitted import SpotFits
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.fitting.fitted import SpotFits
+from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.sensor import SensorModel
 from tests.validation.benchmarks import spots
 from tests.validation.benchmarks.spots import NAMES, ORIENTATION

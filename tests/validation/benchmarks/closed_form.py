@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spotcheck.estimate import fisher
+from spotcheck.fitting import fisher
 from spotcheck.model.baseline import jacobian
 from spotcheck.model.spot import circular_gaussian, elliptical_gaussian
 from tests.validation.benchmarks.table import Figure, Limit, Part

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.fitting.spotfit import fit_spots
 from tests.validation.benchmarks import spots
 from tests.validation.benchmarks.accuracy import errors, in_parallel, random_sensor
 from tests.validation.benchmarks.spots import NAMES, ORIENTATION, SIDE

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.sensor import SensorModel
 from tests.validation.benchmarks import peers, spots
 from tests.validation.benchmarks.spots import MAJOR, MINOR

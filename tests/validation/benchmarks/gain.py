@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from spotcheck.estimate.by_spots import seen_by_spots
-from spotcheck.estimate.levels import Level, pattern_of, variance_by_row
-from spotcheck.estimate.photon_transfer import transfer_of
+from spotcheck.characterization.by_spots import seen_by_spots
+from spotcheck.characterization.levels import Level, pattern_of, variance_by_row
+from spotcheck.characterization.photon_transfer import transfer_of
 from tests.validation.benchmarks.table import Figure, Limit, Part, Table
 
 SEED, DRAWS, FRAMES, SIDE = 20261121, 24, 32, 240

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from spotcheck.estimate.fitted import SpotFits
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.fitting.fitted import SpotFits
+from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.model.forward import RandomStreams
 from spotcheck.sensor import ReadingDistribution
 from tests.validation.benchmarks import peak

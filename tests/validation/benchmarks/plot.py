@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from spotcheck.figures import style
+from spotcheck.report.figures import style
 from tests.validation.benchmarks.table import Point
 
 # Okabe and Ito's colours, far apart in lightness too; each kind has its own marker.

@@ -77,8 +77,8 @@ GROUPS = {
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point. What the user can mend ends in one sentence and status 2."""
-    from spotcheck import progress
     from spotcheck.errors import InputError
+    from spotcheck.io import progress
 
     # A terminal may know neither ° nor µ: then the sign's number is printed, not a traceback.
     for stream in (sys.stdout, sys.stderr):

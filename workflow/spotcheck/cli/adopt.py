@@ -3,12 +3,13 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import dataset, store
-from spotcheck.adoption import written
-from spotcheck.adoption.chosen import choices_of
-from spotcheck.adoption.learned import learned_of
 from spotcheck.cli import vocabulary
+from spotcheck.dataset import folder as dataset
 from spotcheck.errors import InputError
+from spotcheck.export.adoption import written
+from spotcheck.export.adoption.chosen import choices_of
+from spotcheck.export.adoption.learned import learned_of
+from spotcheck.io import store
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

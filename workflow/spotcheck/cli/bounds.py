@@ -4,9 +4,10 @@ import argparse
 
 import numpy as np
 
-from spotcheck import dataset, provenance, store
-from spotcheck.estimate.bounds import bounds_of
-from spotcheck.estimate.sensor import model_of
+from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.dataset import folder as dataset
+from spotcheck.fitting.bounds import bounds_of
+from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
   spotcheck bounds my-frames --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc \\

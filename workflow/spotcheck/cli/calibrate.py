@@ -2,9 +2,10 @@
 
 import argparse
 
-from spotcheck import dataset, provenance, store
-from spotcheck.estimate.calibration import USED, calibrate
-from spotcheck.estimate.sensor import model_of
+from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.dataset import folder as dataset
+from spotcheck.fitting.calibration import USED, calibrate
+from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
   spotcheck calibrate my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\

@@ -2,9 +2,10 @@
 
 import argparse
 
-from spotcheck import dataset, provenance, store
-from spotcheck.estimate.caustic import beam_rows, caustic_of
-from spotcheck.estimate.plus_minus import plus_minus
+from spotcheck.dataset import folder as dataset
+from spotcheck.fitting.caustic import beam_rows, caustic_of
+from spotcheck.io import provenance, store
+from spotcheck.io.plus_minus import plus_minus
 
 EXAMPLE = """Example:
   spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/caustic.nc

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from spotcheck.errors import InputError
-from spotcheck.figures import chain, style
+from spotcheck.report.figures import chain, style
 
 EXAMPLE = """Example:
   snakemake --rulegraph > rules.dot

@@ -4,11 +4,12 @@ import argparse
 import shlex
 from importlib.util import find_spec
 
-from spotcheck import configuration, dataset
-from spotcheck.crops import check_dataset
-from spotcheck.manifest import KINDS
+from spotcheck.crops.stages import check_dataset
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset.manifest import KINDS
+from spotcheck.dataset.plausible import remarks_on
+from spotcheck.io import configuration
 from spotcheck.model.baseline import of_instrument
-from spotcheck.plausible import remarks_on
 
 EXAMPLE = """Example:
   spotcheck check my-frames

@@ -3,11 +3,11 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import provenance, store
-from spotcheck.comparison.sets import sources_of
-from spotcheck.comparison.table import compare
-from spotcheck.comparison.written import dataset_of
-from spotcheck.pages import compared
+from spotcheck.io import provenance, store
+from spotcheck.report.comparison.sets import sources_of
+from spotcheck.report.comparison.table import compare
+from spotcheck.report.comparison.written import dataset_of
+from spotcheck.report.pages import compared
 
 EXAMPLE = """Example:
   spotcheck compare out/my-frames out/my-flats --page comparison.html --output comparison.nc

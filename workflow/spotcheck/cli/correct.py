@@ -3,9 +3,9 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import dataset
 from spotcheck.cli import vocabulary
-from spotcheck.correction.folder import known_in, write
+from spotcheck.dataset import folder as dataset
+from spotcheck.export.correction.folder import known_in, write
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

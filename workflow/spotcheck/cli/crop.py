@@ -3,7 +3,9 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import crops, dataset, provenance, store
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import folder as dataset
+from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
   spotcheck crop my-frames --frames out/my-frames/frames.nc --output out/my-frames/crops.nc

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from spotcheck.cli import vocabulary
-from spotcheck.pages import effects
+from spotcheck.report.pages import effects
 
 EXAMPLE = """Example:
   spotcheck effects --output effects.md

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from spotcheck.pages import equations
+from spotcheck.report.pages import equations
 
 EXAMPLE = """Example:
   spotcheck equations --symbols data/symbols.yaml --tests tests --output docs

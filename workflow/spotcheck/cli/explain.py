@@ -4,10 +4,10 @@ import argparse
 import json
 from pathlib import Path
 
-from spotcheck import origin
 from spotcheck.cli import COMMANDS
 from spotcheck.errors import InputError
-from spotcheck.origin import words
+from spotcheck.report import origin
+from spotcheck.report.origin import words
 
 EXAMPLES = """Examples:
   spotcheck explain p1 --results out/my-frames

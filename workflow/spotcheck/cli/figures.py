@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from spotcheck.figures.results import Results
-from spotcheck.figures.write import write_all
+from spotcheck.report.figures.results import Results
+from spotcheck.report.figures.write import write_all
 
 EXAMPLE = """Example:
   spotcheck figures --dataset my-frames --results out/my-frames --output out/my-frames/figures

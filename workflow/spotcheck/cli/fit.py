@@ -2,10 +2,11 @@
 
 import argparse
 
-from spotcheck import dataset, provenance, store
-from spotcheck.estimate.fits import fit_crops, preferred, reasons_text
-from spotcheck.estimate.pixel_maps import maps_in
-from spotcheck.estimate.sensor import model_of
+from spotcheck.characterization.pixel_maps import maps_in
+from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.dataset import folder as dataset
+from spotcheck.fitting.fits import fit_crops, preferred, reasons_text
+from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
   spotcheck fit my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc --output out/my-frames/fits.nc

@@ -2,13 +2,15 @@
 
 import argparse
 
-from spotcheck import dataset, provenance, seen, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import tolerance_of
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import ingested as seen
 from spotcheck.discrepancy.flats import analyse_flats
 from spotcheck.discrepancy.sentence import summarize_verdict
 from spotcheck.discrepancy.verdict import compose_verdict
 from spotcheck.discrepancy.written import write_verdict
+from spotcheck.io import provenance, store
 from spotcheck.model import effects
 
 EXAMPLE = """Example:

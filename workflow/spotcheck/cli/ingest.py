@@ -3,7 +3,10 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import crops, dataset, provenance, seen, store
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import ingested as seen
+from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
   spotcheck ingest my-frames --output out/my-frames/frames.nc

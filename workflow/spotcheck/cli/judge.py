@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck import dataset, progress, provenance, store
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import ReadyFrames, Tolerance, prepare_dataset, tolerance_of
-from spotcheck.dataset import Dataset
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.analysis import Analysis, analyse_frames
 from spotcheck.discrepancy.conclude import conclude
 from spotcheck.discrepancy.extended_model import FinalModel, build_extended_model, fit_final_model
@@ -22,6 +22,7 @@ from spotcheck.discrepancy.pictures import AFTER, BEFORE, draw_pictures, skipped
 from spotcheck.discrepancy.sentence import summarize_verdict
 from spotcheck.discrepancy.verdict import compose_verdict, drop_fitted_values
 from spotcheck.discrepancy.written import write_verdict
+from spotcheck.io import progress, provenance, store
 from spotcheck.model import effects
 from spotcheck.model.model_writer import LightFile, model_text, no_model_text, write_light, write_no_light
 

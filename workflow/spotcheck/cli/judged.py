@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.crops import usable
-from spotcheck.dataset import Dataset
+from spotcheck.characterization.sensor_choice import model_of, stderr_of
+from spotcheck.crops.stages import usable
+from spotcheck.dataset.folder import Dataset
+from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.analysis import Setting
 from spotcheck.discrepancy.criteria import ALPHA, TOLERANCE
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, load_frames
@@ -22,8 +23,7 @@ from spotcheck.discrepancy.starting_spots import (
     usable_cells,
 )
 from spotcheck.errors import InputError
-from spotcheck.estimate.sensor import model_of, stderr_of
-from spotcheck.manifest import Frame
+from spotcheck.io import store
 from spotcheck.model.baseline import of_instrument
 from spotcheck.model.forward import ForwardModel
 

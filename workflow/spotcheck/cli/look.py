@@ -5,10 +5,10 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from spotcheck.dataset.labels import units
 from spotcheck.errors import InputError
-from spotcheck.first_look.images import folder_of
-from spotcheck.first_look.looking import look
-from spotcheck.labels import units
+from spotcheck.quicklook.images import folder_of
+from spotcheck.quicklook.looking import look
 
 EXAMPLES = """Examples:
   spotcheck look my-frames/frames                # all images of a folder

@@ -2,9 +2,11 @@
 
 import argparse
 
-from spotcheck import dataset, provenance, seen, store
-from spotcheck.crops import without_copies
-from spotcheck.estimate.pixel_maps import dataset_of, maps_of
+from spotcheck.characterization.pixel_maps import dataset_of, maps_of
+from spotcheck.crops.stages import without_copies
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import ingested as seen
+from spotcheck.io import provenance, store
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

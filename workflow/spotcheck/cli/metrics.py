@@ -2,8 +2,8 @@
 
 import argparse
 
-from spotcheck import provenance, store
-from spotcheck.pairs import metrics_of_both
+from spotcheck.io import provenance, store
+from spotcheck.metrics.pairs import metrics_of_both
 
 EXAMPLE = """Example:
   spotcheck metrics --crops out/my-frames/crops.nc out/my-frames/simulated/crops.nc \\

@@ -5,13 +5,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from spotcheck import configuration, template
+from spotcheck.crops import proposal as crop
+from spotcheck.dataset import template
+from spotcheck.dataset.survey.rows import LABELLED, POSITION, Rows, rows_of
+from spotcheck.dataset.survey.scan import COLOUR, Scan, check, scan
+from spotcheck.dataset.survey.told import told
 from spotcheck.errors import InputError
-from spotcheck.formats.colour import Colour
-from spotcheck.survey import crop
-from spotcheck.survey.rows import LABELLED, POSITION, Rows, rows_of
-from spotcheck.survey.scan import COLOUR, Scan, check, scan
-from spotcheck.survey.told import told
+from spotcheck.io import configuration
+from spotcheck.io.formats.colour import Colour
 
 # What a person is asked for where no file says it: column or key, and the question.
 QUESTIONS = {

@@ -4,10 +4,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from spotcheck import dataset, provenance, store
-from spotcheck.pages import numbers
+from spotcheck.dataset import folder as dataset
+from spotcheck.io import provenance, store
 from spotcheck.paper import verdicts
 from spotcheck.paper.results import Results
+from spotcheck.report.pages import numbers
 
 EXAMPLE = """Example:
   spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig \\

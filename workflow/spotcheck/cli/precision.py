@@ -4,9 +4,10 @@ import argparse
 
 import numpy as np
 
-from spotcheck import dataset, provenance, store
-from spotcheck.estimate.precision import precision_of
-from spotcheck.estimate.sensor import model_of
+from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.dataset import folder as dataset
+from spotcheck.fitting.precision import precision_of
+from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
   spotcheck precision my-frames --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc \\

@@ -4,9 +4,9 @@ import argparse
 import json
 from pathlib import Path
 
-from spotcheck import dataset
 from spotcheck.cli import vocabulary
-from spotcheck.pages import report
+from spotcheck.dataset import folder as dataset
+from spotcheck.report import dataset_page as report
 
 EXAMPLE = """Example:
   spotcheck report --dataset my-frames --results out/my-frames --output out/my-frames/report.html

@@ -2,10 +2,14 @@
 
 import argparse
 
-from spotcheck import crops, dataset, frames, provenance, seen, store
-from spotcheck.estimate import sensor
-from spotcheck.estimate.same_site import pairs_along
-from spotcheck.estimate.transfer_data import quantities_of
+from spotcheck.characterization import sensor_choice as sensor
+from spotcheck.characterization.same_site import pairs_along
+from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.crops import stages as crops
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import frames
+from spotcheck.dataset import ingested as seen
+from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
   spotcheck sensor my-frames --crops out/my-frames/crops.nc --frames out/my-frames/frames.nc \\

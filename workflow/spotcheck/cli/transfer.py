@@ -2,12 +2,14 @@
 
 import argparse
 
-from spotcheck import dataset, provenance, seen, store
-from spotcheck.crops import without_copies
-from spotcheck.estimate.levels import levels_of, on_response
-from spotcheck.estimate.pattern import add_patterns
-from spotcheck.estimate.photon_transfer import transfer_of
-from spotcheck.estimate.transfer_data import dataset_of, quantities_of
+from spotcheck.characterization.levels import levels_of, on_response
+from spotcheck.characterization.pattern import add_patterns
+from spotcheck.characterization.photon_transfer import transfer_of
+from spotcheck.characterization.transfer_data import dataset_of, quantities_of
+from spotcheck.crops.stages import without_copies
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import ingested as seen
+from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
   spotcheck transfer my-flats --frames out/my-flats/frames.nc --output out/my-flats/transfer.nc

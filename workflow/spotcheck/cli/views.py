@@ -3,12 +3,14 @@
 import argparse
 from pathlib import Path
 
-from spotcheck import dataset, provenance, store, views
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import prepare_dataset
+from spotcheck.dataset import folder as dataset
+from spotcheck.io import provenance, store
 from spotcheck.model.light_shape import LIGHT
 from spotcheck.model.model_file import read_model, reason_without_model
-from spotcheck.simulation import check_model
+from spotcheck.model.simulation import check_model
+from spotcheck.report import views
 
 EXAMPLE = """Example:
   spotcheck views my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\

@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from spotcheck import progress
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z, PARAMETER_PRICE
 from spotcheck.discrepancy.evaluation import LEAST_VARIANCE
@@ -28,12 +27,7 @@ from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, 
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
 from spotcheck.discrepancy.joint_fit import READ_NOISE_RANGE, FreeParameter, JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import FoundLaws, LawSearch, find_laws, is_law
-from spotcheck.discrepancy.light_shape import (
-    ShapeExplanation,
-    count_coefficients,
-    explain_shape,
-    fit_thinned_shape,
-)
+from spotcheck.discrepancy.light_shape import ShapeExplanation, count_coefficients, explain_shape, fit_thinned_shape
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import (
     Deviation,
@@ -53,6 +47,7 @@ from spotcheck.discrepancy.scatter import DarkNoise, DarkSlopes, measure_dark_no
 from spotcheck.discrepancy.selection import SelectedEffects, select_again, select_effects, withdraw_effects
 from spotcheck.discrepancy.spot_numbers import numbers_of_fit
 from spotcheck.discrepancy.validation import has_field
+from spotcheck.io import progress
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, EffectScales, Scope
 from spotcheck.model.forward import ForwardModel

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from spotcheck import progress
 from spotcheck.discrepancy.advice import PresentFits, advise
 from spotcheck.discrepancy.analysis import Analysis, measure_scatter
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
@@ -33,6 +32,7 @@ from spotcheck.discrepancy.places import KnownScatter, find_places
 from spotcheck.discrepancy.residual_sums import sum_residuals
 from spotcheck.discrepancy.validation import has_field
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE
+from spotcheck.io import progress
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep, Scope
 from spotcheck.model.stage import Stage
 

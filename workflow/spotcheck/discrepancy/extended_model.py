@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize
 
-from spotcheck.dataset import Dataset
+from spotcheck.dataset.folder import Dataset
+from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.analysis import Analysis, Setting
 from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet
@@ -14,7 +15,6 @@ from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import LawSearch, is_law
 from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.discrepancy.starting_spots import fit_spots
-from spotcheck.manifest import Frame
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from spotcheck.estimate.photon_transfer import Transfer, light_of
+from spotcheck.characterization.photon_transfer import Transfer, light_of
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import EffectScales, Need

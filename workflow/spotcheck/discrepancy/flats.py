@@ -11,8 +11,10 @@ import numpy as np
 import xarray as xr
 from scipy.stats import norm
 
-from spotcheck.crops import without_copies
-from spotcheck.dataset import Dataset
+from spotcheck.characterization.levels import levels_of, straightening
+from spotcheck.characterization.photon_transfer import Transfer, transfer_of
+from spotcheck.crops.stages import without_copies
+from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.candidates import list_starts, value_is_one_sided
 from spotcheck.discrepancy.criteria import MIN_GAIN
 from spotcheck.discrepancy.evidence import is_negligible
@@ -28,13 +30,7 @@ from spotcheck.discrepancy.findings import (
     Unexplained,
     UpperLimit,
 )
-from spotcheck.discrepancy.flat_fit import (
-    LevelFit,
-    LevelScatter,
-    deviance_of,
-    estimate_covariance,
-    fit_levels,
-)
+from spotcheck.discrepancy.flat_fit import LevelFit, LevelScatter, deviance_of, estimate_covariance, fit_levels
 from spotcheck.discrepancy.flat_levels import FEWEST_LEVELS, FlatLevels, collect_levels
 from spotcheck.discrepancy.flat_selection import (
     SelectedLevelEffects,
@@ -45,8 +41,6 @@ from spotcheck.discrepancy.flat_selection import (
     select_level_effects,
     without_effect,
 )
-from spotcheck.estimate.levels import levels_of, straightening
-from spotcheck.estimate.photon_transfer import Transfer, transfer_of
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep
 
 TOO_FEW = f"fewer than {FEWEST_LEVELS} levels of different light below saturation, in pairs of frames"

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.crops import usable
-from spotcheck.dataset import Dataset
-from spotcheck.manifest import number_in
+from spotcheck.crops.stages import usable
+from spotcheck.dataset.folder import Dataset
+from spotcheck.dataset.manifest import number_in
+from spotcheck.io import store
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 
 # Repeats from which on every third one is held out.

@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 
-from spotcheck import metrics
 from spotcheck.discrepancy.evaluation import THREADS
 from spotcheck.discrepancy.findings import MetricChange
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
@@ -21,7 +20,8 @@ from spotcheck.discrepancy.named_scatter import NamedScatter
 from spotcheck.discrepancy.nested_models import ValidatedChain
 from spotcheck.discrepancy.starting_spots import acts_on_mean
 from spotcheck.discrepancy.validation import NestedModel, PixelGains
-from spotcheck.estimate.spotfit import fit_spots
+from spotcheck.fitting.spotfit import fit_spots
+from spotcheck.metrics import crop_metrics as metrics
 from spotcheck.model.conditions import FrameConditions, crop_grid
 from spotcheck.model.effect import AppliedEffect, Effect, Only, RandomStep, Step
 from spotcheck.model.forward import ForwardModel, RandomStreams

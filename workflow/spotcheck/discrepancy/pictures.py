@@ -12,12 +12,12 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from spotcheck import store
-from spotcheck.dataset import Dataset
+from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.findings import Detection
 from spotcheck.discrepancy.frames import FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.residuals import measure_residuals
+from spotcheck.io import store
 
 BEFORE, AFTER = "before", "after"
 MODEL_NAMES = {BEFORE: "declared model", AFTER: "extended model"}

@@ -9,14 +9,7 @@ import numpy as np
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.discrepancy.limits import NOT_CONFIRMED, TOO_SMALL
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE, NO_TEST, NOT_CONVERGED, Status
-from spotcheck.discrepancy.words import (
-    condition_text,
-    digits_of,
-    list_text,
-    percent_text,
-    probability_text,
-    value_text,
-)
+from spotcheck.discrepancy.words import condition_text, digits_of, list_text, percent_text, probability_text, value_text
 from spotcheck.model.effects import vocabulary
 
 SHEET_WORDS = {"gain_dn_per_e": "the gain", "read_noise_e": "the read noise", "black_level_dn": "the black level"}

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.crops import usable
-from spotcheck.dataset import Dataset
+from spotcheck.crops.stages import usable
+from spotcheck.dataset.folder import Dataset
+from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.evaluation import THREADS
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import is_law
 from spotcheck.discrepancy.normal_equations import invert_information
-from spotcheck.estimate.fits import preferred
-from spotcheck.estimate.moments import second_moments
-from spotcheck.manifest import Frame
+from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.moments import second_moments
+from spotcheck.io import store
 from spotcheck.model.effect import AppliedEffect, RandomStep
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.stage import Stage

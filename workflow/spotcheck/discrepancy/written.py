@@ -9,10 +9,10 @@ import numpy as np
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
 
-from spotcheck import store
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE, Status
+from spotcheck.io import store
+from spotcheck.io.schema import read_schema
 from spotcheck.model.effects import vocabulary
-from spotcheck.schema import read_schema
 
 # Name of the schema.
 SCHEMA = "verdict"

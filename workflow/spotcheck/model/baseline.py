@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spotcheck import optics
-from spotcheck.instrument import Instrument
-from spotcheck.model import propagation, spot
+from spotcheck.dataset.instrument import Instrument
+from spotcheck.model import optics, propagation, spot
 from spotcheck.model.light_shape import LightShape, read_light
 
 # A step of the derivative by complex step: its square vanishes beside 1 in double precision, so the result is exact.

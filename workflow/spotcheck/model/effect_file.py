@@ -14,13 +14,13 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 
 from spotcheck.errors import InputError
+from spotcheck.io.provenance import file_digest
+from spotcheck.io.schema import read_schema
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, crop_grid
 from spotcheck.model.effect import PROPERTIES, AppliedEffect, Effect, EffectScales, RandomStep, Step, keyword_names_of
 from spotcheck.model.forward import LAW_PARAMETERS, ForwardModel, RandomStreams
 from spotcheck.model.stage import Stage
-from spotcheck.provenance import file_digest
-from spotcheck.schema import read_schema
 from spotcheck.sensor import SensorModel
 
 # Scales of a spot as the paper has it, and the camera on which an effect is tried, with frames of so many pixels.

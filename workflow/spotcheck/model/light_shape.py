@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spotcheck import store
 from spotcheck.errors import InputError
+from spotcheck.io import store
 from spotcheck.sensor.codes import compiled
 
 # Name of the file beside model.yaml.

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from spotcheck.dataset.manifest import Frame, number_in
 from spotcheck.errors import InputError
-from spotcheck.manifest import Frame, number_in
+from spotcheck.io.schema import breach_of, read_keys
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LIGHT, LightShape, read_lights
-from spotcheck.schema import breach_of, read_keys
 from spotcheck.sensor import SensorModel
 
 # Rounding in the file may carry a value beyond a bound by this part of it.

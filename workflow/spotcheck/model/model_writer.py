@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from spotcheck import store
+from spotcheck.io import store
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.light_shape import LIGHT, LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot

@@ -2,8 +2,8 @@
 
 import math
 
-from spotcheck import metrics, optics
-from spotcheck.model import spot
+from spotcheck.metrics import crop_metrics as metrics
+from spotcheck.model import optics, spot
 from spotcheck.paper.results import Results, known
 from spotcheck.sensor import ROUNDING_VARIANCE
 

@@ -6,9 +6,8 @@ What they share is the dependence on exposure, (p_b/σ_g)².
 
 import math
 
-from spotcheck import optics
-from spotcheck.instrument import Instrument
-from spotcheck.model import photons, propagation, spot
+from spotcheck.dataset.instrument import Instrument
+from spotcheck.model import optics, photons, propagation, spot
 from spotcheck.model.baseline import of_instrument
 from spotcheck.paper.results import known
 

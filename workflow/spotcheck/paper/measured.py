@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from spotcheck.estimate.propagation import regress
+from spotcheck.fitting.propagation import regress
 from spotcheck.paper.results import CENTRING, Results
 
 

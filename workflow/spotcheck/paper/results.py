@@ -5,9 +5,9 @@ from pathlib import Path
 
 import xarray as xr
 
-from spotcheck import store
-from spotcheck.dataset import Dataset
+from spotcheck.dataset.folder import Dataset
 from spotcheck.errors import InputError
+from spotcheck.io import store
 from spotcheck.model.baseline import Baseline, of_instrument
 
 # The paper crops at the maximum; so do its numbers here.

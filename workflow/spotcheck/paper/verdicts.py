@@ -5,9 +5,9 @@ import io
 from pathlib import Path
 from typing import NamedTuple
 
+from spotcheck.io.schema import read_yaml
 from spotcheck.paper import derived, measured, simulated
 from spotcheck.paper.results import Results
-from spotcheck.schema import read_yaml
 
 COLUMNS = (
     "id",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from spotcheck.estimate.plus_minus import plus_minus
+from spotcheck.io.plus_minus import plus_minus
 from tests.validation.protocol import manifest_of
 from tests.validation.records import ROOT
 from tests.validation.table import markdown

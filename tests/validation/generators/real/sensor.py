@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck import store
+from spotcheck.characterization.photon_transfer import QUANTITIES
+from spotcheck.characterization.transfer_data import quantities_of
 from spotcheck.cli import main as command
-from spotcheck.estimate.photon_transfer import QUANTITIES
-from spotcheck.estimate.plus_minus import plus_minus
-from spotcheck.estimate.transfer_data import quantities_of
-from spotcheck.pages.report.tables import ranges
+from spotcheck.io import store
+from spotcheck.io.plus_minus import plus_minus
+from spotcheck.report.dataset_page.tables import ranges
 from tests.validation.benchmarks import gain
 from tests.validation.generators.real import levels
 from tests.validation.generators.real.emva import reference

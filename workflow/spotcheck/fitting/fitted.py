@@ -1,0 +1,179 @@
+"""What a spot fit gives: values, standard errors and covariance by name, χ², and how each fit ended."""
+
+from dataclasses import dataclass, fields
+from typing import Any, overload
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.io import store
+from spotcheck.io.plus_minus import plus_minus
+
+PARAMETERS = {
+    "amplitude": ("DN", "peak of the fitted Gaussian above its offset"),
+    "x_centre": ("pixel", "column of the fitted centre"),
+    "y_centre": ("pixel", "row of the fitted centre"),
+    "sigma_major": ("pixel", "fitted standard deviation along the long axis"),
+    "sigma_minor": ("pixel", "fitted standard deviation along the short axis"),
+    "orientation": ("degree", "direction of the long axis from +x (right) towards +y (down)"),
+    "offset": ("DN", "fitted offset under the Gaussian"),
+    "sigma_mean": ("pixel", "direction-averaged width, mean of the long and the short axis"),
+}
+NAMES = tuple(PARAMETERS)
+OK = "ok"
+# Spots that are printed one by one.
+ROWS = 10
+
+
+class _Column:
+    """One parameter of every spot, or its standard error: a column of `SpotFits.value` or `SpotFits.stderr`."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._table = "stderr" if name.endswith("_stderr") else "value"
+        self._at = NAMES.index(name.removesuffix("_stderr"))
+        unit, text = PARAMETERS[NAMES[self._at]]
+        self.__doc__ = f"{'standard error of ' if self._table == 'stderr' else ''}{text} [{unit}]"
+
+    @overload
+    def __get__(self, fits: None, owner: type) -> "_Column": ...
+
+    @overload
+    def __get__(self, fits: "SpotFits", owner: type) -> np.ndarray: ...
+
+    def __get__(self, fits: "SpotFits | None", owner: type) -> "np.ndarray | _Column":
+        return self if fits is None else getattr(fits, self._table)[..., self._at]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SpotFits:
+    """Fitted spots. Every parameter is an attribute, and so is its standard error:
+
+    ===============  ======  ====================================================
+    attribute        unit    meaning
+    ===============  ======  ====================================================
+    amplitude        DN      peak of the Gaussian above its offset
+    x_centre         px      column of the centre; the first pixel's is 0
+    y_centre         px      row of the centre, downwards
+    sigma_major      px      standard deviation along the long axis
+    sigma_minor      px      standard deviation along the short axis
+    orientation      degree  long axis, from +x (right) towards +y (down), 0 … 180
+    offset           DN      reading under the Gaussian
+    sigma_mean       px      mean of both widths
+    …_stderr                 standard error of each, such as `sigma_mean_stderr`
+    ===============  ======  ====================================================
+
+    All are arrays over the spots, or plain numbers for a single spot. `fits[k]` is one spot, `fits[mask]` some of
+    them; `len(fits)` counts them, and a loop goes through them one by one.
+
+    Attributes
+    ----------
+    value, stderr : values and standard errors [spot, 8] in one array each, columns in the order of `parameters`.
+    covariance : [spot, 7, 7] of the first seven `parameters`, in products of their units.
+    chi2_reduced : χ² per degree of freedom [spot] under the sensor's noise; NaN where there is no sensor.
+    flags : status as bits [spot], those of `status` in every file; 0 is a fit that can be trusted.
+
+    Examples
+    --------
+    >>> import numpy as np, spotcheck
+    >>> sensor = spotcheck.SensorModel(gain_dn_per_e=0.5, read_noise_e=5, black_level_dn=20, full_scale_dn=1023)
+    >>> y, x = np.mgrid[:48, :48]
+    >>> photons = 900 * np.exp(-((x - 23) ** 2 + (y - 25) ** 2) / (2 * 5.0**2))
+    >>> fits = spotcheck.fit_spots([sensor.draw(photons, rng=seed) for seed in (1, 2, 3)], sensor)
+    >>> fits.sigma_mean.shape
+    (3,)
+    >>> fits[fits.status == "ok"].sigma_mean.round(1)
+    array([5., 5., 5.])
+    """
+
+    value: np.ndarray
+    stderr: np.ndarray
+    covariance: np.ndarray
+    chi2_reduced: np.ndarray
+    flags: np.ndarray
+
+    amplitude = _Column()
+    amplitude_stderr = _Column()
+    x_centre = _Column()
+    x_centre_stderr = _Column()
+    y_centre = _Column()
+    y_centre_stderr = _Column()
+    sigma_major = _Column()
+    sigma_major_stderr = _Column()
+    sigma_minor = _Column()
+    sigma_minor_stderr = _Column()
+    orientation = _Column()
+    orientation_stderr = _Column()
+    offset = _Column()
+    offset_stderr = _Column()
+    sigma_mean = _Column()
+    sigma_mean_stderr = _Column()
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the eight parameters, in the order of the columns of `value` and `stderr`."""
+        return NAMES
+
+    @property
+    def status(self) -> np.ndarray:
+        """How each fit ended [spot]: "ok", "not_converged" (no values) or "at_limit" (the image does not tell an
+        amplitude, a width or the centre)."""
+        return store.status_names(self.flags)
+
+    def covariance_of(self, first: str, second: str) -> np.ndarray:
+        """Covariance [spot] of two of the first seven `parameters`, in the product of their units."""
+        return self.covariance[..., NAMES.index(first), NAMES.index(second)]
+
+    def __len__(self) -> int:
+        if not np.ndim(self.flags):
+            raise TypeError("a single spot has no length")
+        return len(self.flags)
+
+    def __bool__(self) -> bool:
+        return np.size(self.flags) > 0
+
+    def __getitem__(self, index: Any) -> "SpotFits":
+        if not np.ndim(self.flags):
+            raise TypeError("a single spot has no index; its parameters are attributes")
+        return SpotFits(*(getattr(self, own.name)[index] for own in fields(self)))
+
+    def to_dataset(self) -> xr.Dataset:
+        """All of it as an `xarray.Dataset` over `spot`, with units and long names; `status` has the bits of `flags`."""
+        dims = ("spot",)[: np.ndim(self.flags)]
+        ds = xr.Dataset(attrs={"title": "fits of single spots", "dataset": "images in memory"})
+        for name, (units, long_name) in PARAMETERS.items():
+            ds[name] = (dims, getattr(self, name), {"units": units, "long_name": long_name})
+            text = f"standard error of {long_name}"
+            ds[f"{name}_stderr"] = (dims, getattr(self, f"{name}_stderr"), {"units": units, "long_name": text})
+        for name in ("parameter", "other_parameter"):
+            of = {"units": "1", "long_name": "name of a fitted parameter"}
+            ds[name] = (name, np.array(NAMES[:7], dtype=object), of)
+        of = {"units": "products of those of the parameters", "long_name": "covariance of the fitted parameters"}
+        ds["covariance"] = ((*dims, "parameter", "other_parameter"), self.covariance, of)
+        of = {"units": "1", "long_name": "chi-square per degree of freedom under sensor noise"}
+        ds["chi2_reduced"] = (dims, self.chi2_reduced, of)
+        ds["status"] = (dims, np.asarray(self.flags, "i4"), store.status_attributes())
+        return ds
+
+    def __repr__(self) -> str:
+        return "\n".join(self._table() if np.ndim(self.flags) else self._sheet())
+
+    def _sheet(self) -> list[str]:
+        """A single spot, a line a parameter."""
+        lines = [f"fitted spot: {self.status}, χ² per degree of freedom {self.chi2_reduced:.3g}"]
+        for k, (name, (unit, _)) in enumerate(PARAMETERS.items()):
+            lines.append(f"{name:<12} {plus_minus(self.value[k], self.stderr[k]):>18} {unit}")
+        return lines
+
+    def _table(self) -> list[str]:
+        """Many spots, a line a spot."""
+        names, counts = np.unique(self.status, return_counts=True)
+        ended = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
+        lines = [f"{len(self)} fitted spots" + (f": {ended}" if ended else "")]
+        rows = [["", *NAMES[:7], "status"], ["", *(f"[{PARAMETERS[name][0]}]" for name in NAMES[:7]), ""]]
+        for k in range(min(len(self), ROWS)):
+            own = [plus_minus(self.value[k, j], self.stderr[k, j]) for j in range(7)]
+            rows.append([str(k), *own, str(self.status[k])])
+        widths = [max(len(row[j]) for row in rows) for j in range(len(rows[0]))]
+        if len(self):
+            lines += ["  ".join(map(str.rjust, row, widths)).rstrip() for row in rows]
+        return lines + (["…"] if len(self) > ROWS else [])

@@ -1,0 +1,263 @@
+"""The simulate stage: a model as mean images and as a dataset folder of its own. The paper's model runs at the
+calibrated parameters, the extended one as its model.yaml says.
+
+The folder keeps the dataset contract, so that simulated frames pass the same stages as measured ones.
+"""
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tifffile
+import xarray as xr
+import yaml
+
+from spotcheck.crops import spotfinding
+from spotcheck.dataset.folder import Dataset
+from spotcheck.errors import InputError
+from spotcheck.io import progress, store
+from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.conditions import FrameConditions, PixelGrid, SpotState, crop_grid
+from spotcheck.model.forward import ForwardModel, RandomStreams
+from spotcheck.model.light_shape import LIGHT
+from spotcheck.model.model_file import ExtendedModel, Site, Spot, check_bounds, scales_of, site_of
+from spotcheck.sensor import SensorModel
+
+# All simulated frames, one page each, in the order of the manifest.
+STACK = "frames/simulated.tif"
+# Frames are larger than the crop by this factor, so that a crop at a maximum anywhere on the plateau stays inside.
+CANVAS = 2
+
+# Peak and width of the spot of every frame, by the frame's cell of the grid of the dataset.
+SpotStates = Mapping[tuple[int, ...], SpotState]
+# Variables of a file of mean images by name.
+Variables = Mapping[str, store.Variable]
+
+VARIABLES = {
+    "mean_light": store.Variable(("y", "x"), "f4", "DN", "mean light of the simulated spot"),
+    "amplitude": store.Variable((), "f8", "DN", "peak of the Gaussian before the top hat"),
+    "sigma": store.Variable((), "f8", "pixel", "sigma_g, standard deviation of the Gaussian"),
+}
+
+EXTENDED_VARIABLES = VARIABLES | {
+    "mean_light": store.Variable(("y", "x"), "f4", "DN", "mean light of the extended model; NaN beyond the frame"),
+    "mean_reading": store.Variable(("y", "x"), "f4", "DN", "mean reading of the extended model; NaN beyond the frame"),
+    "left": store.Variable((), "i4", "pixel", "column of the sensor under column 0 of the crop"),
+    "top": store.Variable((), "i4", "pixel", "row of the sensor under row 0 of the crop"),
+}
+
+
+class SimulatedFrame(NamedTuple):
+    """A frame to simulate: its model and its conditions."""
+
+    model: ForwardModel  # model that the frame follows
+    conditions: FrameConditions  # conditions at which the model is evaluated
+    spot: SpotState  # peak and width for the file of mean images; the peak is NaN for a frame without a usable spot
+
+    def values(self, side: int, variables: Variables) -> dict[str, Any]:
+        """Return the values of `variables` by name; images are crops [side, side] around the spot."""
+        model, frame, spot = self
+        pixels, column, row = frame.pixels, round(frame.x0), round(frame.y0)
+        centre = spotfinding.Spot(row - int(pixels.y[0, 0]), column - int(pixels.x[0, 0]), True)
+        light = spotfinding.cut(np.broadcast_to(model.light(frame).total, (pixels.y.size, pixels.x.size)), centre, side)
+        values: dict[str, Any] = {"mean_light": light, "amplitude": spot.peak_dn, "sigma": spot.sigma_px}
+        if "mean_reading" in variables:
+            reading = spotfinding.cut(model.expected(frame).mean, centre, side)
+            values |= {"mean_reading": reading, "left": column - side // 2, "top": row - side // 2}
+        return values
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Files of a simulation: where they are, what they are made from, and how they are written."""
+
+    folder: Path  # dataset folder of the simulated frames
+    path: Path  # file of mean images
+    seed: int  # seed of all random numbers
+    code: str  # digest of the code
+    inputs: Sequence[str | Path]  # files that the simulation depends on
+
+    def write_frames(
+        self, dataset: Dataset, frames: Iterable[SimulatedFrame], variables: Variables, attributes: Mapping[str, Any]
+    ) -> None:
+        """Draw the frames, one for each spot of the dataset; write their stack and the file of mean images.
+
+        `variables` and `attributes` are those of the file of mean images. Equal frames and seeds give equal files.
+        """
+        side = dataset.instrument.crop_px
+        extra = xr.Dataset(attrs={"seed": self.seed, **attributes})
+        for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
+            extra[name] = (name, np.arange(side, dtype="i4"), {"units": "pixel", "long_name": text})
+        sites: dict[Site, int] = {}
+        frames = progress.over(frames, "simulating frames", len(dataset.spots))
+        with (
+            store.frame_writer(self.path, dataset, extra, variables, code=self.code, inputs=self.inputs) as writer,
+            store.appearing_whole(self.folder / STACK) as scratch,
+            tifffile.TiffWriter(scratch) as stack,
+        ):
+            for number, (frame, (cell, row)) in enumerate(zip(frames, dataset.cells(), strict=True)):
+                # A site is the same at all its exposures.
+                site = sites.setdefault(site_of(row, dataset.instrument.conditions, has_law=True), len(sites))
+                readings = frame.model.sample(frame.conditions, RandomStreams(self.seed, number, site))
+                stack.write(readings, compression="zlib", contiguous=False, metadata=None, software="")
+                writer.put(cell, frame.values(side, variables))
+
+    def write_contract(self, dataset: Dataset, instrument: Mapping[str, Any]) -> None:
+        """Write manifest.csv with the measured design, and instrument.yaml with the keys that were simulated."""
+        columns = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *dataset.instrument.conditions]
+        table = io.StringIO()
+        writer = csv.DictWriter(table, columns, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        for page, row in enumerate(dataset.spots):
+            writer.writerow({**vars(row), **row.extra, "file": STACK, "page": page})
+        store.write_text(self.folder / "manifest.csv", table.getvalue())
+        content = {"name": f"{dataset.title} (simulated)", "crop_px": dataset.instrument.crop_px}
+        keys = _without_missing({**content, "conditions": list(dataset.instrument.conditions), **instrument})
+        store.write_text(self.folder / "instrument.yaml", yaml.safe_dump(keys, sort_keys=False))
+
+
+def _without_missing(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Return keys of instrument.yaml, and those of its sections, that are neither None nor infinite nor empty."""
+    known = {key: _without_missing(value) if isinstance(value, dict) else value for key, value in keys.items()}
+    return {key: value for key, value in known.items() if value not in (None, np.inf, [], {})}
+
+
+class NoiseFreeModel(ForwardModel):
+    """A forward model for a sensor whose gain or read noise is unknown: it reads the rounded mean light."""
+
+    def sample(self, frame: FrameConditions, streams: RandomStreams) -> np.ndarray:
+        """Return the frame [row, column] in DN (uint16); `streams` is not used."""
+        return np.clip(np.rint(self.light(frame).total), 0, self.sensor.full_scale_dn).astype(np.uint16)
+
+
+def simulate(
+    dataset: Dataset,
+    states: SpotStates,
+    sensor: SensorModel | None,
+    full_scale: int,
+    destination: Destination,
+    attributes: Mapping[str, str],
+) -> None:
+    """Simulate the paper's model: write the dataset folder, and the mean images [grid, y, x] around the spots.
+
+    Without a sensor model the frames are the rounded mean image and the attribute `noise` says so.
+    """
+    # The paper's model has no learned light shape.
+    baseline = replace(of_instrument(dataset.instrument, dataset.exposures), learned=None)
+    unknown = SensorModel(1.0, 0.0, full_scale_dn=full_scale)
+    model = ForwardModel(baseline, sensor) if sensor else NoiseFreeModel(baseline, unknown)
+    attributes = {"noise": "drawn" if sensor else "none: gain or read noise of the sensor is unknown", **attributes}
+    destination.write_frames(dataset, _baseline_frames(dataset, states, model), VARIABLES, attributes)
+    destination.write_contract(dataset, {"sensor": {"bit_depth": full_scale.bit_length()}})
+
+
+def _baseline_frames(dataset: Dataset, states: SpotStates, model: ForwardModel) -> Iterator[SimulatedFrame]:
+    """Yield every frame with its spot in the middle of the canvas."""
+    side = CANVAS * dataset.instrument.crop_px
+    grid, middle = crop_grid(range(side), range(side), side, side), side // 2
+    for cell, row in dataset.cells():
+        # A frame without a usable spot is simulated as one without light.
+        spot = states[cell] if np.isfinite(states[cell].peak_dn) else SpotState(0.0, 1.0)
+        conditions = FrameConditions(grid, middle, middle, row.exposure_s or 0.0, 1.0, 1.0, **asdict(spot))
+        yield SimulatedFrame(model, conditions, states[cell])
+
+
+def simulate_extended(
+    dataset: Dataset, model: ExtendedModel, sensor: SensorModel, destination: Destination, name: str
+) -> None:
+    """Simulate the extended model: write the dataset folder, and the expected crop around each spot [grid, y, x].
+
+    Expected values are means over everything that is random. Frames are a window of the sensor that holds all spots
+    with a crop to every side, or the whole frame. `name` is the model file's; raises `InputError` for a model that does
+    not fit the instrument or the design.
+    """
+    if not dataset.exposures:
+        # As in the verdict: without exposures nobody knows what a dark current per second brings.
+        sensor = replace(sensor, dark_current_e_per_s=0.0)
+    forward = ForwardModel(of_instrument(dataset.instrument, dataset.exposures), sensor, model.law, model.effects)
+    check_model(dataset, model, forward.baseline, sensor, name)
+    spots, side = _spots_of_frames(dataset, model), dataset.instrument.crop_px
+    # Positions stay the sensor's own: pedestals, fringes and smear refer to its whole frame.
+    columns = _window([spot.x_px for spot in spots], side, model.columns)
+    rows = _window([spot.y_px for spot in spots], side, model.rows)
+    frames = _extended_frames(dataset, model, forward, spots, crop_grid(columns, rows, model.columns, model.rows), name)
+    effects = " ".join(applied.effect.name for applied in model.effects) or "none"
+    attributes = {"noise": "drawn", "effects": effects, "window_left_px": columns.start, "window_top_px": rows.start}
+    destination.write_frames(dataset, frames, EXTENDED_VARIABLES, attributes)
+    destination.write_contract(dataset, _simulated_instrument(dataset, sensor))
+    if (profile := dataset.instrument.light.profile) is not None:
+        (destination.folder / LIGHT).write_bytes(Path(profile).read_bytes())
+
+
+def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sensor: SensorModel, name: str) -> None:
+    """Raise `InputError` for a model, of a file of that name, that does not fit the instrument or the design."""
+    budget, crop = baseline.photon_budget, dataset.instrument.crop_px
+    if not dataset.spots:
+        raise InputError("manifest.csv: has no frame of kind spot; there is nothing to simulate")
+    if model.law is not None and budget == "free":
+        raise InputError(f"{name}: has a law, which the photon budget free of this dataset cannot take")
+    if crop > min(model.rows, model.columns):
+        raise InputError(f"{name}: the frame has {model.columns} × {model.rows} px, but crop_px is {crop}")
+    check_bounds(model, scales_of(model, baseline, sensor, crop, dataset.exposures), name)
+
+
+def _spots_of_frames(dataset: Dataset, model: ExtendedModel) -> list[Spot]:
+    """Return the spot of every frame, in px of the sensor.
+
+    A site that the model does not know lies at the mean position of the others, without a peak of its own.
+    """
+    centres = [(spot.x_px, spot.y_px) for spot in model.spots.values()]
+    unknown = Spot(*np.mean(centres or [((model.columns - 1) / 2, (model.rows - 1) / 2)], axis=0))
+    sites = (site_of(row, dataset.instrument.conditions, model.law is not None) for row in dataset.spots)
+    return [model.spots.get(site, unknown) for site in sites]
+
+
+def _window(centres_px: Sequence[float], side: int, pixels: int) -> range:
+    """Return the pixels along one axis that hold a crop to every side of all centres; `pixels` is the sensor's size."""
+    low = int(np.clip(np.floor(min(centres_px)) - side, 0, pixels - side))
+    return range(low, int(np.clip(np.ceil(max(centres_px)) + side + 1, low + side, pixels)))
+
+
+def _extended_frames(
+    dataset: Dataset, extended: ExtendedModel, model: ForwardModel, spots: Sequence[Spot], grid: PixelGrid, name: str
+) -> Iterator[SimulatedFrame]:
+    """Yield every frame at its spot; raises `InputError` for a peak or width that no spot has."""
+    last = len(spots) - 1
+    for number, (row, spot) in enumerate(zip(dataset.spots, spots, strict=True)):
+        conditions = FrameConditions(
+            pixels=grid,
+            x0=float(spot.x_px),
+            y0=float(spot.y_px),
+            # Exposures that were not recorded count as one second, and an unknown order as its middle, as in the
+            # verdict.
+            exposure_s=1.0 if row.exposure_s is None else row.exposure_s,
+            longest_s=extended.longest_s,
+            reference_s=extended.reference_s,
+            angle=float(np.deg2rad(row.angle_deg or 0.0)),
+            order=number / last if dataset.instrument.order_known and last else 0.5,
+            # Without a law, a frame without a usable spot is simulated as one without light.
+            peak_dn=float(spot.peak_dn or 0.0),
+            sigma_px=float(spot.sigma_px or 1.0),
+        )
+        learned = extended.light_of(spot) or model.baseline.learned
+        frame_model = replace(model, baseline=replace(model.baseline, learned=learned))
+        state = frame_model.spot(conditions)
+        peak, width = state.peak_dn, state.sigma_px
+        if not (0 <= peak < np.inf and 0 < width < np.inf):
+            raise InputError(f"{name}: gives {row.label} peak {peak:g} DN and width {width:g} px; both must be above 0")
+        yield SimulatedFrame(frame_model, conditions, state)
+
+
+def _simulated_instrument(dataset: Dataset, sensor: SensorModel) -> dict[str, Any]:
+    """Return the keys of instrument.yaml that the extended model ran with, so that its frames can be judged."""
+    instrument, full_scale = dataset.instrument, int(sensor.full_scale_dn)
+    bit_depth = full_scale.bit_length()
+    keys = {"pixel_pitch_m": instrument.sensor.pixel_pitch_m, "bit_depth": bit_depth} | asdict(sensor)
+    keys["full_scale_dn"] = full_scale if full_scale < 2**bit_depth - 1 else None
+    sections = {name: asdict(getattr(instrument, name)) for name in ("optics", "laser", "material", "model")}
+    light = {"profile": instrument.light.profile and LIGHT}
+    return {"order_known": instrument.order_known, "sensor": keys, **sections, "light": light}

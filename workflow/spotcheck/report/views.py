@@ -1,0 +1,348 @@
+"""The views stage: the mean reading of each measured crop by each model, pixel by pixel, and what is left of the frame.
+
+The declared and the extended model have the brightness, width and centre that fit a frame best. Its deviations from the
+law that all frames share are kept as well. The simulated baseline is the law alone, at the fitted centre.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.dataset.folder import Dataset
+from spotcheck.dataset.manifest import Frame
+from spotcheck.discrepancy.evaluation import evaluate
+from spotcheck.discrepancy.frames import FrameParameters, FrameSet
+from spotcheck.discrepancy.joint_fit import JointModel
+from spotcheck.discrepancy.laws import spot_conditions
+from spotcheck.discrepancy.residuals import whole_crops
+from spotcheck.discrepancy.starting_spots import FittedSpots, acts_on_mean, fit_spots
+from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.spot_states import spot_states
+from spotcheck.io import progress, store
+from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.forward import ForwardModel
+from spotcheck.model.model_file import ExtendedModel, Site, site_of
+from spotcheck.sensor import ReadingDistribution, SensorModel
+from spotcheck.sensor.model import NoiseLine, noise_line
+
+# Readings are kept in steps of a power of two [DN], of which full scale has no more than this: the last number of 16
+# bits stands for NaN.
+MOST_STEPS = 65_000
+MODELS = {
+    "simulated": "the baseline simulated at p1, p2 and peak",
+    "declared": "the declared model with the frame's own brightness, width and centre",
+    "extended": "the extended model with the frame's own brightness, width and centre",
+}
+# Deviations of a frame from what all frames share, with unit and meaning.
+DEVIATIONS = {
+    "brighter": ("1", "brightness of the frame over that of the law of all frames, less 1"),
+    "wider": ("1", "width of the frame over that of the law of all frames, less 1"),
+    "right": ("pixel", "centre of the spot to the right of its site's"),
+    "down": ("pixel", "centre of the spot below its site's"),
+}
+
+Index = tuple[int, ...]
+FrameViews = Iterator[tuple[Index, dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class ViewedFrames:
+    """The usable frames of a dataset, with the camera and the declared light."""
+
+    frames: FrameSet  # F frames
+    cells: Sequence[tuple[Index, Frame]]  # place on the grid and row of the manifest of each frame
+    start: FrameParameters  # spot of each frame, from which fits start
+    baseline: Baseline  # declared light
+    sensor: SensorModel  # stated sensor
+
+    def sites(self, conditions: Sequence[str], has_law: bool) -> list[Site]:
+        """Return the site of each frame; `conditions` are the declared ones."""
+        return [site_of(row, conditions, has_law) for _, row in self.cells]
+
+
+@dataclass(frozen=True)
+class ModelledFrames:
+    """A model fitted to each of F frames; frames may have different learned lights."""
+
+    lights: tuple[ForwardModel, ...]  # the model with each light; without a law, and with effects that act on the mean
+    light: np.ndarray  # number of the light of each frame [frame]
+    fitted: FittedSpots  # spots of the frames
+
+    def mean(self, frames: FrameSet, number: int) -> np.ndarray:
+        """Return the mean reading [row, column] in DN of a frame."""
+        at = np.array([number])
+        frame = frames.select(at)
+        model = JointModel(self.lights[self.light[number]], self.fitted.spots.select(at), frame.design)
+        return evaluate(model, whole_crops(frame), slice(0, 1), with_slopes=False).moments.mean[0]
+
+    def log_spots(self, frames: FrameSet) -> np.ndarray:
+        """Return ln peak [DN] and ln σ_g [px] of the frames behind the effects, [2, frame]."""
+        return log_spots_of(self.lights[0], frames, self.fitted.spots)
+
+    def without(self, name: str, spots: FrameParameters) -> "ModelledFrames":
+        """Return the model without an effect, at other spots; without the effect of a learned light, the declared."""
+        lights = tuple(
+            replace(light, effects=tuple(applied for applied in light.effects if applied.effect.name != name))
+            for light in self.lights
+        )
+        return replace(self, lights=lights, fitted=replace(self.fitted, spots=spots))
+
+
+@dataclass(frozen=True)
+class ExtendedViews:
+    """The extended model on F frames."""
+
+    model: ModelledFrames  # with all effects
+    without: tuple[ModelledFrames, ...]  # without each effect of the model
+    deviations: dict[str, np.ndarray]  # how far each frame is from what all share, by name of `DEVIATIONS` [frame]
+    stderr: dict[str, np.ndarray]  # their standard errors
+
+
+def log_spots_of(forward: ForwardModel, frames: FrameSet, spots: FrameParameters | None = None) -> np.ndarray:
+    """Return ln peak [DN] and ln σ_g [px] of frames by the law of a model, or without a law by `spots`; [2, frame]."""
+    conditions = spot_conditions(frames.design)
+    if spots is not None:
+        peak, sigma = (np.exp(values)[:, None, None] for values in (spots.log_peak, spots.log_sigma))
+        conditions = replace(conditions, peak_dn=peak, sigma_px=sigma)
+    with np.errstate(all="ignore"):
+        state = forward.spot(conditions)
+        parts = [np.broadcast_to(part, (len(frames), 1, 1)).ravel() for part in (state.peak_dn, state.sigma_px)]
+        return np.log(np.array(parts, float))
+
+
+def view_declared(viewed: ViewedFrames) -> ModelledFrames:
+    """Return the declared model fitted to each frame."""
+    forward = ForwardModel(replace(viewed.baseline, photon_budget="free"), viewed.sensor)
+    return ModelledFrames(
+        (forward,), np.zeros(len(viewed.frames), int), fit_spots(forward, viewed.frames, viewed.start)
+    )
+
+
+def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
+    """Return the extended model fitted to each frame, and without each of its effects.
+
+    Parameters
+    ----------
+    viewed : ViewedFrames
+        The frames; their `start` should be the spots of the declared model.
+    extended : ExtendedModel
+        The model.
+    sites : sequence of Site
+        Site of each frame.
+    """
+    known = [extended.spots.get(site) for site in sites]
+    light = np.array([(spot and spot.light) or 0 for spot in known], int)
+    baseline = replace(viewed.baseline, photon_budget="free")
+    learned = extended.lights or (baseline.learned,)
+    effects = tuple(filter(acts_on_mean, extended.effects))
+    lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in learned)
+    model = ModelledFrames(lights, light, _fit_each_light(lights, light, viewed))
+    without = []
+    for applied in progress.over(extended.effects, "models without each effect"):
+        spots = _spots_without(viewed, extended, model, applied)
+        other = model.without(applied.effect.name, spots)
+        if not applied.effect.stages:
+            plain = (replace(light, baseline=baseline) for light in other.lights)
+            other = replace(other, lights=tuple(plain))
+        without.append(other)
+    return ExtendedViews(model, tuple(without), *_measure_deviations(viewed, extended, model, sites))
+
+
+def _fit_each_light(lights: Sequence[ForwardModel], light: np.ndarray, viewed: ViewedFrames) -> FittedSpots:
+    """Fit the spots of frames, each under the model with its own light [frame]."""
+    rows, covariance = np.empty((4, len(light))), np.empty((len(light), 4, 4))
+    has_converged = np.empty(len(light), bool)
+    for number, forward in enumerate(lights):
+        at = np.flatnonzero(light == number)
+        fitted = fit_spots(forward, viewed.frames.select(at), viewed.start.select(at))
+        rows[:, at], covariance[at], has_converged[at] = (
+            fitted.spots.as_rows(),
+            fitted.covariance,
+            fitted.has_converged,
+        )
+    return FittedSpots(FrameParameters(*rows), covariance, has_converged)
+
+
+def _law_model(viewed: ViewedFrames, extended: ExtendedModel, effects: Sequence[AppliedEffect]) -> ForwardModel:
+    """Return the forward model with the law of the exposure and some effects."""
+    return ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(effects))
+
+
+def _spots_without(
+    viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, left_out: AppliedEffect
+) -> FrameParameters:
+    """Return the spots of frames without an effect: its change of the law of brightness and width goes with it."""
+    spots = model.fitted.spots
+    if extended.law is None:
+        return spots
+    remaining = [applied for applied in extended.effects if applied is not left_out]
+    by_law, complete = (
+        log_spots_of(_law_model(viewed, extended, effects), viewed.frames) for effects in (remaining, extended.effects)
+    )
+    # What the effect does to the frame's own brightness and width, the model without it takes away by itself.
+    alone = log_spots_of(model.without(left_out.effect.name, spots).lights[0], viewed.frames, spots)
+    change = by_law - complete - (alone - model.log_spots(viewed.frames))
+    change = np.where(np.isfinite(change), change, 0.0)
+    return replace(spots, log_peak=spots.log_peak + change[0], log_sigma=spots.log_sigma + change[1])
+
+
+def _measure_deviations(
+    viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, sites: Sequence[Site]
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return how far frames are from what all share, and standard errors, by name of `DEVIATIONS`; NaN if unknown."""
+    value = np.full((len(DEVIATIONS), len(viewed.frames)), np.nan)
+    spots = model.fitted.spots
+    if extended.law is not None:
+        by_law = log_spots_of(_law_model(viewed, extended, extended.effects), viewed.frames)
+        value[:2] = np.expm1(model.log_spots(viewed.frames) - by_law)
+    for k, site in enumerate(sites):
+        if (spot := extended.spots.get(site)) is not None:
+            value[2:, k] = spots.x[k] - spot.x_px, spots.y[k] - spot.y_px
+    stderr = np.sqrt(np.maximum(np.diagonal(model.fitted.covariance, axis1=1, axis2=2).T, 0.0))
+    stderr[:2] *= 1 + value[:2]
+    stderr = np.where(np.isfinite(value), stderr, np.nan)
+    return dict(zip(DEVIATIONS, value, strict=True)), dict(zip(DEVIATIONS, stderr, strict=True))
+
+
+# The file.
+
+
+def variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str, store.Variable]:
+    """Return what the file holds of each frame; `has_effects`: whether the extended model has any."""
+    out = {}
+    for name in models:
+        words = MODELS[name]
+        out[name] = store.Variable(("y", "x"), "u2", "DN", f"mean reading by {words}", step)
+        out[f"{name}_rms"] = store.Variable((), "f8", "DN", f"rms of measured less mean reading by {words}")
+        out[f"{name}_left"] = store.Variable((), "f8", "1", f"the same over the sensor's noise, by {words}")
+    if "extended" in models:
+        for name, (unit, meaning) in DEVIATIONS.items():
+            out[name] = store.Variable((), "f8", unit, meaning)
+            out[f"{name}_stderr"] = store.Variable((), "f8", unit, f"standard error of {meaning}")
+    if has_effects:
+        text = "mean reading by the extended model without one of its effects"
+        out["extended_without"] = store.Variable(("without", "y", "x"), "u2", "DN", text, step)
+    return out
+
+
+def step_of(full_scale: float) -> float:
+    """Return the step in which readings are kept [DN]."""
+    return float(2.0 ** np.ceil(np.log2(full_scale / MOST_STEPS)))
+
+
+def rms_left(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
+    """Return the rms of measured less mean readings [row, column]: in DN, and over the noise; NaN without a pixel."""
+    square = (measured - mean) ** 2
+    if not np.isfinite(square).any():
+        return np.nan, np.nan
+    return float(np.sqrt(np.nanmean(square))), float(np.sqrt(np.nanmean(square / line.variance(mean))))
+
+
+def write(
+    dataset: Dataset,
+    files: Mapping[str, xr.Dataset],
+    viewed: ViewedFrames | None,
+    model: ExtendedModel | None,
+    path: Path,
+    *,
+    why_not: str,
+    code: str,
+    inputs: Sequence[str | Path],
+) -> None:
+    """Write the views of all spot frames, one by one.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset.
+    files : mapping of str to Dataset
+        Crops, fits, calibration and sensor by name.
+    viewed : ViewedFrames or None
+        Frames that a verdict can use; None if there are none.
+    model : ExtendedModel or None
+        The extended model; None if there is none.
+    path : Path
+        File to write.
+    why_not : str
+        Why there is no extended model; "" if there is one.
+    code, inputs : str, sequence of path
+        Provenance, as `store.frame_writer` takes it.
+    """
+    full_scale = float(files["sensor"]["full_scale_dn"])
+    sensor = None if viewed is None else viewed.sensor
+    line = noise_line(sensor)
+    effects = [] if model is None else [applied.effect.name for applied in model.effects]
+    models = [name for name in MODELS if name == "simulated" or (viewed and (name == "declared" or model is not None))]
+    contents = variables(step_of(full_scale), models, bool(effects))
+    measured, dims = files["crops"]["image"].sel(centring="light"), store.grid_dims(files["crops"])
+    extra = _coordinates(dataset, line, effects).assign_attrs(extended=why_not or "model.yaml")
+    with store.frame_writer(path, dataset, extra, contents, code=code, inputs=inputs) as writer:
+        for views in (
+            simulate(dataset, files, sensor),
+            *([] if viewed is None else [model_all(dataset, viewed, model)]),
+        ):
+            for index, values in progress.over(views, "views of frames", len(dataset.spots)):
+                image = measured.isel(dict(zip(dims, index, strict=True))).values.astype(float)
+                for name in [name for name in MODELS if name in values]:
+                    rms, over_noise = rms_left(image, values[name], line)
+                    values |= {f"{name}_rms": rms, f"{name}_left": over_noise}
+                clipped = {k: np.clip(v, 0.0, full_scale) if contents[k].step else v for k, v in values.items()}
+                writer.put(index, clipped)
+
+
+def _coordinates(dataset: Dataset, line: NoiseLine, effects: Sequence[str]) -> xr.Dataset:
+    """Return the coordinates of the file and the line of the sensor's noise."""
+    out = xr.Dataset()
+    for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
+        values = np.arange(dataset.instrument.crop_px, dtype="i4")
+        out[name] = (name, values, {"units": "pixel", "long_name": text})
+    if effects:
+        attributes = {"units": "1", "long_name": "effect that is left out"}
+        out["without"] = ("without", np.array(effects, dtype=object), attributes)
+    out["noise_at_zero"] = ((), line.at_zero, {"units": "DN2", "long_name": "variance of a reading of 0 DN"})
+    out["noise_slope"] = ((), line.slope, {"units": "DN", "long_name": "rise of that variance for each DN of mean"})
+    return out
+
+
+def simulate(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
+    """Yield the simulated baseline at the fitted centre of each spot; a frame without a usable spot has no light."""
+    crops, fits = files["crops"].sel(centring="light"), preferred(files["fits"])
+    states = spot_states(dataset, files["calibration"], files["fits"])
+    baseline = of_instrument(dataset.instrument, dataset.exposures)
+    dims, pixel = store.grid_dims(files["crops"]), np.arange(dataset.instrument.crop_px, dtype=float)
+    for index, row in dataset.cells():
+        at = dict(zip(dims, index, strict=True))
+        crop, fit, state = crops.isel(at), fits.isel(at), states[index]
+        x0, y0 = float(fit["x_centre"] - crop["left"]), float(fit["y_centre"] - crop["top"])
+        if int(fit["status"]) & store.UNTRUSTED or not np.isfinite([x0, y0]).all():
+            x0 = y0 = float(len(pixel) // 2)
+        light = np.zeros((len(pixel), len(pixel)))
+        if np.isfinite(state.peak_dn):
+            light = baseline.declared_light(pixel[None, :], pixel[:, None], state.peak_dn, x0, y0, state.sigma_px)
+        if sensor is not None:
+            distribution = ReadingDistribution(sensor, exposure_s=row.exposure_s or 0.0)
+            light = distribution.tabulate(float(light.max())).mean(light)
+        yield index, {"simulated": light}
+
+
+def model_all(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | None) -> FrameViews:
+    """Yield the declared and the extended model on each frame that a verdict can use."""
+    declared = view_declared(viewed)
+    extended = None
+    if model is not None:
+        sites = viewed.sites(dataset.instrument.conditions, model.law is not None)
+        extended = view_extended(replace(viewed, start=declared.fitted.spots), model, sites)
+    for k, (index, _) in enumerate(viewed.cells):
+        values: dict[str, Any] = {"declared": declared.mean(viewed.frames, k)}
+        if extended is not None:
+            values["extended"] = extended.model.mean(viewed.frames, k)
+            values |= {name: deviation[k] for name, deviation in extended.deviations.items()}
+            values |= {f"{name}_stderr": stderr[k] for name, stderr in extended.stderr.items()}
+            if extended.without:
+                values["extended_without"] = np.array([other.mean(viewed.frames, k) for other in extended.without])
+        yield index, values
