@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Error
 from tests.browser.opening import executable, from_disk, started
 from tests.conftest import ROOT
 
-CODE_OF_PAGES = ROOT / "workflow" / "spotcheck" / "pages"
+REPORT = ROOT / "workflow" / "spotcheck" / "report"
 
 
 def shared_with(name: str, fixture: str):
@@ -32,7 +32,9 @@ def default_run():
     page = ROOT / "results" / "virtual-rig" / "report.html"
     if not page.exists():
         pytest.skip("the default dataset has no page: `make` writes it")
-    if page.stat().st_mtime < max(path.stat().st_mtime for path in CODE_OF_PAGES.iterdir()):
+    if page.stat().st_mtime < max(
+        path.stat().st_mtime for folder in ("pages", "dataset_page") for path in (REPORT / folder).iterdir()
+    ):
         pytest.skip("the page of the default dataset is older than the code that writes it: `make` renews it")
     return page.parent
 

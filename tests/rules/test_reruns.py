@@ -41,7 +41,7 @@ def plan(copy) -> dict[str, int]:
 
 def test_nothing_edited_is_nothing_to_do(checkout):
     """Nor where an edit was taken back, which leaves a newer file with the old text."""
-    path = checkout / "workflow" / "spotcheck" / "metrics.py"
+    path = checkout / "workflow" / "spotcheck" / "metrics" / "crop_metrics.py"
     path.write_text(path.read_text())
     assert plan(checkout) == {}
 
@@ -52,7 +52,7 @@ AFTER_FIT = {"calibrate", "simulate", "ingest_simulated", "crop_simulated", "fit
 @pytest.mark.parametrize(
     ("leaf", "expected"),
     [
-        ("metrics.py", {"metrics"}),
+        ("metrics/crop_metrics.py", {"metrics"}),
         ("fitting/fisher.py", {"bounds"}),
         ("fitting/likelihood.py", {"calibrate"}),
         ("report/figures/style.py", set()),
