@@ -42,42 +42,42 @@ def test_pages_are_counted_over_the_leading_axes(tmp_path, saved, dtype):
     """The last of them fastest, as NumPy flattens; a single image is one page."""
     pixels = STACK.astype(dtype)
     path = saved(tmp_path, np.stack([pixels, pixels + 1]))
-    assert files.pages(path, "a") == [Page((20, 32), 8 * pixels.itemsize)] * 6
-    read = files.pixels(path, 4, "a")
+    assert files.list_pages(path, "a") == [Page((20, 32), 8 * pixels.itemsize)] * 6
+    read = files.read_pixels(path, 4, "a")
     np.testing.assert_array_equal(read, pixels[1] + 1)
     assert read.dtype == pixels.dtype.newbyteorder("=")
 
 
 def test_npy_with_its_first_axis_fastest(tmp_path):
     """As MATLAB and Fortran lay arrays out."""
-    np.testing.assert_array_equal(files.pixels(npy(tmp_path, np.asfortranarray(STACK)), 2, "a"), STACK[2])
+    np.testing.assert_array_equal(files.read_pixels(npy(tmp_path, np.asfortranarray(STACK)), 2, "a"), STACK[2])
 
 
 @pytest.mark.parametrize("options", [{"chunks": (1, 8, 16), "compression": "gzip", "shuffle": True, "fletcher32": True},
                                      {"chunks": (2, 20, 32), "compression": "lzf"}, {}])  # fmt: skip
 def test_packed_datasets(tmp_path, options):
     """Chunks that fit neither frame nor stack, and what packs without loss."""
-    np.testing.assert_array_equal(files.pixels(h5(tmp_path, STACK, **options), 1, "a"), STACK[1])
+    np.testing.assert_array_equal(files.read_pixels(h5(tmp_path, STACK, **options), 1, "a"), STACK[1])
 
 
 def test_netcdf(tmp_path):
     """A variable that xarray wrote, beside its coordinates."""
     array = xr.DataArray(STACK, dims=("z", "y", "x"), coords={"z": [1.0, 2.0, 3.0]}, name="image")
     array.to_netcdf(tmp_path / "a.nc")
-    assert files.stacks(tmp_path / "a.nc", "a.nc") == ["a.nc#/image"]
-    np.testing.assert_array_equal(files.pixels(tmp_path / "a.nc", 2, "a"), STACK[2])
+    assert files.list_stacks(tmp_path / "a.nc", "a.nc") == ["a.nc#/image"]
+    np.testing.assert_array_equal(files.read_pixels(tmp_path / "a.nc", 2, "a"), STACK[2])
 
 
 def test_a_dataset_is_named_where_there_are_several(tmp_path):
     """In any way of writing its path; tables beside the frames are none."""
     h5(tmp_path, STACK)
     h5(tmp_path, np.zeros((5, 2), np.uint8), "entry/flags")
-    assert files.stacks(tmp_path / "a.h5", "a.h5") == ["a.h5#/entry/data"]
+    assert files.list_stacks(tmp_path / "a.h5", "a.h5") == ["a.h5#/entry/data"]
     h5(tmp_path, STACK + 1, "other")
     with pytest.raises(InputError, match=r"a: holds frames in /other, /entry/data; name one, such as /other behind #"):
-        files.pages(tmp_path / "a.h5", "a")
+        files.list_pages(tmp_path / "a.h5", "a")
     for name in ("a.h5#/other", "a.h5#other", "a.h5#//other"):
-        np.testing.assert_array_equal(files.pixels(tmp_path / name, 1, "a"), STACK[1] + 1)
+        np.testing.assert_array_equal(files.read_pixels(tmp_path / name, 1, "a"), STACK[1] + 1)
 
 
 def test_a_hash_in_other_names_is_a_letter():
@@ -158,7 +158,7 @@ def test_what_is_no_reading_is_refused(tmp_path, kind):
     """In one sentence."""
     make, words = REFUSED[kind]
     with pytest.raises(InputError, match=rf"^a: .*{words}") as caught:
-        files.pages(make(tmp_path), "a")
+        files.list_pages(make(tmp_path), "a")
     assert "\n" not in str(caught.value)
 
 
@@ -166,20 +166,20 @@ def test_missing_pixels_are_no_readings(tmp_path):
     """A netCDF variable marks them by a value."""
     path = with_attribute(tmp_path, "_FillValue", np.uint16(6 * 45))
     with pytest.raises(InputError, match=r"holds pixels that are missing \(_FillValue\)"):
-        files.pixels(path, 0, "a")
-    np.testing.assert_array_equal(files.pixels(path, 1, "a"), STACK[1])
+        files.read_pixels(path, 0, "a")
+    np.testing.assert_array_equal(files.read_pixels(path, 1, "a"), STACK[1])
 
 
 def test_a_crash_of_the_library_is_a_sentence(tmp_path):
     """And the next question is answered: here the process is killed, as a broken file may do."""
     path = h5(tmp_path, STACK)
-    files.pages(path, "a")
-    process = hdf5._processes[os.getpid()]
+    files.list_pages(path, "a")
+    process = hdf5._workers[os.getpid()]
     process.send_signal(signal.SIGKILL)
     process.wait()
     with pytest.raises(InputError, match="a: cannot be read as HDF5: the library that reads it crashes or takes too"):
-        files.pages(path, "a")
-    assert len(files.pages(path, "a")) == 3
+        files.list_pages(path, "a")
+    assert len(files.list_pages(path, "a")) == 3
 
 
 def test_the_texts_around_the_frames(tmp_path):

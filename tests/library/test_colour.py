@@ -41,8 +41,8 @@ def test_a_channel_of_rgb(tmp_path, kind, channel):
     """All sixteen bits of it, and the size of the frame."""
     WRITERS[kind](tmp_path / "a.tif")
     taken = Colour(channel)
-    assert [page.shape for page in files.pages(tmp_path / "a.tif", "a", taken)] == [(ROWS, COLUMNS)]
-    read = files.pixels(tmp_path / "a.tif", 0, "a", taken)
+    assert [page.shape for page in files.list_pages(tmp_path / "a.tif", "a", taken)] == [(ROWS, COLUMNS)]
+    read = files.read_pixels(tmp_path / "a.tif", 0, "a", taken)
     np.testing.assert_array_equal(read, RGB[..., CHANNELS.index(channel)])
 
 
@@ -50,7 +50,7 @@ def test_a_channel_of_eight_bits(tmp_path):
     """As most cameras save colours."""
     Image.fromarray(RGB.astype(np.uint8)).save(tmp_path / "a.png")
     np.testing.assert_array_equal(
-        files.pixels(tmp_path / "a.png", 0, "a", Colour("green")), RGB[..., 1].astype(np.uint8)
+        files.read_pixels(tmp_path / "a.png", 0, "a", Colour("green")), RGB[..., 1].astype(np.uint8)
     )
 
 
@@ -60,8 +60,8 @@ def test_a_plane_of_bayer(tmp_path, pattern, channel):
     """Pixel (x, y) is that at (2x + c, 2y + r); the greens are told apart by the colour of their rows."""
     tifffile.imwrite(tmp_path / "a.tif", RAW, photometric="minisblack")
     taken, (row, column) = Colour(channel, pattern), PLACES[pattern][channel]
-    assert files.pages(tmp_path / "a.tif", "a", taken)[0].shape == (ROWS // 2, COLUMNS // 2)
-    read = files.pixels(tmp_path / "a.tif", 0, "a", taken)
+    assert files.list_pages(tmp_path / "a.tif", "a", taken)[0].shape == (ROWS // 2, COLUMNS // 2)
+    read = files.read_pixels(tmp_path / "a.tif", 0, "a", taken)
     assert all(read[y, x] == RAW[2 * y + row, 2 * x + column] for y in range(ROWS // 2) for x in range(COLUMNS // 2))
 
 
@@ -69,10 +69,10 @@ def test_tiff_that_names_its_filters(tmp_path):
     """PhotometricInterpretation CFA with CFAPattern: it must be what the data sheet says."""
     tags = [(33421, 3, 2, (2, 2), True), (33422, 1, 4, (1, 0, 2, 1), True)]
     tifffile.imwrite(tmp_path / "a.tif", RAW, photometric="cfa", extratags=tags)
-    read = files.pixels(tmp_path / "a.tif", 0, "a", Colour("red", "GRBG"))
+    read = files.read_pixels(tmp_path / "a.tif", 0, "a", Colour("red", "GRBG"))
     np.testing.assert_array_equal(read, RAW[0::2, 1::2])
     with pytest.raises(InputError, match=r"a: says that its filters are GRBG, and sensor\.bayer is RGGB"):
-        files.pages(tmp_path / "a.tif", "a", Colour("red", "RGGB"))
+        files.list_pages(tmp_path / "a.tif", "a", Colour("red", "RGGB"))
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_colours_that_are_not_there(tmp_path, image, taken, words):
     """Frames and data sheet contradict each other."""
     tifffile.imwrite(tmp_path / "a.tif", image, photometric="rgb" if image.ndim == 3 else "minisblack")
     with pytest.raises(InputError, match=words):
-        files.pages(tmp_path / "a.tif", "a", taken)
+        files.list_pages(tmp_path / "a.tif", "a", taken)
 
 
 def bayer(base, more: str = "", **mask):

@@ -46,7 +46,7 @@ def renamed(path, code: int, other: int):
 def refusal(path) -> str:
     """What both the header's and the pixels' reader say."""
     said = []
-    for reader in (lambda: files.pages(path, "a"), lambda: files.pixels(path, 0, "a")):
+    for reader in (lambda: files.list_pages(path, "a"), lambda: files.read_pixels(path, 0, "a")):
         with pytest.raises(InputError) as caught:
             reader()
         said.append(str(caught.value))
@@ -56,7 +56,7 @@ def refusal(path) -> str:
 
 def read(path, page: int = 0) -> np.ndarray:
     """Pixels of a page."""
-    return files.pixels(path, page, "a")
+    return files.read_pixels(path, page, "a")
 
 
 @pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint8), (16, np.uint16), (12, np.uint16)])
@@ -65,7 +65,7 @@ def test_min_is_white_is_turned_round(tmp_path, bits, dtype):
     pixels = (RAMP.astype(int) % 2**bits).astype(dtype)
     options = {} if bits == 8 * pixels.itemsize else {"bitspersample": bits}
     path = tiff(tmp_path, (2**bits - 1 - pixels.astype(int)).astype(dtype), photometric="miniswhite", **options)
-    assert files.pages(path, "a") == [((20, 32), bits, False, "")]
+    assert files.list_pages(path, "a") == [((20, 32), bits, False, "")]
     np.testing.assert_array_equal(read(path), pixels)
 
 
@@ -77,7 +77,7 @@ def test_packed_bits(tmp_path, bits):
     packed = b"".join(int(row.ljust(-(-len(row) // 8) * 8, "0"), 2).to_bytes(-(-len(row) // 8)) for row in rows)
     path = tiff(tmp_path, pixels.astype(np.uint16), bitspersample=bits)
     assert packed in path.read_bytes()
-    assert files.pages(path, "a") == [((20, 31), bits, False, "")]
+    assert files.list_pages(path, "a") == [((20, 31), bits, False, "")]
     np.testing.assert_array_equal(read(path), pixels)
 
 
@@ -115,7 +115,7 @@ def test_tags_that_make_other_numbers_are_named(tmp_path, kind):
     """A sentence with the tag."""
     make, word = TAGS[kind]
     with pytest.raises(InputError, match=word):
-        files.pages(make(tmp_path), "a")
+        files.list_pages(make(tmp_path), "a")
 
 
 def test_previews_need_no_row(tmp_path):
@@ -123,7 +123,7 @@ def test_previews_need_no_row(tmp_path):
     with tifffile.TiffWriter(tmp_path / "a.tif") as out:
         out.write(RAMP, photometric="minisblack", metadata=None)
         out.write(np.zeros((5, 8, 3), np.uint8), photometric="rgb", subfiletype=1, metadata=None)
-    assert [page.preview for page in files.pages(tmp_path / "a.tif", "a")] == [False, True]
+    assert [page.preview for page in files.list_pages(tmp_path / "a.tif", "a")] == [False, True]
 
 
 def imagej_of_one_directory(folder, stack: np.ndarray, byteorder: str):
@@ -148,7 +148,7 @@ def test_stacks_of_one_directory(tmp_path, kind, byteorder):
         path = tiff(tmp_path, stack, truncate=True, byteorder=byteorder)
     with tifffile.TiffFile(path) as own:
         assert len(own.pages) == 1 and own.series[0].shape == stack.shape
-    assert files.pages(path, "a") == [((20, 32), 16, False, "")] * 5
+    assert files.list_pages(path, "a") == [((20, 32), 16, False, "")] * 5
     for page in range(5):
         np.testing.assert_array_equal(read(path, page), stack[page])
 
@@ -161,10 +161,10 @@ def test_a_stack_of_one_directory_that_is_cut_short(tmp_path, kept, word):
     path.write_bytes(content[: len(content) - (5 - kept) * RAMP.nbytes])
     if word:
         with pytest.raises(InputError) as caught:
-            files.pages(path, "a")
+            files.list_pages(path, "a")
         assert word in str(caught.value)
     else:
-        assert files.pages(path, "a") == [((20, 32), 16, False, "")]
+        assert files.list_pages(path, "a") == [((20, 32), 16, False, "")]
         np.testing.assert_array_equal(read(path), RAMP)
 
 
@@ -275,7 +275,7 @@ def test_significant_bits_of_a_png(tmp_path, scale):
     extra = PngImagePlugin.PngInfo()
     extra.add(b"sBIT", b"\x0c")
     Image.fromarray(scale(RAMP).astype(np.uint16)).save(tmp_path / "a.png", pnginfo=extra)
-    assert files.pages(tmp_path / "a.png", "a") == [((20, 32), 12, False, "")]
+    assert files.list_pages(tmp_path / "a.png", "a") == [((20, 32), 12, False, "")]
     np.testing.assert_array_equal(read(tmp_path / "a.png"), RAMP)
     Image.fromarray(RAMP).save(tmp_path / "a.png", pnginfo=extra)
     with pytest.raises(InputError, match="sBIT says that 12 of 16 bits hold readings, but the low ones do as well"):

@@ -93,7 +93,7 @@ def test_a_mean_of_frames_is_an_image_and_no_frame(kind, tmp_path):
     (one,), (array,) = spotcheck.look(given).images, spotcheck.look(mean).images
     assert (one.fit.sigma_major, one.moments.major) == (array.fit.sigma_major, array.moments.major)
     assert off(one.fit.sigma_major, one.fit.sigma_major_stderr, 20) < 4
-    for ask in (files.pages, lambda *own: files.pixels(own[0], 0, own[1])):
+    for ask in (files.list_pages, lambda *own: files.read_pixels(own[0], 0, own[1])):
         with pytest.raises(spotcheck.InputError, match="floating-point pixels, such as a mean of frames; it"):
             ask(Path(given), "a")
 

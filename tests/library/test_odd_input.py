@@ -98,13 +98,13 @@ def test_text_graymaps_do_not_wrap(tmp_path, pixels):
     """Values outside 0 … white, and too few of them."""
     (tmp_path / "a.pgm").write_bytes(b"P2\n2 1\n255\n" + pixels)
     with pytest.raises(ValueError, match=r"whole number|above its own white|cut short"):
-        pgm.read(tmp_path / "a.pgm", 0)
+        pgm.read_pixels(tmp_path / "a.pgm", 0)
 
 
 def test_comments_between_pixels_of_a_text_graymap(tmp_path):
     """Skipped, as the format says."""
     (tmp_path / "a.pgm").write_bytes(b"P2\n2 1\n255\n7 # seven\n9\n")
-    assert pgm.read(tmp_path / "a.pgm", 0).tolist() == [[7, 9]]
+    assert pgm.read_pixels(tmp_path / "a.pgm", 0).tolist() == [[7, 9]]
 
 
 def test_hidden_files_are_no_unnamed_images(tmp_path):

@@ -11,7 +11,7 @@ from spotcheck.dataset.instrument import Instrument
 from spotcheck.dataset.survey.rows import Rows
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
-from spotcheck.io.formats.colour import NONE, Colour
+from spotcheck.io.formats.colour import MONOCHROME, Colour
 
 # Frames that are looked at, evenly over the rows: the spots of a scan change slowly.
 MOST_FRAMES = 16
@@ -32,7 +32,7 @@ class Look(NamedTuple):
     seen: bool
 
 
-def look(folder: Path, rows: Rows, colour: Colour = NONE) -> Look:
+def look(folder: Path, rows: Rows, colour: Colour = MONOCHROME) -> Look:
     """Look at some spots of a folder for the size of their crop."""
     spots = [shot for shot, cell in zip(rows.shots, rows.cells, strict=True) if cell["kind"] == "spot"]
     if not spots:
@@ -40,7 +40,7 @@ def look(folder: Path, rows: Rows, colour: Colour = NONE) -> Look:
     room, widest, seen = min(min(shot.shape) for shot in spots), 0.0, False
     for shot in spots[:: -(-len(spots) // MOST_FRAMES)]:
         try:
-            pixels = files.pixels(folder / shot.file, shot.page, shot.file, colour)
+            pixels = files.read_pixels(folder / shot.file, shot.page, shot.file, colour)
         except InputError:
             continue
         if light_centroid(pixels, Instrument.crop_px).found:

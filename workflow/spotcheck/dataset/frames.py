@@ -13,8 +13,8 @@ from spotcheck.dataset.instrument import BadPixels, Instrument
 from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
-from spotcheck.io.formats.colour import NONE, Colour, plane
-from spotcheck.io.formats.page import PREVIEW, Page
+from spotcheck.io.formats.colour import MONOCHROME, Colour, extract_plane
+from spotcheck.io.formats.page import PREVIEW_MESSAGE, Page
 
 # Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
@@ -41,12 +41,12 @@ def pages_of(dataset: Dataset) -> dict[str, list[Page]]:
     found: dict[str, list[Page]] = {}
     for frame in dataset.frames:
         if frame.file not in found:
-            found[frame.file] = files.pages(dataset.folder / frame.file, frame.file, colour_of(dataset.instrument))
+            found[frame.file] = files.list_pages(dataset.folder / frame.file, frame.file, colour_of(dataset.instrument))
         count = len(found[frame.file])
         if frame.page >= count:
             raise InputError(f"{frame.label}: page is {frame.page}, but the file has {count}; pages count from 0")
         if found[frame.file][frame.page].preview:
-            raise InputError(f"{frame.label}: {PREVIEW}")
+            raise InputError(f"{frame.label}: {PREVIEW_MESSAGE}")
     return found
 
 
@@ -113,7 +113,7 @@ def probe_all(dataset: Dataset) -> Probe:
 
 
 @lru_cache(maxsize=4)
-def bad_pixels(named: BadPixels, shape: tuple[int, int], taken: Colour = NONE) -> np.ndarray | None:
+def bad_pixels(named: BadPixels, shape: tuple[int, int], taken: Colour = MONOCHROME) -> np.ndarray | None:
     """Which pixels [rows, columns] of frames that are read with `shape` instrument.yaml names as bad; None where it
     names none. It names places on the sensor, of which Bayer frames are read a plane.
 
@@ -123,13 +123,13 @@ def bad_pixels(named: BadPixels, shape: tuple[int, int], taken: Colour = NONE) -
     out = np.zeros(shape, bool)
     if named.mask is not None:
         name = Path(named.mask).name
-        size = files.pages(Path(named.mask), name)[0].shape
+        size = files.list_pages(Path(named.mask), name)[0].shape
         if size != shape:
             raise InputError(
                 f"instrument.yaml: key bad_pixels.mask names {name!r}, which has {size[1]} × {size[0]} px, but the"
                 f" frames have {shape[1]} × {shape[0]} px; it must have their size"
             )
-        out |= files.pixels(Path(named.mask), 0, name) != 0
+        out |= files.read_pixels(Path(named.mask), 0, name) != 0
     for key, axis, places in (
         ("columns", 1, named.columns),
         ("rows", 0, named.rows),
@@ -144,7 +144,7 @@ def bad_pixels(named: BadPixels, shape: tuple[int, int], taken: Colour = NONE) -
     out[:, list(named.columns)] = True
     out[list(named.rows)] = True
     out[[y for _, y in named.pixels], [x for x, _ in named.pixels]] = True
-    out = plane(out, taken)
+    out = extract_plane(out, taken)
     if out.all():
         raise InputError("instrument.yaml: key bad_pixels names every pixel of the frames; some must be left")
     return out if out.any() else None
@@ -163,7 +163,7 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     >>> image.shape, image.dtype, int(image.max())
     ((96, 96), dtype('uint16'), 620)
     """
-    pixels = files.pixels(dataset.folder / frame.file, frame.page, frame.label, colour_of(dataset.instrument))
+    pixels = files.read_pixels(dataset.folder / frame.file, frame.page, frame.label, colour_of(dataset.instrument))
     sensor = dataset.instrument.sensor
     if sensor.value_shift_bits:
         if (pixels & (2**sensor.value_shift_bits - 1)).any():

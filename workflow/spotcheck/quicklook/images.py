@@ -11,7 +11,7 @@ from spotcheck.dataset.labels.label import Label, settled, shown
 from spotcheck.dataset.labels.names import natural
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
-from spotcheck.io.formats.colour import CHANNELS, NONE, Colour
+from spotcheck.io.formats.colour import CHANNELS, MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
 from spotcheck.io.formats.page import Page
 
@@ -31,12 +31,12 @@ class Image(NamedTuple):
     page: int = 0
     bits: int | None = None
     labels: dict[str, Label] | None = None
-    colour: Colour = NONE
+    colour: Colour = MONOCHROME
 
     def read(self) -> np.ndarray:
         """Pixels [rows, columns] in DN, NaN where masked or infinite. Raises `InputError` where all of them are."""
         if isinstance(self.source, Path):
-            stored = files.pixels(self.source, self.page, self.name, self.colour, readings=False)
+            stored = files.read_pixels(self.source, self.page, self.name, self.colour, allow_floats=True)
         else:
             stored = self.source
         # A broken file may hold numbers that signal.
@@ -111,7 +111,7 @@ def _pages(path: Path) -> Iterator[Image]:
     """Every page of every stack of a file that is an image of its own."""
     name, inside = split_inner_path(path.as_posix())
     file = Path(name)
-    for stack in [f"{file.name}#{inside}"] if inside else files.stacks(file, file.name):
+    for stack in [f"{file.name}#{inside}"] if inside else files.list_stacks(file, file.name):
         source, labels = file.parent / stack, labels_of(file, inside=split_inner_path(stack)[1])
         pages, colour = _coloured(source, stack)
         own = [(number, page) for number, page in enumerate(pages) if not page.preview]
@@ -123,13 +123,13 @@ def _pages(path: Path) -> Iterator[Image]:
 def _coloured(path: Path, name: str) -> tuple[list[Page], Colour]:
     """Pages of a stack, and of one with red, green and blue the channel that reads most: a laser lights one of them."""
     try:
-        return files.pages(path, name, readings=False), NONE
+        return files.list_pages(path, name, allow_floats=True), MONOCHROME
     except InputError as refused:
         try:
-            pages = files.pages(path, name, Colour(CHANNELS[0]), readings=False)
+            pages = files.list_pages(path, name, Colour(CHANNELS[0]), allow_floats=True)
         except InputError:
             raise refused from None
-    light = {own: files.pixels(path, 0, name, Colour(own), readings=False).sum(dtype=float) for own in CHANNELS}
+    light = {own: files.read_pixels(path, 0, name, Colour(own), allow_floats=True).sum(dtype=float) for own in CHANNELS}
     return pages, Colour(max(light, key=light.__getitem__))
 
 

@@ -34,7 +34,7 @@ def labels_of(path: Path, root: Path | None = None, inside: str = "") -> tuple[L
 
 def _of_hdf5(path: Path, inside: str) -> Iterator[Label]:
     """Labels of the attributes, numbers and texts around the frames in an HDF5 file."""
-    for key, value, page in hdf5.texts(path, inside):
+    for key, value, page in hdf5.read_metadata(path, inside):
         yield from words.of_keys([(key, value)], "HDF5", page)
 
 

@@ -29,7 +29,7 @@ PITCH_M = (0.5e-6, 100e-6)
 def of_tiff(path: Path) -> Iterator[Label]:
     """Labels of every page of a TIFF file. Raises what tifffile raises for a broken file."""
     found = list[Label]()
-    with tiff.directories(path) as (file, directories):
+    with tiff.open_directories(path) as (file, directories):
         described = ""
         for number, page in enumerate(directories):
             found += _of_tags(page, number)

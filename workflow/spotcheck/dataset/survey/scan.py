@@ -12,7 +12,7 @@ from spotcheck.dataset.labels.names import FILE, FOLDER, natural
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
-from spotcheck.io.formats.colour import NONE, Colour
+from spotcheck.io.formats.colour import MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
 from spotcheck.io.schema import breach_of
 
@@ -41,7 +41,7 @@ class Scan(NamedTuple):
     broken: tuple[str, ...]
 
 
-def scan(folder: Path, colour: Colour = NONE) -> Scan:
+def scan(folder: Path, colour: Colour = MONOCHROME) -> Scan:
     """Every image in frames/, else anywhere below a folder; of images with colours the plane of `colour`.
 
     Raises `InputError` for a name that no text can hold.
@@ -59,7 +59,8 @@ def scan(folder: Path, colour: Colour = NONE) -> Scan:
         if not name.isprintable():
             raise InputError(f"{name!r}: its name holds what is no letter; rename it")
         try:
-            stacks = [(stack, files.pages(folder / stack, stack, colour)) for stack in files.stacks(image, name)]
+            names = files.list_stacks(image, name)
+            stacks = [(stack, files.list_pages(folder / stack, stack, colour)) for stack in names]
         except InputError as error:
             broken.append(str(error))
             continue

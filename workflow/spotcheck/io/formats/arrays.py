@@ -1,47 +1,47 @@
-"""Frames in an array of numbers: its last two axes are rows and columns, those before count pages."""
+"""Images in an array: the last two axes are rows and columns, the leading axes count pages, the last one fastest."""
 
 import math
 
 import numpy as np
 
-from spotcheck.io.formats.page import GREY, ONE_CHANNEL, RGB, Page, Refused, check_size
+from spotcheck.io.formats.page import GREY, ONE_CHANNEL, RGB, ImageError, Page, check_size
 
-# An array whose last axis is this long holds colours, since no frame is as narrow.
-COLOURS = 3
-# More pages than a manifest has rows for.
-MOST_PAGES = 10_000_000
+# An array of three or more axes whose last axis has this length holds RGB images: no frame is that narrow.
+RGB_CHANNELS = 3
+# More pages than a manifest has rows.
+MAX_PAGES = 10_000_000
 
 
-def are_readings(dtype: np.dtype) -> bool:
-    """Whether numbers are readings: unsigned, of 8 or 16 bits, in any order of bytes."""
+def is_reading_type(dtype: np.dtype) -> bool:
+    """Return whether a type can hold camera readings: unsigned integers of 8 or 16 bits, in any byte order."""
     return dtype.kind == "u" and dtype.itemsize <= 2
 
 
-def bits_of(dtype: np.dtype) -> int:
-    """Bits of a stored pixel, 0 for a floating-point number. Raises `Refused` for numbers of any other kind."""
-    if not are_readings(dtype) and not (dtype.kind == "f" and dtype.itemsize in (4, 8)):
-        raise Refused(f"holds {dtype} pixels; {ONE_CHANNEL}")
-    return 8 * dtype.itemsize if are_readings(dtype) else 0
-
-
-def pages_of(shape: tuple[int, ...], dtype: np.dtype) -> list[Page]:
-    """Pages of an array. Raises `Refused`."""
-    bits = bits_of(dtype)
-    colours = RGB if len(shape) > 2 and shape[-1] == COLOURS else GREY
-    inner = shape[:-1] if colours else shape
-    if len(inner) < 2:
-        raise Refused(f"has {len(inner)} dimension{'s' if len(inner) > 1 else ''}; it must have rows and columns")
-    rows, columns = inner[-2:]
+def make_pages(shape: tuple[int, ...], dtype: np.dtype) -> list[Page]:
+    """Return the header of each page of an array. Raises `ImageError`."""
+    if not is_reading_type(dtype) and not (dtype.kind == "f" and dtype.itemsize in (4, 8)):
+        raise ImageError(f"holds {dtype} pixels; {ONE_CHANNEL}")
+    is_rgb = _is_rgb(shape)
+    axes = shape[:-1] if is_rgb else shape
+    if len(axes) < 2:
+        raise ImageError(f"has {len(axes)} dimension{'s' if len(axes) > 1 else ''}; it must have rows and columns")
+    *leading, rows, columns = axes
     check_size(rows, columns)
-    count = math.prod(inner[:-2])
+    count = math.prod(leading)
     if not count:
-        raise Refused("has no pages; copy the file again")
-    if count > MOST_PAGES:
-        raise Refused(f"claims {count} pages, more than {MOST_PAGES}; copy the file again")
-    return [Page((rows, columns), bits, colours=colours)] * count
+        raise ImageError("has no pages; copy the file again")
+    if count > MAX_PAGES:
+        raise ImageError(f"claims {count} pages, more than {MAX_PAGES}; copy the file again")
+    bits = 8 * dtype.itemsize if is_reading_type(dtype) else 0
+    return [Page((rows, columns), bits, colours=RGB if is_rgb else GREY)] * count
 
 
-def place_of(page: int, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Index of a page along the axes before rows and columns; the last of them runs fastest."""
-    before = shape[: -3 if len(shape) > 2 and shape[-1] == COLOURS else -2]
-    return tuple(int(k) for k in np.unravel_index(page, before)) if before else ()
+def find_page_index(page: int, shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the index of a page along the leading axes of an array; the last of them runs fastest."""
+    leading = shape[: -3 if _is_rgb(shape) else -2]
+    return tuple(int(index) for index in np.unravel_index(page, leading)) if leading else ()
+
+
+def _is_rgb(shape: tuple[int, ...]) -> bool:
+    """Return whether the last axis of an array is that of red, green and blue."""
+    return len(shape) > 2 and shape[-1] == RGB_CHANNELS

@@ -1,36 +1,39 @@
-"""An image file, whatever its name: its first bytes say which format reads it."""
+"""Image files of all formats: the first bytes of a file decide which reader is used."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from spotcheck.errors import InputError
-from spotcheck.io.formats import colour, hdf5, npy, pgm, png, tiff
-from spotcheck.io.formats.colour import Colour
+from spotcheck.io.formats import hdf5, npy, pgm, png, tiff
+from spotcheck.io.formats.colour import MONOCHROME, Colour, extract_plane, select_plane
 from spotcheck.io.formats.names import split_inner_path
-from spotcheck.io.formats.page import ONE_CHANNEL, Page, Refused
+from spotcheck.io.formats.page import ONE_CHANNEL, ImageError, Page
 
 
-class Format(Protocol):
-    """What the module of a format offers. Both functions raise `Refused`, or anything else for a broken file."""
+class Reader(Protocol):
+    """Module that reads a format. Both functions raise `ImageError`, or any other exception for a broken file."""
 
-    def pages(self, path: Path) -> list[Page]:
-        """Every page of a file."""
+    def list_pages(self, path: Path) -> list[Page]:
+        """Return the header of each page of a file."""
 
-    def read(self, path: Path, page: int) -> np.ndarray:
-        """Pixels of a page, [rows, columns] or [rows, columns, colours], in native byte order."""
+    def read_pixels(self, path: Path, page: int) -> np.ndarray:
+        """Return a page [row, column] or [row, column, channel], in native byte order."""
 
 
-# First bytes, the format's name, and what reads it.
-READERS: tuple[tuple[tuple[bytes, ...], str, Format], ...] = (
+# First bytes, name of the format, and its reader.
+READERS: tuple[tuple[tuple[bytes, ...], str, Reader], ...] = (
     (tiff.SIGNATURES, "TIFF", tiff),
     ((png.SIGNATURE,), "PNG", png),
-    ((b"P2", b"P5", *pgm.COLOUR), "PGM", pgm),
+    ((b"P2", b"P5", *pgm.OTHER_NETPBM), "PGM", pgm),
     ((npy.SIGNATURE,), "NumPy", npy),
+    ((hdf5.SIGNATURE,), "HDF5", hdf5),
 )
-# Formats that a frame may turn out to be in, and that are not read.
-OTHERS = (
+# Formats that are recognised only to name them in the message.
+UNREAD_FORMATS = (
     (b"BM", "BMP"),
     (b"\xff\xd8\xff", "JPEG"),
     (b"GIF8", "GIF"),
@@ -42,63 +45,77 @@ OTHERS = (
     (b"8BPS", "Photoshop"),
     (b"PK\3\4", "a ZIP archive"),
 )
+FLOATING_POINT = f"holds floating-point pixels, such as a mean of frames; {ONE_CHANNEL}"
 
 
-def pages(path: Path, name: str, taken: Colour = colour.NONE, *, readings: bool = True) -> list[Page]:
-    """What the headers of a file say of the plane of a colour that is taken of every page. A path into an HDF5 file
-    follows its name behind #. Raises `InputError`, which calls the file by `name`; also for floating-point numbers,
-    which no converter reads, unless `readings` is False."""
-    file, inside = split_inner_path(path.as_posix())
-    kind, reader = _reader(Path(file), name)
+def list_pages(path: Path, name: str, colour: Colour = MONOCHROME, *, allow_floats: bool = False) -> list[Page]:
+    """Return the header of each page of an image file.
+
+    Parameters
+    ----------
+    path : Path
+        The file. The path of a dataset inside an HDF5 file follows behind #.
+    name : str
+        How messages call the file.
+    colour : Colour
+        Colour plane of the pages that is described.
+    allow_floats : bool
+        Whether pages of floating-point numbers are accepted, which no converter gives.
+
+    Raises
+    ------
+    InputError
+        If the file is broken or does not hold such images.
+    """
+    with _open_reader(path, name) as reader:
+        pages = reader.list_pages(path)
+        if not allow_floats and any(not page.bits and not page.preview for page in pages):
+            raise ImageError(FLOATING_POINT)
+        return [select_plane(page, colour) for page in pages]
+
+
+def read_pixels(
+    path: Path, page: int, name: str, colour: Colour = MONOCHROME, *, allow_floats: bool = False
+) -> np.ndarray:
+    """Return the stored pixels [row, column] of one colour plane of a page.
+
+    Parameters and exceptions are those of `list_pages`; `page` counts from 0.
+    """
+    with _open_reader(path, name) as reader:
+        pixels = reader.read_pixels(path, page)
+        if not allow_floats and pixels.dtype.kind == "f":
+            raise ImageError(FLOATING_POINT)
+        return extract_plane(pixels, colour)
+
+
+def list_stacks(path: Path, name: str) -> list[str]:
+    """Return the names of the stacks of images in a file.
+
+    An HDF5 file has one stack per dataset of frames, named `name#/path/inside`. Any other file is one stack, `name`.
+    Raises `InputError` as `list_pages` does.
+    """
+    with _open_reader(path, name) as reader:
+        return [f"{name}#{inside}" for inside in hdf5.list_stacks(path)] if reader is hdf5 else [name]
+
+
+@contextmanager
+def _open_reader(path: Path, name: str) -> Iterator[Reader]:
+    """Yield the reader for the format of a file; raise `InputError` for what goes wrong while it is used."""
+    kind, reader = _detect_format(Path(split_inner_path(path.as_posix())[0]), name)
     try:
-        found = hdf5.pages(Path(file), inside) if reader is None else reader.pages(Path(file))
-        if readings:
-            _check_readings(any(not page.bits and not page.preview for page in found))
-        return [colour.plane_of(page, taken) for page in found]
+        yield reader
     except Exception as error:
-        raise _said(error, name, kind) from None
+        raise _convert_error(error, name, kind) from None
 
 
-def pixels(path: Path, page: int, name: str, taken: Colour = colour.NONE, *, readings: bool = True) -> np.ndarray:
-    """Pixels [rows, columns] of a page, as they are stored, of the plane of a colour that is taken. Raises
-    `InputError` as `pages` does."""
-    file, inside = split_inner_path(path.as_posix())
-    kind, reader = _reader(Path(file), name)
-    try:
-        found = hdf5.read(Path(file), page, inside) if reader is None else reader.read(Path(file), page)
-        if readings:
-            _check_readings(found.dtype.kind == "f")
-        return colour.plane(found, taken)
-    except Exception as error:
-        raise _said(error, name, kind) from None
-
-
-def stacks(path: Path, name: str) -> list[str]:
-    """Names of a file's stacks: of HDF5 one for each dataset that holds frames, with its path behind #. Raises
-    `InputError`."""
-    kind, reader = _reader(path, name)
-    try:
-        return [name] if reader is not None else [f"{name}#{inside}" for inside in hdf5.stacks(path)]
-    except Exception as error:
-        raise _said(error, name, kind) from None
-
-
-def _check_readings(is_floating: bool) -> None:
-    """Raise `Refused` for floating-point numbers."""
-    if is_floating:
-        raise Refused(f"holds floating-point pixels, such as a mean of frames; {ONE_CHANNEL}")
-
-
-def _reader(path: Path, name: str) -> tuple[str, Format | None]:
-    """Name of the format that the first bytes tell, and what reads it, None for HDF5. Raises `InputError`."""
+def _detect_format(path: Path, name: str) -> tuple[str, Reader]:
+    """Return the name and the reader of the format that the first bytes of a file show. Raises `InputError`."""
     with path.open("rb") as stream:
         start = stream.read(16)
     for signatures, kind, reader in READERS:
         if start.startswith(signatures):
             return kind, reader
-    if start.startswith(hdf5.SIGNATURE):
-        return "HDF5", None
-    for signature, kind in OTHERS:
+    for signature, kind in UNREAD_FORMATS:
         if start.startswith(signature):
             raise InputError(f"{name}: is {kind} by its first bytes, which is not read; save it as TIFF, PNG or PGM")
     raise InputError(
@@ -107,13 +124,15 @@ def _reader(path: Path, name: str) -> tuple[str, Format | None]:
     )
 
 
-def _said(error: Exception, name: str, kind: str) -> Exception:
-    """What to raise for what a reader raised: tifffile and Pillow promise no class of error for a broken file."""
-    if isinstance(error, Refused):
+def _convert_error(error: Exception, name: str, kind: str) -> Exception:
+    """Return the exception to raise for one of a reader: tifffile and Pillow raise any class for a broken file."""
+    if isinstance(error, ImageError):
         return InputError(f"{name}: {error}")
     if isinstance(error, OSError) and error.filename is not None:
         return error
     if isinstance(error, MemoryError):
-        return InputError(f"{name}: does not fit into memory; free some, or copy the file again if it is no such size")
+        return InputError(
+            f"{name}: does not fit into memory; close other programs, or copy the file again if it is not that large"
+        )
     reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
     return InputError(f"{name}: cannot be read as {kind} ({reason}), perhaps cut short; copy the file again")

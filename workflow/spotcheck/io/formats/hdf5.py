@@ -1,4 +1,4 @@
-"""HDF5, netCDF-4 and NeXus, read by a process of its own: the library behind them crashes on some broken files."""
+"""HDF5, netCDF-4 and NeXus files, read in a worker process: the HDF5 library crashes on some broken files."""
 
 import atexit
 import json
@@ -11,83 +11,107 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.io.formats.arrays import pages_of
-from spotcheck.io.formats.page import Page, Refused
+from spotcheck.io.formats.arrays import make_pages
+from spotcheck.io.formats.names import split_inner_path
+from spotcheck.io.formats.page import ImageError, Page
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-BROKEN = "cannot be read as HDF5: the library that reads it crashes or takes too long; copy the file again"
+CRASHED = "cannot be read as HDF5: the library that reads it crashes or takes too long; copy the file again"
 _lock = Lock()
-# By the process that started it: one that was forked must not read the answers to the other.
-_processes: dict[int, subprocess.Popen] = {}
+# Worker of each process by its id: a forked process must not read the replies to its parent.
+_workers: dict[int, subprocess.Popen] = {}
 
 
-def pages(path: Path, inside: str = "") -> list[Page]:
-    """Every page of the dataset at the path `inside` a file. Raises `Refused`."""
-    (shape, dtype), _ = _ask({"what": "pages", "path": str(path.absolute()), "inside": inside})
-    return pages_of(tuple(shape), np.dtype(dtype))
+def list_pages(path: Path) -> list[Page]:
+    """Return the header of each page of a dataset, whose path inside the file follows behind #. Raises `ImageError`."""
+    file, inside = split_inner_path(path.as_posix())
+    (shape, dtype), _ = _request("shape", Path(file), inside)
+    return make_pages(tuple(shape), np.dtype(dtype))
 
 
-def read(path: Path, page: int, inside: str = "") -> np.ndarray:
-    """Pixels of a page, [rows, columns] or [rows, columns, colours]. Raises `Refused`."""
-    (shape, dtype), content = _ask({"what": "read", "path": str(path.absolute()), "inside": inside, "page": page})
+def read_pixels(path: Path, page: int) -> np.ndarray:
+    """Return a page [row, column] or [row, column, channel] of a dataset. Raises `ImageError`."""
+    file, inside = split_inner_path(path.as_posix())
+    (shape, dtype), content = _request("pixels", Path(file), inside, page)
     return np.frombuffer(content, dtype).reshape(shape)
 
 
-def stacks(path: Path) -> list[str]:
-    """Paths inside a file at which frames lie. Raises `Refused`."""
-    return list(_ask({"what": "stacks", "path": str(path.absolute())})[0])
+def list_stacks(path: Path) -> list[str]:
+    """Return the paths of all datasets of frames inside a file. Raises `ImageError`."""
+    return list(_request("stacks", path)[0])
 
 
-def texts(path: Path, inside: str) -> list[tuple[str, str, int | None]]:
-    """Names and values around the dataset at the path `inside` a file, each with its page. Raises `Refused`."""
-    return [tuple(own) for own in _ask({"what": "texts", "path": str(path.absolute()), "inside": inside})[0]]
+def read_metadata(path: Path, inside: str) -> list[tuple[str, str, int | None]]:
+    """Return the metadata of the dataset at the path `inside` a file. Raises `ImageError`.
+
+    Returns
+    -------
+    list of (name, value, page)
+        Attributes and neighbouring values of the dataset; `page` is None for a value that holds for all pages.
+    """
+    return [tuple(entry) for entry in _request("metadata", path, inside)[0]]
 
 
-def _ask(question: dict[str, Any]) -> tuple[Any, bytes]:
-    """The answer of the reading process, which is started for the first question and after each crash."""
+def _request(what: str, path: Path, inside: str = "", page: int = 0) -> tuple[Any, bytes]:
+    """Return the reply of the worker: its JSON content and its bytes. It is started if it does not run."""
     with _lock:
-        if os.getpid() not in _processes:
-            command = [sys.executable, "-P", "-c", "from spotcheck.io.formats import hdf5; hdf5.serve()"]
-            pipe, null = subprocess.PIPE, subprocess.DEVNULL
-            # It finds the modules where this process does, and none that happen to lie in the working folder (-P).
-            where = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-            _processes[os.getpid()] = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=null, env=where)
-        process = _processes[os.getpid()]
-        assert process.stdin is not None and process.stdout is not None
         try:
-            process.stdin.write(json.dumps(question).encode() + b"\n")
-            process.stdin.flush()
-            line = process.stdout.readline()
-            said = json.loads(line) if line else {}
-            content = process.stdout.read(said.get("bytes", 0))
+            reply, content = _send(
+                _start_worker(), {"what": what, "path": str(path.absolute()), "inside": inside, "page": page}
+            )
         except BrokenPipeError:
-            said = {}
+            reply, content = {}, b""
         except BaseException:
             close()
             raise
-        if not said:
+        if not reply:
             close()
-    if not said or len(content) < said["bytes"]:
-        raise Refused(BROKEN)
-    if "memory" in said:
+    if not reply or len(content) < reply["bytes"]:
+        raise ImageError(CRASHED)
+    if "memory" in reply:
         raise MemoryError
-    if "refused" in said:
-        raise Refused(said["refused"])
-    if "error" in said:
-        raise OSError(said["error"])
-    return said["found"], content
+    if "refused" in reply:
+        raise ImageError(reply["refused"])
+    if "error" in reply:
+        raise OSError(reply["error"])
+    return reply["result"], content
+
+
+def _start_worker() -> subprocess.Popen:
+    """Return the worker of this process, which is started for the first request and after each crash."""
+    if os.getpid() not in _workers:
+        # With -P, and the search path of this process, no module in the working folder shadows a real one.
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+        _workers[os.getpid()] = subprocess.Popen(
+            [sys.executable, "-P", "-c", "from spotcheck.io.formats import hdf5; hdf5.serve()"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+    return _workers[os.getpid()]
+
+
+def _send(worker: subprocess.Popen, request: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+    """Send a request and return the reply, which is empty if the worker has crashed."""
+    assert worker.stdin is not None and worker.stdout is not None
+    worker.stdin.write(json.dumps(request).encode() + b"\n")
+    worker.stdin.flush()
+    line = worker.stdout.readline()
+    reply = json.loads(line) if line else {}
+    return reply, worker.stdout.read(reply.get("bytes", 0))
 
 
 def serve() -> None:
-    """What the reading process does."""
-    from spotcheck.io.formats import hdf5_file
+    """Run the worker. The import stands here so that the digest of this module covers the worker's code."""
+    from spotcheck.io.formats import hdf5_worker
 
-    hdf5_file.serve()
+    hdf5_worker.serve()
 
 
 @atexit.register
 def close() -> None:
-    """End the reading process."""
-    if process := _processes.pop(os.getpid(), None):
-        process.kill()
-        process.communicate()
+    """End the worker of this process."""
+    if worker := _workers.pop(os.getpid(), None):
+        worker.kill()
+        worker.communicate()

@@ -1,4 +1,4 @@
-"""NumPy's .npy: its header is checked here, pixels are read from where they lie."""
+"""NumPy's .npy files: the header is checked here, and the pixels are read by memory mapping."""
 
 import math
 from pathlib import Path
@@ -7,48 +7,50 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
-from spotcheck.io.formats.arrays import pages_of, place_of
-from spotcheck.io.formats.page import Page, Refused, check_length
+from spotcheck.io.formats.arrays import find_page_index, make_pages
+from spotcheck.io.formats.page import ImageError, Page, check_length
 
 SIGNATURE = npy.MAGIC_PREFIX
 
 
 class Header(NamedTuple):
-    """Shape, kind of number, whether the first axis runs fastest, and where the numbers start [byte]."""
+    """Header of a file."""
 
-    shape: tuple[int, ...]
-    dtype: np.dtype
-    fortran: bool
-    start: int
+    shape: tuple[int, ...]  # length of each axis
+    dtype: np.dtype  # type of the stored numbers
+    order: Literal["F", "C"]  # "F": the first axis runs fastest; "C": the last one does
+    start: int  # position of the first number [byte]
 
 
-def header(path: Path) -> Header:
-    """Header of a file (NumPy enhancement proposal 1). Raises `Refused`, and what NumPy raises for a broken one."""
+def read_header(path: Path) -> Header:
+    """Return the header of a file (NumPy enhancement proposal 1).
+
+    Raises `ImageError`, and what NumPy raises for a broken file.
+    """
     with path.open("rb") as stream:
         version = npy.read_magic(stream)
         if version not in ((1, 0), (2, 0), (3, 0)):
-            raise Refused(f"has version {version[0]}.{version[1]} of its format; save it anew by numpy.save")
-        # Version 3 differs from 2 in the letters of field names alone, which frames have none of.
-        reader = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, fortran, dtype = reader(stream)
+            raise ImageError(f"has version {version[0]}.{version[1]} of its format; save it anew by numpy.save")
+        # Version 3 differs from 2 only in the letters of field names, which frames do not have.
+        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, is_fortran, dtype = read(stream)
         start = stream.tell()
     if any(size < 0 for size in shape):
-        raise Refused(f"has the shape {shape}; copy the file again")
-    return Header(shape, dtype, fortran, start)
+        raise ImageError(f"has the shape {shape}; copy the file again")
+    return Header(shape, dtype, "F" if is_fortran else "C", start)
 
 
-def pages(path: Path) -> list[Page]:
-    """Every page of a file. Raises as `header` does."""
-    found = header(path)
-    pages = pages_of(found.shape, found.dtype)
-    check_length(found.start + math.prod(found.shape) * found.dtype.itemsize, path.stat().st_size)
+def list_pages(path: Path) -> list[Page]:
+    """Return the header of each page of a file. Raises as `read_header` does."""
+    header = read_header(path)
+    pages = make_pages(header.shape, header.dtype)
+    check_length(header.start + math.prod(header.shape) * header.dtype.itemsize, path.stat().st_size)
     return pages
 
 
-def read(path: Path, page: int) -> np.ndarray:
-    """Pixels of a page, [rows, columns] or [rows, columns, colours]. Raises as `header` does."""
-    pages(path)
-    found = header(path)
-    order: Literal["F", "C"] = "F" if found.fortran else "C"
-    stored = np.memmap(path, dtype=found.dtype, mode="r", offset=found.start, shape=found.shape, order=order)
-    return np.array(stored[place_of(page, found.shape)], found.dtype.newbyteorder("="), order="C")
+def read_pixels(path: Path, page: int) -> np.ndarray:
+    """Return a page [row, column] or [row, column, channel]. Raises as `read_header` does."""
+    list_pages(path)
+    shape, dtype, order, start = read_header(path)
+    array = np.memmap(path, dtype=dtype, mode="r", offset=start, shape=shape, order=order)
+    return np.array(array[find_page_index(page, shape)], dtype.newbyteorder("="), order="C")

@@ -1,4 +1,4 @@
-"""Portable graymaps as they are: general image readers stretch a PGM whose white is not 255 or 65535."""
+"""Portable graymaps (PGM). General image readers rescale a PGM whose white is not 255 or 65535; this one does not."""
 
 import re
 from pathlib import Path
@@ -6,26 +6,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.io.formats.page import ONE_CHANNEL, Page, Refused, check_length, check_size
+from spotcheck.io.formats.page import ONE_CHANNEL, ImageError, Page, check_length, check_size
 
-# Between two words of a header stand white space and comments, which end with their line.
+# White space and comments, which end with their line, between the words of a header.
 _GAP = rb"(?:\s+|#[^\n]*\n)+"
 _HEADER = re.compile(rb"P[25]" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})(?:\s|#[^\n]*\n)")
-# What some programs write between a header and its pixels: the rest of a line end of Windows, or a comment.
-_REST = re.compile(rb"\n|[ \t]*#[^\n]*\n")
-# Bytes in which a header ends, comments included.
+# Bytes that some programs write between a header and its pixels: the rest of a Windows line end, or a comment.
+_PADDING = re.compile(rb"\n|[ \t]*#[^\n]*\n")
+# Longest header including comments [byte].
 _HEADER_BYTES = 65536
-COLOUR = {b"P1": "black and white (PBM)", b"P4": "black and white (PBM)", b"P3": "colour (PPM)", b"P6": "colour (PPM)"}
+OTHER_NETPBM = {
+    b"P1": "black and white (PBM)",
+    b"P4": "black and white (PBM)",
+    b"P3": "colour (PPM)",
+    b"P6": "colour (PPM)",
+}
 
 
 class Header(NamedTuple):
-    """Binary or text, rows, columns, white value, and where the pixels start [byte]."""
+    """Header of a file."""
 
-    binary: bool
-    rows: int
-    columns: int
-    white: int
-    start: int
+    binary: bool  # whether pixels are stored as bytes (P5), not as text (P2)
+    rows: int  # rows [px]
+    columns: int  # columns [px]
+    white: int  # largest value that a pixel may have
+    start: int  # position of the first pixel [byte]
 
     @property
     def bits(self) -> int:
@@ -34,59 +39,59 @@ class Header(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """Bytes of the pixels: as text at least one digit and what parts it from the next."""
+        """Bytes of the pixels; of text, the least possible: one digit per pixel, and a blank between two."""
         count = self.rows * self.columns
         return count * self.bits // 8 if self.binary else 2 * count - 1
 
 
-def header(path: Path) -> Header:
-    """Header of a PGM file (P2 or P5). Raises `Refused`."""
+def read_header(path: Path) -> Header:
+    """Return the header of a PGM file (P2 or P5). Raises `ImageError`."""
     with path.open("rb") as stream:
         content = stream.read(_HEADER_BYTES)
-    if content[:2] in COLOUR:
-        raise Refused(f"is {COLOUR[content[:2]]}; {ONE_CHANNEL}")
-    found = _HEADER.match(content)
-    if found is None:
-        raise Refused("has no whole PGM header, perhaps cut short; copy the file again")
-    columns, rows, white = (int(word) for word in found.groups())
+    if content[:2] in OTHER_NETPBM:
+        raise ImageError(f"is {OTHER_NETPBM[content[:2]]}; {ONE_CHANNEL}")
+    match = _HEADER.match(content)
+    if match is None:
+        raise ImageError("has no whole PGM header, perhaps cut short; copy the file again")
+    columns, rows, white = (int(word) for word in match.groups())
     check_size(rows, columns)
     if not 1 <= white <= 65535:
-        raise Refused(f"states the white value {white}; it must be 1 to 65535")
-    parsed = Header(content[:2] == b"P5", rows, columns, white, found.end())
+        raise ImageError(f"states the white value {white}; it must be 1 to 65535")
+    header = Header(content[:2] == b"P5", rows, columns, white, match.end())
     length = path.stat().st_size
-    check_length(parsed.start + parsed.bytes, length)
-    surplus = length - parsed.start - parsed.bytes
-    if not parsed.binary or not surplus:
-        return parsed
-    rest = _REST.match(content, parsed.start)
-    if rest and rest.end() - rest.start() == surplus:
-        return parsed._replace(start=rest.end())
-    raise Refused(
-        f"is {surplus} bytes longer than its header says, so that its first pixel cannot be told;"
-        f" save it anew, a single image a file"
+    check_length(header.start + header.bytes, length)
+    surplus = length - header.start - header.bytes
+    if not header.binary or not surplus:
+        return header
+    padding = _PADDING.match(content, header.start)
+    if padding and padding.end() - padding.start() == surplus:
+        return header._replace(start=padding.end())
+    raise ImageError(
+        f"is {surplus} bytes longer than its header says, so that the first pixel cannot be located;"
+        " save it again with one image per file"
     )
 
 
-def pages(path: Path) -> list[Page]:
-    """The one page of a file. Raises `Refused`."""
-    found = header(path)
-    return [Page((found.rows, found.columns), found.bits)]
+def list_pages(path: Path) -> list[Page]:
+    """Return the header of the only page of a file. Raises `ImageError`."""
+    header = read_header(path)
+    return [Page((header.rows, header.columns), header.bits)]
 
 
-def read(path: Path, page: int) -> np.ndarray:
-    """Pixels [rows, columns] as uint8 or uint16. Raises `Refused`."""
-    parsed = header(path)
-    content = path.read_bytes()[parsed.start :]
-    count = parsed.columns * parsed.rows
-    if parsed.binary:
-        pixels = np.frombuffer(content, ">u2" if parsed.bits == 16 else "u1", count)
+def read_pixels(path: Path, page: int) -> np.ndarray:
+    """Return the pixels [row, column] as uint8 or uint16. Raises `ImageError`."""
+    header = read_header(path)
+    content = path.read_bytes()[header.start :]
+    count = header.columns * header.rows
+    if header.binary:
+        pixels = np.frombuffer(content, ">u2" if header.bits == 16 else "u1", count)
     else:
         words = re.sub(rb"#[^\n]*", b"", content).split()
         if len(words) != count:
-            raise Refused(f"holds {len(words)} numbers where its header says {count}; copy the file again")
+            raise ImageError(f"holds {len(words)} numbers where its header says {count}; copy the file again")
         if not all(word.isdigit() and len(word) < 7 for word in words):
-            raise Refused("holds what is no whole number; copy the file again")
+            raise ImageError("holds pixels that are not whole numbers; copy the file again")
         pixels = np.array(words, dtype=int)
-    if pixels.max() > parsed.white:
-        raise Refused(f"holds the value {pixels.max()}, above its own white of {parsed.white}; copy the file again")
-    return pixels.astype(np.uint16 if parsed.bits == 16 else np.uint8).reshape(parsed.rows, parsed.columns)
+    if pixels.max() > header.white:
+        raise ImageError(f"holds the value {pixels.max()}, above its own white of {header.white}; copy the file again")
+    return pixels.astype(np.uint16 if header.bits == 16 else np.uint8).reshape(header.rows, header.columns)

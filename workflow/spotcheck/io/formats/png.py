@@ -1,120 +1,125 @@
-"""PNG: what its chunks say of the samples is checked here, Pillow decodes them."""
+"""PNG files: chunks that change the meaning of a sample are checked here, and Pillow or imagecodecs decodes."""
 
 import struct
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from PIL import Image
 
-from spotcheck.io.formats.page import DEFLATE_RATIO, GREY, ONE_CHANNEL, RGB, Page, Refused, check_length, check_size
+from spotcheck.io.formats.page import DEFLATE_RATIO, GREY, ONE_CHANNEL, RGB, ImageError, Page, check_length, check_size
 
-# Frames are the user's own: `check_size` says which are too large, in our own words.
+# `check_size` refuses frames that are too large; Pillow's own limit is lower.
 Image.MAX_IMAGE_PIXELS = None
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-COLOUR = 2
-REFUSED_COLOURS = {3: "a palette of colours", 4: "a channel of transparency", 6: "RGB colour and transparency"}
-# Chunks (PNG, third edition, section 11.3) that make more of a sample than a number, and what they make of it.
-REFUSED = {b"tRNS": "makes pixels of one value transparent", b"acTL": "makes it a film of several images"}
+# Colour types (PNG, third edition, section 11.2.1).
+RGB_TYPE = 2
+REFUSED_TYPES = {3: "a palette of colours", 4: "a channel of transparency", 6: "RGB colour and transparency"}
+# Chunks (PNG, third edition, section 11.3) that change the meaning of a sample, and how.
+REFUSED_CHUNKS = {b"tRNS": "makes pixels of one value transparent", b"acTL": "makes it a film of several images"}
 
 
 class Header(NamedTuple):
-    """Rows, columns, bits of a sample, how many of them are significant, and samples of a pixel."""
+    """Header of a file."""
 
-    rows: int
-    columns: int
-    bits: int
-    significant_bits: int
-    samples: int
+    rows: int  # rows [px]
+    columns: int  # columns [px]
+    bits: int  # bits of a sample
+    significant_bits: int  # bits of a reading before it was scaled to the range of a sample
+    is_rgb: bool  # whether a pixel has three samples, not one
 
 
-def header(path: Path) -> Header:
-    """What the chunks of a file say (PNG, third edition, sections 5 and 11). Raises `Refused`."""
+def read_header(path: Path) -> Header:
+    """Return the header of a file from its chunks (PNG, third edition, sections 5 and 11). Raises `ImageError`."""
     length = path.stat().st_size
     with path.open("rb") as stream:
         stream.seek(len(SIGNATURE))
-        name, content = _chunk(stream, length)
+        name, content = _read_chunk(stream, length)
         if name != b"IHDR" or len(content) < 13:
-            raise Refused("has no PNG header; copy the file again")
-        columns, rows, bits, colour = struct.unpack(">IIBB", content[:10])
-        significant = bits
+            raise ImageError("has no PNG header; copy the file again")
+        columns, rows, bits, colour_type = struct.unpack(">IIBB", content[:10])
+        significant_bits = bits
         while name != b"IEND":
-            name, content = _chunk(stream, length)
-            if name in REFUSED:
-                raise Refused(f"its chunk {name.decode()} {REFUSED[name]}; save it as a plain grey image")
+            name, content = _read_chunk(stream, length)
+            if name in REFUSED_CHUNKS:
+                raise ImageError(f"its chunk {name.decode()} {REFUSED_CHUNKS[name]}; save it as a plain grey image")
             if name == b"sBIT" and content:
-                significant = content[0]
-                if colour == COLOUR and len(set(content[:3])) > 1:
-                    raise Refused("its chunk sBIT gives its colours different bits; save it without that chunk")
-    if colour in REFUSED_COLOURS:
-        raise Refused(f"has {REFUSED_COLOURS[colour]} (PNG colour type {colour}); {ONE_CHANNEL}")
+                significant_bits = content[0]
+                if colour_type == RGB_TYPE and len(set(content[:3])) > 1:
+                    raise ImageError("its chunk sBIT gives its colours different bits; save it without that chunk")
+    if colour_type in REFUSED_TYPES:
+        raise ImageError(f"has {REFUSED_TYPES[colour_type]} (PNG colour type {colour_type}); {ONE_CHANNEL}")
     if bits not in (8, 16):
-        raise Refused(f"holds {bits} bit pixels; {ONE_CHANNEL}")
-    if not 1 <= significant <= bits:
-        raise Refused(f"its chunk sBIT says {significant} of {bits} bits; it must be 1 to {bits}")
+        raise ImageError(f"holds {bits} bit pixels; {ONE_CHANNEL}")
+    if not 1 <= significant_bits <= bits:
+        raise ImageError(f"its chunk sBIT says {significant_bits} of {bits} bits; it must be 1 to {bits}")
     check_size(rows, columns)
-    samples = 3 if colour == COLOUR else 1
-    check_length(rows * (samples * columns * bits // 8 + 1) // DEFLATE_RATIO, length)
-    return Header(rows, columns, bits, significant, samples)
+    is_rgb = colour_type == RGB_TYPE
+    check_length(rows * ((3 if is_rgb else 1) * columns * bits // 8 + 1) // DEFLATE_RATIO, length)
+    return Header(rows, columns, bits, significant_bits, is_rgb)
 
 
-def _chunk(stream, length: int) -> tuple[bytes, bytes]:
-    """Name of the next chunk and the first bytes of its content. Raises `Refused` where the file ends first."""
+def _read_chunk(stream: BinaryIO, length: int) -> tuple[bytes, bytes]:
+    """Return the name and the first bytes of the next chunk. Raises `ImageError` if the file ends within it."""
     start = stream.read(8)
     size = int.from_bytes(start[:4])
-    after = stream.tell() + size + 4
-    if len(start) < 8 or after > length:
-        raise Refused("is cut short; copy the file again")
+    end = stream.tell() + size + 4
+    if len(start) < 8 or end > length:
+        raise ImageError("is cut short; copy the file again")
     content = stream.read(min(size, 64))
-    stream.seek(after)
+    stream.seek(end)
     return start[4:], content
 
 
-def pages(path: Path) -> list[Page]:
-    """The one page of a file. Raises `Refused`."""
-    found = header(path)
-    return [Page((found.rows, found.columns), found.significant_bits, colours=RGB if found.samples == 3 else GREY)]
+def list_pages(path: Path) -> list[Page]:
+    """Return the header of the only page of a file. Raises `ImageError`."""
+    header = read_header(path)
+    return [Page((header.rows, header.columns), header.significant_bits, colours=RGB if header.is_rgb else GREY)]
 
 
-def read(path: Path, page: int) -> np.ndarray:
-    """Pixels, [rows, columns] or [rows, columns, colours], as uint8 or uint16. Raises `Refused`, and what Pillow or
-    imagecodecs raise for a broken file."""
-    found = header(path)
-    if found.samples == 1 or found.bits == 8:
-        with Image.open(path, formats=("PNG",)) as image:
-            pixels = np.asarray(image)
-    else:
+def read_pixels(path: Path, page: int) -> np.ndarray:
+    """Return the image [row, column] or [row, column, channel] as uint8 or uint16.
+
+    Raises `ImageError`, and what Pillow or imagecodecs raises for a broken file.
+    """
+    header = read_header(path)
+    if header.is_rgb and header.bits == 16:
         import imagecodecs
 
-        # Pillow makes eight bits of sixteen where there are colours.
+        # Pillow reduces colours of 16 bits to 8.
         pixels = imagecodecs.png_decode(path.read_bytes())
-    return _significant(pixels, found.bits, found.significant_bits)
+    else:
+        with Image.open(path, formats=("PNG",)) as image:
+            pixels = np.asarray(image)
+    return _undo_scaling(pixels, header.bits, header.significant_bits)
 
 
-def _significant(pixels: np.ndarray, bits: int, significant: int) -> np.ndarray:
-    """Readings of fewer bits that were scaled to those of a sample, as chunk sBIT says: shifted back (section 13.12).
+def _undo_scaling(pixels: np.ndarray, bits: int, significant_bits: int) -> np.ndarray:
+    """Return readings that were scaled from the bits of chunk sBIT to those of a sample, shifted back (section 13.12).
 
-    Raises `Refused` where the low bits hold what no way of scaling puts there.
+    Raises `ImageError` if no way of scaling in section 12.4 gives the low bits.
     """
-    shift = bits - significant
+    shift = bits - significant_bits
     if not shift:
         return pixels
-    back = pixels >> shift
-    scaled = np.rint(back * ((2**bits - 1) / (2**significant - 1))).astype(pixels.dtype)
-    if any(np.array_equal(pixels, own) for own in (back << shift, scaled, _repeated(back, bits, significant))):
-        return back
-    raise Refused(
-        f"its chunk sBIT says that {significant} of {bits} bits hold readings, but the low ones do as well;"
-        f" save it without that chunk"
+    readings = pixels >> shift
+    shifted = readings << shift
+    scaled = np.rint(readings * ((2**bits - 1) / (2**significant_bits - 1))).astype(pixels.dtype)
+    repeated = _repeat_bits(readings, bits, significant_bits)
+    if any(np.array_equal(pixels, candidate) for candidate in (shifted, scaled, repeated)):
+        return readings
+    raise ImageError(
+        f"its chunk sBIT says that {significant_bits} of {bits} bits hold readings, but the low ones do as well;"
+        " save it without that chunk"
     )
 
 
-def _repeated(back: np.ndarray, bits: int, significant: int) -> np.ndarray:
-    """Readings whose bits were repeated until a sample was full (section 12.4)."""
-    wide = back.astype(np.uint64)
-    out, place = np.zeros_like(wide), bits
+def _repeat_bits(readings: np.ndarray, bits: int, significant_bits: int) -> np.ndarray:
+    """Return samples that are filled by repeating the bits of readings (section 12.4)."""
+    sources = readings.astype(np.uint64)
+    samples, place = np.zeros_like(sources), bits
     while place > 0:
-        place -= significant
-        out |= wide << np.uint64(place) if place >= 0 else wide >> np.uint64(-place)
-    return out.astype(back.dtype)
+        place -= significant_bits
+        samples |= sources << np.uint64(place) if place >= 0 else sources >> np.uint64(-place)
+    return samples.astype(readings.dtype)

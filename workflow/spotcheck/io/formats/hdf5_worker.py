@@ -1,0 +1,217 @@
+"""Worker process that reads HDF5 (also netCDF-4 and NeXus) through h5py; `hdf5.py` starts it and sends requests.
+
+A request is a line of JSON on standard input. The reply is a line of JSON on standard output, followed by the bytes of
+the pixels. The C library may crash or hang on a broken file, which then ends this process alone.
+"""
+
+import json
+import math
+import os
+import resource
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from spotcheck.io.formats.arrays import find_page_index, is_reading_type, make_pages
+from spotcheck.io.formats.page import DEFLATE_RATIO, ImageError, check_length, check_size
+
+# Processor time that a request may take [s]: the largest frame is unpacked in three.
+MAX_REQUEST_S = 8
+# Limits of a search: groups and datasets, levels of groups, attributes or members of a group, characters of a text.
+MAX_OBJECTS, MAX_DEPTH, MAX_MEMBERS, MAX_TEXT = 10_000, 30, 100, 1000
+# Lossless filters, and the largest ratio of unpacked to packed bytes of each.
+FILTER_RATIOS = {
+    h5py.h5z.FILTER_DEFLATE: DEFLATE_RATIO,
+    h5py.h5z.FILTER_SHUFFLE: 1,
+    h5py.h5z.FILTER_FLETCHER32: 1,
+    32000: 100,  # LZF
+}
+# Attributes that rescale stored numbers (netCDF conventions), and the values that change nothing.
+SCALING_ATTRIBUTES = {"scale_factor": 1, "add_offset": 0}
+# Shortest side of a frame [px]: 8-bit flags and tables that lie beside frames are narrower.
+MIN_SIDE_PX = 8
+
+# Name, value, and page of an entry of metadata; the page is None for an entry that holds for all pages.
+Entry = tuple[str, str, int | None]
+
+
+def list_stacks(file: h5py.File) -> list[str]:
+    """Return the paths of all datasets in a file that may hold frames."""
+    return [
+        dataset.name
+        for dataset in _iterate_datasets(file)
+        if is_reading_type(dataset.dtype) and dataset.ndim >= 2 and min(dataset.shape[-2:]) >= MIN_SIDE_PX
+    ]
+
+
+def _iterate_datasets(file: h5py.File) -> Iterator[h5py.Dataset]:
+    """Yield the datasets of a file, breadth first. Links into other files are not followed."""
+    groups, count = [file["/"]], 0
+    while groups:
+        group = groups.pop(0)
+        for name in group:
+            count += 1
+            if count > MAX_OBJECTS:
+                raise ImageError(f"holds more than {MAX_OBJECTS} objects; name the dataset behind #")
+            member = _get_member(group, name)
+            if isinstance(member, h5py.Dataset):
+                yield member
+            elif isinstance(member, h5py.Group) and member.name.count("/") < MAX_DEPTH:
+                groups.append(member)
+
+
+def _get_member(group: h5py.Group, name: str) -> h5py.Dataset | h5py.Group | None:
+    """Return a member of a group; None for a link."""
+    return group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+
+
+def find_dataset(file: h5py.File, inside: str) -> h5py.Dataset:
+    """Return the dataset at a path, or the only one of frames if the path is empty. Raises `ImageError`."""
+    if not inside:
+        stacks = list_stacks(file)
+        if not stacks:
+            raise ImageError("holds no frames of 8 or 16 bits")
+        if len(stacks) > 1:
+            raise ImageError(
+                f"holds frames in {', '.join(stacks[:5])}; name one, such as {stacks[0]} behind # in the manifest"
+            )
+        inside = stacks[0]
+    path = ""
+    for part in filter(None, inside.split("/")):
+        path += f"/{part}"
+        link = file.get(path, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            raise ImageError(
+                f"{path} is a link into another file, {link.filename[:80]!r}; name that file in the manifest"
+            )
+        if link is None:
+            raise ImageError(
+                f"has nothing at {path[:80]}; it holds frames in {', '.join(list_stacks(file)[:5]) or 'no dataset'}"
+            )
+    dataset = file[path or "/"]
+    if not isinstance(dataset, h5py.Dataset):
+        raise ImageError(f"{path or '/'} is a group; name one of {', '.join(list_stacks(file)[:5])}")
+    return dataset
+
+
+def check_dataset(dataset: h5py.Dataset, length: int) -> None:
+    """Raise `ImageError` unless a file of `length` bytes holds all pixels of a dataset as they were read."""
+    make_pages(dataset.shape, dataset.dtype)
+    if dataset.is_virtual or dataset.external:
+        raise ImageError(f"{dataset.name} lies in other files; name those in the manifest")
+    for name, neutral in SCALING_ATTRIBUTES.items():
+        if name in dataset.attrs and not np.all(dataset.attrs[name] == neutral):
+            raise ImageError(f"{dataset.name} has the attribute {name}: its numbers are no readings; save them without")
+    stored, needed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize
+    if dataset.chunks is None:
+        check_length(needed, min(stored, length))
+        return
+    check_size(1, math.prod(dataset.chunks))
+    ratio = math.prod(_list_filter_ratios(dataset))
+    chunk_counts = (math.ceil(size / chunk) for size, chunk in zip(dataset.shape, dataset.chunks, strict=True))
+    if dataset.id.get_num_chunks() < math.prod(chunk_counts):
+        raise ImageError(f"{dataset.name} has parts that were never written; cut it to the frames that are there")
+    if stored > length:
+        raise ImageError("is cut short; copy the file again")
+    check_length(math.ceil(needed / ratio), stored)
+
+
+def _list_filter_ratios(dataset: h5py.Dataset) -> Iterator[int]:
+    """Yield the largest compression ratio of each filter of a dataset. Raises `ImageError` for an unknown filter."""
+    properties = dataset.id.get_create_plist()
+    for index in range(properties.get_nfilters()):
+        code, _, _, name = properties.get_filter(index)
+        if code not in FILTER_RATIOS:
+            raise ImageError(
+                f"{dataset.name} is packed by {name.decode(errors='replace')[:40]!r}, which is not read; use gzip"
+            )
+        yield FILTER_RATIOS[code]
+
+
+def read_page(dataset: h5py.Dataset, page: int) -> np.ndarray:
+    """Return the pixels of a page. Raises `ImageError` if a pixel is marked as missing."""
+    pixels = dataset[find_page_index(page, dataset.shape)]
+    for name in ("_FillValue", "missing_value"):
+        if name in dataset.attrs and np.any(pixels == dataset.attrs[name]):
+            raise ImageError(f"{dataset.name} holds pixels that are missing ({name}); leave out that page")
+    return np.ascontiguousarray(pixels, dataset.dtype.newbyteorder("="))
+
+
+def list_metadata(dataset: h5py.Dataset) -> list[Entry]:
+    """Return the attributes of a dataset and of the groups above it, and the values beside it and in those groups."""
+    page_count = len(make_pages(dataset.shape, dataset.dtype))
+    entries = _list_attributes(dataset)
+    group = dataset
+    while group.name != "/":
+        group = group.parent
+        entries += _list_attributes(group)
+        for name in list(group)[:MAX_MEMBERS]:
+            member = _get_member(group, name)
+            if isinstance(member, h5py.Dataset) and member.size is not None and member != dataset:
+                entries += _list_values(name, member, page_count)
+    return [entry for entry in entries if entry[1]]
+
+
+def _list_attributes(source: h5py.Dataset | h5py.Group) -> list[Entry]:
+    """Return the first attributes of a dataset or group."""
+    return [(name, _format_value(value), None) for name, value in list(source.attrs.items())[:MAX_MEMBERS]]
+
+
+def _list_values(name: str, dataset: h5py.Dataset, page_count: int) -> list[Entry]:
+    """Return the single value of a dataset, or its numbers if it has one per page, with their unit."""
+    units = _format_value(dataset.attrs.get("units", ""))
+    if dataset.size == 1:
+        return [(name, f"{_format_value(dataset[()])} {units}".strip(), None)]
+    if dataset.shape == (page_count,) and dataset.dtype.kind in "iuf":
+        return [(name, f"{_format_value(value)} {units}".strip(), page) for page, value in enumerate(dataset[()])]
+    return []
+
+
+def _format_value(value: Any) -> str:
+    """Return a single number or text as text; "" for anything else."""
+    values = np.asarray(value).ravel()
+    if values.size != 1 or not isinstance(values[0], str | bytes | np.number):
+        return ""
+    text = values[0].decode(errors="replace") if isinstance(values[0], bytes) else str(values[0])
+    return text[:MAX_TEXT]
+
+
+def answer_request(request: dict[str, Any]) -> tuple[Any, bytes]:
+    """Return the content of the reply to a request, and the bytes of its pixels. Raises `ImageError`."""
+    with h5py.File(request["path"], "r", locking=False) as file:
+        if request["what"] == "stacks":
+            return list_stacks(file), b""
+        dataset = find_dataset(file, request["inside"])
+        if request["what"] == "metadata":
+            return list_metadata(dataset), b""
+        check_dataset(dataset, Path(request["path"]).stat().st_size)
+        if request["what"] == "shape":
+            return [dataset.shape, dataset.dtype.str], b""
+        pixels = read_page(dataset, request["page"])
+        return [pixels.shape, pixels.dtype.str], pixels.tobytes()
+
+
+def serve() -> None:
+    """Answer requests on standard input until it ends."""
+    output = os.fdopen(os.dup(1), "wb")
+    # What the HDF5 library prints must not get between the replies.
+    os.dup2(2, 1)
+    for line in sys.stdin.buffer:
+        used_s = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+        hard_limit = resource.getrlimit(resource.RLIMIT_CPU)[1]
+        resource.setrlimit(resource.RLIMIT_CPU, (int(used_s) + 1 + MAX_REQUEST_S, hard_limit))
+        pixels, reply = b"", dict[str, Any]()
+        try:
+            reply["result"], pixels = answer_request(json.loads(line))
+        except ImageError as error:
+            reply["refused"] = str(error)
+        except MemoryError:
+            reply["memory"] = True
+        except Exception as error:
+            reply["error"] = f"{type(error).__name__}: {error}"
+        output.write(json.dumps(reply | {"bytes": len(pixels)}).encode() + b"\n" + pixels)
+        output.flush()
