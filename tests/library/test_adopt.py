@@ -21,7 +21,7 @@ from spotcheck.export.adoption.learned import Learned, learned_of
 from spotcheck.export.adoption.written import write
 from spotcheck.fitting.fits import fit_crops
 from spotcheck.io import store
-from spotcheck.io.schema import breach_of
+from spotcheck.io.schema import find_violation
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, crop_grid
 from spotcheck.model.effect import AppliedEffect
@@ -63,7 +63,7 @@ def test_instrument_keys_of_an_effect_do_what_it_does(name):
             # A converter stops at a whole number.
             applied = applied.with_value("level", round(applied.parameters["level"]))
             keys = {key.partition(".")[2]: value for key, value in applied.instrument_keys(SENSOR).items()}
-        assert breach_of({"sensor": keys}, "instrument") is None
+        assert find_violation({"sensor": keys}, "instrument") is None
         if keys:
             has_keys.append(variant)
             by_effect, by_sensor = moments((applied,), SENSOR), moments((), replace(SENSOR, **keys))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import spotcheck
-from spotcheck.io.provenance import running
+from spotcheck.io.provenance import walk_executed
 from tests.library.conftest import ROOT
 
 WORKFLOW = ROOT / "workflow"
@@ -33,7 +33,7 @@ def imports(path: Path, when_running: bool = False) -> set[str]:
     """Dotted names that a file imports anywhere; of `from a import b` both a and a.b. With `when_running` without those
     that only a type checker reads."""
     found = set()
-    for node in running(tree_of(path)) if when_running else ast.walk(tree_of(path)):
+    for node in walk_executed(tree_of(path)) if when_running else ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -5,7 +5,7 @@ import yaml
 
 from spotcheck.cli import main
 from spotcheck.errors import InputError
-from spotcheck.io.configuration import remark_on, settled
+from spotcheck.io.configuration import remark_on_quotes, resolve_config
 from tests.conftest import ROOT
 
 DEFAULT = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))
@@ -29,12 +29,12 @@ ODD = ["lab #3", "monday: cold", "[1] first", "'quoted'", "*star", "a & b", "202
 @pytest.mark.parametrize("key", ["dataset", "results"])
 def test_a_path_counts_as_it_was_typed(key, name):
     word = f"{key}=/data/{name}" if name.startswith("lab") else f"{key}={name}"
-    assert settled(read_by_snakemake(word), [word])[key] == word.split("=", 1)[1]
+    assert resolve_config(read_by_snakemake(word), [word])[key] == word.split("=", 1)[1]
 
 
 def test_a_path_of_the_file_is_text():
     """YAML reads 2024 as a number; a slash at the end is no part of a name."""
-    found = settled(DEFAULT | {"dataset": 2024, "results": "out/", "datasets": [7, "b/"]}, [])
+    found = resolve_config(DEFAULT | {"dataset": 2024, "results": "out/", "datasets": [7, "b/"]}, [])
     assert (found["dataset"], found["results"], found["datasets"]) == ("2024", "out", ["7", "b"])
 
 
@@ -43,24 +43,26 @@ def test_a_list_that_yaml_reads_otherwise_is_refused(text):
     with pytest.raises(
         InputError, match=r"^config: datasets is .*; it must be a list such as .* in quotes$"
     ) as refused:
-        settled(read_by_snakemake(f"datasets={text}"), [f"datasets={text}"])
+        resolve_config(read_by_snakemake(f"datasets={text}"), [f"datasets={text}"])
     assert text in str(refused.value)
 
 
 def test_a_list_with_quotes_is_read():
     word = "datasets=['lab #3', b]"
-    assert settled(read_by_snakemake(word), [word])["datasets"] == ["lab #3", "b"]
+    assert resolve_config(read_by_snakemake(word), [word])["datasets"] == ["lab #3", "b"]
 
 
 @pytest.mark.parametrize("word", ["results=", "dataset=", "results=a{b}"])
 def test_what_is_no_path_is_refused(word):
     with pytest.raises(InputError, match=r"^config: .*"):
-        settled(read_by_snakemake(word), [word])
+        resolve_config(read_by_snakemake(word), [word])
 
 
 def test_odd_names_are_remarked():
-    assert {name for name in ODD if remark_on(name)} == set(ODD) - {"2024", "a & b"}
-    assert not [name for name in ("my-frames", "my frames", "/data/2024-05-06", "ab#c", "a.b") if remark_on(name)]
+    assert {name for name in ODD if remark_on_quotes(name)} == set(ODD) - {"2024", "a & b"}
+    assert not [
+        name for name in ("my-frames", "my frames", "/data/2024-05-06", "ab#c", "a.b") if remark_on_quotes(name)
+    ]
 
 
 def test_new_dataset_says_so(tmp_path, capsys):

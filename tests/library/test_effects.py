@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spotcheck.cli import main
-from spotcheck.io.provenance import sources
+from spotcheck.io.provenance import list_sources
 from spotcheck.model import effects
 from spotcheck.model.effect_file import EXAMPLE
 from spotcheck.model.effects import vocabulary
@@ -287,6 +287,6 @@ def test_bounds_in_words():
 
 def test_code_digests_follow_the_effects():
     """Effects are found, not imported by name, and an edit of one must re-run what used it all the same."""
-    covered = {path.name for path in sources("spotcheck.cli.effects")}
+    covered = {path.name for path in list_sources("spotcheck.cli.effects")}
     missing = [name for name in CONTRACT if f"{name}.py" not in covered]
     assert missing == []

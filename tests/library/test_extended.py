@@ -177,7 +177,7 @@ def test_the_command(tmp_path, capsys):
     found = design(tmp_path / "in")
     model = tmp_path / "model.yaml"
     model.write_text(model_text(with_effects(SMEAR)), encoding="utf-8")
-    sensor = store.grid(found).drop_vars([axis.name for axis in found.axes])
+    sensor = store.make_grid(found).drop_vars([axis.name for axis in found.axes])
     for field in fields(SENSOR):
         name = field.name
         sensor[name] = ((), getattr(SENSOR, name), {"units": "1", "long_name": name})

@@ -14,7 +14,7 @@ import xarray as xr
 from spotcheck.cli import main
 from spotcheck.errors import InputError
 from spotcheck.io.plus_minus import plus_minus, two_digits
-from spotcheck.io.provenance import sources
+from spotcheck.io.provenance import list_sources
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.report import figures
 from spotcheck.report.figures import chain, every_figure, series, style
@@ -138,7 +138,7 @@ def test_a_new_file_is_a_new_figure(tiny, tmp_path, monkeypatch):
     assert [entry for entry in after if entry is not own] == list(before) == list(every_figure())
     assert own == [entry for entry in after if entry.category is own.category][-1]
     assert (tmp_path / "drawn" / f"{own.name}.png").exists()
-    drawn_by = {path.name for path in sources("spotcheck.cli.figures")}
+    drawn_by = {path.name for path in list_sources("spotcheck.cli.figures")}
     assert {path.name for path in Path(figures.__file__).parent.glob("*.py")} <= drawn_by
 
 

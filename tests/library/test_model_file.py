@@ -58,7 +58,7 @@ def test_spots_without_a_law(tmp_path):
 
 
 BAD = {
-    "no file": (None, ["m.yaml", "is no file"]),
+    "no file": (None, ["m.yaml", "is not a file"]),
     "no YAML": (("law:", "law: ["), ["m.yaml line", "must be YAML"]),
     "unknown key": (("frame:", "farme:"), ["unknown key farme", "known keys here: schema"]),
     "unknown key in a section": (("p1_px", "p1_m"), ["unknown key law.p1_m", "p1_px, p2_px, peak_dn"]),
@@ -77,7 +77,7 @@ BAD = {
     "form where there is none": (
         ("name: smear", "form: any\n    name: smear"), ["effects.0: the form of smear is any", "leave it out"]
     ),
-    "infinite": (("p2_px: 11", "p2_px: .inf"), ["m.yaml", "no number to reckon with"]),
+    "infinite": (("p2_px: 11", "p2_px: .inf"), ["m.yaml", "not a finite number"]),
     "spot twice": (('"repeat": 1, "x_px": 73', '"repeat": 0, "x_px": 73'), ["spots.1 stands twice"]),
     "spot without a place": ((', "x_px": 73.0', ""), ["key spots.1.x_px is missing"]),
     "spot with a width of its own": (

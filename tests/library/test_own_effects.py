@@ -13,7 +13,7 @@ from spotcheck.cli import vocabulary as options
 from spotcheck.dataset import folder as dataset
 from spotcheck.discrepancy.written import breach_of_verdict
 from spotcheck.errors import InputError
-from spotcheck.io.schema import breach_of, read_keys
+from spotcheck.io.schema import find_violation, read_keys
 from spotcheck.model import effects
 from spotcheck.model.effect_file import read_effect
 from spotcheck.model.effects import Choice, built_in, vocabulary
@@ -262,12 +262,12 @@ def test_the_keys_of_the_configuration():
         {"vocabulary": {"only": ["smear"]}},
         {"vocabulary": {"without": ["smear"]}},
     ):
-        assert breach_of(given | own, "config") is None
+        assert find_violation(given | own, "config") is None
     del given["effects"], given["vocabulary"]
-    assert breach_of(given, "config") is None
+    assert find_violation(given, "config") is None
     for own in ({"effects": "lab/coma.py"}, {"effects": [""]}, {"vocabulary": {"with": ["smear"]}},
                 {"vocabulary": {"only": []}}, {"vocabulary": ["smear"]}):  # fmt: skip
-        assert breach_of(given | own, "config"), own
+        assert find_violation(given | own, "config"), own
 
 
 def test_the_command_line_says_what_the_configuration_says():

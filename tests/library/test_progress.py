@@ -20,8 +20,8 @@ class Terminal(io.StringIO):
 @pytest.fixture
 def said(monkeypatch):
     """Where progress is said; work counts as long from its start, and every change is told."""
-    monkeypatch.setattr(progress, "AFTER_S", -1.0)
-    for every in ("DRAWN_S", "EVERY_S"):
+    monkeypatch.setattr(progress, "SHOW_AFTER_S", -1.0)
+    for every in ("REDRAW_S", "LINE_S"):
         monkeypatch.setattr(progress, every, 0.0)
 
     def on(stream: io.StringIO) -> io.StringIO:
@@ -34,10 +34,10 @@ def said(monkeypatch):
 def test_the_library_says_nothing(said):
     """Unless it is asked to, and the items are the very object that was given."""
     stream, items = said(io.StringIO()), [1, 2]
-    assert progress.over(items, "counting") is items
-    with progress.steps("judging"):
-        progress.step("first", 0.0, 0.5)
-        progress.nearer("one so far")
+    assert progress.track(items, "counting") is items
+    with progress.track_steps("judging"):
+        progress.begin_step("first", 0.0, 0.5)
+        progress.advance("one so far")
     assert stream.getvalue() == ""
 
 
@@ -45,7 +45,7 @@ def test_lines_without_a_terminal(said):
     """One for each change, and no sign that moves a cursor."""
     stream = said(io.StringIO())
     with progress.shown():
-        assert list(progress.over(iter("abc"), "fitting spots", 3)) == ["a", "b", "c"]
+        assert list(progress.track(iter("abc"), "fitting spots", 3)) == ["a", "b", "c"]
     lines = stream.getvalue().splitlines()
     # A beat may say the same once more.
     told = list(dict.fromkeys(line.split(",")[0] for line in lines))
@@ -58,7 +58,7 @@ def test_a_bar_on_a_terminal(said):
     """It is drawn anew on one line, and gone at the end."""
     stream = said(Terminal())
     with progress.shown():
-        list(progress.over(range(4), "fitting spots"))
+        list(progress.track(range(4), "fitting spots"))
     drawn = stream.getvalue()
     assert "4 of 4" in drawn and "\n" not in drawn
     assert not drawn.split("\r")[-1].strip()
@@ -67,34 +67,34 @@ def test_a_bar_on_a_terminal(said):
 def test_steps(said):
     """Their names with their shares, which never go back, nor beyond the end of the step."""
     stream = said(io.StringIO())
-    with progress.shown(), progress.steps("judging"):
-        progress.step("fit", 0.0, 0.1)
-        progress.step("search", 0.1, 0.8)
+    with progress.shown(), progress.track_steps("judging"):
+        progress.begin_step("fit", 0.0, 0.1)
+        progress.begin_step("search", 0.1, 0.8)
         for k in range(40):
-            progress.nearer(f"{k} so far")
-        progress.step("again", 0.5, 0.8)
-        progress.step("rest", 0.8, 1.0)
+            progress.advance(f"{k} so far")
+        progress.begin_step("again", 0.5, 0.8)
+        progress.begin_step("rest", 0.8, 1.0)
     shares = [int(own) for own in re.findall(r"(\d+) %", stream.getvalue())]
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 80
     assert "judging, search, 7 so far: " in stream.getvalue() and "about" in stream.getvalue()
     # What is done outside belongs to no steps.
-    progress.nearer("nothing")
+    progress.advance("nothing")
 
 
-@pytest.mark.parametrize(("stream", "every"), [(io.StringIO, "EVERY_S"), (Terminal, "BEAT_S")])
+@pytest.mark.parametrize(("stream", "every"), [(io.StringIO, "LINE_S"), (Terminal, "BEAT_S")])
 def test_a_long_step_is_alive(said, monkeypatch, stream, every):
     """It is shown again and again, though nothing is said of it, and no more once it is over."""
     written = said(stream())
     with progress.shown():
-        for name in ("EVERY_S", "BEAT_S"):
+        for name in ("LINE_S", "BEAT_S"):
             monkeypatch.setattr(progress, name, 0.01 if name == every else 3600.0)
-        with progress.steps("judging"):
-            progress.step("search", 0.0, 1.0)
+        with progress.track_steps("judging"):
+            progress.begin_step("search", 0.0, 1.0)
             before = time.monotonic()
             while written.getvalue().count("search") < 5:
                 assert time.monotonic() < before + 10.0, "no beat within ten seconds"
                 time.sleep(0.01)
-        for _ in progress.over(range(2), "fitting spots"):
+        for _ in progress.track(range(2), "fitting spots"):
             before = time.monotonic()
             while len(re.findall(r"fitting spots: [^f]*0 of 2", written.getvalue())) < 5:
                 assert time.monotonic() < before + 10.0, "no beat within ten seconds"
@@ -109,7 +109,7 @@ def test_time_to_go_runs_down(said, monkeypatch):
     unknown once it has passed."""
     clock = [0.0]
     monkeypatch.setattr("tqdm.std.time", lambda: clock[0])
-    with progress._bar("{percentage:.0f} %", "about ", total=1.0, desc="judging") as bar:
+    with progress._make_bar("{percentage:.0f} %", "about ", total=1.0, desc="judging") as bar:
         told = []
         for clock[0], done in ((10.0, 0.1), (40.0, 0.0), (99.0, 0.0), (130.0, 0.0), (140.0, 0.7)):
             bar.update(done)
@@ -120,10 +120,10 @@ def test_time_to_go_runs_down(said, monkeypatch):
 
 def test_short_work_is_not_worth_a_word(said, monkeypatch):
     """What is done within seconds."""
-    monkeypatch.setattr(progress, "AFTER_S", 60.0)
+    monkeypatch.setattr(progress, "SHOW_AFTER_S", 60.0)
     stream = said(io.StringIO())
     with progress.shown():
-        list(progress.over(range(100), "counting"))
+        list(progress.track(range(100), "counting"))
     assert stream.getvalue() == ""
 
 

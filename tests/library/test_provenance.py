@@ -76,13 +76,13 @@ def test_the_packages_above_a_module_count(tmp_path):
     """Python runs pkg/room/__init__.py before pkg/room/inside.py, whatever the import looks like."""
     base = tree(tmp_path)
     (base / "pkg" / "plain.py").write_text("import pkg.room.inside\n")
-    assert base / "pkg" / "room" / "__init__.py" in provenance.sources("pkg.plain", base)
+    assert base / "pkg" / "room" / "__init__.py" in provenance.list_sources("pkg.plain", base)
 
 
 def test_an_unknown_module(tmp_path):
     """Named, with the folder it was looked for in."""
     with pytest.raises(ModuleNotFoundError, match=r"pkg\.none: no module below"):
-        provenance.sources("pkg.none", tree(tmp_path))
+        provenance.list_sources("pkg.none", tree(tmp_path))
 
 
 def test_what_a_notebook_imports(tmp_path):
@@ -94,7 +94,7 @@ def test_what_a_notebook_imports(tmp_path):
     ]
     path = tree(tmp_path) / "n.ipynb"
     path.write_text(json.dumps({"cells": cells}))
-    assert provenance.notebook_modules(path, tmp_path) == ["pkg", "pkg.leaf", "pkg.middle"]
+    assert provenance.list_notebook_imports(path, tmp_path) == ["pkg", "pkg.leaf", "pkg.middle"]
 
 
 def test_file_digest(tmp_path):
@@ -106,7 +106,7 @@ def test_file_digest(tmp_path):
 @pytest.mark.parametrize("stage", ["fit", "crop", "simulate"])
 def test_real_stages_cover_what_they_compute_with(stage):
     """The sensor belongs to fit and simulate, the forward model to simulate, the parser to none."""
-    names = {p.relative_to(provenance.ROOT).as_posix() for p in provenance.sources(f"spotcheck.cli.{stage}")}
+    names = {p.relative_to(provenance.ROOT).as_posix() for p in provenance.list_sources(f"spotcheck.cli.{stage}")}
     assert {"spotcheck/io/store.py", "spotcheck/dataset/folder.py"} <= names
     assert ("spotcheck/sensor/distribution.py" in names) == (stage != "crop")
     assert ("spotcheck/model/forward.py" in names) == (stage == "simulate")

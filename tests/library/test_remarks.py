@@ -90,7 +90,7 @@ def test_exact_errors_and_infinities_are_said(tmp_path):
         ds[name] = ("n", np.array(values), {"units": "1", "long_name": name})
     ds["n"] = ("n", np.arange(3), {"units": "1", "long_name": "n"})
     ds["well"] = ((), np.inf, {"units": "e-", "long_name": "well", "infinite": "none"})
-    store.write(store.with_remarks(ds, ["one", "one"]), tmp_path / "a.nc", code="")
+    store.write(store.add_remarks(ds, ["one", "one"]), tmp_path / "a.nc", code="")
     with store.read(tmp_path / "a.nc") as own:
         first, zero, infinite = store.remarks_of(own)
     assert first == "one" and infinite == "ratio is infinite in 2 of 3 places"

@@ -10,23 +10,23 @@ from pathlib import Path
 import pytest
 
 from spotcheck.errors import InputError
-from spotcheck.io import running
+from spotcheck.io import run_control
 from tests.library.conftest import ROOT
 
 # A run with two jobs, one of which takes no hint; it says so when they are there.
 RUN = """
 import os, subprocess, sys, time
 from pathlib import Path
-from spotcheck.io import running
-token = running.new_token()
-held = running.hold(Path(sys.argv[1]), token)
-os.environ[running.TOKEN] = token
+from spotcheck.io import run_control
+token = run_control.make_token()
+held = run_control.lock_results(Path(sys.argv[1]), token)
+os.environ[run_control.TOKEN_VARIABLE] = token
 deaf = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(1, flush=True); time.sleep(60)"
 jobs = [subprocess.Popen([sys.executable, "-c", "import time; print(1, flush=True); time.sleep(60)"], stdout=-1)]
 jobs += [subprocess.Popen([sys.executable, "-c", deaf], stdout=-1)]
 for job in jobs:
     job.stdout.readline()
-running.end_with_jobs(token)
+run_control.end_jobs_on_signal(token)
 try:
     print(token, flush=True)
     while True:
@@ -45,13 +45,13 @@ def run(tmp_path):
         token = process.stdout.readline().strip()
         yield process, token
         process.kill()
-    running.end_jobs(token)
+    run_control.end_jobs(token)
 
 
 def test_a_second_run_is_refused(run, tmp_path):
     with pytest.raises(InputError, match=rf"^{tmp_path}: another run is working there; "):
-        running.hold(tmp_path, "second")
-    assert len(running.jobs_of(run[1])) == 2
+        run_control.lock_results(tmp_path, "second")
+    assert len(run_control.find_jobs(run[1])) == 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -62,18 +62,18 @@ def test_a_run_that_is_stopped_ends_with_its_jobs(run, number):
     process.send_signal(number)
     assert process.wait(timeout=10) == 1
     assert time.monotonic() - start < 10
-    assert running.jobs_of(token) == []
-    assert process.stderr.read() == f"spotcheck: stopped by {number.name}; the same call goes on from here\n"
+    assert run_control.find_jobs(token) == []
+    assert process.stderr.read() == f"spotcheck: stopped by {number.name}; the same command continues from here\n"
 
 
 def test_after_a_killed_run_the_next_one_ends_its_jobs(run, tmp_path):
     process, token = run
     process.kill()
     process.wait()
-    assert len(running.jobs_of(token)) == 2
-    with running.hold(tmp_path, "next"):
-        assert running.jobs_of(token) == []
-        assert running.note_of(tmp_path).read_text() == "next"
+    assert len(run_control.find_jobs(token)) == 2
+    with run_control.lock_results(tmp_path, "next"):
+        assert run_control.find_jobs(token) == []
+        assert run_control.get_lock_path(tmp_path).read_text() == "next"
 
 
 def test_parts_go_with_their_writers(tmp_path):
@@ -85,7 +85,7 @@ def test_parts_go_with_their_writers(tmp_path):
     (tmp_path / "notebooks").mkdir()
     for path in (*gone, *kept):
         path.touch()
-    running.clear_parts(tmp_path)
+    run_control.remove_scratch_files(tmp_path)
     assert [path.exists() for path in gone] == [False, False]
     assert all(path.exists() for path in kept)
 
@@ -96,4 +96,4 @@ def test_writers_name_their_parts_alike(tmp_path):
     named = [line for path in writers for line in path.read_text().splitlines() if '.part")' in line]
     assert len(named) == 2
     assert all(".{os.getpid()}.part" in line for line in named)
-    assert running.PART.fullmatch(Path(f".frames.nc.json.{os.getpid()}.part").name)
+    assert run_control.SCRATCH_NAME.fullmatch(Path(f".frames.nc.json.{os.getpid()}.part").name)

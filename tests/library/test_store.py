@@ -126,7 +126,7 @@ def test_an_axis_that_was_not_recorded(tmp_path):
     with store.read(tmp_path / "f.nc") as out:
         assert out.attrs["not_recorded"] == "angle exposure"
         assert out.sizes["angle"] == out.sizes["exposure"] == 1
-        assert [store.recorded(out, axis) for axis in ("angle", "exposure", "repeat")] == [False, False, True]
+        assert [axis in out.coords for axis in ("angle", "exposure", "repeat")] == [False, False, True]
         assert store.grid_dims(out) == ("angle", "exposure", "repeat")
 
 
@@ -134,7 +134,7 @@ def test_conditions_are_dimensions(tmp_path):
     """A declared condition's dimension bears its column's name and the unit of its suffix."""
     rows = ["frames/a.tif,spot,0,1e-4,0,0.1", "frames/b.tif,spot,0,1e-4,0,0.2"]
     ds = dataset.load(folder(tmp_path, rows, "conditions: [z_m]", HEADER + ",z_m"))
-    grid = store.grid(ds)
+    grid = store.make_grid(ds)
     assert grid["z_m"].values.tolist() == [0.1, 0.2] and grid["z_m"].attrs["units"] == "m"
 
 
@@ -265,9 +265,9 @@ def test_a_folder_that_takes_no_file(tmp_path, monkeypatch, number):
 
 def test_other_errors_keep_their_names(tmp_path, monkeypatch):
     """What netCDF refuses on a disk with room, and what cannot be read meanwhile, is no fault of the file's place."""
-    with pytest.raises(RuntimeError, match="NetCDF: bad"), store.appearing_whole(tmp_path / "r.nc"):
+    with pytest.raises(RuntimeError, match="NetCDF: bad"), store.write_with_sidecar(tmp_path / "r.nc"):
         raise RuntimeError("NetCDF: bad type")
-    with pytest.raises(PermissionError), store.appearing_whole(tmp_path / "r.nc"):
+    with pytest.raises(PermissionError), store.write_with_sidecar(tmp_path / "r.nc"):
         raise PermissionError(errno.EACCES, "Permission denied", "/data/frames/a.tif")
     assert list(tmp_path.iterdir()) == []
 
@@ -278,7 +278,7 @@ from pathlib import Path
 from spotcheck import cli
 from spotcheck.io import store
 def run(words):
-    with store.appearing_whole(Path("{path}")) as scratch:
+    with store.write_with_sidecar(Path("{path}")) as scratch:
         scratch.write_text("half")
         print(1, flush=True)
         time.sleep(60)

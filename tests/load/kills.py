@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.io import running
+from spotcheck.io import run_control
 from tests.conftest import ROOT, SNAKEMAKE, environment
 from tests.load.rows import Row, write
 from tests.load.values import differing, values_of
@@ -79,7 +79,7 @@ def outcome(results: Path, command: list[str], log: Path, wanted: dict[str, obje
         return f"the same call ended with {code}: {log.read_text().strip().splitlines()[-1]}"
     if left := [path.name for path in results.rglob("*.part*")]:
         return f"left behind: {', '.join(left)}"
-    if running.jobs_of(running.note_of(next(results.iterdir())).read_text()):
+    if run_control.find_jobs(run_control.get_lock_path(next(results.iterdir())).read_text()):
         return "jobs survived"
     if other := differing(wanted, values_of(results)):
         return f"other values: {', '.join(other)}"
@@ -91,7 +91,7 @@ def beside(folder: Path, base: Path, words: list[str]) -> Try:
     results, log = base / "beside", base / "beside.log"
     command = call(folder, results, words)
     first = start(command, log)
-    while first.poll() is None and not running.note_of(results / folder.name).exists():
+    while first.poll() is None and not run_control.get_lock_path(results / folder.name).exists():
         time.sleep(0.1)
     second = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True, check=False)
     begin = time.monotonic()

@@ -22,9 +22,9 @@ def code(name: str) -> list[str]:
     reading = ("score.py", "page.py", "reading.py", "picture.py")
     makers = [Path(__file__).with_name("judge.py"), *(path for path in made if path.name not in reading)]
     stages = ("ingest", "crop", "sensor", "judge", "flats")
-    modules = {module for path in makers for module in provenance.imported_modules(path)}
+    modules = {module for path in makers for module in provenance.list_imports(path)}
     modules |= {f"spotcheck.cli.{stage}" for stage in stages}
-    files = {*makers, *(path for module in modules for path in provenance.sources(module))}
+    files = {*makers, *(path for module in modules for path in provenance.list_sources(module))}
     return sorted(str(path.relative_to(ROOT)) for path in files)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from spotcheck.io import running
+from spotcheck.io import run_control
 from tests.conftest import ROOT, SNAKEMAKE, environment
 from tests.workflow.test_bad_input import digests
 
@@ -72,7 +72,7 @@ def test_the_same_call_goes_on(started, undisturbed, number):
     assert run.wait(timeout=20) != 0
     assert time.monotonic() - begin < 10
     if number != signal.SIGKILL:
-        assert running.jobs_of(running.note_of(results / "mine").read_text()) == []
+        assert run_control.find_jobs(run_control.get_lock_path(results / "mine").read_text()) == []
     again = finish(folder, results)
     assert again.returncode == 0, again.stdout + again.stderr
     assert (results / "mine" / "frames.nc").stat().st_mtime_ns == done

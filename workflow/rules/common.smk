@@ -8,7 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
 
-from spotcheck.io import configuration, store, writing
+from spotcheck.io import configuration, store, atomic_files
 
 from spotcheck.dataset import ingested as seen
 from spotcheck.dataset import folder as contract
@@ -18,7 +18,7 @@ from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.baseline import of_instrument
 from spotcheck.model.simulation import STACK
-from spotcheck.io.provenance import code_digest, file_digest, notebook_modules
+from spotcheck.io.provenance import code_digest, file_digest, list_notebook_imports
 
 # Rules call `spotcheck`, `rig` and `papermill` of the environment that runs this file, whether it is active or not.
 os.environ.update(PATH=os.pathsep.join([str(Path(sys.executable).parent), *os.get_exec_path()]))
@@ -61,7 +61,7 @@ def has_flats(found):
 
 
 try:
-    config |= configuration.settled(config, workflow.config_settings.config_args or ())
+    config |= configuration.resolve_config(config, workflow.config_settings.config_args or ())
     DATASETS = by_name(map(opened, config["datasets"] or [config["dataset"]]))
     # A user's effects run with a user's rights, so only the configuration names them, never a dataset.
     effects.choose(vocabulary.of_config(config))
@@ -141,7 +141,7 @@ def content_note(wildcards):
     records of parameters have gone, or never were, as where results were moved."""
     note = seen.memory_of(Path(results_folder(wildcards))).with_name("content")
     if not PLANS and (not note.exists() or note.read_text() != content_of(wildcards.dataset)):
-        writing.text(note, content_of(wildcards.dataset))
+        atomic_files.write_text(note, content_of(wildcards.dataset))
     return [str(note)] if note.exists() else []
 
 
@@ -236,4 +236,4 @@ def code(*commands):
 
 def notebook_code(notebook):
     """Digest of the library modules that a notebook imports."""
-    return code_digest(*notebook_modules(Path(workflow.basedir, "notebooks", f"{notebook}.ipynb")))
+    return code_digest(*list_notebook_imports(Path(workflow.basedir, "notebooks", f"{notebook}.ipynb")))

@@ -4,11 +4,11 @@
 from base64 import urlsafe_b64decode
 from shutil import rmtree
 
-from spotcheck.io import running
+from spotcheck.io import run_control
 
 # Dry runs, and what a job of a run asks of Snakemake, write nothing and wait for nobody.
-PLANS = workflow.output_settings.dryrun or not workflow.is_main_process or running.TOKEN in os.environ
-RUN = running.new_token()
+PLANS = workflow.output_settings.dryrun or not workflow.is_main_process or run_control.TOKEN_VARIABLE in os.environ
+RUN = run_control.make_token()
 RESULTS = {name: Path(config["results"], name).absolute() for name in DATASETS}
 # Snakemake's notes on the files of runs.
 STATE = Path(".snakemake").absolute()
@@ -18,7 +18,7 @@ HELD = {}
 
 def hold(name):
     """Hold the results of a dataset, once."""
-    if name not in HELD and (stream := running.hold(RESULTS[name], RUN)):
+    if name not in HELD and (stream := run_control.lock_results(RESULTS[name], RUN)):
         HELD[name] = stream
 
 
@@ -59,16 +59,16 @@ def forget_dead_runs():
                 made.unlink(missing_ok=True)
             mark.unlink()
     for name in HELD:
-        running.clear_parts(RESULTS[name])
+        run_control.remove_scratch_files(RESULTS[name])
         if has_rig(DATASETS[name]):
-            running.clear_parts(DATASETS[name].folder / "frames")
+            run_control.remove_scratch_files(DATASETS[name].folder / "frames")
 
 
 if not PLANS:
     try:
         # A run notes that it is there after Snakemake has locked its files: one that died in between left a lock alone.
         for name in DATASETS:
-            if running.note_of(RESULTS[name]).exists() or locks_on([name]):
+            if run_control.get_lock_path(RESULTS[name]).exists() or locks_on([name]):
                 hold(name)
         forget_dead_runs()
     except InputError as error:
@@ -84,8 +84,8 @@ onstart:
                 hold(name)
         except InputError as error:
             sys.exit(f"spotcheck: {error}")
-        os.environ[running.TOKEN] = RUN
-        running.end_with_jobs(RUN)
+        os.environ[run_control.TOKEN_VARIABLE] = RUN
+        run_control.end_jobs_on_signal(RUN)
 
 
 onsuccess:

@@ -1,8 +1,10 @@
-"""What the user can mend."""
+"""The exception for errors that the user can correct."""
 
 
 class InputError(ValueError):
-    """What the user gave cannot be used; the text is one sentence: file, row or key, what is wrong, what is right.
+    """An input is wrong and the user can correct it.
+
+    The text is one sentence: where the error is (file, row or key), what is wrong, and what to do.
 
     Examples
     --------

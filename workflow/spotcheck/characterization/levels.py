@@ -61,7 +61,7 @@ def levels_of(dataset: Dataset, full_scale_dn: float) -> list[Level]:
     ordered.sort(key=lambda key: key[0] != "dark")
     sensor = straightening(dataset, full_scale_dn)
     read = {key: (sensor.linearize(frames.read_good(dataset, own)) for own in groups[key]) for key in ordered}
-    levels = progress.over(list(read.items()), "reading levels of flats and darks")
+    levels = progress.track(list(read.items()), "reading levels of flats and darks")
     return with_common_drift(
         [level_of(images, *key, sensor.without_curvature().full_scale_dn) for key, images in levels]
     )

@@ -126,7 +126,7 @@ def resolve(
     )
     against += in_numbers(dataset, gain, Told(level.value, level.stderr), end.reading, highest_dn)
     refused = {name: own.sentence for own in against for name in own.unknown}
-    ds = store.grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
+    ds = store.make_grid(dataset).drop_vars([axis.name for axis in dataset.axes if axis.values is not None])
     for name, (units, long_name) in QUANTITIES.items():
         used = _used(name, found[name], getattr(given.sensor, name, None), refused.get(name, ""))
         if name == "full_scale_dn":
@@ -137,7 +137,7 @@ def resolve(
         ds[f"{name}_stderr"] = ((), used.stderr, {"units": units, "long_name": f"standard error of {long_name}"})
     ds["full_well_e"].attrs["infinite"] = "no pixel is ever full"
     _put_sources(ds, found)
-    return store.with_remarks(ds, [*remarks, *(own.sentence for own in against)])
+    return store.add_remarks(ds, [*remarks, *(own.sentence for own in against)])
 
 
 def _by_sheet(instrument: Instrument) -> dict[str, dict[str, Found]]:

@@ -24,7 +24,7 @@ COLUMNS = {
 
 def dataset_of(found: Transfer, title: str, name: str) -> xr.Dataset:
     """Variables over `dark` and `flat` (levels), and over `quantity`; title and name of what was measured."""
-    ds = store.with_remarks(xr.Dataset(attrs={"title": title, "dataset": name}), found.remarks)
+    ds = store.add_remarks(xr.Dataset(attrs={"title": title, "dataset": name}), found.remarks)
     for kind, levels in (("dark", found.darks), ("flat", found.flats)):
         for name, (units, long_name, field) in COLUMNS.items():
             values = np.array([getattr(own, field) for own in levels], float)

@@ -25,7 +25,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Print what was learned of each key and what of it is taken, and write the file."""
     vocabulary.choose(args)
-    folder = store.owner_of(args.results) if args.results.is_dir() else ""
+    folder = store.read_owner(args.results) if args.results.is_dir() else ""
     if not folder:
         raise InputError(f"{args.results}: holds no results of a dataset; name its folder, such as results/my-frames")
     given = dataset.load(folder).instrument

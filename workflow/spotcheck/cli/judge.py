@@ -92,10 +92,10 @@ def judge(found: Dataset, args: argparse.Namespace, tolerance: Tolerance) -> Jud
         ready = prepare_dataset(found, crops, sensor, fits)
         if isinstance(ready, str):
             return Judgement(Findings(reason=ready), None, None, None)
-        with progress.steps("judging"):
+        with progress.track_steps("judging"):
             known = list(effects.vocabulary().values())
             analysis = analyse_frames(
-                ready.frames, ready.spots, ready.setting, known, log=lambda text: progress.nearer("")
+                ready.frames, ready.spots, ready.setting, known, log=lambda text: progress.advance("")
             )
             findings = conclude(analysis, known, ready.remarks)
             if findings.reason:

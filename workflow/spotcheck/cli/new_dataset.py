@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
         template.write(folder, rows, side)
     then = "next" if rows else "fill in the blanks, then"
     print(f"{folder}: wrote manifest.csv, instrument.yaml; {then}: spotcheck check {folder}")
-    if remark := configuration.remark_on(str(folder)):
+    if remark := configuration.remark_on_quotes(str(folder)):
         print(remark)
 
 

@@ -53,7 +53,7 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
     looks, first, tops = dict[str, seen.Look](), dict[bytes, int](), []
-    for k, frame in enumerate(progress.over(dataset.frames, "reading frames")):
+    for k, frame in enumerate(progress.track(dataset.frames, "reading frames")):
         if frame.path not in looks:
             path = dataset.folder / frame.path
             looks[frame.path] = seen.look(path, before.get(str(path)))
@@ -74,7 +74,7 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
     columns["at_full_scale"][:] = [own.pixels if own.highest == end.reading else 0 for own in tops]
     ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
     remarks = [*probe.remarks, *remarks_on(dataset), *end.remarks, *copies(dataset, columns["copy_of"])]
-    ds = store.with_remarks(ds, remarks)
+    ds = store.add_remarks(ds, remarks)
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})
     for name, (_, units, long_name) in names.items():
         ds[name] = ("frame", columns[name], {"units": units, "long_name": long_name})
@@ -172,7 +172,7 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
         seen.as_ingested(dataset, table),
     ):
         places, statuses, glances = [], [], []
-        for index, frame, pixels in progress.over(frames.spots(dataset), "cropping spots", len(dataset.spots)):
+        for index, frame, pixels in progress.track(frames.spots(dataset), "cropping spots", len(dataset.spots)):
             if (frame.file, frame.page) not in copied:
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
             again = store.flag("copy") if copied[frame.file, frame.page] else 0
@@ -229,12 +229,12 @@ def _judged(
         statuses[own.spot] |= store.flag(own.flag)
     aside: dict[str, list[str]] = {}
     for k, frame in enumerate(dataset.spots):
-        flags = statuses[k, CENTRINGS.index("light")] & store.SET_ASIDE
+        flags = statuses[k, CENTRINGS.index("light")] & store.EXCLUDED
         if frame.keep:
-            statuses[k] &= ~store.TAKEN_BACK
+            statuses[k] &= ~store.CLEARED_BY_KEEP
         if not flags:
             continue
-        said = f"{store.status_names(flags)}: {why.get(k, store.reasons(flags))}"
+        said = f"{store.status_names(flags)}: {why.get(k, store.describe_flags(flags))}"
         manner = "used by hand (keep = yes in manifest.csv) though" if frame.keep else "set aside as"
         aside.setdefault(f"{manner} {said}", []).append(frame.label)
     told = [f"{own[0]} is {text}" if len(own) == 1 else f"{len(own)} frames are {text} ({some_of(own)})"

@@ -15,7 +15,7 @@ import xarray as xr
 
 from spotcheck.dataset.folder import Dataset
 from spotcheck.errors import InputError
-from spotcheck.io import provenance, writing
+from spotcheck.io import atomic_files, provenance
 
 # A file must have been left alone for so long before it was read, or else a later change may bear the same time [ns]:
 # disks count time in steps of 4 ms, some network disks in seconds.
@@ -66,7 +66,7 @@ def looks(paths: Iterable[str | Path], before: Mapping[str, Look]) -> dict[str, 
 def remember(found: dict[str, Look], memory: Path) -> None:
     """Write looks down, where they differ from what is remembered."""
     if found != recall(memory):
-        writing.text(memory, json.dumps(found))
+        atomic_files.write_text(memory, json.dumps(found))
 
 
 @contextmanager

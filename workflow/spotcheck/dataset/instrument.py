@@ -9,7 +9,7 @@ from typing import Any
 from spotcheck.dataset.manifest import REQUIRED_COLUMNS
 from spotcheck.dataset.plausible import USUAL, hint
 from spotcheck.errors import InputError
-from spotcheck.io.schema import breach_of, read_keys
+from spotcheck.io.schema import find_violation, read_keys
 
 # No condition may bear the name of a standard column, or of a dimension or variable of the results.
 RESERVED = {
@@ -239,7 +239,7 @@ def _content(path: Path) -> dict[str, Any]:
     """Keys of one file, with absolute paths of the files that it names. Raises `InputError`."""
     # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
     content = {k: ({} if v is None and k in SECTIONS else v) for k, v in read_keys(path).items()}
-    if breach := breach_of(content, "instrument"):
+    if breach := find_violation(content, "instrument"):
         raise InputError(f"{path.name}: {breach}{_in_another_unit(content, breach)}")
     _find(path, content, "", "based_on", "an instrument file")
     _find(path, content, "light", "profile", "a light.nc")

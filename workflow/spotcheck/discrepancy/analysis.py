@@ -139,9 +139,9 @@ def analyse_frames(
     log : callable
         Receives lines of text on the progress.
     """
-    progress.step("fitting the declared model", 0.0, 0.1)
+    progress.begin_step("fitting the declared model", 0.0, 0.1)
     prepared = prepare_frames(frames, spots, setting)
-    progress.step("looking for effects", 0.1, 0.7)
+    progress.begin_step("looking for effects", 0.1, 0.7)
     first = fit_with_clip(prepared, effects)
     log(f"first fit: {', '.join(first.model.effect_names) or 'no effect'}, converged {first.has_converged}")
     mean_effects = [effect for effect in effects if changes_mean_image(effect)]
@@ -154,7 +154,7 @@ def analyse_frames(
         other = select_again(selected, pixels, mean_effects, prepared.scales, log, update)
         if other.fit.deviance + price_of_fit(other.fit) < selected.fit.deviance + price_of_fit(selected.fit):
             prepared, selected = scattered, other
-    progress.step("predicting held-out frames", 0.7, 0.85)
+    progress.begin_step("predicting held-out frames", 0.7, 0.85)
     withdrawn: tuple[str, ...] = ()
     while True:
         analysis = examine(prepared, selected, [e for e in effects if e.name not in withdrawn], log)

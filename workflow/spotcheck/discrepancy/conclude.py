@@ -53,7 +53,7 @@ def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[st
     remarks : sequence of str
         What a reader should know of the data.
     """
-    progress.step("measuring what is left and its limits", 0.85, 1.0)
+    progress.begin_step("measuring what is left and its limits", 0.85, 1.0)
     prepared, fit = analysis.prepared, analysis.selected.fit
     black_dn = prepared.setting.sensor.black_level_dn
     sums = sum_residuals(prepared.images)

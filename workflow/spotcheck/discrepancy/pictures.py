@@ -143,7 +143,7 @@ def draw_pictures(
 
 
 def _empty(dataset: Dataset, status: str, alpha: float) -> xr.Dataset:
-    out = store.grid(dataset).drop_vars("repeat", errors="ignore")
+    out = store.make_grid(dataset).drop_vars("repeat", errors="ignore")
     return out.assign_attrs(status=status, alpha=alpha)
 
 

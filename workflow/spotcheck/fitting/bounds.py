@@ -73,7 +73,7 @@ def bounds_of(
     middle = float(np.median(exposures))
     asked = [(*s, float(t)) for s, t in zip(states, fine, strict=True)]
     asked += [(float(n), reference[1], middle) for n in photons]
-    found = [peak_bounds(n, sigma, t, sensor, side) for n, sigma, t in progress.over(asked, "computing bounds")]
+    found = [peak_bounds(n, sigma, t, sensor, side) for n, sigma, t in progress.track(asked, "computing bounds")]
     over_exposure, over_photons = np.array(found[: len(fine)]), np.array(found[len(fine) :])
     for name, dim, values in (
         ("exposure", "fine_exposure", over_exposure),

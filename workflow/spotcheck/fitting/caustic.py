@@ -306,7 +306,7 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
         ("positions_far", "axis", np.sum(distance > 2 * length, axis=1), "positions beyond two Rayleigh lengths"),
     ):
         ds[name] = (dims, count, {"units": "1", "long_name": long_name})
-    ds = store.with_remarks(ds, _on_quality(ds, pitch, wavelength))
+    ds = store.add_remarks(ds, _on_quality(ds, pitch, wavelength))
     return ds.assign_attrs(
         beam="stigmatic" if axes.stigmatic else "simple astigmatic",
         width="twice the standard deviation of the fitted Gaussian, not the second moment of ISO 11146-1",

@@ -63,7 +63,7 @@ def fit_crops(
         status[..., 0] |= store.flag("no_noise")
     origin = {1: crops["left"].values, 2: crops["top"].values}
     told = None if maps is None or sensor is None else ByMaps(crops, dims[:-1])
-    for index in progress.over(list(cells(crops, dims[:-1])), "fitting spots"):
+    for index in progress.track(list(cells(crops, dims[:-1])), "fitting spots"):
         at = tuple(index.values())
         if not usable(crops["status"].values[at]):
             continue
@@ -102,7 +102,7 @@ def fit_crops(
     remarks = told.put(ds, maps) if told is not None and maps is not None else []
     chosen = "least_squares" if sensor is None else "likelihood"
     ds = ds.assign_attrs(preferred=chosen, **{f"fit_{name}": text for name, text in FITS.items()})
-    return store.with_remarks(ds, [*remarks, *_on_misfits(preferred(ds)["chi2_reduced"].values)])
+    return store.add_remarks(ds, [*remarks, *_on_misfits(preferred(ds)["chi2_reduced"].values)])
 
 
 def _on_misfits(chi2: np.ndarray) -> list[str]:

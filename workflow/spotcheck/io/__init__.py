@@ -1,5 +1,5 @@
-"""Files of every kind: images, YAML, netCDF results and whatever else is read or written.
+"""Reading and writing of files: images, YAML, netCDF results and text.
 
-In: paths. Out: pixels [row, column], checked YAML content, xarray datasets with units and provenance. A file
-appears whole or not at all.
+In: paths. Out: pixels [row, column], validated YAML content, xarray datasets with units and provenance. All files are
+written atomically.
 """

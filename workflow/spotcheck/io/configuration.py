@@ -1,4 +1,4 @@
-"""The configuration of a run: paths as they were typed, and one sentence for what breaks its schema."""
+"""The configuration of a workflow run: paths exactly as the user typed them, validated against the schema."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -7,41 +7,52 @@ from typing import Any
 import yaml
 
 from spotcheck.errors import InputError
-from spotcheck.io.schema import breach_of
+from spotcheck.io.schema import find_violation
 
-PATHS = ("dataset", "results")
+PATH_KEYS = ("dataset", "results")
 
 
-def settled(config: Mapping[str, Any], typed: Sequence[str]) -> dict[str, Any]:
-    """The configuration with its paths as text, checked against its schema. Raises `InputError`.
+def resolve_config(config: Mapping[str, Any], words: Sequence[str]) -> dict[str, Any]:
+    """Return the configuration with its paths as text, validated against its schema.
 
-    `typed` are the words `key=value` after `--config`. Snakemake reads each value as YAML, where ` #` starts a comment
-    and `: ` parts a key from a value, so that `my frames #2` would be the folder `my frames`: a path counts as it was
-    typed.
+    Snakemake reads each value on the command line as YAML, where ` #` starts a comment and `: ` separates a key from a
+    value: `my frames #2` would become the folder `my frames`. Therefore paths are taken from the words themselves.
+
+    Parameters
+    ----------
+    config : Mapping
+        Configuration as Snakemake has read it.
+    words : Sequence of str
+        Words `key=value` that follow `--config` on the command line.
+
+    Raises
+    ------
+    InputError
+        If a value breaks the schema, or if the results folder has braces in its name.
     """
-    words = dict(word.split("=", 1) for word in typed)
-    named = {key: words.get(key, config[key]) for key in PATHS if key in config}
-    # A dataset or folder may be called 2024.
-    found = dict(config) | {key: str(value).rstrip(os.sep) for key, value in named.items()}
+    typed = dict(word.split("=", 1) for word in words)
+    paths = {key: typed.get(key, config[key]) for key in PATH_KEYS if key in config}
+    # YAML reads a folder called 2024 as a number.
+    resolved = dict(config) | {key: str(path).rstrip(os.sep) for key, path in paths.items()}
     datasets = config.get("datasets")
-    if isinstance(datasets, list) and not any(isinstance(own, list | dict) for own in datasets):
-        found["datasets"] = [str(own).rstrip(os.sep) for own in datasets]
+    if isinstance(datasets, list) and not any(isinstance(name, list | dict) for name in datasets):
+        resolved["datasets"] = [str(name).rstrip(os.sep) for name in datasets]
     elif datasets is not None:
         raise InputError(
-            f"config: datasets is {words.get('datasets', datasets)}; it must be a list such as [monday, tuesday], and a"
+            f"config: datasets is {typed.get('datasets', datasets)}; it must be a list such as [monday, tuesday], and a"
             " name in it with # or : or a comma stands in quotes"
         )
-    if breach := breach_of(found, "config"):
-        raise InputError(f"config: {breach}")
-    if set("{}") & set(found["results"]):
-        raise InputError(f"config: results is {found['results']}, which has braces in it; name another folder")
-    return found
+    if violation := find_violation(resolved, "config"):
+        raise InputError(f"config: {violation}")
+    if set("{}") & set(resolved["results"]):
+        raise InputError(f"config: results is {resolved['results']}, which has braces in it; name another folder")
+    return resolved
 
 
-def remark_on(path: str) -> str | None:
-    """What to mind with a path that YAML reads as something else, as config.yaml and lists do; None for most."""
+def remark_on_quotes(path: str) -> str | None:
+    """Return a remark if a path needs quotes in config.yaml and in lists, because YAML reads it as something else."""
     try:
-        if [str(own) for own in yaml.safe_load(f"[{path}]")] == [path]:
+        if [str(name) for name in yaml.safe_load(f"[{path}]")] == [path]:
             return None
     except yaml.YAMLError:
         pass

@@ -1,11 +1,11 @@
-"""How far work is that takes more than some seconds, and how long it will take, on standard error.
+"""Progress of work that takes more than some seconds, and its remaining time, on standard error.
 
-The command line shows it, the library only where it is asked to:
+The command line shows it; the library does so only on request:
 
     with progress.shown():
         spotcheck.judge_dataset("my-frames")
 
-On a terminal it is a bar; elsewhere, as in a log file, a line now and then.
+On a terminal it is a bar; elsewhere, as in a log file, a line is written now and then.
 """
 
 import sys
@@ -18,155 +18,157 @@ from typing import Any, TextIO, TypeVar
 
 T = TypeVar("T")
 
-# Work is shown once it takes so long; then the bar is drawn, or a line written, every so often, and a bar at which
-# nothing happens all the same [s].
-AFTER_S, DRAWN_S, EVERY_S, BEAT_S = 5.0, 0.2, 10.0, 1.0
-# How far a step without a known end moves on towards that of its share, each time that something is done.
-NEARER = 0.15
+# Work is shown once it takes this long [s].
+SHOW_AFTER_S = 5.0
+# Shortest time between two updates of a bar, and between two lines [s].
+REDRAW_S, LINE_S = 0.2, 10.0
+# Longest time without an update of a bar [s]; of lines it is `LINE_S`.
+BEAT_S = 1.0
+# Part of the remaining share of a step by which each call of `advance` moves the bar.
+ADVANCE = 0.15
 
-_asked: ContextVar[bool] = ContextVar("_asked", default=False)
-_steps: ContextVar["_Steps | None"] = ContextVar("_steps", default=None)
+_is_shown: ContextVar[bool] = ContextVar("_is_shown", default=False)
+# Bar of the work whose steps are being announced.
+_steps_bar: ContextVar[Any] = ContextVar("_steps_bar", default=None)
 
 
 @contextmanager
 def shown() -> Iterator[None]:
-    """Show the progress of what is done inside."""
-    token = _asked.set(True)
+    """Show the progress of the work in a `with` block."""
+    token = _is_shown.set(True)
     try:
         yield
     finally:
-        _asked.reset(token)
+        _is_shown.reset(token)
 
 
-def over(items: Collection[T] | Iterable[T], what: str, count: int | None = None) -> Iterable[T]:
-    """The items, one by one; `what` is done with them, and `count` is their number where `len` does not tell it."""
-    if not _asked.get():
+def track(items: Collection[T] | Iterable[T], work: str, count: int | None = None) -> Iterable[T]:
+    """Return items to iterate over, with progress if it is shown.
+
+    Parameters
+    ----------
+    items : iterable
+        Items of the work.
+    work : str
+        Description of the work, such as "fitting spots".
+    count : int, optional
+        Number of items, for an iterable without `len`.
+    """
+    if not _is_shown.get():
         return items
     total = len(items) if isinstance(items, Collection) else count
-    return _each(_bar("{n_fmt} of {total_fmt}", "", iterable=items, total=total, desc=what))
+    return _iterate(_make_bar("{n_fmt} of {total_fmt}", iterable=items, total=total, desc=work))
 
 
-def _each(bar: Any) -> Iterator[Any]:
-    """The items of a bar that is shown even while the first of them is not done."""
+def _iterate(bar: Any) -> Iterator[Any]:
+    """Yield the items of a bar, which is updated even while an item takes long."""
     with _beating(bar):
         yield from bar
 
 
 @contextmanager
-def steps(what: str) -> Iterator[None]:
-    """Work whose steps are named inside by `step`. Nothing tells beforehand how long these take: shares, and with them
-    the time to go, are those that such work takes on the whole."""
-    if not _asked.get():
+def track_steps(work: str) -> Iterator[None]:
+    """Show the progress of work whose steps are announced by `begin_step`.
+
+    The share of each step, and with it the remaining time, is an estimate from typical runs.
+    """
+    if not _is_shown.get():
         yield
         return
-    with _bar("{percentage:.0f} %", "about ", total=1.0, desc=what) as bar:
-        token = _steps.set(_Steps(what, bar))
+    with _make_bar("{percentage:.0f} %", "about ", total=1.0, desc=work) as bar:
+        bar.work = work
+        token = _steps_bar.set(bar)
         try:
             with _beating(bar):
                 yield
         finally:
-            _steps.reset(token)
+            _steps_bar.reset(token)
 
 
-def step(name: str, start: float, end: float) -> None:
-    """Say that a step begins, which takes the part of the whole from `start` to `end`."""
-    if (own := _steps.get()) is not None:
-        own.begin(name, start, end)
+def begin_step(name: str, start: float, end: float) -> None:
+    """Announce a step of `track_steps`, which takes the share of the work from `start` to `end` (0 to 1)."""
+    if (bar := _steps_bar.get()) is not None:
+        bar.step, bar.step_end = name, end
+        _move(bar, start, name)
 
 
-def nearer(more: str) -> None:
-    """Say how far a step is whose number of parts nobody knows."""
-    if (own := _steps.get()) is not None:
-        own.nearer(more)
+def advance(detail: str) -> None:
+    """Report progress within a step whose number of parts is unknown; `detail` is added to its name."""
+    if (bar := _steps_bar.get()) is not None:
+        text = f"{bar.step}, {detail}" if detail else bar.step
+        _move(bar, bar.n + ADVANCE * (bar.step_end - bar.n), text)
 
 
-class _Steps:
-    """Steps that are shown by one bar, which never goes back."""
-
-    def __init__(self, what: str, bar: Any) -> None:
-        self.what, self.bar, self.name, self.end = what, bar, "", 0.0
-
-    def begin(self, name: str, start: float, end: float) -> None:
-        self.name, self.end = name, end
-        self._at(start, name)
-
-    def nearer(self, more: str) -> None:
-        text = f"{self.name}, {more}" if more else self.name
-        self._at(self.bar.n + NEARER * (self.end - self.bar.n), text)
-
-    def _at(self, part: float, text: str) -> None:
-        self.bar.set_description_str(f"{self.what}, {text}", refresh=False)
-        self.bar.update(max(part - self.bar.n, 0.0))
+def _move(bar: Any, share: float, text: str) -> None:
+    """Move a bar of steps to a share of the work, but never back."""
+    bar.set_description_str(f"{bar.work}, {text}", refresh=False)
+    bar.update(max(share - bar.n, 0.0))
 
 
 @contextmanager
 def _beating(bar: Any) -> Iterator[None]:
-    """Show a bar again and again while nothing happens: a step, or code that is compiled first, may take minutes."""
-    done, every_s = Event(), BEAT_S if sys.stderr.isatty() else EVERY_S
+    """Update a bar regularly while nothing happens: a step, or the compilation of code, may take minutes."""
+    is_done, interval_s = Event(), BEAT_S if sys.stderr.isatty() else LINE_S
 
     def beat() -> None:
-        while not done.wait(every_s):
-            if bar.format_dict["elapsed"] >= AFTER_S and time() - bar.last_print_t >= every_s:
+        while not is_done.wait(interval_s):
+            if bar.format_dict["elapsed"] >= SHOW_AFTER_S and time() - bar.last_print_t >= interval_s:
                 bar.refresh()
 
-    beating = Thread(target=beat, daemon=True)
-    beating.start()
+    thread = Thread(target=beat, daemon=True)
+    thread.start()
     try:
         yield
     finally:
-        done.set()
-        beating.join()
+        is_done.set()
+        thread.join()
 
 
-class _Lines:
-    """A file that gets a line where tqdm draws its one line anew."""
+class _LineWriter:
+    """File for tqdm that writes a line wherever tqdm redraws its bar."""
 
     def __init__(self, file: TextIO) -> None:
-        self.file = file
+        self.flush = file.flush
+        self._file = file
 
     def write(self, text: str) -> None:
-        """Write a line of what is not blank."""
+        """Write a text as a line unless it is blank."""
         if line := text.strip():
-            self.file.write(f"{line}\n")
-
-    def flush(self) -> None:
-        """Hand on what was written."""
-        self.file.flush()
+            self._file.write(f"{line}\n")
 
 
-def _bar(counted: str, about: str, **options: Any) -> Any:
-    """A bar of tqdm, or its numbers as lines; gone when the work is done."""
+def _make_bar(count_format: str, about: str = "", **options: Any) -> Any:
+    """Return a tqdm bar, which vanishes at the end, or its numbers as lines if there is no terminal."""
     from tqdm import tqdm
 
     class Meter(tqdm):
-        """A bar whose time to go is that of its last step, and runs down until the next one is done."""
+        """Bar whose remaining time counts down between two updates."""
 
-        counted_n, counted_s = 0.0, 0.0
+        last_n, last_s = 0.0, 0.0
 
         @property
         def format_dict(self) -> dict[str, Any]:
-            """What a bar is formatted with, and `to_go`."""
-            found: dict[str, Any] = super().format_dict
-            done, elapsed, total = float(found["n"]), float(found["elapsed"]), float(found["total"] or 0.0)
-            if done != self.counted_n:
-                self.counted_n, self.counted_s = done, elapsed
-            # Below 0: nothing is done yet, or the step lasts longer than those before let expect.
-            left = self.counted_s * total / done - elapsed if 0 < done < total else done - total
-            to_go = f"{about}{tqdm.format_interval(left)} to go" if left >= 0 else "time to go unknown"
-            return found | {"to_go": to_go}
+            """Fields of the text of the bar; `to_go` is the remaining time."""
+            fields: dict[str, Any] = super().format_dict
+            n, elapsed_s, total = float(fields["n"]), float(fields["elapsed"]), float(fields["total"] or 0.0)
+            if n != self.last_n:
+                self.last_n, self.last_s = n, elapsed_s
+            # Negative if nothing is done yet, or if the current item takes longer than those before.
+            remaining_s = self.last_s * total / n - elapsed_s if 0 < n < total else n - total
+            to_go = f"{about}{tqdm.format_interval(remaining_s)} to go" if remaining_s >= 0 else "time to go unknown"
+            return fields | {"to_go": to_go}
 
-    # Its thread would look after bars that stand still; it also stands in the way of processes that fork.
+    # The monitoring thread of tqdm is not needed, and hinders processes that fork.
     tqdm.monitor_interval = 0
-    terminal = sys.stderr.isatty()
-    meter = "{bar} " if terminal else ""
+    is_terminal = sys.stderr.isatty()
     return Meter(
         **options,
-        file=sys.stderr if terminal else _Lines(sys.stderr),
-        bar_format=f"{{desc}}: {meter}{counted}, {{elapsed}} so far, {{to_go}}",
-        delay=AFTER_S,
-        mininterval=DRAWN_S if terminal else EVERY_S,
+        file=sys.stderr if is_terminal else _LineWriter(sys.stderr),
+        bar_format=f"{{desc}}: {'{bar} ' if is_terminal else ''}{count_format}, {{elapsed}} so far, {{to_go}}",
+        delay=SHOW_AFTER_S,
+        mininterval=REDRAW_S if is_terminal else LINE_S,
         miniters=0,
         smoothing=0.0,
         leave=False,
-        dynamic_ncols=terminal,
+        dynamic_ncols=is_terminal,
     )

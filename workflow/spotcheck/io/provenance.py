@@ -1,7 +1,7 @@
-"""Where a result comes from: digests of code and inputs, and the sidecar for what changes from run to run.
+"""Provenance of results: digests of code and of inputs, and the sidecar file of what changes from run to run.
 
-The digest of a module covers every module of this package that it imports, directly or not. It is a rule parameter, so
-that an edit re-runs just the stages that it touches, and the code version in the files' attributes.
+The digest of a module covers every module of this package that it imports, directly or not. It is a parameter of the
+workflow rules, so that an edit re-runs only the stages that it affects, and the `code_version` of result files.
 """
 
 import ast
@@ -10,120 +10,144 @@ import importlib.metadata
 import json
 import platform
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
-from spotcheck.io import writing
+from spotcheck.io import atomic_files
 
 PACKAGE = Path(__file__).parents[1]
 ROOT = PACKAGE.parent
-
-
-def module_file(module: str, root: Path = ROOT) -> Path | None:
-    """Source of a dotted module below `root`, None when it is not ours."""
-    path = root.joinpath(*module.split("."))
-    if path.with_suffix(".py").is_file():
-        return path.with_suffix(".py")
-    return path / "__init__.py" if (path / "__init__.py").is_file() else None
+# Packages whose versions the sidecar file states.
+VERSIONED_PACKAGES = ("numpy", "scipy", "xarray", "netCDF4", "scikit-image", "matplotlib")
 
 
 @cache
-def imported_modules(path: Path, root: Path = ROOT) -> set[str]:
-    """Dotted names of our own modules that the file at `path` imports anywhere, also inside functions, when it runs."""
-    return _imports(path.read_text(encoding="utf-8"), root)
+def list_imports(path: Path, root: Path = ROOT) -> set[str]:
+    """Return the dotted names of the modules below `root` that a file imports when it runs, also inside functions."""
+    return _list_imports_of_source(path.read_text(encoding="utf-8"), root)
 
 
-def notebook_modules(path: Path, root: Path = ROOT) -> list[str]:
-    """Dotted names of our own modules that a notebook imports."""
+def list_notebook_imports(path: Path, root: Path = ROOT) -> list[str]:
+    """Return the sorted dotted names of the modules below `root` that the code cells of a notebook import."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    return sorted(_imports(code, root))
+    return sorted(_list_imports_of_source(code, root))
 
 
-def _discovered(path: Path | None) -> list[Path]:
-    """Files that a package imports because they lie in its folder, as the vocabulary of effects does."""
-    if path is None or path.name != "__init__.py" or "iter_modules" not in path.read_text(encoding="utf-8"):
-        return []
-    return sorted(own for own in path.parent.glob("*.py") if own != path)
-
-
-def running(tree: ast.AST) -> Iterator[ast.AST]:
-    """All nodes of a syntax tree but those below `if TYPE_CHECKING:`, which never runs."""
+def walk_executed(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield all nodes of a syntax tree except those below `if TYPE_CHECKING:`, which never run."""
     yield tree
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            for own in node.orelse:
-                yield from running(own)
-        else:
-            yield from running(node)
+    children: Iterable[ast.AST] = ast.iter_child_nodes(tree)
+    if isinstance(tree, ast.If) and ast.unparse(tree.test) == "TYPE_CHECKING":
+        children = tree.orelse
+    for node in children:
+        yield from walk_executed(node)
 
 
-def _imports(source: str, root: Path) -> set[str]:
-    found: set[str] = set()
-    for node in running(ast.parse(source)):
+def _find_module_file(module: str, root: Path) -> Path | None:
+    """Return the source file of a dotted module below `root`; None if there is none."""
+    path = root.joinpath(*module.split("."))
+    candidates = (path.with_suffix(".py"), path / "__init__.py")
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def _list_imports_of_source(source: str, root: Path) -> set[str]:
+    """Return the dotted names of the modules below `root` that running a source imports."""
+    names: set[str] = set()
+    for node in walk_executed(ast.parse(source)):
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        else:
-            continue
-        found.update(name for name in names if module_file(name, root))
-    found |= {f"{name}.{own.stem}" for name in found for own in _discovered(module_file(name, root))}
+            names.update((node.module, *(f"{node.module}.{alias.name}" for alias in node.names)))
+    modules = {name: file for name in names if (file := _find_module_file(name, root))}
+    imports = set(modules)
+    for name, file in modules.items():
+        imports.update(f"{name}.{member}" for member in _list_discovered_modules(file))
     # Importing a.b.c runs a/__init__.py and a/b/__init__.py as well.
-    return found | {name.rsplit(".", k)[0] for name in found for k in range(1, name.count(".") + 1)}
+    return imports | {name.rsplit(".", k)[0] for name in imports for k in range(1, name.count(".") + 1)}
 
 
-def sources(module: str, root: Path = ROOT) -> list[Path]:
-    """Files that a module is made of: itself and all that it imports of ours, sorted."""
-    start = module_file(module, root)
+def _list_discovered_modules(file: Path) -> list[str]:
+    """Return the modules that a package imports because they lie in its folder, as the vocabulary of effects does."""
+    if file.name != "__init__.py" or "iter_modules" not in file.read_text(encoding="utf-8"):
+        return []
+    return [member.stem for member in file.parent.glob("*.py") if member != file]
+
+
+def list_sources(module: str, root: Path = ROOT) -> list[Path]:
+    """Return the sorted source files of a module and of all modules below `root` that it imports, directly or not.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If there is no such module below `root`.
+    """
+    start = _find_module_file(module, root)
     if start is None:
         raise ModuleNotFoundError(f"{module}: no module below {root.name}/")
-    seen, todo = {start}, [start]
-    while todo:
-        for name in imported_modules(todo.pop(), root):
-            file = module_file(name, root)
-            if file and file not in seen:
-                seen.add(file)
-                todo.append(file)
-    return sorted(seen)
+    files, unread = {start}, [start]
+    while unread:
+        for name in list_imports(unread.pop(), root):
+            file = _find_module_file(name, root)
+            if file and file not in files:
+                files.add(file)
+                unread.append(file)
+    return sorted(files)
 
 
 @cache
 def code_digest(*modules: str, root: Path = ROOT) -> str:
-    """Digest (12 hex digits) of the sources of one or more modules, e.g. "spotcheck.cli.fit"."""
+    """Return the digest (12 hexadecimal digits) of all sources of dotted modules such as "spotcheck.cli.fit"."""
     digest = hashlib.sha256()
-    for path in sorted({path for module in modules for path in sources(module, root)}):
+    for path in sorted({path for module in modules for path in list_sources(module, root)}):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0")
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 
 
 def file_digest(path: str | Path) -> str:
-    """SHA-256 of a file, in hex."""
+    """Return the SHA-256 of a file in hexadecimal digits."""
     with Path(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:
-    """What a result says of its making: the digest of the code, and names and digests of the files it was made from."""
-    digests = [f"{Path(p).name} {file_digest(p)[:16]}" for p in inputs if Path(p).is_file()]
+def make_attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:
+    """Return the attributes that state how a result was made.
+
+    Parameters
+    ----------
+    code : str
+        Digest of the code (`code_digest`).
+    inputs : sequence of str or Path
+        Files that the result was made from; those that do not exist are skipped.
+
+    Returns
+    -------
+    dict
+        `code_version`, and `inputs`: name and start of the SHA-256 of each file.
+    """
+    digests = [f"{Path(path).name} {file_digest(path)[:16]}" for path in inputs if Path(path).is_file()]
     return {"code_version": code, "inputs": "; ".join(digests)}
 
 
-def write_sidecar(path: Path, more: Mapping[str, str]) -> None:
-    """Beside `path`: when, where and with which versions it was made; kept out of the file so that it stays equal.
+def write_sidecar(path: Path, attributes: Mapping[str, str]) -> None:
+    """Write `.runs/NAME.json` beside a result: when, where and with which versions it was made.
 
-    `more` is what the file itself has no place for.
+    Parameters
+    ----------
+    path : Path
+        The result. It holds none of this itself, so that equal inputs give equal files.
+    attributes : Mapping
+        Further entries, which the result has no place for.
     """
-    packages = ("numpy", "scipy", "xarray", "netCDF4", "scikit-image", "matplotlib")
     record = {
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "host": platform.node(),
         "command": sys.argv,
         "python": platform.python_version(),
-        "packages": {name: importlib.metadata.version(name) for name in packages},
-        **more,
+        "packages": {name: importlib.metadata.version(name) for name in VERSIONED_PACKAGES},
+        **attributes,
     }
-    writing.text(path.parent / ".runs" / f"{path.name}.json", json.dumps(record, indent=1) + "\n")
+    atomic_files.write_text(path.parent / ".runs" / f"{path.name}.json", json.dumps(record, indent=1) + "\n")

@@ -1,14 +1,15 @@
-"""The netCDF contract of every intermediate result, checked by one function on write and on read.
+"""Result files: the contract of every netCDF file, checked on write and on read, and the ownership of result folders.
 
-Every variable and coordinate carries `units` and `long_name`; dimensions bear the names of the dataset contract; a file
-appears whole or not at all; equal inputs and equal code give equal files.
+Every variable and coordinate has `units` and `long_name`. Dimensions have the names of the dataset contract. Files are
+written atomically. Equal inputs and equal code give equal files.
 """
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import netCDF4
 import numpy as np
@@ -16,8 +17,9 @@ import xarray as xr
 from xarray.backends import NetCDF4DataStore
 
 from spotcheck.errors import InputError
-from spotcheck.io import provenance, writing
+from spotcheck.io import atomic_files, provenance
 
+# Name and meaning of each bit of `status`.
 STATUS = {
     1: ("missing", "no frame in this cell of the grid"),
     2: ("black", "no light above the noise"),
@@ -36,18 +38,22 @@ STATUS = {
     16384: ("double", "exposed twice, or two spots in one frame"),
     32768: ("dropped", "left out by hand (keep = no in manifest.csv)"),
 }
-# What `keep` in manifest.csv overrules, and with what it says itself all that sets a frame aside.
-TAKEN_BACK = 2 | 4 | 4096 | 8192 | 16384
-SET_ASIDE = 32768 | TAKEN_BACK
-UNUSABLE = 1 | 256 | SET_ASIDE
+# Flags of automatic exclusion, which `keep = yes` in manifest.csv clears.
+CLEARED_BY_KEEP = 2 | 4 | 4096 | 8192 | 16384
+# Flags by which a frame is excluded, automatically or by `keep = no`.
+EXCLUDED = 32768 | CLEARED_BY_KEEP
+# Flags of frames without a usable spot.
+UNUSABLE = 1 | 256 | EXCLUDED
+# Flags of fits whose results must not be used: UNUSABLE, not_converged, at_limit, no_noise.
+UNTRUSTED = UNUSABLE | 32 | 64 | 128
 
-# HDF5 keeps chunks that were touched, and frames are touched once: a cache of some frames, so that memory does not grow
-# with their number.
+# Cache of chunks that HDF5 keeps per variable [byte]. Frames are accessed once: a larger cache would only grow with
+# their number.
 netCDF4.set_chunk_cache(2**21)
 
 
 class GridAxis(Protocol):
-    """What a file says of an axis of the grid of spots."""
+    """Axis of the grid of spots."""
 
     @property
     def name(self) -> str:
@@ -55,7 +61,7 @@ class GridAxis(Protocol):
 
     @property
     def values(self) -> tuple[float, ...] | None:
-        """Coordinates, ascending; None where they were not recorded and the axis has length 1."""
+        """Ascending coordinates; None if they were not recorded and the axis has length 1."""
 
     @property
     def units(self) -> str:
@@ -66,8 +72,8 @@ class GridAxis(Protocol):
         """Label of the axis."""
 
 
-class Gridded(Protocol):
-    """What a file says of the dataset whose spots span its grid."""
+class GridDataset(Protocol):
+    """Dataset whose spots span a grid."""
 
     @property
     def name(self) -> str:
@@ -83,22 +89,22 @@ class Gridded(Protocol):
 
 
 class ContractError(ValueError):
-    """A result breaks the netCDF contract: a defect of the program, not of the user's input."""
+    """A result breaks the netCDF contract: a defect of the program, not of the input."""
 
 
-class Variable(NamedTuple):
-    """A variable to be filled frame by frame: dimensions beyond the grid, type, unit, meaning; the step of a float that
-    is kept as an unsigned integer (None: kept as it is), whose largest number stands for NaN."""
+@dataclass(frozen=True)
+class Variable:
+    """Definition of a variable that a `FrameWriter` fills frame by frame."""
 
-    dims: tuple[str, ...]
-    dtype: str
-    units: str
-    long_name: str
-    step: float | None = None
+    dims: tuple[str, ...]  # dimensions beyond those of the grid
+    dtype: str  # type in the file, such as "f4"
+    units: str  # unit
+    long_name: str  # meaning
+    step: float | None = None  # quantization step of a float stored as unsigned integer [units]; None: stored as it is
 
 
 def status_attributes() -> dict[str, Any]:
-    """CF attributes of a `status` variable, from the one table of flags."""
+    """Return the CF attributes of a `status` variable."""
     return {
         "units": "1",
         "long_name": "status flags; 0 is usable without remark",
@@ -108,62 +114,76 @@ def status_attributes() -> dict[str, Any]:
 
 
 def flag(name: str) -> int:
-    """Bit of a status flag."""
-    return next(bit for bit, (own, _) in STATUS.items() if own == name)
+    """Return the bit of a status flag, such as "missing"."""
+    return next(bit for bit, (flag_name, _) in STATUS.items() if flag_name == name)
 
 
 def status_names(flags: Any) -> np.ndarray:
-    """Names of the flags that are set, of any array of flags: "ok" where none is, several apart by a blank."""
+    """Return the names of the flags that are set, separated by blanks, or "ok", for an array of status values."""
     flags = np.asarray(flags)
-    known = {own: " ".join(name for bit, (name, _) in STATUS.items() if own & bit) or "ok" for own in np.unique(flags)}
-    return np.array([known[own] for own in flags.ravel()], dtype=str).reshape(flags.shape)[()]
+    names = {
+        value: " ".join(name for bit, (name, _) in STATUS.items() if value & bit) or "ok" for value in np.unique(flags)
+    }
+    return np.array([names[value] for value in flags.ravel()], dtype=str).reshape(flags.shape)[()]
 
 
-def reasons(flags: int) -> str:
-    """What flags say, in words."""
-    return "; ".join(text for bit, (_, text) in STATUS.items() if flags & bit)
+def describe_flags(flags: int) -> str:
+    """Return the meanings of the flags that are set in a status value."""
+    return "; ".join(meaning for bit, (_, meaning) in STATUS.items() if flags & bit)
 
 
-def check(ds: xr.Dataset, what: str) -> xr.Dataset:
-    """Raise `ContractError` unless every variable has units and long_name, and the file says what it is of."""
+def check(ds: xr.Dataset, file: str) -> xr.Dataset:
+    """Return a result unchanged if it keeps the netCDF contract.
+
+    Raises
+    ------
+    ContractError
+        If a variable has no units or long_name, or the file no title or dataset; the text starts with `file`.
+    """
     for name, variable in ds.variables.items():
         for attribute in ("units", "long_name"):
             if not str(variable.attrs.get(attribute, "")).strip():
-                raise ContractError(f"{what}: variable {name} has no {attribute}")
+                raise ContractError(f"{file}: variable {name} has no {attribute}")
     for attribute in ("title", "dataset"):
         if attribute not in ds.attrs:
-            raise ContractError(f"{what}: attribute {attribute} is missing")
+            raise ContractError(f"{file}: attribute {attribute} is missing")
     return ds
 
 
-def with_remarks(ds: xr.Dataset, remarks: Sequence[str]) -> xr.Dataset:
-    """The result with sentences on what is odd about it, each of them once."""
+def add_remarks(ds: xr.Dataset, remarks: Sequence[str]) -> xr.Dataset:
+    """Return a result with remarks for the user, which replace earlier ones; repeated remarks are dropped."""
     return ds.assign_attrs(remarks="\n".join(dict.fromkeys(remarks)))
 
 
 def remarks_of(ds: xr.Dataset) -> list[str]:
-    """Sentences on what is odd about a result."""
-    return [text for text in str(ds.attrs.get("remarks", "")).split("\n") if text]
+    """Return the remarks for the user in a result."""
+    return [remark for remark in str(ds.attrs.get("remarks", "")).split("\n") if remark]
 
 
-def _exact(ds: xr.Dataset) -> Iterator[str]:
-    """Sentences on numbers that no measurement gives: standard errors of exactly 0, and infinities that their variable
-    does not explain (attribute `infinite`)."""
+def _remark_on_values(ds: xr.Dataset) -> Iterator[str]:
+    """Yield a remark on each variable with standard errors of exactly 0, or with infinities.
+
+    The attribute `infinite` of a variable explains its infinities, which then need no remark.
+    """
     for name, variable in ds.variables.items():
         if variable.dtype.kind != "f":
             continue
         infinite = int(np.isinf(variable.values).sum())
         if infinite and "infinite" not in variable.attrs:
             yield f"{name} is infinite in {infinite} of {variable.size} places"
-        if str(name).endswith(("stderr", "_error")) and (none := int((variable.values == 0).sum())):
+        zeros = int((variable.values == 0).sum())
+        if zeros and str(name).endswith(("stderr", "_error")):
             yield (
-                f"{name} is exactly 0 in {none} of {variable.size} places: what it is the error of was not measured,"
+                f"{name} is exactly 0 in {zeros} of {variable.size} places: what it is the error of was not measured,"
                 " or from copies of one frame"
             )
 
 
-def grid(dataset: Gridded) -> xr.Dataset:
-    """Empty dataset over the grid of spots: coordinates of the recorded axes, attribute for the others."""
+def make_grid(dataset: GridDataset) -> xr.Dataset:
+    """Return an empty result over the grid of spots.
+
+    Recorded axes are coordinates; the attribute `not_recorded` names the others.
+    """
     coords = {
         axis.name: (axis.name, np.array(axis.values), {"units": axis.units, "long_name": axis.long_name})
         for axis in dataset.axes
@@ -175,53 +195,78 @@ def grid(dataset: Gridded) -> xr.Dataset:
 
 
 def grid_dims(ds: xr.Dataset) -> tuple[str, ...]:
-    """The dimensions of the grid of spots in a file that has a `status` on it."""
-    return tuple(str(d) for d in ds["status"].dims if d not in ("centring", "fit", "source"))
-
-
-# A fit with any of these flags is not to be believed.
-UNTRUSTED = UNUSABLE | flag("not_converged") | flag("at_limit") | flag("no_noise")
-
-
-def recorded(ds: xr.Dataset, axis: str) -> bool:
-    """Whether an axis of the grid has values."""
-    return axis in ds.coords
+    """Return the dimensions of the grid of spots in a result with a `status`."""
+    return tuple(str(dim) for dim in ds["status"].dims if dim not in ("centring", "fit", "source"))
 
 
 def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str | Path] = ()) -> None:
-    """Write a result with its provenance. `code` is a digest (see `provenance`), `inputs` the files it was made
-    from."""
+    """Write a result with its provenance, and remarks on values that no measurement gives.
+
+    Parameters
+    ----------
+    ds : xr.Dataset
+        Result that keeps the netCDF contract.
+    path : str or Path
+        File to write.
+    code : str
+        Digest of the code (`provenance.code_digest`).
+    inputs : sequence of str or Path
+        Files that the result was made from.
+
+    Raises
+    ------
+    ContractError
+        If the result breaks the contract.
+    InputError
+        If the file cannot be written.
+    """
     path = Path(path)
-    ds = with_remarks(ds, [*remarks_of(ds), *_exact(ds)]).assign_attrs(provenance.attributes(code, inputs))
-    check(ds, path.name)
+    ds = add_remarks(ds, [*remarks_of(ds), *_remark_on_values(ds)])
+    ds = check(ds.assign_attrs(provenance.make_attributes(code, inputs)), path.name)
     encoding: dict[str, dict] = {}
     for name, variable in ds.variables.items():
-        numeric = variable.dtype.kind in "fiu"
-        encoding[str(name)] = {"zlib": True, "complevel": 1} if numeric and variable.ndim else {}
+        is_number_array = variable.dtype.kind in "fiu" and variable.ndim > 0
+        encoding[str(name)] = {"zlib": True, "complevel": 1} if is_number_array else {}
         if variable.dtype.kind == "f":
             encoding[str(name)]["_FillValue"] = np.nan
-    with appearing_whole(path) as scratch, netCDF4.Dataset(scratch, "w") as nc:
+    with write_with_sidecar(path) as scratch, netCDF4.Dataset(scratch, "w") as nc:
         ds.dump_to_store(NetCDF4DataStore(nc), encoding=encoding)
 
 
 @contextmanager
 def frame_writer(
     path: str | Path,
-    dataset: Gridded,
+    dataset: GridDataset,
     extra: xr.Dataset,
     variables: Mapping[str, Variable],
     *,
     code: str,
     inputs: Sequence[str | Path] = (),
 ) -> Iterator["FrameWriter"]:
-    """A file over the grid of spots whose `variables` are filled frame by frame, so that no stack is ever held.
+    """Open a result over the grid of spots that is filled frame by frame, so that memory never holds a stack.
 
-    `extra` holds the coordinates of the dimensions beyond the grid.
+    Parameters
+    ----------
+    path : str or Path
+        File to write.
+    dataset : GridDataset
+        Dataset whose axes are the first dimensions of each variable.
+    extra : xr.Dataset
+        Coordinates of the other dimensions.
+    variables : Mapping
+        Definition of each variable by its name.
+    code, inputs
+        Provenance as for `write`.
+
+    Raises
+    ------
+    ContractError, InputError
+        As `write` does.
     """
     path = Path(path)
-    template = xr.merge([grid(dataset), extra], combine_attrs="drop_conflicts")
-    template = check(template.assign_attrs(provenance.attributes(code, inputs)), path.name)
-    with appearing_whole(path) as scratch, netCDF4.Dataset(scratch, "w") as nc:
+    template = xr.merge([make_grid(dataset), extra], combine_attrs="drop_conflicts")
+    template = check(template.assign_attrs(provenance.make_attributes(code, inputs)), path.name)
+    with write_with_sidecar(path) as scratch, netCDF4.Dataset(scratch, "w") as nc:
         template.dump_to_store(NetCDF4DataStore(nc))
         for axis in dataset.axes:
             if axis.values is None:
@@ -230,61 +275,87 @@ def frame_writer(
 
 
 class FrameWriter:
-    """Fills the cells of a grid one by one; cells that are never written stay NaN with status `missing`."""
+    """Writer of the cells of a grid; cells that are not written stay NaN (integers −1) with the status `missing`."""
 
     def __init__(self, nc: netCDF4.Dataset, grid_dims: tuple[str, ...], variables: Mapping[str, Variable]):
         self._nc = nc
-        for name, spec in variables.items():
-            if not spec.units.strip() or not spec.long_name.strip():
+        for name, definition in variables.items():
+            if not definition.units.strip() or not definition.long_name.strip():
                 raise ContractError(f"variable {name} has no units or no long_name")
-            dims = (*grid_dims, *spec.dims)
-            shape = tuple(nc.dimensions[d].size for d in dims)
-            chunks = (1,) * len(grid_dims) + shape[len(grid_dims) :]
-            # Integers get no fill value: xarray would turn them into floats on reading.
-            fill = np.nan if spec.dtype.startswith("f") else None if spec.step is None else np.iinfo(spec.dtype).max
-            variable = nc.createVariable(
-                name, spec.dtype, dims, zlib=True, complevel=1, chunksizes=chunks, fill_value=fill
-            )
-            variable.setncatts({"units": spec.units, "long_name": spec.long_name})
-            if spec.step is not None:
-                variable.scale_factor = spec.step
-            if name == "status":
-                variable.setncatts(status_attributes())
-            if fill is None:
-                variable[:] = np.full(shape, flag("missing") if name == "status" else -1, spec.dtype)
+            self._create(name, definition, grid_dims)
+
+    def _create(self, name: str, definition: Variable, grid_dims: tuple[str, ...]) -> None:
+        """Create a variable with one chunk per frame."""
+        dtype, dims = definition.dtype, (*grid_dims, *definition.dims)
+        shape = tuple(self._nc.dimensions[dim].size for dim in dims)
+        chunks = (1,) * len(grid_dims) + shape[len(grid_dims) :]
+        # NaN of quantized floats is the largest integer. Plain integers get no fill value, since xarray would read
+        # them as floats.
+        fill = np.nan if dtype.startswith("f") else None if definition.step is None else np.iinfo(dtype).max
+        variable = self._nc.createVariable(
+            name, dtype, dims, zlib=True, complevel=1, chunksizes=chunks, fill_value=fill
+        )
+        variable.setncatts({"units": definition.units, "long_name": definition.long_name})
+        if definition.step is not None:
+            variable.scale_factor = definition.step
+        if name == "status":
+            variable.setncatts(status_attributes())
+        if fill is None:
+            variable[:] = np.full(shape, flag("missing") if name == "status" else -1, dtype)
 
     def remark(self, remarks: Sequence[str]) -> None:
-        """Set the file's sentences on what is odd about it."""
+        """Set the remarks for the user."""
         self._nc.remarks = "\n".join(remarks)
 
     def put(self, index: tuple[int, ...], values: Mapping[str, Any]) -> None:
-        """Write the values of one frame at `index` on the grid."""
+        """Write the values of one frame, by the names of the variables, at its index on the grid."""
         for name, value in values.items():
             variable = self._nc.variables[name]
             variable[index] = np.ma.masked_invalid(value) if "scale_factor" in variable.ncattrs() else value
 
 
 def read(path: str | Path) -> xr.Dataset:
-    """Open a result lazily and check the contract. The caller closes it or uses `with`."""
+    """Open a result lazily and check the contract; the caller closes it, or uses `with`.
+
+    Raises
+    ------
+    ContractError
+        If the file breaks the contract.
+    """
     return check(xr.open_dataset(path, engine="netcdf4", decode_timedelta=False), Path(path).name)
 
 
 @contextmanager
-def appearing_whole(path: Path) -> Iterator[Path]:
-    """A result that takes its name only when all was written (`writing.whole`), and its note."""
-    with writing.whole(path) as scratch:
+def write_with_sidecar(path: Path) -> Iterator[Path]:
+    """Yield the scratch file of a result that is written atomically (`write_atomically`), and add its sidecar file."""
+    with atomic_files.write_atomically(path) as scratch:
         yield scratch
     provenance.write_sidecar(path, {})
 
 
 def write_text(path: str | Path, text: str, *, code: str = "", inputs: Sequence[str | Path] = ()) -> None:
-    """Write a text file whole or not at all; of a result its note holds what `write` puts into the attributes."""
-    writing.text(Path(path), text)
-    provenance.write_sidecar(Path(path), provenance.attributes(code, inputs) if code else {})
+    """Write a text file atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write.
+    text : str
+        Content.
+    code, inputs
+        Provenance as for `write`, which goes into the sidecar file; none without `code`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    atomic_files.write_text(Path(path), text)
+    provenance.write_sidecar(Path(path), provenance.make_attributes(code, inputs) if code else {})
 
 
-def owner_of(results: Path) -> str:
-    """Folder of the dataset whose results a folder holds, by its note; "" where it has none. Raises `InputError`."""
+def read_owner(results: Path) -> str:
+    """Return the folder of the dataset whose results a folder holds, or "" if none is noted. Raises `InputError`."""
     note = results / ".dataset"
     try:
         return note.read_text(encoding="utf-8").strip() if note.exists() else ""
@@ -293,21 +364,33 @@ def owner_of(results: Path) -> str:
 
 
 def check_claim(results: Path, folder: Path) -> None:
-    """Raise `InputError` where a results folder holds those of another dataset, or where nothing can be written there.
-    Writes nothing."""
-    owner = owner_of(results)
-    # Where the owner is gone, the dataset was moved, and its results with it.
+    """Check that results of a dataset may be written to a folder; nothing is written.
+
+    Parameters
+    ----------
+    results : Path
+        Folder for results.
+    folder : Path
+        Folder of the dataset.
+
+    Raises
+    ------
+    InputError
+        If `results` holds those of another dataset, or cannot be written.
+    """
+    owner = read_owner(results)
+    # If the owner no longer exists, the dataset was moved and its results belong to the new place.
     if owner and owner != str(folder) and Path(owner).exists():
         raise InputError(
             f"{results}: holds the results of {owner}, another folder of the same name;"
             f" name another folder in `results`"
         )
-    there = next(path for path in (results, *results.absolute().parents) if path.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK):
-        raise InputError(f"{results}: cannot be written ({there} is in the way); name another folder in `results`")
+    existing = next(path for path in (results, *results.absolute().parents) if path.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK):
+        raise InputError(f"{results}: cannot be written ({existing} is in the way); name another folder in `results`")
 
 
 def claim(results: Path, folder: Path) -> None:
-    """Note in a results folder whose results it holds. Raises `InputError` as `check_claim` does."""
+    """Note in a folder for results that it belongs to a dataset. Raises `InputError` as `check_claim` does."""
     check_claim(results, folder)
     write_text(results / ".dataset", f"{folder}\n")

@@ -29,7 +29,7 @@ def metrics_of_both(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
     values = {own.name: np.full(shape, np.nan) for own in PER_IMAGE}
     for s, source in enumerate(SOURCES):
         status = crops[source]["status"].values
-        for index in progress.over(list(cells(crops[source], dims[1:])), f"metrics of {source} frames"):
+        for index in progress.track(list(cells(crops[source], dims[1:])), f"metrics of {source} frames"):
             at = tuple(index.values())
             if usable(status[at]):
                 image = crops[source]["image"].isel(index).values

@@ -13,7 +13,7 @@ import numpy as np
 
 from spotcheck.dataset.manifest import Frame, number_in
 from spotcheck.errors import InputError
-from spotcheck.io.schema import breach_of, read_keys
+from spotcheck.io.schema import find_violation, read_keys
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.model.effects import vocabulary
@@ -110,7 +110,7 @@ def read_model(path: Path) -> ExtendedModel:
     content = read_keys(path)
     if "why_not" in content:
         raise InputError(f"{path.name}: holds no model: {content['why_not']}")
-    if breach := breach_of(content, "model"):
+    if breach := find_violation(content, "model"):
         raise InputError(f"{path.name}: {breach}")
     law, spots = content.get("law"), _spots(path, content)
     if law is None and not spots:

@@ -93,10 +93,10 @@ class Destination:
         for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
             extra[name] = (name, np.arange(side, dtype="i4"), {"units": "pixel", "long_name": text})
         sites: dict[Site, int] = {}
-        frames = progress.over(frames, "simulating frames", len(dataset.spots))
+        frames = progress.track(frames, "simulating frames", len(dataset.spots))
         with (
             store.frame_writer(self.path, dataset, extra, variables, code=self.code, inputs=self.inputs) as writer,
-            store.appearing_whole(self.folder / STACK) as scratch,
+            store.write_with_sidecar(self.folder / STACK) as scratch,
             tifffile.TiffWriter(scratch) as stack,
         ):
             for number, (frame, (cell, row)) in enumerate(zip(frames, dataset.cells(), strict=True)):

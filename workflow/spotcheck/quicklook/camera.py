@@ -63,7 +63,7 @@ def camera_of(images: Sequence[Image]) -> Camera:
     # One camera stops at one reading: a plateau that is lower is light's own.
     stop = max(stops, default=np.inf)
     step = _rounded_to(images)
-    read = (image.read() / step for image in progress.over(images, "looking at noise"))
+    read = (image.read() / step for image in progress.track(images, "looking at noise"))
     seen = seen_by_spots(read, {}, None, stop / step)
     names, lowest = tuple(image.name for image in images), step * seen.lowest_dn
     found = spots_in_electrons(seen)

@@ -183,5 +183,5 @@ def _looked(images: Sequence[Image], positions: Sequence[float | None]) -> tuple
     for _, group in groupby(sorted(range(len(images)), key=camera), key=camera):
         own = list(group)
         cameras.append(camera_of([images[k] for k in own]))
-        seen |= {k: seen_on(images[k], cameras[-1], positions[k]) for k in progress.over(own, "looking at spots")}
+        seen |= {k: seen_on(images[k], cameras[-1], positions[k]) for k in progress.track(own, "looking at spots")}
     return cameras, [seen[k] for k in range(len(images))]

@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from spotcheck.io import writing
+from spotcheck.io import atomic_files
 from spotcheck.quicklook import pictures, words
 from spotcheck.report.figures import style
 from spotcheck.report.pages import TEMPLATES
@@ -53,9 +53,9 @@ def write(look: "Look", folder: Path) -> Path:
         spots=spots,
         without=len(look.images) - len(spots),
     )
-    writing.text(folder / PAGE, content)
+    atomic_files.write_text(folder / PAGE, content)
     for first in (*scan, *spots)[:1]:
-        with writing.whole(folder / PICTURE) as scratch:
+        with atomic_files.write_atomically(folder / PICTURE) as scratch:
             scratch.write_bytes(first.png)
     return folder / PAGE
 

@@ -143,7 +143,7 @@ def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence
     lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in learned)
     model = ModelledFrames(lights, light, _fit_each_light(lights, light, viewed))
     without = []
-    for applied in progress.over(extended.effects, "models without each effect"):
+    for applied in progress.track(extended.effects, "models without each effect"):
         spots = _spots_without(viewed, extended, model, applied)
         other = model.without(applied.effect.name, spots)
         if not applied.effect.stages:
@@ -286,7 +286,7 @@ def write(
             simulate(dataset, files, sensor),
             *([] if viewed is None else [model_all(dataset, viewed, model)]),
         ):
-            for index, values in progress.over(views, "views of frames", len(dataset.spots)):
+            for index, values in progress.track(views, "views of frames", len(dataset.spots)):
                 image = measured.isel(dict(zip(dims, index, strict=True))).values.astype(float)
                 for name in [name for name in MODELS if name in values]:
                     rms, over_noise = rms_left(image, values[name], line)

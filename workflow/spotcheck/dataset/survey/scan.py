@@ -14,7 +14,7 @@ from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
-from spotcheck.io.schema import breach_of
+from spotcheck.io.schema import find_violation
 
 # Keys by which frames with colours are read, and columns and keys that hold words.
 COLOUR = ("sensor.channel", "sensor.bayer")
@@ -152,7 +152,7 @@ def check(scan: Scan, given: Mapping[str, str]) -> None:
 def breach_of_key(column: str, value: float | int | str | None) -> str | None:
     """What is wrong with the value of a key of instrument.yaml, in a sentence; None for a good one, and for columns."""
     section, dot, key = column.partition(".")
-    return breach_of({section: {key: value}}, "instrument") if dot and value is not None else None
+    return find_violation({section: {key: value}}, "instrument") if dot and value is not None else None
 
 
 def source(label: Label) -> str:

@@ -14,7 +14,7 @@ from spotcheck.characterization.sensor_choice import SPOTS
 from spotcheck.dataset.instrument import SECTIONS, Instrument
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.export.adoption.learned import Learned
-from spotcheck.io.schema import breach_of
+from spotcheck.io.schema import find_violation
 
 
 class Choice(NamedTuple):
@@ -42,7 +42,7 @@ def _choice(own: Learned, given: Instrument) -> Choice:
     holder = getattr(given, section)
     stated = getattr(holder, name) if own.key in given.given else None
     stated_stderr = float(getattr(holder, f"{name}_stderr", 0.0)) if stated is not None else 0.0
-    if breach := breach_of({section: {name: own.value}}, "instrument"):
+    if breach := find_violation({section: {name: own.value}}, "instrument"):
         return Choice(own, stated, stated_stderr, False, breach)
     return Choice(own, stated, stated_stderr, *_weighed(own, stated, stated_stderr))
 

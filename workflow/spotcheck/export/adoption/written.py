@@ -39,7 +39,7 @@ def write(path: Path, choices: Sequence[Choice], left: Sequence[Left], given: In
             raise InputError(f"{file}: is already there; name a new file, nothing is overwritten")
     path.parent.mkdir(parents=True, exist_ok=True)
     if profile:
-        with store.appearing_whole(light) as scratch:
+        with store.write_with_sidecar(light) as scratch:
             shutil.copyfile(profile, scratch)
     store.write_text(path, "\n".join(_lines(path, choices, left, given, results, light)) + "\n")
 

@@ -24,8 +24,8 @@ from spotcheck.dataset.manifest import REQUIRED_COLUMNS, Frame
 from spotcheck.errors import InputError
 from spotcheck.export.correction.electrons import Corrected, corrected, curve_of
 from spotcheck.io import provenance, store
+from spotcheck.io.atomic_files import write_atomically
 from spotcheck.io.formats.names import split_inner_path
-from spotcheck.io.writing import whole
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.model_file import read_model, reason_without_model
@@ -172,7 +172,7 @@ def _told(dataset: Dataset, frame: Frame, known: Known, sha256: str) -> dict[str
 
 def _write_frame(path: Path, own: Corrected, told: dict[str, Any]) -> None:
     """A TIFF of two pages that appears whole, and equal for equal frames."""
-    with whole(path) as scratch, tifffile.TiffWriter(scratch) as tiff:
+    with write_atomically(path) as scratch, tifffile.TiffWriter(scratch) as tiff:
         for page, said in ((own.electrons, json.dumps(told)), (own.variance, told["pages"][1])):
             tiff.write(page.astype(np.float32), compression="zlib", photometric="minisblack", description=said,
                        metadata=None, software="")  # fmt: skip

@@ -27,12 +27,10 @@ class Colour(NamedTuple):
     def offset(self) -> tuple[int, int]:
         """Row and column of the filter in the upper left 2 × 2 pixels of a Bayer frame."""
         assert self.bayer is not None and self.channel is not None
-        letter = self.channel[0].upper()
-        offsets = [divmod(index, 2) for index in range(4) if self.bayer[index] == letter]
-        if letter == "G":
-            same_row = self.channel[-1].upper()
-            offsets = [(row, column) for row, column in offsets if self.bayer[2 * row + 1 - column] == same_row]
-        return offsets[0]
+        letter, row_letter = self.channel[0].upper(), self.channel[-1].upper()
+        indices = [index for index in range(4) if self.bayer[index] == letter]
+        # index ^ 1 is the other pixel of the same row, which tells the two greens apart.
+        return divmod(next(k for k in indices if letter != "G" or self.bayer[k ^ 1] == row_letter), 2)
 
     @property
     def step(self) -> int:

@@ -28,7 +28,7 @@ class Reader(Protocol):
 READERS: tuple[tuple[tuple[bytes, ...], str, Reader], ...] = (
     (tiff.SIGNATURES, "TIFF", tiff),
     ((png.SIGNATURE,), "PNG", png),
-    ((b"P2", b"P5", *pgm.OTHER_NETPBM), "PGM", pgm),
+    ((b"P2", b"P5", *pgm.OTHERS), "PGM", pgm),
     ((npy.SIGNATURE,), "NumPy", npy),
     ((hdf5.SIGNATURE,), "HDF5", hdf5),
 )

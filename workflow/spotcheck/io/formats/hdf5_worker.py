@@ -1,12 +1,12 @@
 """Worker process that reads HDF5 (also netCDF-4 and NeXus) through h5py; `hdf5.py` starts it and sends requests.
 
-A request is a line of JSON on standard input. The reply is a line of JSON on standard output, followed by the bytes of
-the pixels. The C library may crash or hang on a broken file, which then ends this process alone.
+Requests come pickled on standard input, and replies go pickled to standard output; an exception is a reply as well. The
+C library may crash or hang on a broken file, which then ends this process alone.
 """
 
-import json
 import math
 import os
+import pickle
 import resource
 import sys
 from collections.abc import Iterator
@@ -180,19 +180,16 @@ def _format_value(value: Any) -> str:
     return text[:MAX_TEXT]
 
 
-def answer_request(request: dict[str, Any]) -> tuple[Any, bytes]:
-    """Return the content of the reply to a request, and the bytes of its pixels. Raises `ImageError`."""
-    with h5py.File(request["path"], "r", locking=False) as file:
-        if request["what"] == "stacks":
-            return list_stacks(file), b""
-        dataset = find_dataset(file, request["inside"])
-        if request["what"] == "metadata":
-            return list_metadata(dataset), b""
-        check_dataset(dataset, Path(request["path"]).stat().st_size)
-        if request["what"] == "shape":
-            return [dataset.shape, dataset.dtype.str], b""
-        pixels = read_page(dataset, request["page"])
-        return [pixels.shape, pixels.dtype.str], pixels.tobytes()
+def answer_request(what: str, path: str, inside: str, page: int) -> Any:
+    """Return what a request asks for: stacks, metadata, layout (shape and type) or pixels. Raises `ImageError`."""
+    with h5py.File(path, "r", locking=False) as file:
+        if what == "stacks":
+            return list_stacks(file)
+        dataset = find_dataset(file, inside)
+        if what == "metadata":
+            return list_metadata(dataset)
+        check_dataset(dataset, Path(path).stat().st_size)
+        return read_page(dataset, page) if what == "pixels" else (dataset.shape, dataset.dtype)
 
 
 def serve() -> None:
@@ -200,18 +197,20 @@ def serve() -> None:
     output = os.fdopen(os.dup(1), "wb")
     # What the HDF5 library prints must not get between the replies.
     os.dup2(2, 1)
-    for line in sys.stdin.buffer:
+    while True:
+        try:
+            request = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
         used_s = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
         hard_limit = resource.getrlimit(resource.RLIMIT_CPU)[1]
         resource.setrlimit(resource.RLIMIT_CPU, (int(used_s) + 1 + MAX_REQUEST_S, hard_limit))
-        pixels, reply = b"", dict[str, Any]()
         try:
-            reply["result"], pixels = answer_request(json.loads(line))
-        except ImageError as error:
-            reply["refused"] = str(error)
-        except MemoryError:
-            reply["memory"] = True
+            reply = answer_request(*request)
+        except (ImageError, MemoryError) as error:
+            reply = error
         except Exception as error:
-            reply["error"] = f"{type(error).__name__}: {error}"
-        output.write(json.dumps(reply | {"bytes": len(pixels)}).encode() + b"\n" + pixels)
+            # Exceptions of h5py may hold objects that cannot be sent.
+            reply = OSError(f"{type(error).__name__}: {error}")
+        pickle.dump(reply, output)
         output.flush()

@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
@@ -13,17 +12,8 @@ from spotcheck.io.formats.page import ImageError, Page, check_length
 SIGNATURE = npy.MAGIC_PREFIX
 
 
-class Header(NamedTuple):
-    """Header of a file."""
-
-    shape: tuple[int, ...]  # length of each axis
-    dtype: np.dtype  # type of the stored numbers
-    order: Literal["F", "C"]  # "F": the first axis runs fastest; "C": the last one does
-    start: int  # position of the first number [byte]
-
-
-def read_header(path: Path) -> Header:
-    """Return the header of a file (NumPy enhancement proposal 1).
+def list_pages(path: Path) -> list[Page]:
+    """Return the header of each page of a file (NumPy enhancement proposal 1).
 
     Raises `ImageError`, and what NumPy raises for a broken file.
     """
@@ -32,25 +22,18 @@ def read_header(path: Path) -> Header:
         if version not in ((1, 0), (2, 0), (3, 0)):
             raise ImageError(f"has version {version[0]}.{version[1]} of its format; save it anew by numpy.save")
         # Version 3 differs from 2 only in the letters of field names, which frames do not have.
-        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, is_fortran, dtype = read(stream)
+        read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, _, dtype = read_header(stream)
         start = stream.tell()
     if any(size < 0 for size in shape):
         raise ImageError(f"has the shape {shape}; copy the file again")
-    return Header(shape, dtype, "F" if is_fortran else "C", start)
-
-
-def list_pages(path: Path) -> list[Page]:
-    """Return the header of each page of a file. Raises as `read_header` does."""
-    header = read_header(path)
-    pages = make_pages(header.shape, header.dtype)
-    check_length(header.start + math.prod(header.shape) * header.dtype.itemsize, path.stat().st_size)
+    pages = make_pages(shape, dtype)
+    check_length(start + math.prod(shape) * dtype.itemsize, path.stat().st_size)
     return pages
 
 
 def read_pixels(path: Path, page: int) -> np.ndarray:
-    """Return a page [row, column] or [row, column, channel]. Raises as `read_header` does."""
+    """Return a page [row, column] or [row, column, channel]. Raises as `list_pages` does."""
     list_pages(path)
-    shape, dtype, order, start = read_header(path)
-    array = np.memmap(path, dtype=dtype, mode="r", offset=start, shape=shape, order=order)
-    return np.array(array[find_page_index(page, shape)], dtype.newbyteorder("="), order="C")
+    array = npy.open_memmap(path, mode="r")
+    return np.array(array[find_page_index(page, array.shape)], array.dtype.newbyteorder("="), order="C")

@@ -15,12 +15,8 @@ _HEADER = re.compile(rb"P[25]" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _
 _PADDING = re.compile(rb"\n|[ \t]*#[^\n]*\n")
 # Longest header including comments [byte].
 _HEADER_BYTES = 65536
-OTHER_NETPBM = {
-    b"P1": "black and white (PBM)",
-    b"P4": "black and white (PBM)",
-    b"P3": "colour (PPM)",
-    b"P6": "colour (PPM)",
-}
+# Netpbm formats that are no graymaps.
+OTHERS = {b"P1": "black and white (PBM)", b"P4": "black and white (PBM)", b"P3": "colour (PPM)", b"P6": "colour (PPM)"}
 
 
 class Header(NamedTuple):
@@ -37,19 +33,13 @@ class Header(NamedTuple):
         """Bits of a stored pixel."""
         return 8 if self.white < 256 else 16
 
-    @property
-    def bytes(self) -> int:
-        """Bytes of the pixels; of text, the least possible: one digit per pixel, and a blank between two."""
-        count = self.rows * self.columns
-        return count * self.bits // 8 if self.binary else 2 * count - 1
-
 
 def read_header(path: Path) -> Header:
     """Return the header of a PGM file (P2 or P5). Raises `ImageError`."""
     with path.open("rb") as stream:
         content = stream.read(_HEADER_BYTES)
-    if content[:2] in OTHER_NETPBM:
-        raise ImageError(f"is {OTHER_NETPBM[content[:2]]}; {ONE_CHANNEL}")
+    if content[:2] in OTHERS:
+        raise ImageError(f"is {OTHERS[content[:2]]}; {ONE_CHANNEL}")
     match = _HEADER.match(content)
     if match is None:
         raise ImageError("has no whole PGM header, perhaps cut short; copy the file again")
@@ -58,9 +48,11 @@ def read_header(path: Path) -> Header:
     if not 1 <= white <= 65535:
         raise ImageError(f"states the white value {white}; it must be 1 to 65535")
     header = Header(content[:2] == b"P5", rows, columns, white, match.end())
+    # Text takes at least one digit per pixel and a blank between two.
+    end = header.start + (rows * columns * header.bits // 8 if header.binary else 2 * rows * columns - 1)
     length = path.stat().st_size
-    check_length(header.start + header.bytes, length)
-    surplus = length - header.start - header.bytes
+    check_length(end, length)
+    surplus = length - end
     if not header.binary or not surplus:
         return header
     padding = _PADDING.match(content, header.start)

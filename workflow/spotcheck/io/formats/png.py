@@ -104,22 +104,16 @@ def _undo_scaling(pixels: np.ndarray, bits: int, significant_bits: int) -> np.nd
     if not shift:
         return pixels
     readings = pixels >> shift
-    shifted = readings << shift
-    scaled = np.rint(readings * ((2**bits - 1) / (2**significant_bits - 1))).astype(pixels.dtype)
-    repeated = _repeat_bits(readings, bits, significant_bits)
-    if any(np.array_equal(pixels, candidate) for candidate in (shifted, scaled, repeated)):
+    values = range(2**significant_bits)
+    # Samples of all values by each way of scaling: shifted, multiplied, and with their bits repeated.
+    scalings = (
+        [value << shift for value in values],
+        [round(value * (2**bits - 1) / (2**significant_bits - 1)) for value in values],
+        [int((f"{value:0{significant_bits}b}" * bits)[:bits], 2) for value in values],
+    )
+    if any(np.array_equal(pixels, np.array(samples, pixels.dtype)[readings]) for samples in scalings):
         return readings
     raise ImageError(
         f"its chunk sBIT says that {significant_bits} of {bits} bits hold readings, but the low ones do as well;"
         " save it without that chunk"
     )
-
-
-def _repeat_bits(readings: np.ndarray, bits: int, significant_bits: int) -> np.ndarray:
-    """Return samples that are filled by repeating the bits of readings (section 12.4)."""
-    sources = readings.astype(np.uint64)
-    samples, place = np.zeros_like(sources), bits
-    while place > 0:
-        place -= significant_bits
-        samples |= sources << np.uint64(place) if place >= 0 else sources >> np.uint64(-place)
-    return samples.astype(readings.dtype)

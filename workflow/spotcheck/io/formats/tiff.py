@@ -203,16 +203,16 @@ def _make_page(directory: tifffile.TiffPage, length: int) -> Page:
     if isinstance(directory.subfiletype, int) and directory.subfiletype & REDUCED_OR_MASK:
         return Page((rows, columns), 0, preview=True)
     colours = _read_colours(directory)
-    _check_samples(directory, colours)
-    _check_tags(directory, colours)
+    bits = _count_bits(directory, colours)
+    _check_tags(directory, colours, bits)
     check_size(rows, columns)
     check_size(1, math.prod(directory.chunks))
     _check_chunks(directory, length)
-    return Page((rows, columns), 0 if directory.dtype.kind == "f" else directory.bitspersample, colours=colours)
+    return Page((rows, columns), bits, colours=colours)
 
 
-def _check_samples(directory: tifffile.TiffPage, colours: str) -> None:
-    """Raise `ImageError` if a pixel has too many samples or is of another type."""
+def _count_bits(directory: tifffile.TiffPage, colours: str) -> int:
+    """Return the bits of a stored pixel, 0 for floating-point numbers. Raises `ImageError` for other pixels."""
     channels, dimensions = (3, 3) if colours == RGB else (1, 2)
     if directory.samplesperpixel != channels:
         raise ImageError(f"has {directory.samplesperpixel} channels (SamplesPerPixel); {ONE_CHANNEL}")
@@ -224,15 +224,16 @@ def _check_samples(directory: tifffile.TiffPage, colours: str) -> None:
     if directory.dtype not in PIXEL_TYPES or bits < 8:
         kind = f"{bits} bit" if directory.dtype is None else str(directory.dtype)
         raise ImageError(f"holds {kind} pixels (SampleFormat, BitsPerSample {bits}); {ONE_CHANNEL}")
+    return 0 if directory.dtype.kind == "f" else bits
 
 
-def _check_tags(directory: tifffile.TiffPage, colours: str) -> None:
+def _check_tags(directory: tifffile.TiffPage, colours: str, bits: int) -> None:
     """Raise `ImageError` for a tag by which stored values are not readings in rows."""
     white, black = tifffile.PHOTOMETRIC.MINISWHITE, tifffile.PHOTOMETRIC.MINISBLACK
     if directory.photometric not in (white, black) and not colours:
         kind = _format_tag(directory.photometric)
         raise ImageError(f"PhotometricInterpretation is {kind}; it must be MinIsBlack or MinIsWhite")
-    if directory.dtype.kind == "f" and directory.photometric == white:
+    if not bits and directory.photometric == white:
         raise ImageError("PhotometricInterpretation is MinIsWhite; of floating-point numbers it must be MinIsBlack")
     if directory.fillorder != 1:
         raise ImageError(f"FillOrder is {directory.fillorder}; it must be 1, the highest bit first")

@@ -153,5 +153,5 @@ def save(drawing: Drawing, folder: Path, name: str) -> None:
         stream = io.BytesIO()
         metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
         drawing.figure.savefig(stream, format=kind, metadata=metadata)
-        with store.appearing_whole(folder / f"{name}.{kind}") as scratch:
+        with store.write_with_sidecar(folder / f"{name}.{kind}") as scratch:
             scratch.write_bytes(stream.getvalue())

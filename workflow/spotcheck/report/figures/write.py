@@ -17,7 +17,7 @@ def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] | None 
     """
     drawn: list[dict[str, str | None]] = []
     skipped: list[dict[str, str | None]] = []
-    for entry in progress.over(every_figure() if entries is None else entries, "drawing figures"):
+    for entry in progress.track(every_figure() if entries is None else entries, "drawing figures"):
         record: dict[str, str | None] = {"name": entry.name, "title": entry.title}
         try:
             for need in entry.needs:

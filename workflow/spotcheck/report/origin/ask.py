@@ -191,7 +191,7 @@ def shelf_of(results: Path) -> Shelf:
     if not results.is_dir():
         raise InputError(f"{results}: no such folder; name the results of a dataset, such as results/virtual-rig")
     files = [*sorted(results.glob("*.nc")), *sorted(results.glob("*/*.nc")), *(results / name for name in TEXTS)]
-    files += [Path(noted, SHEET)] if (noted := store.owner_of(results)) else []
+    files += [Path(noted, SHEET)] if (noted := store.read_owner(results)) else []
     state = tuple((str(path), path.stat().st_mtime_ns) for path in files if path.is_file())
     return _shelf(results, state)
 
@@ -268,7 +268,7 @@ def dataset_of(results: Path, file: str) -> Dataset:
     `InputError`."""
     folder = results / Path(file).parent
     if not (folder / "manifest.csv").is_file():
-        noted = store.owner_of(results)
+        noted = store.read_owner(results)
         if not noted:
             raise InputError(f"{results}: does not say of which dataset it is; name the frame by its conditions")
         folder = Path(noted)

@@ -61,7 +61,7 @@ def _source(results: Path, file: str) -> Source | None:
 def found(results: Path, folder: Path, own: Input) -> tuple[Path | None, str]:
     """The file that an input of a file in `folder` was, by its name and digest, and a remark where it has changed since
     or is gone."""
-    noted = store.owner_of(results)
+    noted = store.read_owner(results)
     near = [place / own.name for place in (folder, results, *([Path(noted)] if noted else []))]
     near += [path for path in (_named(Path(noted)) if noted else []) if path.name == own.name]
     # Stages that compare take files of one name from the simulation, too.
