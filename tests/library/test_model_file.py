@@ -58,7 +58,7 @@ def test_spots_without_a_law(tmp_path):
 
 
 BAD = {
-    "no file": (None, ["m.yaml", "is not a file"]),
+    "no file": (None, ["m.yaml", "is no file"]),
     "no YAML": (("law:", "law: ["), ["m.yaml line", "must be YAML"]),
     "unknown key": (("frame:", "farme:"), ["unknown key farme", "known keys here: schema"]),
     "unknown key in a section": (("p1_px", "p1_m"), ["unknown key law.p1_m", "p1_px, p2_px, peak_dn"]),

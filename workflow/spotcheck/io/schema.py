@@ -55,7 +55,7 @@ def find_violation(content: dict[str, Any], name: str) -> str | None:
 def read_keys(path: Path) -> dict[str, Any]:
     """Return the keys and values of a YAML file; an empty file has none. Raises `InputError`."""
     if not path.is_file():
-        raise InputError(f"{path.name}: is not a file; {SYNTAX}")
+        raise InputError(f"{path.name}: is no file; {SYNTAX}")
     try:
         content = read_yaml(path)
     except yaml.YAMLError as error:
