@@ -87,13 +87,11 @@ def list_sources(module: str, root: Path = ROOT) -> list[Path]:
     start = _find_module_file(module, root)
     if start is None:
         raise ModuleNotFoundError(f"{module}: no module below {root.name}/")
-    files, unread = {start}, [start]
+    files, unread = set[Path](), {start}
     while unread:
-        for name in list_imports(unread.pop(), root):
-            file = _find_module_file(name, root)
-            if file and file not in files:
-                files.add(file)
-                unread.append(file)
+        files |= unread
+        names = {name for file in unread for name in list_imports(file, root)}
+        unread = {file for name in names if (file := _find_module_file(name, root))} - files
     return sorted(files)
 
 

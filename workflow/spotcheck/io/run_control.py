@@ -80,12 +80,11 @@ def lock_results(results: Path, token: str) -> TextIO | None:
 def find_jobs(token: str) -> list[psutil.Process]:
     """Return the processes on this machine that a run has started, directly or not."""
     jobs = []
-    for process in psutil.process_iter():
-        try:
-            if process.pid != os.getpid() and process.environ().get(TOKEN_VARIABLE) == token:
-                jobs.append(process)
-        except psutil.Error:
-            continue
+    for process in psutil.process_iter(["environ"]):
+        # None for processes of other users.
+        environment = process.info["environ"] or {}
+        if process.pid != os.getpid() and environment.get(TOKEN_VARIABLE) == token:
+            jobs.append(process)
     return jobs
 
 

@@ -57,16 +57,16 @@ def _iterate_datasets(file: h5py.File) -> Iterator[h5py.Dataset]:
             count += 1
             if count > MAX_OBJECTS:
                 raise ImageError(f"holds more than {MAX_OBJECTS} objects; name the dataset behind #")
-            member = _get_member(group, name)
+            member = group[name] if _is_stored_in(group, name) else None
             if isinstance(member, h5py.Dataset):
                 yield member
             elif isinstance(member, h5py.Group) and member.name.count("/") < MAX_DEPTH:
                 groups.append(member)
 
 
-def _get_member(group: h5py.Group, name: str) -> h5py.Dataset | h5py.Group | None:
-    """Return a member of a group; None for a link."""
-    return group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+def _is_stored_in(group: h5py.Group, name: str) -> bool:
+    """Return whether a member of a group is an object of this file, not a link to another place."""
+    return isinstance(group.get(name, getlink=True), h5py.HardLink)
 
 
 def find_dataset(file: h5py.File, inside: str) -> h5py.Dataset:
@@ -150,7 +150,7 @@ def list_metadata(dataset: h5py.Dataset) -> list[Entry]:
         group = group.parent
         entries += _list_attributes(group)
         for name in list(group)[:MAX_MEMBERS]:
-            member = _get_member(group, name)
+            member = group.get(name) if _is_stored_in(group, name) else None
             if isinstance(member, h5py.Dataset) and member.size is not None and member != dataset:
                 entries += _list_values(name, member, page_count)
     return [entry for entry in entries if entry[1]]
