@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 
 from spotcheck.io import atomic_files
@@ -65,8 +66,8 @@ def _list_imports_of_source(source: str, root: Path) -> set[str]:
     imports = set(modules)
     for name, file in modules.items():
         imports.update(f"{name}.{member}" for member in _list_discovered_modules(file))
-    # Importing a.b.c runs a/__init__.py and a/b/__init__.py as well.
-    return imports | {name.rsplit(".", k)[0] for name in imports for k in range(1, name.count(".") + 1)}
+    # Importing a.b.c imports a and a.b as well.
+    return {prefix for name in imports for prefix in accumulate(name.split("."), "{}.{}".format)}
 
 
 def _list_discovered_modules(file: Path) -> list[str]:

@@ -29,8 +29,10 @@ class Colour(NamedTuple):
         assert self.bayer is not None and self.channel is not None
         letter, row_letter = self.channel[0].upper(), self.channel[-1].upper()
         indices = [index for index in range(4) if self.bayer[index] == letter]
-        # index ^ 1 is the other pixel of the same row, which tells the two greens apart.
-        return divmod(next(k for k in indices if letter != "G" or self.bayer[k ^ 1] == row_letter), 2)
+        if letter == "G":
+            # index ^ 1 is the other pixel of the same row, which tells the two greens apart.
+            indices = [index for index in indices if self.bayer[index ^ 1] == row_letter]
+        return divmod(indices[0], 2)
 
     @property
     def step(self) -> int:

@@ -210,7 +210,8 @@ def serve() -> None:
         except (ImageError, MemoryError) as error:
             reply = error
         except Exception as error:
-            # Exceptions of h5py may hold objects that cannot be sent.
+            # h5py raises any class for a broken file; the text alone is sent.
             reply = OSError(f"{type(error).__name__}: {error}")
-        pickle.dump(reply, output)
+        # Protocol 5 sends pixels without a copy.
+        pickle.dump(reply, output, protocol=5)
         output.flush()
