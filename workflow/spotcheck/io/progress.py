@@ -76,7 +76,7 @@ def track_steps(work: str) -> Iterator[None]:
         yield
         return
     with _make_bar("{percentage:.0f} %", "about ", total=1.0, desc=work) as bar:
-        bar.work = work
+        bar.work, bar.step, bar.step_end = work, "", 0.0
         token = _steps_bar.set(bar)
         try:
             with _beating(bar):
