@@ -200,7 +200,7 @@ def test_the_file_is_that_of_the_instrument(judged, shelf, tmp_path):
     made = read_instrument(tmp_path / "a.yaml")
     assert made.sensor.bit_depth == 12 and made.name is None
     learned = {own.key for own in learned_of(judged, read_instrument(shelf / "my-flats" / "instrument.yaml"))[0]}
-    assert made.given == learned | {"sensor.bit_depth"} | {
+    assert made.given_keys == learned | {"sensor.bit_depth"} | {
         f"sensor.{name}_stderr" for name in ("gain_dn_per_e", "read_noise_e", "black_level_dn")
     }
 
@@ -294,7 +294,7 @@ def test_keys_of_a_shared_file_hold_where_there_is_none(tmp_path):
     made = read_instrument(tmp_path / "instrument.yaml")
     assert (made.sensor.gain_dn_per_e, made.sensor.read_noise_e, made.crop_px) == (0.2, 11.0, 64)
     assert made.light.profile == str(tmp_path / "lab" / "light.nc")
-    assert {"sensor.gain_dn_per_e", "sensor.read_noise_e", "crop_px"} < made.given
+    assert {"sensor.gain_dn_per_e", "sensor.read_noise_e", "crop_px"} < made.given_keys
 
 
 @pytest.mark.parametrize(
