@@ -78,7 +78,7 @@ def test_instrument_keys_of_an_effect_do_what_it_does(name):
 
 SHEET_OF = Instrument(
     sensor=Sensor(gain_dn_per_e=0.11, read_noise_e=13.0, black_level_dn=20.0, black_level_dn_stderr=0.5),
-    given=frozenset({"sensor.gain_dn_per_e", "sensor.read_noise_e", "sensor.black_level_dn"}),
+    given_keys=frozenset({"sensor.gain_dn_per_e", "sensor.read_noise_e", "sensor.black_level_dn"}),
 )
 FLATS, SPOTS = "flats and darks (sensor.nc)", "spots (sensor.nc)"
 
@@ -221,7 +221,7 @@ def test_effects_and_light_of_a_verdict(tmp_path):
     ]
     sheet = {"name": "gain_dn_per_e", "unit": "DN/e-", "found": 0.22, "stderr": 0.001, "contradicts": True}
     verdict = {"effects": effects, "sheet": [sheet], "light": {"words": "6 % of its power lies elsewhere"}}
-    results, given = tmp_path / "results", Instrument(sensor=Sensor(gain_dn_per_e=0.11), given=frozenset())
+    results, given = tmp_path / "results", Instrument(sensor=Sensor(gain_dn_per_e=0.11), given_keys=frozenset())
     results.mkdir()
     (results / "verdict.json").write_text(json.dumps(verdict), encoding="utf-8")
     sensor = xr.Dataset({name: ((), value) for name, value in asdict(SENSOR).items()})

@@ -223,6 +223,7 @@ def test_answers_to_no_question(tmp_path, word, capsys):
         ("sensor.channel=pink", "must be one of red, green, blue, green_r, green_b"),
         ("sensor.bit_depth=99", "key sensor.bit_depth is 99; it must be at most 16"),
         ("kind=spt", "must be spot, dark or flat"),
+        ("date=Monday", "must be a date such as 2026-01-31 or 2026-01-31T09:30:00"),
     ],
 )
 def test_answers_that_are_none(tmp_path, word, right, capsys):

@@ -173,7 +173,8 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
         file_cache.verify_unchanged(dataset, table),
     ):
         places, statuses, glances = [], [], []
-        for index, frame, pixels in progress.over(frames.read_spots(dataset), "cropping spots", len(dataset.spots)):
+        for index, frame in progress.over(dataset.cells(), "cropping spots", len(dataset.spots)):
+            pixels = frames.read_masked_image(dataset, frame)
             if (frame.file, frame.page) not in copied:
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
             again = store.flag("copy") if copied[frame.file, frame.page] else 0

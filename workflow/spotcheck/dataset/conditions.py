@@ -5,7 +5,7 @@ condition, whose value is the mean of its readings. The manifest is merged when 
 same conditions.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,16 +30,6 @@ class MergedValues(NamedTuple):
     unmerged_groups: list[tuple[float, float, int]]  # (lowest, highest, count): small steps, but wider than tolerated
 
 
-def get_tolerance(column: str, values: Sequence[float]) -> Callable[[float], float]:
-    """Return a function of a value of a column: how far above it another value may lie to be merged."""
-    if column == "exposure_s":
-        return lambda value: EXPOSURE_TOLERANCE * value
-    if column == "angle_deg":
-        return lambda value: ANGLE_TOLERANCE_DEG
-    value_range = max(values) - min(values)
-    return lambda value: RANGE_TOLERANCE * value_range
-
-
 def merge_values(column: str, values: Sequence[float | None]) -> MergedValues:
     """Merge the values of a column that belong to one condition.
 
@@ -53,18 +43,26 @@ def merge_values(column: str, values: Sequence[float | None]) -> MergedValues:
     known = np.array([value for value in values if value is not None])
     if not known.size:
         return MergedValues(list(values), [])
-    tolerance = get_tolerance(column, known.tolist())
     distinct = np.unique(known)
-    starts = [k for k in range(1, len(distinct)) if distinct[k] - distinct[k - 1] > tolerance(distinct[k - 1])]
+    tolerances = _get_tolerances(column, distinct)
+    starts = np.flatnonzero(np.diff(distinct) > tolerances[:-1]) + 1
     means: dict[float, float] = {}
     unmerged_groups = []
-    for group in np.split(distinct, starts):
+    for group, group_tolerances in zip(np.split(distinct, starts), np.split(tolerances, starts), strict=True):
         low, high = float(group[0]), float(group[-1])
-        if high - low > tolerance(low):
+        if high - low > group_tolerances[0]:
             unmerged_groups.append((low, high, len(group)))
         elif len(group) > 1:
             means |= dict.fromkeys(group.tolist(), float(known[(known >= low) & (known <= high)].mean()))
     return MergedValues([None if value is None else means.get(value, value) for value in values], unmerged_groups)
+
+
+def _get_tolerances(column: str, distinct: np.ndarray) -> np.ndarray:
+    """Return how far above each ascending value of a column another value may lie to belong to its condition."""
+    if column == "exposure_s":
+        return EXPOSURE_TOLERANCE * distinct
+    absolute = ANGLE_TOLERANCE_DEG if column == "angle_deg" else RANGE_TOLERANCE * (distinct[-1] - distinct[0])
+    return np.full(distinct.shape, absolute)
 
 
 def check_spread(column: str, values: Sequence[float | None]) -> list[str]:

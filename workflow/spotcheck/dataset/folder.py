@@ -202,13 +202,10 @@ def check_files(dataset: Dataset) -> None:
             raise InputError(f"manifest.csv line {frame.line}: {frame.path} is not there{advice}")
     named = {(dataset.folder / frame.path).resolve() for frame in dataset.frames}
     for image in sorted((dataset.folder / "frames").rglob("*")):
-        # Names that start with a dot are the system's, such as the ._a.tif of macOS.
-        is_hidden = any(part.startswith(".") for part in image.relative_to(dataset.folder).parts)
-        is_image = image.suffix.lower() in IMAGE_SUFFIXES and image.is_file() and not is_hidden
-        if is_image and image.resolve() not in named:
+        path, is_image = image.relative_to(dataset.folder), image.suffix.lower() in IMAGE_SUFFIXES and image.is_file()
+        if is_image and not is_hidden(path) and image.resolve() not in named:
             raise InputError(
-                f"{image.relative_to(dataset.folder).as_posix()}: an image that manifest.csv does not name;"
-                f" add a row or move it out of frames/"
+                f"{path.as_posix()}: an image that manifest.csv does not name; add a row or move it out of frames/"
             )
 
 
@@ -220,6 +217,6 @@ def _find_similar_file(folder: Path, file: str) -> str | None:
     return None
 
 
-def is_below_frames(file: str) -> bool:
-    """Return whether a path of the manifest leads into frames/, where every page must have a row."""
-    return Path(file).parts[0] == "frames"
+def is_hidden(path: Path) -> bool:
+    """Return whether a part of a relative path starts with a dot, as in system files such as ._a.tif of macOS."""
+    return any(part.startswith(".") for part in path.parts)

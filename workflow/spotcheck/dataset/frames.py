@@ -1,6 +1,5 @@
 """Reading of frames, and their reduction to block, row and column means."""
 
-from collections.abc import Iterator
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.dataset.folder import Dataset, is_below_frames
+from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.instrument import BadPixels, Instrument
 from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
@@ -107,7 +106,7 @@ def _check_pages_without_row(dataset: Dataset, pages: dict[str, list[Page]]) -> 
     remarks = []
     for file, file_pages in pages.items():
         unnamed = [k for k, page in enumerate(file_pages) if (file, k) not in named and not page.preview]
-        if not unnamed or not is_below_frames(file):
+        if not unnamed or Path(file).parts[0] != "frames":
             continue
         is_plural = len(unnamed) > 1
         remark = (
@@ -227,12 +226,6 @@ def read_masked_image(dataset: Dataset, frame: Frame) -> np.ndarray:
     instrument = dataset.instrument
     is_bad = build_bad_pixel_mask(instrument.bad_pixels, (rows, columns), get_colour(instrument))
     return pixels if is_bad is None else np.where(is_bad, np.float32(np.nan), pixels.astype(np.float32))
-
-
-def read_spots(dataset: Dataset) -> Iterator[tuple[tuple[int, ...], Frame, np.ndarray]]:
-    """Yield the index on the grid, the frame and the pixels of every spot, NaN where bad."""
-    for index, frame in dataset.cells():
-        yield index, frame, read_masked_image(dataset, frame)
 
 
 def select_good_readings(pixels: np.ndarray) -> np.ndarray:

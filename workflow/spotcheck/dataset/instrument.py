@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,11 @@ from spotcheck.io.schema import breach_of, read_keys
 # Names of standard columns, and of dimensions and variables of the results, which no condition may have.
 RESERVED = {
     *REQUIRED_COLUMNS,
-    *("page", "angle", "exposure", "repeat", "y", "x", "row", "column", "block_y", "block_x", "source", "parameter"),
-    *("status", "left_out", "centring", "fit", "estimator", "frame", "registration", "data_range", "image", "top"),
-    *("left", "block_mean", "row_mean", "column_mean", "amplitude", "x_centre", "y_centre", "sigma_major"),
-    *("sigma_minor", "orientation", "offset", "sigma_mean", "chi2_reduced", "p1", "p2", "peak", "laser_width"),
-    *("likelihood_converged", "mean_light", "sigma", "maximum", "sum", "speckle_contrast", "peak_ratio", "psnr", "law"),
-    *("fine_exposure", "photons", "axis", "power", "other_power", "coefficient", "origin", "scatter", "mean_reading"),
-    *("azimuth",),
+    *"page angle exposure repeat y x row column block_y block_x source parameter status left_out centring fit".split(),
+    *"estimator frame registration data_range image top left block_mean row_mean column_mean amplitude".split(),
+    *"x_centre y_centre sigma_major sigma_minor orientation offset sigma_mean chi2_reduced p1 p2 peak".split(),
+    *"laser_width likelihood_converged mean_light sigma maximum sum speckle_contrast peak_ratio psnr law".split(),
+    *"fine_exposure photons axis power other_power coefficient origin scatter mean_reading azimuth".split(),
 }
 
 
@@ -127,15 +125,15 @@ class Instrument:
             return DEFAULT
         return self.get_file_name(key) + (", on which instrument.yaml is based" if key in self.inherited_keys else "")
 
-    def get_file_name(self, key: str) -> str:
-        """Return the name of the file that has a key, or would have to have it."""
-        return Path(self.based_on).name if key in self.inherited_keys and self.based_on else "instrument.yaml"
-
     @property
     def files(self) -> list[Path]:
         """Existing files that instrument.yaml names: the shared file, the light profile, the mask of bad pixels."""
         names = (self.based_on, self.light.profile, self.bad_pixels.mask)
         return [path for name in names if name and (path := Path(name)).exists()]
+
+    def get_file_name(self, key: str) -> str:
+        """Return the name of the file that has a key, or would have to have it."""
+        return Path(self.based_on).name if key in self.inherited_keys and self.based_on else "instrument.yaml"
 
     @property
     def laser_sigma_m(self) -> float | None:
@@ -145,15 +143,8 @@ class Instrument:
         return (self.laser.fwhm_x_m + self.laser.fwhm_y_m) / 2 / math.sqrt(8 * math.log(2))
 
 
-SECTIONS = {
-    "sensor": Sensor,
-    "optics": Optics,
-    "laser": Laser,
-    "material": Material,
-    "model": ModelChoice,
-    "light": Light,
-    "bad_pixels": BadPixels,
-}
+# Record of each section of instrument.yaml.
+SECTIONS: dict[str, Any] = {part.name: part.type for part in fields(Instrument) if is_dataclass(part.type)}
 
 
 def read_instrument(path: Path) -> Instrument:

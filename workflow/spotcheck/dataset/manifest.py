@@ -145,15 +145,12 @@ def _spell_as_on_disk(folder: Path, frames: tuple[Frame, ...]) -> tuple[Frame, .
     if all(frame.path.isascii() or (folder / frame.path).exists() for frame in frames):
         return frames
     paths = [path.relative_to(folder).as_posix() for path in folder.rglob("*")]
-    path_on_disk = {normalize("NFC", path): path for path in paths}
+    # A path that is spelt exactly so takes precedence over one in the other normal form.
+    spelling = {normalize("NFC", path): path for path in paths} | {path: path for path in paths}
+    spelt = [spelling.get(frame.path, spelling.get(normalize("NFC", frame.path), frame.path)) for frame in frames]
     return tuple(
-        frame
-        if (folder / frame.path).exists()
-        else replace(
-            frame,
-            file=path_on_disk.get(normalize("NFC", frame.path), frame.path) + frame.file.removeprefix(frame.path),
-        )
-        for frame in frames
+        replace(frame, file=path + frame.file.removeprefix(frame.path))
+        for frame, path in zip(frames, spelt, strict=True)
     )
 
 

@@ -91,12 +91,10 @@ def _check_manifest(dataset: Dataset) -> Iterator[str]:
         values = [value for frame in dataset.frames if (value := getattr(frame, column)) is not None]
         if values:
             yield from _check_range(f"manifest.csv: the largest {column}", max(values, key=abs), USUAL_RANGES[column])
+        yield from check_spread(column, [getattr(frame, column) for frame in dataset.spots])
     for axis in dataset.axes:
         if axis.units == "m" and axis.values is not None:
-            yield from _check_range(
-                f"manifest.csv: the largest {axis.name}", max(map(abs, axis.values)), POSITION_RANGE
-            )
-    for column in ("exposure_s", "angle_deg"):
-        yield from check_spread(column, [getattr(frame, column) for frame in dataset.spots])
+            largest = max(map(abs, axis.values))
+            yield from _check_range(f"manifest.csv: the largest {axis.name}", largest, POSITION_RANGE)
     for column in dataset.instrument.conditions:
         yield from check_spread(column, [float(frame.extra[column]) for frame in dataset.spots])

@@ -29,10 +29,9 @@ _DAY = re.compile(
 # Column of a quantity without a known word before it, by dimension.
 _DEFAULT_COLUMNS = {"s": "exposure_s", "m": "z_m", "deg": "angle_deg"}
 # Words before a quantity that is neither exposure, position nor angle of the sample.
-OTHER_QUANTITIES = (
-    *("x", "y", "f", "d", "w", "dx", "dy", "lens", "focal", "fl", "dia", "diameter", "pinhole", "slit", "fwhm"),
-    *("waist", "delay", "period", "interval", "pulse", "wait", "dt", "tilt", "pol", "polarizer", "polariser"),
-    *("hwp", "qwp"),
+OTHER_QUANTITIES = set(
+    "x y f d w dx dy lens focal fl dia diameter pinhole slit fwhm waist delay period interval pulse wait dt tilt pol"
+    " polarizer polariser hwp qwp".split()
 )
 # Words whose number is the repeat, and words whose number only counts files.
 REPEAT_WORDS = ("r", "rep", "repeat", "shot", "run")

@@ -13,41 +13,36 @@ from spotcheck.dataset.metadata.entry import MetadataEntry
 
 # Limits per text: characters that are parsed, keys that are read, characters of an entry that a message shows.
 LONGEST_TEXT, MOST_KEYS, LONGEST_SHOWN = 1_000_000, 2000, 60
-# Column and dimension (or type) of each known key; see `normalize_key` for the spelling.
+# Column, and dimension or type of its values, by the known keys in the spelling of `normalize_key`.
 KEYS: dict[str, tuple[str, str]] = {
-    **dict.fromkeys(
-        (
-            *("exposure", "exposuretime", "exptime", "exp", "texp", "shutter", "shutterspeed", "shuttertime", "tint"),
-            *("integrationtime", "inttime", "exposuretimeabs", "detectorexposuretime", "cameraexposure"),
+    key: column_and_dimension
+    for column_and_dimension, keys in {
+        ("exposure_s", "s"): (
+            "exposure exposuretime exptime exp texp shutter shutterspeed shuttertime tint integrationtime inttime"
+            " exposuretimeabs detectorexposuretime cameraexposure"
         ),
-        ("exposure_s", "s"),
-    ),
-    **dict.fromkeys(("angle", "ang", "rotation", "theta", "rotationangle", "fibreangle"), ("angle_deg", "deg")),
-    **dict.fromkeys(
-        ("z", "zpos", "zposition", "positionz", "posz", "stagez", "zstage", "distance", "dist", "defocus"),
-        ("z_m", "m"),
-    ),
-    **dict.fromkeys(("pixelsize", "pixelpitch", "pitch", "sensorpixelsize"), ("sensor.pixel_pitch_m", "m")),
-    **dict.fromkeys(("wavelength", "laserwavelength", "lambda"), ("laser.wavelength_m", "m")),
-    "gain": ("sensor.gain_dn_per_e", "dn_per_e"),
-    **dict.fromkeys(("repeat", "rep", "shot", "run"), ("repeat", "count")),
-    **dict.fromkeys(("bitdepth", "significantbits", "adcbitdepth"), ("sensor.bit_depth", "count")),
-    **dict.fromkeys(("kind", "frametype", "imagetype", "imagetyp"), ("kind", "kind")),
-    **dict.fromkeys(
-        ("date", "datetime", "dateobs", "datetimeoriginal", "acquisitiondate", "acquisitiontime", "timestamp"),
-        ("date", "date"),
-    ),
+        ("angle_deg", "deg"): "angle ang rotation theta rotationangle fibreangle",
+        ("z_m", "m"): "z zpos zposition positionz posz stagez zstage distance dist defocus",
+        ("sensor.pixel_pitch_m", "m"): "pixelsize pixelpitch pitch sensorpixelsize",
+        ("laser.wavelength_m", "m"): "wavelength laserwavelength lambda",
+        ("sensor.gain_dn_per_e", "dn_per_e"): "gain",
+        ("repeat", "count"): "repeat rep shot run",
+        ("sensor.bit_depth", "count"): "bitdepth significantbits adcbitdepth",
+        ("kind", "kind"): "kind frametype imagetype imagetyp",
+        ("date", "date"): "date datetime dateobs datetimeoriginal acquisitiondate acquisitiontime timestamp",
+    }.items()
+    for key in keys.split()
 }
 # Kind of a frame by the words that name it.
 KIND_WORDS = {
-    **dict.fromkeys(("dark", "darks", "darkframe", "bias", "background", "bg", "bkg"), "dark"),
-    **dict.fromkeys(("flat", "flats", "flatfield", "flatframe"), "flat"),
-    **dict.fromkeys(("spot", "spots", "light"), "spot"),
+    **dict.fromkeys("dark darks darkframe bias background bg bkg".split(), "dark"),
+    **dict.fromkeys("flat flats flatfield flatframe".split(), "flat"),
+    **dict.fromkeys("spot spots light".split(), "spot"),
 }
 # Keys with which tifffile and ImageJ describe the layout of a stack or its display, not the frame.
-LAYOUT = (
-    *("imagej", "images", "slices", "frames", "channels", "hyperstack", "mode", "loop", "min", "max", "axes", "shape"),
-    *("unit", "spacing", "finterval", "fps", "labels", "ranges", "luts", "ij", "c0", "c1", "cf", "vunit", "software"),
+LAYOUT = set(
+    "imagej images slices frames channels hyperstack mode loop min max axes shape unit spacing finterval fps labels"
+    " ranges luts ij c0 c1 cf vunit software".split()
 )
 # XML attributes that hold the key of an element.
 KEY_ATTRIBUTES = ("name", "key", "id")

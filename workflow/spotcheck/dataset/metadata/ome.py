@@ -79,7 +79,7 @@ def _parse_quantity(element: Element, name: str, dimension: str, default_unit: s
     text, unit = element.get(name), element.get(f"{name}Unit", default_unit)
     if text is None:
         return None
-    value = units.convert_quantity(text, unit, dimension) if units.get_dimension(unit) == dimension else None
+    value = units.convert_quantity(text, unit, dimension)
     source = f"OME-XML {element.tag.rpartition('}')[2]} {name}"
     return MetadataEntry(None, value, f"{name} = {text} {unit}".strip()[:LONGEST_SHOWN], source)
 

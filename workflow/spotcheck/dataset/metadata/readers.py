@@ -7,7 +7,7 @@ from spotcheck.dataset.metadata import file_names, key_values, sidecar, tags
 from spotcheck.dataset.metadata.entry import MetadataEntry
 from spotcheck.io.formats import hdf5, png, tiff
 
-# Signatures, name in messages, and reader of each image format with metadata.
+# Signatures, name in messages, and reader of each image format with metadata; HDF5 needs the path inside the file too.
 READERS: tuple[tuple[tuple[bytes, ...], str, Callable[[Path], Iterator[MetadataEntry]]], ...] = (
     (tiff.SIGNATURES, "TIFF tags", tags.read_tiff_tags),
     ((png.SIGNATURE,), "PNG texts", tags.read_png_texts),

@@ -112,21 +112,19 @@ def parse_table(text: str, source: str) -> EntriesByImage:
     if not lines:
         return {}
     try:
-        headings, *rows = csv.reader(lines[: MOST_ROWS + 1], delimiter=max(SEPARATORS, key=lines[0].count))
+        reader = csv.DictReader(lines[: MOST_ROWS + 1], delimiter=max(SEPARATORS, key=lines[0].count))
+        heading_of = {key_values.normalize_key(heading): heading for heading in reader.fieldnames or ()}
+        rows = [row for row in reader if None not in row and None not in row.values()]
     except csv.Error:
         return {}
-    keys = [key_values.normalize_key(heading) for heading in headings]
-    name_column = next((keys.index(name) for name in NAME_HEADINGS if name in keys), None)
-    if name_column is None:
+    name_heading = next((heading_of[name] for name in NAME_HEADINGS if name in heading_of), None)
+    if name_heading is None:
         return {}
-    other_headings = [heading.strip() for column, heading in enumerate(headings) if column != name_column]
     rows_by_image: dict[str, list[list[tuple[str, str]]]] = {}
     for row in rows:
-        if len(row) == len(headings):
-            cells = [cell.strip() for cell in row]
-            image = PureWindowsPath(cells.pop(name_column)).name
-            pairs = [(heading, cell) for heading, cell in zip(other_headings, cells, strict=True) if cell]
-            rows_by_image.setdefault(image, []).append(pairs)
+        image = PureWindowsPath(row.pop(name_heading).strip()).name
+        pairs = [(heading.strip(), cell.strip()) for heading, cell in row.items() if cell.strip()]
+        rows_by_image.setdefault(image, []).append(pairs)
     # Several rows of one image describe the pages of its stack.
     return {
         image: tuple(

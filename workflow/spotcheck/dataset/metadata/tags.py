@@ -7,20 +7,24 @@ from pathlib import Path
 from typing import Any
 
 import tifffile
-from PIL import ExifTags, Image
+from PIL import Image
 
+from spotcheck.dataset.manifest import DATE
 from spotcheck.dataset.metadata import key_values, ome
 from spotcheck.dataset.metadata.entry import MetadataEntry
 from spotcheck.io.formats import tiff
 
-# TIFF and EXIF tags with a column: number, name, column and dimension.
-COLUMN_TAGS = (
-    (33434, "ExposureTime", "exposure_s", "s"),
-    (36867, "DateTimeOriginal", "date", "date"),
-    (306, "DateTime", "date", "date"),
+# TIFF and EXIF tags: number, name and column. Those without a column are only shown: what they mean for the gain
+# depends on the camera.
+TAGS = (
+    (33434, "ExposureTime", "exposure_s"),
+    (36867, "DateTimeOriginal", DATE),
+    (306, "DateTime", DATE),
+    (271, "Make", None),
+    (272, "Model", None),
+    (34855, "ISOSpeedRatings", None),
+    (41991, "GainControl", None),
 )
-# Tags that are only shown: what they mean for the gain depends on the camera.
-SHOWN_TAGS = ((271, "Make"), (272, "Model"), (34855, "ISOSpeedRatings"), (41991, "GainControl"))
 EXIF = 34665
 # Metres per unit of the tag ResolutionUnit (TIFF 6.0).
 RESOLUTION_UNIT_M = {2: 0.0254, 3: 0.01}
@@ -60,33 +64,26 @@ def _read_page_tags(page: tifffile.TiffPage, page_number: int) -> Iterator[Metad
     """Yield the metadata in the tags and the EXIF block of a page."""
     exif = page.tags.valueof(EXIF, {})
     exif = exif if isinstance(exif, dict) else {}
-    for code, name, column, dimension in COLUMN_TAGS:
-        tag_values = (page.tags.valueof(code), f"TIFF tag {code} {name}"), (exif.get(name), f"EXIF {name}")
-        for value, source in tag_values:
-            if value is not None:
-                yield _convert_tag(value, source, column, dimension, page_number)
-    for code, name in SHOWN_TAGS:
-        value = page.tags.valueof(code)
-        if value is None:
-            value = exif.get(name)
-        if value is not None:
-            yield _show_tag(name, value, f"TIFF tag {code}", page_number)
+    for code, name, column in TAGS:
+        yield from _convert_tag(page.tags.valueof(code), f"TIFF tag {code}", name, column, page_number)
+        yield from _convert_tag(exif.get(name), "EXIF", name, column, page_number)
     yield from _read_resolution(page, page_number)
 
 
-def _convert_tag(value: Any, source: str, column: str, dimension: str, page: int | None) -> MetadataEntry:
-    """Return the entry of a tag: EXIF stores times as fractions of seconds, and dates as texts."""
+def _convert_tag(value: Any, source: str, name: str, column: str | None, page: int | None) -> Iterator[MetadataEntry]:
+    """Yield the entry of a tag that is present: EXIF stores times as fractions of seconds, and dates as texts."""
+    if value is None:
+        return
     text = str(value).strip("\0 ")
-    if dimension == "s":
-        seconds = _convert_ratio(value)
-        text = f"{seconds:g} s" if seconds else text
-        return MetadataEntry(column, seconds, text[: key_values.LONGEST_SHOWN], source, page)
-    return MetadataEntry(column, key_values.parse_date(text), text[: key_values.LONGEST_SHOWN], source, page)
-
-
-def _show_tag(name: str, value: Any, source: str, page: int | None = None) -> MetadataEntry:
-    """Return the entry of a tag without a column."""
-    return MetadataEntry(None, None, f"{name} = {value}"[: key_values.LONGEST_SHOWN], source, page)
+    converted: float | str | None = None
+    if column is None:
+        text = f"{name} = {text}"
+    elif column == DATE:
+        converted = key_values.parse_date(text)
+    else:
+        converted = _convert_ratio(value)
+        text = f"{converted:g} s" if converted else text
+    yield MetadataEntry(column, converted, text[: key_values.LONGEST_SHOWN], f"{source} {name}", page)
 
 
 def _convert_ratio(value: Any) -> float | None:
@@ -135,9 +132,5 @@ def read_png_texts(path: Path) -> Iterator[MetadataEntry]:
             yield from key_values.parse_text(text, f"PNG text {key[:40]}")
         else:
             yield from key_values.parse_pairs([(key, text)], "PNG text")
-    for code, name, column, dimension in COLUMN_TAGS:
-        if (value := inner_exif.get(code, exif.get(code))) is not None:
-            yield _convert_tag(value, f"EXIF {name}", column, dimension, None)
-    for code, name in SHOWN_TAGS:
-        if (value := inner_exif.get(code, exif.get(code))) is not None:
-            yield _show_tag(ExifTags.TAGS.get(code, name), value, "EXIF")
+    for code, name, column in TAGS:
+        yield from _convert_tag(inner_exif.get(code, exif.get(code)), "EXIF", name, column, None)

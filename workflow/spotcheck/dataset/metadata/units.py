@@ -3,30 +3,29 @@
 import re
 from decimal import Decimal, InvalidOperation
 
-# The micro sign has two code points in Unicode: the sign itself and the Greek letter.
-_MICRO = ("u", "\u00b5", "\u03bc")
-# Factor from each unit to the unit of our columns, by dimension.
+# Factor from each unit to the unit of our columns, by dimension. The micro sign has two code points in Unicode:
+# the sign itself (\u00b5) and the Greek letter (\u03bc).
 UNITS: dict[str, dict[str, str]] = {
-    "s": {
-        **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "1"),
-        **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "1e-3"),
-        **dict.fromkeys((*(f"{u}{s}" for u in _MICRO for s in ("s", "sec")), "microsecond", "microseconds"), "1e-6"),
-        **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), "1e-9"),
-        "min": "60",
-    },
-    "m": {
-        **dict.fromkeys(("m", "meter", "metre"), "1"),
-        "cm": "1e-2",
-        "mm": "1e-3",
-        **dict.fromkeys((*(f"{u}m" for u in _MICRO), "micron", "microns", "micrometer", "micrometre"), "1e-6"),
-        "nm": "1e-9",
-    },
-    "deg": {
-        **dict.fromkeys(("deg", "degs", "degree", "degrees", "\u00b0"), "1"),  # not grad: a circle has 400 of them
-        "rad": "57.29577951308232",
-        "mrad": "0.05729577951308232",
-    },
-    "dn_per_e": {"dn/e": "1", "dn/e-": "1", "adu/e-": "1"},
+    dimension: {unit: factor for factor, names in factors.items() for unit in names.split()}
+    for dimension, factors in {
+        "s": {
+            "60": "min",
+            "1": "s sec secs second seconds",
+            "1e-3": "ms msec millisecond milliseconds",
+            "1e-6": "us \u00b5s \u03bcs usec \u00b5sec \u03bcsec microsecond microseconds",
+            "1e-9": "ns nsec nanosecond nanoseconds",
+        },
+        "m": {
+            "1": "m meter metre",
+            "1e-2": "cm",
+            "1e-3": "mm",
+            "1e-6": "um \u00b5m \u03bcm micron microns micrometer micrometre",
+            "1e-9": "nm",
+        },
+        # Not grad: a circle has 400 of them.
+        "deg": {"1": "deg degs degree degrees \u00b0", "57.29577951308232": "rad", "0.05729577951308232": "mrad"},
+        "dn_per_e": {"1": "dn/e dn/e- adu/e-"},
+    }.items()
 }
 # Alternatives of regular expressions: any unit, the longest first, and any decimal number.
 UNIT_PATTERN = "|".join(

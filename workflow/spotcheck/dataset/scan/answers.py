@@ -7,20 +7,21 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 
+from spotcheck.dataset.folder import get_column_unit
 from spotcheck.dataset.manifest import DATE, KINDS
 from spotcheck.dataset.metadata import units
 from spotcheck.dataset.metadata.entry import MetadataEntry, group_by_column, resolve_entries
+from spotcheck.dataset.metadata.key_values import parse_date
 from spotcheck.dataset.scan.folder_scan import FolderScan, ScannedFrame
 from spotcheck.errors import InputError
 from spotcheck.io.schema import breach_of
 
 # Keys that select a colour plane.
 COLOUR_KEYS = ("sensor.channel", "sensor.bayer")
-# Dimension of columns and keys, by the end of their names.
-DIMENSION_OF_SUFFIX = {"_s": "s", "_m": "m", "_deg": "deg"}
-# What an answer must be, by column or dimension.
+# Description of valid answers, by column or dimension.
 EXPECTED_ANSWERS = {
     "kind": "spot, dark or flat",
+    DATE: "a date such as 2026-01-31 or 2026-01-31T09:30:00",
     "s": "a time such as 2ms",
     "m": "a length such as 3.45um",
     "deg": "an angle such as 45deg",
@@ -84,14 +85,16 @@ def find_schema_breach(column: str, value: float | int | str | None) -> str | No
 
 def get_column_dimension(column: str) -> str | None:
     """Return the dimension (s, m or deg) of a column or key; None if users write it without a unit."""
-    return next((dimension for suffix, dimension in DIMENSION_OF_SUFFIX.items() if column.endswith(suffix)), None)
+    return units.get_dimension(get_column_unit(column))
 
 
 def _parse_answer(column: str, answer: str) -> float | int | str | None:
     """Return the value that an answer gives for a column; None if the answer is a unit or a source."""
     if column == "kind":
         return answer if answer in KINDS else None
-    if column in (DATE, *COLOUR_KEYS):
+    if column == DATE:
+        return parse_date(answer)
+    if column in COLOUR_KEYS:
         return answer
     quantity = units.parse_quantity(answer)
     if quantity is None:
@@ -105,12 +108,11 @@ def _parse_answer(column: str, answer: str) -> float | int | str | None:
 
 
 def _apply_unit(entries: list[MetadataEntry], unit: str) -> list[MetadataEntry]:
-    """Return the entries of a column whose numbers lack a unit, converted from a unit of its dimension."""
+    """Return the entries whose text ends in a number, with its value in a unit; none if the unit does not fit."""
     converted = []
     for entry in entries:
         dimension, number = get_column_dimension(entry.column or ""), re.search(rf"{units.NUMBER_PATTERN}$", entry.text)
-        if dimension and number and units.get_dimension(unit) == dimension:
+        if dimension and number:
             value = units.convert_quantity(number[0].lstrip("-_"), unit, dimension)
-            if value is not None:
-                converted.append(replace(entry, value=value))
+            converted += [replace(entry, value=value)] if value is not None else []
     return converted

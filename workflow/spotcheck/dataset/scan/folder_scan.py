@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from spotcheck.dataset.folder import is_hidden
 from spotcheck.dataset.metadata import sidecar
 from spotcheck.dataset.metadata.entry import MetadataEntry
 from spotcheck.dataset.metadata.file_names import FILE, FOLDER, natural_sort_key
@@ -48,7 +49,7 @@ def scan_folder(folder: Path, colour: Colour = NONE) -> FolderScan:
     InputError
         If the name of an image contains characters that cannot be printed.
     """
-    visible = [path for path in folder.rglob("*") if path.is_file() and not _is_hidden(path.relative_to(folder))]
+    visible = [path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder))]
     images = _select_images(folder, visible)
     frames, errors, read_files = list[ScannedFrame](), list[str](), set(images)
     for image in images:
@@ -102,8 +103,3 @@ def _restore_signs(frames: list[ScannedFrame]) -> tuple[ScannedFrame, ...]:
         return replace(entry, value=-entry.value) if is_negative and isinstance(entry.value, float) else entry
 
     return tuple(replace(frame, metadata=tuple(map(restore_sign, frame.metadata))) for frame in frames)
-
-
-def _is_hidden(path: Path) -> bool:
-    """Return whether a part of the path starts with a dot."""
-    return any(part.startswith(".") for part in path.parts)
