@@ -202,7 +202,8 @@ def check_files(dataset: Dataset) -> None:
             raise InputError(f"manifest.csv line {frame.line}: {frame.path} is not there{advice}")
     named = {(dataset.folder / frame.path).resolve() for frame in dataset.frames}
     for image in sorted((dataset.folder / "frames").rglob("*")):
-        path, is_image = image.relative_to(dataset.folder), image.suffix.lower() in IMAGE_SUFFIXES and image.is_file()
+        path = image.relative_to(dataset.folder)
+        is_image = image.suffix.lower() in IMAGE_SUFFIXES and image.is_file()
         if is_image and not is_hidden(path) and image.resolve() not in named:
             raise InputError(
                 f"{path.as_posix()}: an image that manifest.csv does not name; add a row or move it out of frames/"

@@ -22,8 +22,8 @@ _NUMBERED_WORD = re.compile(
     r"(?<![A-Za-z0-9.])(?P<key>[^\W\d_]+)(?P<gap>[\s_=-]*)(?P<number>\d+(?:[.,p]\d+)?)(?![^\W_])"
 )
 _TRAILING_NUMBER = re.compile(r"(?:^|[\s_.()-])(\d{1,6})\)?$")
-# A day, perhaps with a time: 20260131, 2026-01-31_143000.
-_DAY = re.compile(
+# A date, perhaps with a time: 20260131, 2026-01-31_143000.
+_DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)([-_.]?)([01]\d)\2([0-3]\d)(?:[-_T ]*(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d))?(?!\d)"
 )
 # Column of a quantity without a known word before it, by dimension.
@@ -53,11 +53,11 @@ def parse_name(name: str, source: str = FILE) -> Iterator[MetadataEntry]:
         if entry := _parse_quantity(match, source):
             yield entry
             rest = rest.replace(entry.text, " ", 1)
-    if day := _DAY.search(rest):
-        year, _, month, date, *time = day.groups()
-        if value := parse_date(f"{year}-{month}-{date}" + (f"T{':'.join(time)}" if time[0] else "")):
-            yield MetadataEntry("date", value, day[0], source)
-            rest = rest.replace(day[0], " ", 1)
+    if date_match := _DATE.search(rest):
+        year, _, month, day, *time = date_match.groups()
+        if date := parse_date(f"{year}-{month}-{day}" + (f"T{':'.join(time)}" if time[0] else "")):
+            yield MetadataEntry("date", date, date_match[0], source)
+            rest = rest.replace(date_match[0], " ", 1)
     for word in re.findall(r"[^\W\d_]+", rest):
         if word.lower() in KIND_WORDS:
             yield MetadataEntry("kind", KIND_WORDS[word.lower()], word, source)

@@ -113,7 +113,7 @@ def parse_table(text: str, source: str) -> EntriesByImage:
         return {}
     try:
         reader = csv.DictReader(lines[: MOST_ROWS + 1], delimiter=max(SEPARATORS, key=lines[0].count))
-        heading_of = {key_values.normalize_key(heading): heading for heading in reader.fieldnames or ()}
+        heading_of = {key_values.normalize_key(heading): heading for heading in reversed(reader.fieldnames or ())}
         rows = [row for row in reader if None not in row and None not in row.values()]
     except csv.Error:
         return {}
