@@ -149,9 +149,11 @@ def test_png(tmp_path):
     """EXIF and texts."""
     info, exif = PngImagePlugin.PngInfo(), Image.Exif()
     info.add_text("Comment", "angle = 30 deg")
-    exif[34665] = {33434: 1 / 64}
+    exif[34665], exif[271] = {33434: 1 / 64}, "Maker"
     Image.fromarray(STACK[0]).save(tmp_path / "a.png", pnginfo=info, exif=exif)
-    assert said(read_metadata(tmp_path / "a.png")) == {"angle_deg": 30.0, "exposure_s": 1 / 64}
+    found = read_metadata(tmp_path / "a.png")
+    assert said(found) == {"angle_deg": 30.0, "exposure_s": 1 / 64}
+    assert MetadataEntry(None, None, "Make = Maker", "EXIF Make") in found
 
 
 def test_files_beside(tmp_path):

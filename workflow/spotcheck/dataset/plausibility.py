@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class UsualRange(NamedTuple):
     """Usual range of a number, in the unit of its key."""
 
-    low: float
-    high: float
+    low: float  # smallest usual number
+    high: float  # largest usual number
     units: Mapping[str, float] = MappingProxyType({})  # other units that users may mean: factor to the unit of the key
 
 
@@ -51,9 +51,11 @@ POSITION_RANGE = UsualRange(0.0, 20.0, LENGTH)
 
 def suggest_unit(value: float, usual: UsualRange) -> str:
     """Return in which other units a number would lie in its usual range, such as "3.45 µm would be 3.45e-06"."""
-    converted = [(unit, value * factor) for unit, factor in usual.units.items()]
+    converted = {unit: value * factor for unit, factor in usual.units.items()}
     return ", ".join(
-        f"{value:g} {unit} would be {in_si:.6g}" for unit, in_si in converted if usual.low <= in_si <= usual.high
+        f"{value:g} {unit} would be {number:.6g}"
+        for unit, number in converted.items()
+        if usual.low <= number <= usual.high
     )
 
 
