@@ -78,7 +78,7 @@ def test_instrument_keys_of_an_effect_do_what_it_does(name):
 
 SHEET_OF = Instrument(
     sensor=Sensor(gain_dn_per_e=0.11, read_noise_e=13.0, black_level_dn=20.0, black_level_dn_stderr=0.5),
-    given=frozenset({"sensor.gain_dn_per_e", "sensor.read_noise_e", "sensor.black_level_dn"}),
+    given_keys=frozenset({"sensor.gain_dn_per_e", "sensor.read_noise_e", "sensor.black_level_dn"}),
 )
 FLATS, SPOTS = "flats and darks (sensor.nc)", "spots (sensor.nc)"
 
@@ -200,7 +200,7 @@ def test_the_file_is_that_of_the_instrument(judged, shelf, tmp_path):
     made = read_instrument(tmp_path / "a.yaml")
     assert made.sensor.bit_depth == 12 and made.name is None
     learned = {own.key for own in learned_of(judged, read_instrument(shelf / "my-flats" / "instrument.yaml"))[0]}
-    assert made.given == learned | {"sensor.bit_depth"} | {
+    assert made.given_keys == learned | {"sensor.bit_depth"} | {
         f"sensor.{name}_stderr" for name in ("gain_dn_per_e", "read_noise_e", "black_level_dn")
     }
 
@@ -221,7 +221,7 @@ def test_effects_and_light_of_a_verdict(tmp_path):
     ]
     sheet = {"name": "gain_dn_per_e", "unit": "DN/e-", "found": 0.22, "stderr": 0.001, "contradicts": True}
     verdict = {"effects": effects, "sheet": [sheet], "light": {"words": "6 % of its power lies elsewhere"}}
-    results, given = tmp_path / "results", Instrument(sensor=Sensor(gain_dn_per_e=0.11), given=frozenset())
+    results, given = tmp_path / "results", Instrument(sensor=Sensor(gain_dn_per_e=0.11), given_keys=frozenset())
     results.mkdir()
     (results / "verdict.json").write_text(json.dumps(verdict), encoding="utf-8")
     sensor = xr.Dataset({name: ((), value) for name, value in asdict(SENSOR).items()})
@@ -294,7 +294,7 @@ def test_keys_of_a_shared_file_hold_where_there_is_none(tmp_path):
     made = read_instrument(tmp_path / "instrument.yaml")
     assert (made.sensor.gain_dn_per_e, made.sensor.read_noise_e, made.crop_px) == (0.2, 11.0, 64)
     assert made.light.profile == str(tmp_path / "lab" / "light.nc")
-    assert {"sensor.gain_dn_per_e", "sensor.read_noise_e", "crop_px"} < made.given
+    assert {"sensor.gain_dn_per_e", "sensor.read_noise_e", "crop_px"} < made.given_keys
 
 
 @pytest.mark.parametrize(

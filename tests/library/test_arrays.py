@@ -12,8 +12,8 @@ from spotcheck.cli import main
 from spotcheck.crops import stages as crops
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
-from spotcheck.dataset.labels.files import labels_of
-from spotcheck.dataset.labels.label import settled
+from spotcheck.dataset.metadata.entry import resolve_entries
+from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files, hdf5
 from spotcheck.io.formats.names import split_inner_path
@@ -190,7 +190,7 @@ def test_the_texts_around_the_frames(tmp_path):
         file["entry/count_time"], file["entry/z"] = 2.5, [1.0, 2.0, 3.0]
         file["entry/exposure_time"] = 20
         file["entry/z"].attrs["units"], file["entry/exposure_time"].attrs["units"] = "mm", "ms"
-    taken, _ = settled(labels_of(path, inside="/entry/data"), 1)
+    taken, _ = resolve_entries(read_metadata(path, inner_path="/entry/data"), 1)
     values = {column: label.value for column, label in taken.items()}
     assert values == {"laser.wavelength_m": 6.328e-7, "exposure_s": 0.02, "z_m": 2e-3}
 
@@ -210,7 +210,7 @@ def test_a_dataset_of_hdf5_and_npy(tmp_path, capsys):
     assert found.frames[4].label == "a.h5#/b, page 1"
     table = crops.ingest(found)
     assert len(set(table["sha256"].values)) == 2 and set(table["copy_of"].values) == {-1}
-    np.testing.assert_array_equal(frames.read(found, found.frames[4]), noisy[1, 1])
+    np.testing.assert_array_equal(frames.read_image(found, found.frames[4]), noisy[1, 1])
 
 
 def test_a_file_that_is_not_there(tmp_path):

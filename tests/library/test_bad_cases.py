@@ -18,7 +18,7 @@ import yaml
 from spotcheck.characterization.sensor_choice import judge_darks
 from spotcheck.cli import main
 from spotcheck.cli.judged import find_shared_spots
-from spotcheck.dataset.frames import Surround
+from spotcheck.dataset.frames import ReducedFrame
 from spotcheck.discrepancy.frames import Design, FrameSet
 from spotcheck.discrepancy.written import breach_of_verdict
 from spotcheck.fitting.reading_kernel import law_of
@@ -365,8 +365,8 @@ def are_together(frames: Sequence[tuple[int, float, int]]) -> list[bool]:
 def test_dark_frames_are_held_against_the_darkest_of_all(levels, beside, good, said):
     """Light only adds: what reads more than another frame does beside its spot is not dark."""
 
-    def frame(level: float) -> Surround:
-        return Surround(np.full((2, 2), level), np.full(9, level), np.full(9, level))
+    def frame(level: float) -> ReducedFrame:
+        return ReducedFrame(np.full((2, 2), level), np.full(9, level), np.full(9, level))
 
     found = judge_darks(map(frame, levels), map(frame, beside), 1023.0)
     assert found.levels == good and found.remark.startswith(said) and bool(found.remark) == bool(said)

@@ -134,6 +134,6 @@ def test_no_bad_pixels_leave_frames_as_they_are(tmp_path):
     """Unsigned integers, as stored."""
     image = spoilt(1, 3)
     found = loaded(tmp_path / "data", [image], YAML)
-    np.testing.assert_array_equal(frames.read_good(found, found.spots[0]), image)
-    assert frames.read_good(found, found.spots[0]).dtype == np.uint16
+    np.testing.assert_array_equal(frames.read_masked_image(found, found.spots[0]), image)
+    assert frames.read_masked_image(found, found.spots[0]).dtype == np.uint16
     assert dataset.load(found.folder).instrument.bad_pixels == type(found.instrument.bad_pixels)()

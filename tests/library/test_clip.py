@@ -53,7 +53,7 @@ def test_a_clipped_spot_is_fitted_as_one_without_a_bit_depth(tmp_path, highest, 
 
 def whole(pixels: np.ndarray, **sensor) -> int:
     """Where the readings of one frame stop, in a container of 16 bits."""
-    return end_of([top_of(pixels)], Instrument(sensor=Sensor(**sensor), given=frozenset(sensor)), 16).reading
+    return end_of([top_of(pixels)], Instrument(sensor=Sensor(**sensor), given_keys=frozenset(sensor)), 16).reading
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -92,7 +92,7 @@ def test_a_saturated_flat_is_clipped_beside_darks():
 def test_a_plateau_just_below_the_stated_depth_is_the_end(highest, end):
     """Within 1 % of it; further below the sensor saturates, and a remark says so."""
     top = top_of(spot(np.random.default_rng(5), 3 * highest, highest))
-    found = end_of([top], Instrument(sensor=Sensor(bit_depth=12), given=frozenset({"sensor.bit_depth"})), 16)
+    found = end_of([top], Instrument(sensor=Sensor(bit_depth=12), given_keys=frozenset({"sensor.bit_depth"})), 16)
     assert found.reading == end and bool(found.remarks) == (highest == 4000)
 
 
@@ -102,7 +102,7 @@ def test_a_bit_depth_that_frames_contradict_is_said():
     rng = np.random.default_rng(3)
     for highest, words in ((4095, "sensor.bit_depth 12 would be right"), (2900, "the verdict looks for saturation")):
         top = top_of(spot(rng, 3 * highest, highest))
-        end = end_of([top], Instrument(sensor=Sensor(bit_depth=16), given=frozenset({"sensor.bit_depth"})), 16)
+        end = end_of([top], Instrument(sensor=Sensor(bit_depth=16), given_keys=frozenset({"sensor.bit_depth"})), 16)
         assert end.reading == 65535 and len(end.remarks) == 1
         assert f"stops at exactly {highest} DN" in end.remarks[0] and words in end.remarks[0]
 

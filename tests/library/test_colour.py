@@ -103,7 +103,7 @@ def test_the_pitch_is_that_of_the_plane(tmp_path):
     """Two pixels of the sensor."""
     found = bayer(tmp_path)
     assert found.instrument.sensor == Sensor(pixel_pitch_m=4e-6, channel="green_b", bayer="RGGB")
-    assert frames.probe_all(found).shape == (ROWS // 2, COLUMNS // 2)
+    assert frames.check_formats(found).shape == (ROWS // 2, COLUMNS // 2)
 
 
 def test_bad_pixels_are_those_of_the_sensor(tmp_path):
@@ -111,7 +111,7 @@ def test_bad_pixels_are_those_of_the_sensor(tmp_path):
     found = bayer(tmp_path, "bad_pixels: {columns: [4], rows: [8], pixels: [[6, 3], [7, 5]]}")
     wanted = np.zeros((ROWS, COLUMNS), bool)
     wanted[:, 4], wanted[8], wanted[3, 6], wanted[5, 7] = True, True, True, True
-    bad = np.isnan(frames.read_good(found, found.frames[0]))
+    bad = np.isnan(frames.read_masked_image(found, found.frames[0]))
     np.testing.assert_array_equal(bad, wanted[1::2, 0::2])
     assert bad.sum() == ROWS // 2 + 1
 
@@ -123,7 +123,7 @@ def test_a_mask_of_bad_pixels_has_the_size_of_the_sensor(tmp_path):
     (tmp_path / "frames").mkdir()
     Image.fromarray(mask).save(tmp_path / "mask.png")
     found = bayer(tmp_path, "bad_pixels: {mask: mask.png}")
-    assert np.argwhere(np.isnan(frames.read_good(found, found.frames[0]))).tolist() == [[1, 3]]
+    assert np.argwhere(np.isnan(frames.read_masked_image(found, found.frames[0]))).tolist() == [[1, 3]]
 
 
 @pytest.mark.parametrize(

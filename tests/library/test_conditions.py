@@ -7,9 +7,15 @@ import tifffile
 from spotcheck.characterization.characterise import characterise_dataset
 from spotcheck.characterization.same_site import pairs_along
 from spotcheck.crops import stages as crops
-from spotcheck.dataset.conditions import ANGLE_DEG, EXPOSURE_PART, RANGE_PART, grouped, remarks_on
+from spotcheck.dataset.conditions import (
+    ANGLE_TOLERANCE_DEG,
+    EXPOSURE_TOLERANCE,
+    RANGE_TOLERANCE,
+    check_spread,
+    merge_values,
+)
 from spotcheck.dataset.folder import load
-from spotcheck.dataset.plausible import remarks_on as remarks_on_dataset
+from spotcheck.dataset.plausibility import list_unusual_values
 from spotcheck.errors import InputError
 from spotcheck.io import store
 from tests.library.conftest import HEADER, SENSOR, folder, gaussian
@@ -17,9 +23,9 @@ from tests.reference.numpy_chain import draw
 
 # Twice and half of each tolerance, as the distance of the second value from the first.
 NEAR_AND_FAR = {
-    "exposure_s": (2.5e-3, 2.5e-3 * EXPOSURE_PART),
-    "angle_deg": (45.0, ANGLE_DEG),
-    "z_m": (0.08, 0.4 * RANGE_PART),
+    "exposure_s": (2.5e-3, 2.5e-3 * EXPOSURE_TOLERANCE),
+    "angle_deg": (45.0, ANGLE_TOLERANCE_DEG),
+    "z_m": (0.08, 0.4 * RANGE_TOLERANCE),
 }
 
 
@@ -29,8 +35,8 @@ def test_values_within_the_tolerance_are_one(column, part, one):
     """Their value is the mean of the readings, each counted; others stay as they were read, to the last digit."""
     first, tolerance = NEAR_AND_FAR[column]
     second, far, last = first + part * tolerance, first + 0.1, first + 0.4
-    found = grouped(column, [second, first, None, far, first, last])
-    assert found.too_wide == [] and found.values[2:4] == [None, far] and found.values[5] == last
+    found = merge_values(column, [second, first, None, far, first, last])
+    assert found.unmerged_groups == [] and found.values[2:4] == [None, far] and found.values[5] == last
     mean = first + part * tolerance / 3
     expected = [mean, mean, mean] if one else [second, first, first]
     assert [found.values[k] for k in (0, 1, 4)] == pytest.approx(expected, rel=1e-15)
@@ -39,11 +45,11 @@ def test_values_within_the_tolerance_are_one(column, part, one):
 
 def test_a_chain_of_small_steps_is_not_one_condition():
     """Steps of half the tolerance over ten of it: no value is moved, and the chain is named."""
-    values = (1e-3 * (1 + 0.5 * EXPOSURE_PART * np.arange(20))).tolist()
-    found = grouped("exposure_s", values)
-    assert found.values == values and found.too_wide == [(values[0], values[-1], 20)]
-    assert "20 different values in 20 spot rows" in remarks_on("exposure_s", values)[0]
-    twice = remarks_on("exposure_s", values * 2)
+    values = (1e-3 * (1 + 0.5 * EXPOSURE_TOLERANCE * np.arange(20))).tolist()
+    found = merge_values("exposure_s", values)
+    assert found.values == values and found.unmerged_groups == [(values[0], values[-1], 20)]
+    assert "20 different values in 20 spot rows" in check_spread("exposure_s", values)[0]
+    twice = check_spread("exposure_s", values * 2)
     assert len(twice) == 1 and "20 different values" in twice[0] and "below the tolerance" in twice[0]
 
 
@@ -64,7 +70,7 @@ SPOKEN_OF = {
 @pytest.mark.parametrize(("column", "values", "spoken"), SPOKEN_OF.values(), ids=SPOKEN_OF)
 def test_values_that_are_all_different_and_alike(column, values, spoken):
     """A sentence where every frame has one of its own though they hardly differ, and none for a sweep."""
-    assert bool(remarks_on(column, values)) is spoken
+    assert bool(check_spread(column, values)) is spoken
 
 
 def test_two_rows_of_one_condition_need_repeats(tmp_path):
@@ -117,7 +123,7 @@ def test_a_frame_an_exposure_is_no_walk_over_a_square(tmp_path):
     dataset = load(found_in)
     assert dataset.shape == (1, count, count)
     table = crops.ingest(dataset)
-    assert store.remarks_of(table) == remarks_on_dataset(dataset)
+    assert store.remarks_of(table) == list_unusual_values(dataset)
     assert store.remarks_of(table)[0].startswith("manifest.csv: exposure_s has 40 different values in 40 spot rows")
     crops.crop(dataset, table, tmp_path / "crops.nc", code="", inputs=[])
     with store.read(tmp_path / "crops.nc") as images:

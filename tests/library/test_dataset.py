@@ -175,7 +175,7 @@ def test_conditions_are_axes_with_the_unit_of_their_suffix(tmp_path):
         ("temperature_k", (300.0, 310.0), "K"),
     ]
     assert ds.frames[0].extra["note"] == "x"
-    assert [dataset.unit_of(c) for c in ("tilt_deg", "delay_s", "photons_per_px")] == ["degree", "s", "1"]
+    assert [dataset.get_column_unit(c) for c in ("tilt_deg", "delay_s", "photons_per_px")] == ["degree", "s", "1"]
 
 
 def test_a_blank_condition_of_a_spot_is_named(tmp_path):
@@ -209,9 +209,9 @@ def test_files_there_and_named(tmp_path):
 def test_find_by_path_and_by_name(tmp_path):
     """A path goes before a name on the shelf; neither is an error."""
     own = folder(tmp_path / "shelf" / "mine", [GOOD])
-    assert dataset.find(str(own), tmp_path) == dataset.find("mine", tmp_path / "shelf") == own
+    assert dataset.find_dataset(str(own), tmp_path) == dataset.find_dataset("mine", tmp_path / "shelf") == own
     with pytest.raises(InputError, match="theirs: no folder"):
-        dataset.find("theirs", tmp_path / "shelf")
+        dataset.find_dataset("theirs", tmp_path / "shelf")
     with pytest.raises(InputError, match="no such folder"):
         dataset.load(tmp_path / "nowhere")
 

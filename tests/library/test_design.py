@@ -20,7 +20,7 @@ def test_a_dataset_and_its_images(there):
     """What it holds in one line; pixels as they are on disk."""
     dataset = load("my-flats")
     assert repr(dataset) == "<Dataset my-flats: 40 darks, 40 flats>"
-    image = frames.read(dataset, dataset.frames[3])
+    image = frames.read_image(dataset, dataset.frames[3])
     assert np.array_equal(image, levels()[1][1, 1])
 
 
@@ -28,7 +28,7 @@ def test_simulated_frames_are_those_of_the_law(there):
     """Fitted widths are p1 ln t + p2, peaks t/σ² of that at the longest exposure; 18 spots and two numbers each within
     4.5 standard errors (false alarm 2.4e-4), with 4e-4 px for widths of light that is sampled."""
     drawn = load("my-frames")
-    fits = fit_spots((frames.read(drawn, spot) for spot in drawn.spots), CAMERA, circular=True)
+    fits = fit_spots((frames.read_image(drawn, spot) for spot in drawn.spots), CAMERA, circular=True)
     t = np.array([spot.exposure_s for spot in drawn.spots])
     width = 1.2 * np.log(t) + 14
     peak = 600 * (t / width**2) / (9e-4 / (1.2 * np.log(9e-4) + 14) ** 2)
@@ -42,7 +42,7 @@ def test_equal_seeds_give_equal_folders(there, tmp_path):
         name: simulate_dataset("design", tmp_path / name, **LAW, **options)
         for name, options in {"a": {"seed": 4}, "b": {"seed": 4, "sensor": CAMERA}, "c": {"seed": 5}}.items()
     }
-    a, b, c = (np.stack([frames.read(own, spot) for spot in own.spots]) for own in drawn.values())
+    a, b, c = (np.stack([frames.read_image(own, spot) for spot in own.spots]) for own in drawn.values())
     assert np.array_equal(a, b) and not np.array_equal(a, c)
     with store.read(tmp_path / "a" / "expected.nc") as ds:
         expected = ds["mean_reading"].transpose("angle", "repeat", "exposure", "y", "x").values.reshape(18, 48, 48)
@@ -60,7 +60,7 @@ def test_a_model_file_is_simulated(there, tmp_path):
         encoding="utf-8",
     )
     drawn = simulate_dataset("design", tmp_path / "out", model=tmp_path / "model.yaml", seed=1)
-    corner = [frames.read(drawn, spot)[:20, :20].mean() for spot in drawn.spots]
+    corner = [frames.read_image(drawn, spot)[:20, :20].mean() for spot in drawn.spots]
     # 50 DN, 400 pixels of 0.9 DN rms: 4.5 standard errors are 0.2 DN.
     np.testing.assert_allclose(corner, 50, atol=0.25)
 

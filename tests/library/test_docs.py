@@ -17,7 +17,7 @@ from spotcheck.characterization.levels import PHOTONS
 from spotcheck.cli import COMMANDS
 from spotcheck.crops.stages import check_dataset
 from spotcheck.dataset import folder as dataset
-from spotcheck.dataset.frames import read
+from spotcheck.dataset.frames import read_image
 from spotcheck.dataset.manifest import DATE, KEEP, REQUIRED_COLUMNS
 from spotcheck.errors import InputError
 from spotcheck.fitting.caustic import CONDITION
@@ -221,7 +221,7 @@ def content(of_file: bytes, text: str = ""):
         found = dataset.load(folder(base, [GOOD], text))
         (base / "frames" / "a.tif").write_bytes(of_file)
         check_dataset(found)
-        read(found, found.frames[0])
+        read_image(found, found.frames[0])
 
     return check
 

@@ -102,7 +102,7 @@ def test_the_simulated_folder_keeps_the_contract(tmp_path, capsys):
     own = read_instrument(tmp_path / "out" / "instrument.yaml").sensor
     assert (own.bit_depth, own.gain_dn_per_e, own.read_noise_e, own.black_level_dn) == (10, 0.11, 8.0, 20.0)
     # 68 − 48 = 20 to 73 + 48 + 2; the frame's 130 rows end before 66 + 48 + 2.
-    assert frames.read(again, again.frames[0]).shape == (66 + 48 + 1 - 10, 73 + 48 + 1 - 20)
+    assert frames.read_image(again, again.frames[0]).shape == (66 + 48 + 1 - 10, 73 + 48 + 1 - 20)
     assert (out.attrs["window_left_px"], out.attrs["window_top_px"], out.attrs["effects"]) == (20, 10, "smear")
 
 
@@ -126,7 +126,7 @@ def test_frames_scatter_about_what_is_expected(tmp_path):
     for index, row in again.cells():
         own = out.isel(dict(zip(("angle", "exposure", "repeat"), index, strict=True)))
         left, top = int(own["left"]) - out.attrs["window_left_px"], int(own["top"]) - out.attrs["window_top_px"]
-        crop = frames.read(again, row)[top : top + SIDE, left : left + SIDE].astype(float)
+        crop = frames.read_image(again, row)[top : top + SIDE, left : left + SIDE].astype(float)
         want = own["mean_reading"].values.astype(float)
         variance = 0.11 * (want - 20) + 0.11**2 * 64 + 1 / 12
         assert crop.sum() == pytest.approx(want.sum(), abs=5 * np.sqrt(variance.sum()))

@@ -27,8 +27,8 @@ def place(base, name: str):
 def assert_reads(base, name: str, expected: np.ndarray, bits: int, instrument: str = "crop_px: 8") -> None:
     """Header and pixels of the one frame."""
     ds = one(base, name, instrument)
-    assert frames.probe_all(ds)[:2] == (expected.shape, bits)
-    pixels = frames.read(ds, ds.frames[0])
+    assert frames.check_formats(ds)[:2] == (expected.shape, bits)
+    pixels = frames.read_image(ds, ds.frames[0])
     assert pixels.dtype.kind == "u"
     np.testing.assert_array_equal(pixels, expected)
 
@@ -72,9 +72,9 @@ def test_pages_of_a_stack(tmp_path):
     tifffile.imwrite(place(tmp_path, "a.tif"), stack, photometric="minisblack")
     for page in range(3):
         ds = one(tmp_path, "a.tif", page=str(page))
-        np.testing.assert_array_equal(frames.read(ds, ds.frames[0]), stack[page])
+        np.testing.assert_array_equal(frames.read_image(ds, ds.frames[0]), stack[page])
     with pytest.raises(InputError, match=r"a\.tif, page 3: page is 3, but the file has 3; pages count from 0"):
-        frames.probe_all(one(tmp_path, "a.tif", page="3"))
+        frames.check_formats(one(tmp_path, "a.tif", page="3"))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -119,14 +119,14 @@ def test_left_aligned_container(tmp_path):
 def test_full_scale_of_16_bit(tmp_path, sensor, highest):
     """Largest reading after the shift: 2^bits − 1, or what the container leaves."""
     ds = loaded(tmp_path, [RAMP], f"crop_px: 8\nsensor: {sensor}")
-    assert frames.full_scale(ds.instrument, 16) == highest
+    assert frames.get_full_scale(ds.instrument, 16) == highest
 
 
 def test_value_above_the_bit_depth(tmp_path):
     """The value, the limit, and both remedies."""
     ds = loaded(tmp_path, [np.full((20, 30), 1024, np.uint16)], "crop_px: 8\nsensor: {bit_depth: 10}")
     with pytest.raises(InputError, match=r"f0\.tif: holds the value 1024, above the 1023.*value_shift_bits"):
-        frames.read(ds, ds.frames[0])
+        frames.read_image(ds, ds.frames[0])
 
 
 REFUSED = {
@@ -141,7 +141,7 @@ def test_other_pixels_are_refused(tmp_path, pixels, word):
     """What the file holds, and what it must hold."""
     tifffile.imwrite(place(tmp_path, "a.tif"), pixels)
     with pytest.raises(InputError, match=rf"a\.tif: .*{word}.*one channel of 8 to 16 bit unsigned"):
-        frames.probe_all(one(tmp_path, "a.tif"))
+        frames.check_formats(one(tmp_path, "a.tif"))
 
 
 COLOURS = {
@@ -157,7 +157,7 @@ def test_other_png_are_refused(tmp_path, mode):
     """Colour, transparency, palettes and bits."""
     Image.new(mode, (30, 20)).save(place(tmp_path, "a.png"))
     with pytest.raises(InputError, match=rf"a\.png: {COLOURS[mode]}; it must be one channel"):
-        frames.probe_all(one(tmp_path, "a.png"))
+        frames.check_formats(one(tmp_path, "a.png"))
 
 
 @pytest.mark.parametrize("part", [0.0, 0.02, 0.5, 0.95])
@@ -168,7 +168,7 @@ def test_a_tiff_cut_short_shows_in_its_header(tmp_path, part):
     content = path.read_bytes()
     path.write_bytes(content[: int(part * len(content))])
     with pytest.raises(InputError, match=r"a\.tif: .*cut short; copy the file again"):
-        frames.probe_all(one(tmp_path, "a.tif"))
+        frames.check_formats(one(tmp_path, "a.tif"))
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.pgm"])
@@ -179,23 +179,23 @@ def test_other_images_cut_short(tmp_path, name):
     path.write_bytes(path.read_bytes()[:-200])
     ds = one(tmp_path, name)
     with pytest.raises(InputError, match="copy the file again"):
-        frames.read(ds, ds.frames[0])
+        frames.read_image(ds, ds.frames[0])
     path.write_bytes(b"no image at all")
     with pytest.raises(InputError, match="cannot be read as an image"):
-        frames.probe_all(one(tmp_path, name))
+        frames.check_formats(one(tmp_path, name))
 
 
 def test_frames_of_one_dataset_are_alike(tmp_path):
     """Another size, another depth, a crop that is larger than the frame, a page of a PNG."""
     with pytest.raises(InputError, match=r"f1\.tif: 29 × 20 px, but frames/f0\.tif has 30 × 20 px"):
-        frames.probe_all(loaded(tmp_path / "size", [RAMP, RAMP[:, :-1]], "crop_px: 8"))
+        frames.check_formats(loaded(tmp_path / "size", [RAMP, RAMP[:, :-1]], "crop_px: 8"))
     with pytest.raises(InputError, match=r"f1\.tif: 8 bit, but frames/f0\.tif has 16 bit"):
-        frames.probe_all(loaded(tmp_path / "depth", [RAMP, RAMP.astype(np.uint8)], "crop_px: 8"))
+        frames.check_formats(loaded(tmp_path / "depth", [RAMP, RAMP.astype(np.uint8)], "crop_px: 8"))
     with pytest.raises(InputError, match="crop_px is 21, but the frames have 30 × 20 px; it must be at most 20"):
-        frames.probe_all(loaded(tmp_path / "crop", [RAMP], "crop_px: 21"))
+        frames.check_formats(loaded(tmp_path / "crop", [RAMP], "crop_px: 21"))
     Image.fromarray(RAMP).save(place(tmp_path, "a.png"))
     with pytest.raises(InputError, match="page is 1, but the file has 1; pages count from 0"):
-        frames.probe_all(one(tmp_path, "a.png", page="1"))
+        frames.check_formats(one(tmp_path, "a.png", page="1"))
 
 
 @pytest.mark.parametrize("shape", [(20, 30), (64, 64), (200, 130), (129, 191)])
@@ -212,4 +212,4 @@ def test_block_and_line_means(shape):
     np.testing.assert_allclose(got.block_mean, want, rtol=1e-14)
     np.testing.assert_allclose(got.row_mean, [r.astype(float).mean() for r in pixels], rtol=1e-13)
     np.testing.assert_allclose(got.column_mean, [c.astype(float).mean() for c in pixels.T], rtol=1e-13)
-    assert got.block_mean.shape == tuple(frames.blocks_along(n, shape) for n in shape)
+    assert got.block_mean.shape == tuple(frames.count_blocks(n, shape) for n in shape)

@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from spotcheck.dataset.labels import beside, names, words
-from spotcheck.dataset.labels.files import labels_of
-from spotcheck.dataset.labels.label import Label, settled
-from spotcheck.dataset.labels.words import of_key
+from spotcheck.dataset.metadata import file_names, key_values, sidecar
+from spotcheck.dataset.metadata.entry import MetadataEntry, resolve_entries
+from spotcheck.dataset.metadata.readers import read_metadata
 
 STACK = np.zeros((3, 16, 20), np.uint16)
 NAMES = {
@@ -36,6 +35,8 @@ NAMES = {
     "HeNe_632.8nm_z12.5mm": {"laser.wavelength_m": 6.328e-7, "z_m": 0.0125},
     "beam_20260131_093000_2ms": {"date": "2026-01-31T09:30:00", "exposure_s": 2e-3},
     "img_0042": {"number": 42},
+    "r2_beam_7": {"repeat": 2, "number": 7},
+    "z18_beam_7": {"number": 7},
 }
 
 
@@ -47,7 +48,7 @@ def said(labels) -> dict:
 @pytest.mark.parametrize("name", NAMES)
 def test_names(name):
     """Numbers with units, words and running numbers, and nothing else."""
-    assert said(names.labels_of(name)) == NAMES[name]
+    assert said(file_names.parse_name(name)) == NAMES[name]
 
 
 @pytest.mark.parametrize(
@@ -55,7 +56,7 @@ def test_names(name):
 )
 def test_names_that_say_nothing(name):
     """A number without a unit, and lengths and times of something else."""
-    assert said(names.labels_of(name)) == {}
+    assert said(file_names.parse_name(name)) == {}
 
 
 @pytest.mark.parametrize(
@@ -78,7 +79,7 @@ def test_names_that_say_nothing(name):
 )
 def test_keys(key, value, column, wanted):
     """The unit stands behind the number or in the key; without it a number says nothing."""
-    found = of_key(key, str(value), "here")
+    found = key_values.parse_pair(key, str(value), "here")
     assert (found.column, found.value) == (column, pytest.approx(wanted, rel=1e-15) if wanted else wanted)
 
 
@@ -87,17 +88,16 @@ def test_tags_of_a_tiff(tmp_path):
     tags = [(33434, 5, 1, (1, 1000), True)]
     more = {"datetime": "2026:01:02 03:04:05", "description": "Exposure-ms: 10\nz = 5 mm; foo=3"}
     tifffile.imwrite(tmp_path / "a_100us.tif", STACK[0], photometric="minisblack", extratags=tags, **more)
-    found = labels_of(tmp_path / "a_100us.tif")
-    assert Label("exposure_s", 1e-3, "0.001 s", "TIFF tag 33434 ExposureTime") in found
-    assert Label("date", "2026-01-02T03:04:05", "2026:01:02 03:04:05", "TIFF tag 306 DateTime") in found
-    assert Label("z_m", 5e-3, "z = 5 mm", "TIFF tag 270 ImageDescription") in found
-    assert Label(None, None, "foo = 3", "TIFF tag 270 ImageDescription") in found
-    taken, contradictions = settled(found)
+    found = read_metadata(tmp_path / "a_100us.tif")
+    assert MetadataEntry("exposure_s", 1e-3, "0.001 s", "TIFF tag 33434 ExposureTime") in found
+    assert MetadataEntry("date", "2026-01-02T03:04:05", "2026:01:02 03:04:05", "TIFF tag 306 DateTime") in found
+    assert MetadataEntry("z_m", 5e-3, "z = 5 mm", "TIFF tag 270 ImageDescription") in found
+    assert MetadataEntry(None, None, "foo = 3", "TIFF tag 270 ImageDescription") in found
+    taken, conflicts = resolve_entries(found)
     assert "exposure_s" not in taken and taken["z_m"].value == 5e-3
-    assert contradictions == [
-        "exposure_s: TIFF tag 33434 ExposureTime says '0.001 s', but TIFF tag 270 ImageDescription says"
-        " 'Exposure-ms = 10'"
-    ]
+    assert ", but ".join(map(str, conflicts["exposure_s"])) == (
+        "TIFF tag 33434 ExposureTime says '0.001 s', but TIFF tag 270 ImageDescription says 'Exposure-ms = 10'"
+    )
 
 
 @pytest.mark.parametrize("order", ["XYZCT", "XYTCZ"])
@@ -123,10 +123,10 @@ def test_planes_of_ome(tmp_path, order):
     with tifffile.TiffWriter(tmp_path / "a.tif") as out:
         for k in range(6):
             out.write(STACK[0], photometric="minisblack", description=xml if k == 0 else None, metadata=None)
-    found = labels_of(tmp_path / "a.tif")
+    found = read_metadata(tmp_path / "a.tif")
     for page, (z, t) in enumerate(planes):
-        taken, contradictions = settled(found, page)
-        assert not contradictions
+        taken, conflicts = resolve_entries(found, page)
+        assert not conflicts
         assert taken["exposure_s"].value == pytest.approx((t + 1) * 1e-3, rel=1e-15)
         assert (taken["z_m"].value, taken["sensor.bit_depth"].value) == (z * 1e-3, 12)
         assert taken["date"].value == "2026-01-31T09:30:30"
@@ -137,17 +137,23 @@ def test_imagej(tmp_path):
     """The block of Info, and the label of each slice."""
     own = {"Info": "Exposure = 20 ms\nWavelength=633 nm", "Labels": ["z=1 mm", "z=2 mm", "z=3 mm"]}
     tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, metadata=own)
-    found = labels_of(tmp_path / "a.tif")
-    assert said(settled(found, 2)[0].values()) == {"exposure_s": 0.02, "laser.wavelength_m": 6.33e-7, "z_m": 3e-3}
+    found = read_metadata(tmp_path / "a.tif")
+    assert said(resolve_entries(found, 2)[0].values()) == {
+        "exposure_s": 0.02,
+        "laser.wavelength_m": 6.33e-7,
+        "z_m": 3e-3,
+    }
 
 
 def test_png(tmp_path):
     """EXIF and texts."""
     info, exif = PngImagePlugin.PngInfo(), Image.Exif()
     info.add_text("Comment", "angle = 30 deg")
-    exif[34665] = {33434: 1 / 64}
+    exif[34665], exif[271] = {33434: 1 / 64}, "Maker"
     Image.fromarray(STACK[0]).save(tmp_path / "a.png", pnginfo=info, exif=exif)
-    assert said(labels_of(tmp_path / "a.png")) == {"angle_deg": 30.0, "exposure_s": 1 / 64}
+    found = read_metadata(tmp_path / "a.png")
+    assert said(found) == {"angle_deg": 30.0, "exposure_s": 1 / 64}
+    assert MetadataEntry(None, None, "Make = Maker", "EXIF Make") in found
 
 
 def test_files_beside(tmp_path):
@@ -159,7 +165,7 @@ def test_files_beside(tmp_path):
     (tmp_path / "a.pgm.txt").write_text("z: 3 mm\n")
     (tmp_path / "a.yaml").write_text("angle_deg: 30\n")
     wanted = {"exposure_s": 1e-4, "sensor.pixel_pitch_m": 3.45e-6, "z_m": 3e-3, "angle_deg": 30.0}
-    assert said(labels_of(tmp_path / "a.pgm")) == wanted
+    assert said(read_metadata(tmp_path / "a.pgm")) == wanted
 
 
 @pytest.mark.parametrize(
@@ -174,7 +180,7 @@ def test_xml_beside(tmp_path, text):
     """An element's text, an attribute, and elements that have their key as one."""
     (tmp_path / "a.pgm").write_bytes(b"P5 1 1 255\n0")
     (tmp_path / "a.xml").write_text(text)
-    assert said(labels_of(tmp_path / "a.pgm")) == {"exposure_s": 1e-4, "z_m": 3e-3}
+    assert said(read_metadata(tmp_path / "a.pgm")) == {"exposure_s": 1e-4, "z_m": 3e-3}
 
 
 @pytest.mark.parametrize(("mark", "name"), [(",", "log.csv"), (";", "list.CSV"), ("\t", "log.tsv")])
@@ -194,10 +200,10 @@ def test_a_table_of_the_folder(tmp_path, mark, name):
         tifffile.imwrite(
             tmp_path / image, STACK[0] if image != "c.tif" else STACK, photometric="minisblack", metadata=None
         )
-    assert said(labels_of(tmp_path / "a.tif")) == {"exposure_s": 1e-4, "z_m": 3e-3}
-    assert said(labels_of(tmp_path / "d.tif")) == {}
-    found = labels_of(tmp_path / "c.tif")
-    assert [settled(found, page)[0]["z_m"].value for page in range(3)] == pytest.approx([0.0, 1e-3, 2e-3])
+    assert said(read_metadata(tmp_path / "a.tif")) == {"exposure_s": 1e-4, "z_m": 3e-3}
+    assert said(read_metadata(tmp_path / "d.tif")) == {}
+    found = read_metadata(tmp_path / "c.tif")
+    assert [resolve_entries(found, page)[0]["z_m"].value for page in range(3)] == pytest.approx([0.0, 1e-3, 2e-3])
 
 
 def test_the_list_of_an_emva_measurement(tmp_path):
@@ -208,7 +214,7 @@ def test_the_list_of_an_emva_measurement(tmp_path):
     for name in ("b_1.png", "d_1.png"):
         (tmp_path / "images").mkdir(exist_ok=True)
         Image.fromarray(STACK[0]).save(tmp_path / "images" / name)
-    flat, dark = (said(settled(labels_of(tmp_path / "images" / f"{k}_1.png"))[0].values()) for k in "bd")
+    flat, dark = (said(resolve_entries(read_metadata(tmp_path / "images" / f"{k}_1.png"))[0].values()) for k in "bd")
     assert flat == {"kind": "flat", "exposure_s": 4e-5, "photons_per_px": 120.0, "sensor.bit_depth": 12, "number": 1}
     assert dark == {"kind": "dark", "exposure_s": 5e-5, "sensor.bit_depth": 12, "number": 1}
 
@@ -218,8 +224,8 @@ def test_folders_count_below_the_root(tmp_path):
     path = tmp_path / "45deg" / "100us" / "0001.pgm"
     path.parent.mkdir(parents=True)
     path.write_bytes(b"P5 1 1 255\n0")
-    assert said(labels_of(path, tmp_path)) == {"angle_deg": 45.0, "exposure_s": 1e-4, "number": 1}
-    assert said(labels_of(path)) == {"number": 1}
+    assert said(read_metadata(path, tmp_path)) == {"angle_deg": 45.0, "exposure_s": 1e-4, "number": 1}
+    assert said(read_metadata(path)) == {"number": 1}
 
 
 @pytest.mark.parametrize("pages", [(0,), (0, 2)])
@@ -229,7 +235,7 @@ def test_what_the_first_page_says_alone_is_of_all(tmp_path, pages):
         for k, pixels in enumerate(STACK):
             text = f"exposure = {k + 1} ms" if k in pages else None
             out.write(pixels, photometric="minisblack", metadata=None, description=text)
-    found = [said(settled(labels_of(tmp_path / "a.tif"), k)[0].values()) for k in range(3)]
+    found = [said(resolve_entries(read_metadata(tmp_path / "a.tif"), k)[0].values()) for k in range(3)]
     assert found == ([{"exposure_s": 1e-3}] * 3 if pages == (0,) else [{"exposure_s": 1e-3}, {}, {"exposure_s": 3e-3}])
 
 
@@ -249,9 +255,9 @@ def test_hostile_texts_end_soon(tmp_path, name):
     (tmp_path / "a.pgm").write_bytes(b"P5 1 1 255\n0")
     (tmp_path / name).write_text(HOSTILE[name])
     before = time.process_time()
-    assert said(labels_of(tmp_path / "a.pgm")) == {}
+    assert said(read_metadata(tmp_path / "a.pgm")) == {}
     assert time.process_time() - before < 5
-    assert not beside.lists_in(tmp_path)
+    assert not sidecar.find_tables(tmp_path)
 
 
 PIECES = st.sampled_from(
@@ -262,7 +268,7 @@ PIECES = st.sampled_from(
 @given(st.lists(PIECES | st.text(max_size=3), max_size=12).map("".join))
 def test_any_text_is_read_or_not(text):
     """Whatever a name or a text holds: numbers are finite, and nothing is raised."""
-    for label in [*names.labels_of(text), *words.labels_in(text, "here")]:
+    for label in [*file_names.parse_name(text), *key_values.parse_text(text, "here")]:
         assert label.value is None or not isinstance(label.value, float) or np.isfinite(label.value)
 
 
@@ -271,5 +277,5 @@ def test_entities_are_not_followed(tmp_path):
     laughs = '<!DOCTYPE l [<!ENTITY a "ha">]><OME>&a;</OME>'
     tifffile.imwrite(tmp_path / "a.tif", STACK[0], description=f"<?xml version='1.0'?>{laughs}", metadata=None)
     assert ["TIFF tags", "cannot be read (it declares entities, which are not read)"] in [
-        [label.where, label.text] for label in labels_of(tmp_path / "a.tif")
+        [label.source, label.text] for label in read_metadata(tmp_path / "a.tif")
     ]

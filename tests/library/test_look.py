@@ -13,7 +13,7 @@ import tifffile
 import spotcheck
 from spotcheck.cli import COMMANDS, main
 from spotcheck.cli import open as opening
-from spotcheck.dataset.labels.names import natural
+from spotcheck.dataset.metadata.file_names import natural_sort_key
 from spotcheck.io.formats import files
 from spotcheck.sensor import SensorModel
 from tests.conftest import SHARED
@@ -162,7 +162,7 @@ def test_a_folder_gives_m2_by_the_names_of_its_files(scan):
 
 def test_positions_that_are_given_go_before_those_of_names(scan):
     """And there must be one for each."""
-    files = sorted(scan.iterdir(), key=lambda path: natural(path.name))
+    files = sorted(scan.iterdir(), key=lambda path: natural_sort_key(path.name))
     found = spotcheck.look(files, z_m=[2 * z for z in POSITIONS])
     assert [one.z_m for one in found.images] == pytest.approx([2 * z for z in POSITIONS])
     assert found.beams == () and "M² needs the wavelength and the pixel pitch" in found.remarks
@@ -187,7 +187,7 @@ def test_lengths_that_are_none_are_refused(words, said, scan, capsys):
 
 def test_lengths_may_have_their_unit(scan, tmp_path, capsys):
     """As people write them; metres that were meant as millimetres are remarked on."""
-    files = sorted(map(str, scan.iterdir()), key=natural)[:2]
+    files = sorted(map(str, scan.iterdir()), key=natural_sort_key)[:2]
     main(["look", *files, "--json", "--z", "495mm,0.58", "--pixel-um", "3.75um", "--wavelength-nm", "0.633 µm"])
     told = json.loads(capsys.readouterr().out)
     assert [one["z_m"] for one in told["images"]] == [0.495, 0.58]
@@ -210,7 +210,7 @@ def test_a_width_does_not_depend_on_the_other_images():
 
 def test_names_count_as_people_do():
     """2 before 10."""
-    assert sorted(["z10.tif", "z9.tif", "Z2.tif"], key=natural) == ["Z2.tif", "z9.tif", "z10.tif"]
+    assert sorted(["z10.tif", "z9.tif", "Z2.tif"], key=natural_sort_key) == ["Z2.tif", "z9.tif", "z10.tif"]
 
 
 def test_stacks_arrays_and_what_is_none(tmp_path):

@@ -119,17 +119,17 @@ def test_pages_that_no_row_names(tmp_path, pages, unnamed):
     found = dataset.load(folder(tmp_path, rows, "crop_px: 8", HEADER + ",page"))
     if unnamed:
         with pytest.raises(InputError, match=rf"^frames/a\.tif: {unnamed} named by no row of manifest\.csv; add a row"):
-            frames.probe_all(found)
+            frames.check_formats(found)
     else:
         said = "pages 0 to 6, 8 to 11 are" if pages == "7" else "page 3 is"
-        assert frames.probe_all(found).remarks == (f"frames/a.tif: {said} named by no row of manifest.csv",)
+        assert frames.check_formats(found).remarks == (f"frames/a.tif: {said} named by no row of manifest.csv",)
 
 
 def test_stacks_beside_frames_may_be_named_in_part(tmp_path):
     """As single images there may go unnamed."""
     image(tmp_path, "scan.tif", STACK)
     found = dataset.load(folder(tmp_path, ["scan.tif,spot,0,1e-4,0"], "crop_px: 8"))
-    assert frames.probe_all(found).remarks == ()
+    assert frames.check_formats(found).remarks == ()
 
 
 @pytest.mark.parametrize("beside", ["frames/", ""])

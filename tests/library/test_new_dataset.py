@@ -9,7 +9,7 @@ import yaml
 
 from spotcheck.cli import main
 from spotcheck.dataset import folder as dataset
-from spotcheck.dataset.frames import probe_all, read
+from spotcheck.dataset.frames import check_formats, read_image
 from spotcheck.dataset.instrument import Sensor
 from spotcheck.errors import InputError
 
@@ -38,7 +38,7 @@ def new(folder, *words: str, capsys) -> tuple[dataset.Dataset, str]:
     said = capsys.readouterr().out
     found = dataset.load(folder)
     dataset.check_files(found)
-    probe_all(found)
+    check_formats(found)
     main(["check", str(folder)])
     assert "in order" in capsys.readouterr().out
     return found, said
@@ -223,6 +223,7 @@ def test_answers_to_no_question(tmp_path, word, capsys):
         ("sensor.channel=pink", "must be one of red, green, blue, green_r, green_b"),
         ("sensor.bit_depth=99", "key sensor.bit_depth is 99; it must be at most 16"),
         ("kind=spt", "must be spot, dark or flat"),
+        ("date=Monday", "must be a date such as 2026-01-31 or 2026-01-31T09:30:00"),
     ],
 )
 def test_answers_that_are_none(tmp_path, word, right, capsys):
@@ -240,7 +241,7 @@ def test_colours(tmp_path, capsys):
         main(["new-dataset", str(tmp_path)])
     assert "must say which one to take, such as by --set sensor.channel=red" in capsys.readouterr().err
     found, _ = new(tmp_path, "--set", "sensor.channel=green", capsys=capsys)
-    np.testing.assert_array_equal(read(found, found.frames[0]), spot(1))
+    np.testing.assert_array_equal(read_image(found, found.frames[0]), spot(1))
 
 
 def test_an_empty_folder_gets_a_template(tmp_path, capsys):

@@ -90,7 +90,7 @@ def test_values_that_are_not_left_aligned(tmp_path):
     """A shift that would drop bits which are set."""
     ds = loaded(tmp_path, [np.full((40, 40), 5, np.uint16)], "crop_px: 24\nsensor: {value_shift_bits: 4}")
     with pytest.raises(InputError, match="low bits set"):
-        frames.read(ds, ds.frames[0])
+        frames.read_image(ds, ds.frames[0])
 
 
 @pytest.mark.parametrize("pixels", [b"-5 1", b"300 1", b"9999999999999999999999 1", b"1"])

@@ -7,7 +7,7 @@ import yaml
 
 from spotcheck.cli import main
 from spotcheck.dataset.folder import load
-from spotcheck.dataset.plausible import USUAL, remarks_on
+from spotcheck.dataset.plausibility import USUAL_RANGES, list_unusual_values
 from spotcheck.errors import InputError
 from tests.library.conftest import HEADER, ROOT, folder
 
@@ -16,7 +16,7 @@ ROW = "frames/a.tif,spot,0,0.002,0"
 
 def said(base, instrument: dict, rows=(ROW,), header=HEADER) -> list[str]:
     """Remarks on a dataset."""
-    return remarks_on(load(folder(base, list(rows), yaml.safe_dump(instrument), header)))
+    return list_unusual_values(load(folder(base, list(rows), yaml.safe_dump(instrument), header)))
 
 
 # A number of the right key in a wrong unit that the schema lets through, and what the sentence must say.
@@ -46,7 +46,7 @@ def test_a_number_in_another_unit_is_remarked(tmp_path, key, given):
 
 def test_every_range_has_a_wrong_number_here():
     """So that none is forgotten; the manifest's are below."""
-    assert set(USUAL) == {*WRONG_UNIT, "exposure_s", "angle_deg"}
+    assert set(USUAL_RANGES) == {*WRONG_UNIT, "exposure_s", "angle_deg"}
 
 
 # A number that the schema refuses: the refusal says the unit.
@@ -95,7 +95,7 @@ def test_an_object_nearer_than_the_focal_length(tmp_path):
 @pytest.mark.parametrize("name", ["virtual-rig", "zscan-sample"])
 def test_the_shelf_is_plausible(name):
     """Nothing to remark on the datasets of the repository."""
-    assert remarks_on(load(ROOT / "data" / name)) == []
+    assert list_unusual_values(load(ROOT / "data" / name)) == []
 
 
 def test_check_says_the_remarks_and_ends_well(shelf, tmp_path, capsys):

@@ -3,6 +3,7 @@
 import os
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,7 @@ import tifffile
 
 from spotcheck.cli import main
 from spotcheck.crops import stages as crops
-from spotcheck.dataset import frames
-from spotcheck.dataset import ingested as seen
+from spotcheck.dataset import file_cache, frames
 from spotcheck.errors import InputError
 from spotcheck.io import provenance, store
 from tests.library.conftest import gaussian, loaded
@@ -31,62 +31,62 @@ def pair(tmp_path) -> tuple[Path, Path]:
     return paths
 
 
-def settled(look: seen.Look) -> seen.Look:
+def settled(look: file_cache.FileRecord) -> file_cache.FileRecord:
     """A look at a file that was left alone for long; here it was made just now."""
-    return look._replace(settled=True)
+    return replace(look, is_final=True)
 
 
 @pytest.mark.parametrize(
-    "replace", [shutil.copy2, lambda a, b: Path(a).replace(b)], ids=["cp -p, rsync -t --inplace", "mv, rsync -t"]
+    "overwrite", [shutil.copy2, lambda a, b: Path(a).replace(b)], ids=["cp -p, rsync -t --inplace", "mv, rsync -t"]
 )
-def test_another_content_of_equal_size_and_age_is_seen(pair, replace):
+def test_another_content_of_equal_size_and_age_is_seen(pair, overwrite):
     own, other = pair
-    before = settled(seen.look(own))
+    before = settled(file_cache.record_file(own))
     time.sleep(0.02)  # disks count time in steps of 4 ms
-    replace(str(other), str(own))
-    after = seen.look(own, before)
+    overwrite(str(other), str(own))
+    after = file_cache.record_file(own, before)
     assert (after.size, after.mtime_ns) == (before.size, before.mtime_ns)
     assert after.sha256 != before.sha256
 
 
 def test_a_touched_file_has_the_same_digest(pair):
     own, _ = pair
-    before = settled(seen.look(own))
+    before = settled(file_cache.record_file(own))
     own.touch()
-    after = seen.look(own, before)
+    after = file_cache.record_file(own, before)
     assert after.sha256 == before.sha256 and after.mtime_ns != before.mtime_ns
 
 
 def test_a_file_left_alone_is_not_read(pair, monkeypatch):
     own, _ = pair
-    before = settled(seen.look(own))
+    before = settled(file_cache.record_file(own))
     monkeypatch.setattr(provenance, "file_digest", None)
-    assert seen.look(own, before) is before
+    assert file_cache.record_file(own, before) is before
 
 
 def test_a_file_that_was_just_written_is_read_again(pair):
     """A second change within the same step of the disk's clock bears the same stamps."""
     own, _ = pair
-    before = seen.look(own)
-    assert not before.settled
+    before = file_cache.record_file(own)
+    assert not before.is_final
     own.write_text("six")
-    forged = before._replace(mtime_ns=own.stat().st_mtime_ns, ctime_ns=own.stat().st_ctime_ns)
-    assert seen.look(own, forged).sha256 != before.sha256
+    forged = replace(before, mtime_ns=own.stat().st_mtime_ns, ctime_ns=own.stat().st_ctime_ns)
+    assert file_cache.record_file(own, forged).sha256 != before.sha256
 
 
 def test_memory_is_kept_and_never_trusted_blindly(pair, tmp_path):
     """What cannot be read of it is as if it were not there; equal looks are not written again."""
     memory = tmp_path / "seen.json"
-    found = seen.looks([*pair, tmp_path / "gone.tif"], seen.recall(memory))
+    found = file_cache.record_files([*pair, tmp_path / "gone.tif"], file_cache.read_cache(memory))
     assert list(found) == [str(path) for path in pair]
-    seen.remember(found, memory)
-    assert seen.recall(memory) == found
+    file_cache.write_cache(found, memory)
+    assert file_cache.read_cache(memory) == found
     before = memory.stat()
-    seen.remember(found, memory)
+    file_cache.write_cache(found, memory)
     assert memory.stat().st_mtime_ns == before.st_mtime_ns
     for broken in ("", "[1]", '{"a.tif": [1, 2]}', "{"):
         memory.write_text(broken)
-        assert seen.looks(pair, seen.recall(memory)) == found
+        assert file_cache.record_files(pair, file_cache.read_cache(memory)) == found
 
 
 def spot_frames(count: int = 3) -> list[np.ndarray]:
@@ -96,7 +96,7 @@ def spot_frames(count: int = 3) -> list[np.ndarray]:
 
 def overwriting(monkeypatch, path: Path, when: str) -> None:
     """Let another program overwrite a frame, and give it its old times back, once the file named `when` was read."""
-    read, status = frames.read, path.stat()
+    read, status = frames.read_image, path.stat()
 
     def spoiled(dataset, frame):
         pixels = read(dataset, frame)
@@ -106,7 +106,7 @@ def overwriting(monkeypatch, path: Path, when: str) -> None:
             os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
         return pixels
 
-    monkeypatch.setattr(frames, "read", spoiled)
+    monkeypatch.setattr(frames, "read_image", spoiled)
 
 
 @pytest.mark.parametrize("when", ["f1.tif", "f2.tif"])

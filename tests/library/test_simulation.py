@@ -84,7 +84,7 @@ def test_simulated_frames_scatter_about_their_mean(tmp_path):
     for (index, row), amplitude, sigma in zip(
         again.cells(), out["amplitude"].values.ravel(), out["sigma"].values.ravel(), strict=True
     ):
-        pixels = frames.read(again, row)
+        pixels = frames.read_image(again, row)
         light = 2 * np.pi * sigma**2 * amplitude + pixels.size * 0.11 * 70 * row.exposure_s
         variance = 0.11 * light + pixels.size * (0.11**2 * 169 + 1 / 12)
         assert pixels.sum() == pytest.approx(light + 40 * pixels.size, abs=5 * np.sqrt(variance)), index
@@ -108,7 +108,7 @@ def test_without_a_law_each_frame_has_its_own_spot(tmp_path, amplitude):
     out = simulate(ds, SKIPPED, own_fits(ds, amplitude, 4.0), None, tmp_path / "out")
     want = np.zeros((48, 48)) if np.isnan(amplitude) else gaussian(48, 300.0, 24, 24, 4.0)
     again = dataset.load(tmp_path / "out")
-    np.testing.assert_array_equal(frames.read(again, again.frames[0]), np.rint(want))
+    np.testing.assert_array_equal(frames.read_image(again, again.frames[0]), np.rint(want))
     assert out.attrs["noise"].startswith("none")
 
 

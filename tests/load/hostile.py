@@ -31,7 +31,7 @@ from PIL import Image, PngImagePlugin
 
 from spotcheck.crops import stages as crops
 from spotcheck.dataset import folder as dataset
-from spotcheck.dataset.labels.files import labels_of
+from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
 from tests.load.rows import Row, write
 
@@ -325,7 +325,7 @@ def tallies(folder: Path, count: int, seed: int = 1) -> Iterator[tuple[str, Tall
         return one
 
     def ingest() -> None:
-        labels_of(frame, folder)
+        read_metadata(frame, folder)
         crops.ingest(dataset.load(folder))
 
     def load() -> None:

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 from spotcheck.io import configuration, store, atomic_files
 
-from spotcheck.dataset import ingested as seen
+from spotcheck.dataset import file_cache
 from spotcheck.dataset import folder as contract
 from spotcheck.cli import COMMANDS, vocabulary
 from spotcheck.crops.stages import check_dataset
@@ -28,7 +28,7 @@ SHELF = Path(workflow.basedir) / "data"
 
 def opened(name):
     """A dataset by its path or its name in data/, checked as far as that goes without a pixel."""
-    found = contract.load(contract.find(name, SHELF))
+    found = contract.load(contract.find_dataset(name, SHELF))
     # A folder with rig.yaml holds a plan for the virtual rig, which makes the frames.
     if not has_rig(found):
         check_dataset(found)
@@ -103,7 +103,7 @@ def manifest(wildcards):
 
 def instrument(wildcards):
     """Its data sheet, if there is one, and the files that it names: a shared one, the light's profile, a mask."""
-    return [str(own) for own in DATASETS[wildcards.dataset].sheets if own.exists()]
+    return [str(own) for own in DATASETS[wildcards.dataset].instrument_files if own.exists()]
 
 
 def frames(wildcards):
@@ -120,12 +120,12 @@ def frames_of(found):
 @cache
 def content_of(name):
     """Digest of all that a dataset holds but frames that the rig makes; a run remembers what it looked at."""
-    found, noted = DATASETS[name], seen.memory_of(Path(OUT.format(dataset=name)))
+    found, noted = DATASETS[name], file_cache.get_cache_path(Path(OUT.format(dataset=name)))
     wildcards = SimpleNamespace(dataset=name)
     given = [manifest(wildcards), *instrument(wildcards), *([] if has_rig(found) else frames_of(found))]
-    looks = seen.looks(given, seen.recall(noted))
+    looks = file_cache.record_files(given, file_cache.read_cache(noted))
     if not PLANS:
-        seen.remember(looks, noted)
+        file_cache.write_cache(looks, noted)
     told = [(os.path.relpath(path, found.folder), own.sha256) for path, own in looks.items()]
     return sha256(json.dumps(told).encode()).hexdigest()[:12]
 
@@ -139,7 +139,7 @@ def content(wildcards):
 def content_note(wildcards):
     """A file that is as old as what the dataset holds, whatever its files' times: it tells what is stale where Snakemake's
     records of parameters have gone, or never were, as where results were moved."""
-    note = seen.memory_of(Path(results_folder(wildcards))).with_name("content")
+    note = file_cache.get_cache_path(Path(results_folder(wildcards))).with_name("content")
     if not PLANS and (not note.exists() or note.read_text() != content_of(wildcards.dataset)):
         atomic_files.write_text(note, content_of(wildcards.dataset))
     return [str(note)] if note.exists() else []

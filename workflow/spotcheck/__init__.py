@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from spotcheck.cli.judging import judge_dataset
     from spotcheck.dataset.folder import Dataset
     from spotcheck.dataset.folder import load as read_dataset
-    from spotcheck.dataset.frames import read as read_image
+    from spotcheck.dataset.frames import read_image
     from spotcheck.errors import InputError
     from spotcheck.fitting.caustic import Caustic, fit_caustic
     from spotcheck.fitting.fitted import SpotFits
@@ -67,7 +67,7 @@ else:
         "judge_dataset": "cli.judging.judge_dataset",
         "look": "quicklook.looking.look",
         "read_dataset": "dataset.folder.load",
-        "read_image": "dataset.frames.read",
+        "read_image": "dataset.frames.read_image",
         "simulate_dataset": "model.design.simulate_dataset",
         "spot_bounds": "fitting.spot_bounds.spot_bounds",
     }

@@ -124,7 +124,7 @@ def differ(sheet: Told, other: Told, factor: float) -> bool:
 
 def stated(instrument: Instrument, name: str, value: float) -> str:
     """What a key of the sensor says, and in which file."""
-    return f"{instrument.file_of(f'sensor.{name}')}: sensor.{name} is {value:g}"
+    return f"{instrument.get_file_name(f'sensor.{name}')}: sensor.{name} is {value:g}"
 
 
 def in_sources(

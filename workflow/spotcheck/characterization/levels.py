@@ -60,7 +60,7 @@ def levels_of(dataset: Dataset, full_scale_dn: float) -> list[Level]:
     ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
     ordered.sort(key=lambda key: key[0] != "dark")
     sensor = straightening(dataset, full_scale_dn)
-    read = {key: (sensor.linearize(frames.read_good(dataset, own)) for own in groups[key]) for key in ordered}
+    read = {key: (sensor.linearize(frames.read_masked_image(dataset, own)) for own in groups[key]) for key in ordered}
     levels = progress.track(list(read.items()), "reading levels of flats and darks")
     return with_common_drift(
         [level_of(images, *key, sensor.without_curvature().full_scale_dn) for key, images in levels]
@@ -72,14 +72,14 @@ def straightening(dataset: Dataset, full_scale_dn: float) -> SensorModel:
     frame shows where the sheet does not say it."""
     own = dataset.instrument.sensor
     black, dark = own.black_level_dn, next((frame for frame in dataset.frames if frame.kind == "dark"), None)
-    if own.response_bend and dark is not None and "sensor.black_level_dn" not in dataset.instrument.given:
-        black = float(np.nanmean(frames.read_good(dataset, dark)))
+    if own.response_bend and dark is not None and "sensor.black_level_dn" not in dataset.instrument.given_keys:
+        black = float(np.nanmean(frames.read_masked_image(dataset, dark)))
     return SensorModel(1.0, 0.0, black_level_dn=black, full_scale_dn=full_scale_dn, response_bend=own.response_bend)
 
 
 def on_response(dataset: Dataset) -> list[str]:
     """A remark on a response that the data sheet says to bend."""
-    bend, source = dataset.instrument.sensor.response_bend, dataset.instrument.source("sensor.response_bend")
+    bend, source = dataset.instrument.sensor.response_bend, dataset.instrument.get_source("sensor.response_bend")
     return [f"the bend of the response, {bend:g} by {source}, is turned round before anything else"] if bend else []
 
 
@@ -149,7 +149,7 @@ def variance_by_row(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Variance in time [DN²] by row of two frames of equal light: half of that of their difference, without what a
     lamp drifts between them. Pixels that are NaN do not count, nor do rows of nothing else."""
     difference = first - second
-    rows = frames.good_mean((difference - np.nanmean(difference)) ** 2, axis=1) / 2
+    rows = frames.average_good_pixels((difference - np.nanmean(difference)) ** 2, axis=1) / 2
     return rows[~np.isnan(rows)]
 
 
@@ -162,7 +162,9 @@ def pattern_of(first: np.ndarray, second: np.ndarray) -> Spatial:
     a, b = first - np.nanmean(first), second - np.nanmean(second)
     rows, columns = a.shape
     total = float(np.nanmean(a * b))
-    of_columns, of_rows = (float(np.nanmean(frames.good_mean(a, k) * frames.good_mean(b, k))) for k in (0, 1))
+    of_columns, of_rows = (
+        float(np.nanmean(frames.average_good_pixels(a, k) * frames.average_good_pixels(b, k))) for k in (0, 1)
+    )
     rest = rows * columns - rows - columns
     if rest <= 0:
         return Spatial(total, np.nan, np.nan, np.nan)

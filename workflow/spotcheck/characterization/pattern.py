@@ -48,7 +48,7 @@ def pattern_of(dataset: Dataset, level: Level) -> Pattern:
         exposure = np.nan if frame.exposure_s is None else frame.exposure_s
         same = frame.kind == level.kind and np.array_equal([exposure], [level.exposure_s], equal_nan=True)
         if same and np.array_equal([photons_of(frame)], [level.photons], equal_nan=True):
-            image = frames.read_good(dataset, frame).astype(np.float32)
+            image = frames.read_masked_image(dataset, frame).astype(np.float32)
             total = image if total is None else total + image
     assert total is not None  # the level was made from them
     mean = total / level.frames

@@ -82,7 +82,7 @@ def maps_of(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
     for half in darks:
         mean = growth = np.zeros(1)
         for frame, weight in zip(half, weights, strict=True):
-            image = frames.read_good(dataset, frame).astype(float)
+            image = frames.read_masked_image(dataset, frame).astype(float)
             zeros, pixels = zeros + int(np.count_nonzero(image <= 0)), pixels + image.size
             mean, growth = mean + image / len(half), growth + weight * image
         means.append(mean)
@@ -108,7 +108,7 @@ def _with_flats(
     flats = halves_of([own for own in dataset.frames if own.kind == "flat"])
     totals, used = [np.zeros(1), np.zeros(1)], 0
     for pair in zip(*flats, strict=True):
-        images = [frames.read_good(dataset, own).astype(float) for own in pair]
+        images = [frames.read_masked_image(dataset, own).astype(float) for own in pair]
         if max(float(np.nanquantile(image, 0.999)) for image in images) < BRIGHTEST * full_scale_dn:
             used += 2
             totals = [total + image - dark(own.exposure_s) for total, image, own in
@@ -137,7 +137,7 @@ def shrunk(first: np.ndarray, second: np.ndarray) -> Field:
 def smooth(image: np.ndarray) -> np.ndarray:
     """The polynomial in x and y that an image is by least squares, fitted on its blocks; NaN pixels do not count."""
     side = max(1, min(image.shape) // BLOCKS)
-    blocks = frames.block_mean(image, side)
+    blocks = frames.average_blocks(image, side)
     y, x = (side * np.arange(n) + (side - 1) / 2 for n in blocks.shape)
     known = np.isfinite(blocks)
     basis = [_basis(own, n) for own, n in zip((y, x), image.shape, strict=True)]

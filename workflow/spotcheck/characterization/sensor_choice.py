@@ -13,7 +13,7 @@ from spotcheck.characterization.noise_curve import ENDS
 from spotcheck.characterization.photon_transfer import Quantity
 from spotcheck.crops.clip import End
 from spotcheck.dataset.folder import Dataset
-from spotcheck.dataset.frames import Surround
+from spotcheck.dataset.frames import ReducedFrame
 from spotcheck.dataset.instrument import DEFAULT, Instrument
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.io import store
@@ -46,12 +46,12 @@ class Darks(NamedTuple):
 NO_DARKS = Darks()
 
 
-def level_of(frame: Surround) -> float:
+def level_of(frame: ReducedFrame) -> float:
     """What a frame reads in most of its rows, columns or blocks [DN]: a spot and hot pixels hardly move it."""
     return float(min(np.nanmedian(values) for values in frame))
 
 
-def judge_darks(darks: Iterable[Surround], spots: Iterable[Surround], full_scale_dn: float) -> Darks:
+def judge_darks(darks: Iterable[ReducedFrame], spots: Iterable[ReducedFrame], full_scale_dn: float) -> Darks:
     """Which dark frames are dark. Light only adds to a reading: no frame, beside its spot, reads less than black; and
     a dark frame reads alike all over."""
     found = [(level_of(frame), float(np.nanmean(frame.row_mean))) for frame in darks]
@@ -144,7 +144,7 @@ def _by_sheet(instrument: Instrument) -> dict[str, dict[str, Found]]:
     """What the data sheet gives of each quantity."""
     found: dict[str, dict[str, Found]] = {name: {} for name in QUANTITIES}
     for name in QUANTITIES:
-        own, source = getattr(instrument.sensor, name, None), instrument.source(f"sensor.{name}")
+        own, source = getattr(instrument.sensor, name, None), instrument.get_source(f"sensor.{name}")
         if source != DEFAULT and own is not None:
             # An error of 0 says that none is stated.
             stderr = getattr(instrument.sensor, f"{name}_stderr", 0.0) or np.nan

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from spotcheck.crops.stages import check_dataset
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset.manifest import KINDS
-from spotcheck.dataset.plausible import remarks_on
+from spotcheck.dataset.plausibility import list_unusual_values
 from spotcheck.io import configuration
 from spotcheck.model.baseline import of_instrument
 
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> None:
     of_instrument(found.instrument, found.exposures)
     kinds = ", ".join(f"{sum(f.kind == kind for f in found.frames)} {kind}" for kind in KINDS)
     print(f"{found.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order")
-    for remark in (*probe.remarks, *remarks_on(found), configuration.remark_on_quotes(args.dataset)):
+    for remark in (*probe.remarks, *list_unusual_values(found), configuration.remark_on_quotes(args.dataset)):
         if remark:
             print(remark)
     named = shlex.quote(str(found.folder.resolve()))

@@ -4,8 +4,8 @@ import argparse
 
 from spotcheck.cli import vocabulary
 from spotcheck.cli.judged import tolerance_of
+from spotcheck.dataset import file_cache
 from spotcheck.dataset import folder as dataset
-from spotcheck.dataset import ingested as seen
 from spotcheck.discrepancy.flats import analyse_flats
 from spotcheck.discrepancy.sentence import summarize_verdict
 from spotcheck.discrepancy.verdict import compose_verdict
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> None:
     """Say where flats depart from a linear sensor, and what explains it."""
     vocabulary.choose(args)
     found, tolerance = dataset.load(args.dataset), tolerance_of(args.tolerance)
-    with store.read(args.frames) as table, seen.as_ingested(found, table):
+    with store.read(args.frames) as table, file_cache.verify_unchanged(found, table):
         findings = analyse_flats(found, table, list(effects.vocabulary().values()))
     verdict = compose_verdict(findings, found.name, alpha=tolerance.alpha, tolerance=tolerance.of_peak)
     verdict |= vocabulary.described()

@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from spotcheck.dataset.labels import units
+from spotcheck.dataset.metadata import units
 from spotcheck.errors import InputError
 from spotcheck.quicklook.images import folder_of
 from spotcheck.quicklook.looking import look
@@ -57,8 +57,8 @@ def length(unit: str) -> Callable[[str], float]:
     """What reads a length [m], written with its unit or in `unit`."""
 
     def read(text: str) -> float:
-        found = units.parted(text)
-        value = None if found is None else units.scaled(found[0], found[1] or unit, "m")
+        found = units.parse_quantity(text)
+        value = None if found is None else units.convert_quantity(found[0], found[1] or unit, "m")
         if value is None:
             raise argparse.ArgumentTypeError(f"is {text!r}; it must be a number in {unit}, or with a unit as in 3 mm")
         return value

@@ -6,9 +6,8 @@ from spotcheck.characterization import sensor_choice as sensor
 from spotcheck.characterization.same_site import pairs_along
 from spotcheck.characterization.transfer_data import quantities_of
 from spotcheck.crops import stages as crops
+from spotcheck.dataset import file_cache, frames
 from spotcheck.dataset import folder as dataset
-from spotcheck.dataset import frames
-from spotcheck.dataset import ingested as seen
 from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
@@ -30,16 +29,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Settle every sensor quantity and say where each comes from."""
     found = dataset.load(args.dataset)
-    with store.read(args.crops) as images, store.read(args.frames) as table, seen.as_ingested(found, table):
+    with store.read(args.crops) as images, store.read(args.frames) as table, file_cache.verify_unchanged(found, table):
         own = images.sel(centring="light")
         usable = (
             own["image"].isel(index).values
             for index in crops.cells(own, store.grid_dims(images))
             if crops.usable(own["status"].isel(index))
         )
-        darks = (frames.reduce_frame(frames.read_good(found, own)) for own in found.frames if own.kind == "dark")
+        darks = (
+            frames.reduce_frame(frames.read_masked_image(found, own)) for own in found.frames if own.kind == "dark"
+        )
         beside = (
-            frames.Surround(*(images[name].isel(index).values for name in frames.Surround._fields))
+            frames.ReducedFrame(*(images[name].isel(index).values for name in frames.ReducedFrame._fields))
             for index in crops.cells(images, store.grid_dims(images))
         )
         dark = sensor.judge_darks(darks, beside, float(table["full_scale"]))
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> None:
         pairs = {"exposures of a site": pairs_along(own, "exposure"), "repeats": pairs_along(own, "repeat")}
         highest = float(table["maximum"].max())
         settled = sensor.resolve(found, crops.end_in(table), usable, dark, measured, pairs, highest)
-    inputs = [args.crops, args.frames, *args.transfer, *found.sheets]
+    inputs = [args.crops, args.frames, *args.transfer, *found.instrument_files]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:
         print(f"{name} = {float(settled[name]):.4g} {settled[name].attrs['units']} ({settled[name].attrs['source']})")

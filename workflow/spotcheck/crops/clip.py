@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.dataset.frames import full_scale
+from spotcheck.dataset.frames import get_full_scale
 from spotcheck.dataset.instrument import Instrument
 
 # Readings below the highest that a plateau is compared with: enough that one of them is read where light goes on, few
@@ -69,12 +69,12 @@ def end_of(tops: Sequence[Top], instrument: Instrument, container_bits: int) -> 
     """Where the readings of all frames of a dataset stop: where instrument.yaml says so; at the largest number of the
     converter where its depth is given, or at a plateau just below that; else at the plateau of its brightest frames;
     else at the largest number of the container."""
-    declared, depth = full_scale(instrument, container_bits), instrument.sensor.bit_depth
+    declared, depth = get_full_scale(instrument, container_bits), instrument.sensor.bit_depth
     bits = int(np.bitwise_or.reduce([own.bits for own in tops])) if tops else 0
     remarks = _on_alignment(tops, bits, instrument)
     highest = max((own.highest for own in tops), default=0)
     if (stated := instrument.sensor.full_scale_dn) is not None:
-        file = instrument.file_of("sensor.full_scale_dn")
+        file = instrument.get_file_name("sensor.full_scale_dn")
         above = f"{file}: sensor.full_scale_dn is {stated}, but frames read up to {highest} DN; correct it"
         return End(stated, "instrument.yaml", (*remarks, above) if highest > stated else remarks)
     lowest = min((own.lowest for own in tops), default=0)
@@ -96,7 +96,7 @@ def end_of(tops: Sequence[Top], instrument: Instrument, container_bits: int) -> 
         missing = f"instrument.yaml: sensor.bit_depth is missing, and {seen}, which is taken for full scale"
         remarks += (f"{missing}; {f'{right} would say so' if whole else 'give it'}",)
         return End(highest, f"where {frames} (sensor.bit_depth is missing)", remarks)
-    file = instrument.file_of("sensor.bit_depth")
+    file = instrument.get_file_name("sensor.bit_depth")
     what = f"{file}: sensor.bit_depth is {depth}, whose largest reading is {declared} DN, but {seen}"
     ask = f"{right} would be right" if whole else "fits take them as whole, and the verdict looks for saturation"
     return End(declared, "bits of the converter", (*remarks, f"{what}; {ask}"))

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.crops.spotfinding import light_centroid
-from spotcheck.dataset.frames import block_mean
+from spotcheck.dataset.frames import average_blocks
 from spotcheck.dataset.instrument import Instrument
-from spotcheck.dataset.survey.rows import Rows
+from spotcheck.dataset.scan.draft import ManifestDraft
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import MONOCHROME, Colour
@@ -32,9 +32,9 @@ class Look(NamedTuple):
     seen: bool
 
 
-def look(folder: Path, rows: Rows, colour: Colour = MONOCHROME) -> Look:
+def look(folder: Path, rows: ManifestDraft, colour: Colour = MONOCHROME) -> Look:
     """Look at some spots of a folder for the size of their crop."""
-    spots = [shot for shot, cell in zip(rows.shots, rows.cells, strict=True) if cell["kind"] == "spot"]
+    spots = [shot for shot, cell in zip(rows.frames, rows.rows, strict=True) if cell["kind"] == "spot"]
     if not spots:
         return Look(None, True)
     room, widest, seen = min(min(shot.shape) for shot in spots), 0.0, False
@@ -52,7 +52,7 @@ def look(folder: Path, rows: Rows, colour: Colour = MONOCHROME) -> Look:
 def sigma_px(pixels: np.ndarray) -> float:
     """Standard deviation of a spot along its longer axis [px], roughly: from where it is above half its peak."""
     side = min(BLOCK, *pixels.shape)
-    means = block_mean(pixels, side)
+    means = average_blocks(pixels, side)
     background = float(np.median(means))
     places = np.argwhere(means > (background + float(means.max())) / 2)
     if len(places) < 3:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 from skimage.measure import label
 
-from spotcheck.dataset.frames import block_mean
+from spotcheck.dataset.frames import average_blocks
 
 # Side of the blocks in which the light is first looked for [px].
 SEARCH_PX = 16
@@ -104,7 +104,7 @@ def _brightest_block(square: np.ndarray) -> tuple[int, int]:
     """Row and column of the middle of the block of `SEARCH_PX` that, with its neighbours, holds most light."""
     side = min(SEARCH_PX, *square.shape)
     rest = [(0, -length % side) for length in square.shape]
-    sums = block_mean(np.pad(square, rest, mode="edge"), side)
+    sums = average_blocks(np.pad(square, rest, mode="edge"), side)
     sums = ndimage.uniform_filter(sums, 3, mode="nearest") if min(sums.shape) > 3 else sums
     block_row, block_column = np.unravel_index(np.argmax(sums), sums.shape)
     return int(block_row) * side + side // 2, int(block_column) * side + side // 2

@@ -13,10 +13,9 @@ import xarray as xr
 
 from spotcheck.crops import siblings, spotfinding
 from spotcheck.crops.clip import End, end_of, top_of
-from spotcheck.dataset import frames
-from spotcheck.dataset import ingested as seen
-from spotcheck.dataset.folder import Dataset, check_files, unit_of
-from spotcheck.dataset.plausible import remarks_on
+from spotcheck.dataset import file_cache, frames
+from spotcheck.dataset.folder import Dataset, check_files, get_column_unit
+from spotcheck.dataset.plausibility import list_unusual_values
 from spotcheck.errors import InputError
 from spotcheck.io import progress, store
 
@@ -28,13 +27,13 @@ MOST_NAMED = 5
 LEAST_UNCLIPPED = 0.01
 
 
-def check_dataset(dataset: Dataset) -> frames.Probe:
+def check_dataset(dataset: Dataset) -> frames.FrameFormat:
     """All checks that need no pixels: files named and there, headers readable and alike, crop within the frame."""
     check_files(dataset)
-    return frames.probe_all(dataset)
+    return frames.check_formats(dataset)
 
 
-def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType({})) -> xr.Dataset:
+def ingest(dataset: Dataset, before: Mapping[str, file_cache.FileRecord] = MappingProxyType({})) -> xr.Dataset:
     """Table of every frame of the manifest: digest, shape, depth, extremes, clipped pixels, and of which other frame it
     is a copy; `remarks` on what a user should know. Decodes each frame once; digests are taken from looks `before`, by
     path, where the file bears the stamps of then.
@@ -52,12 +51,12 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
     }
     count = len(dataset.frames)
     columns = {name: np.zeros(count, dtype) for name, (dtype, _, _) in names.items()}
-    looks, first, tops = dict[str, seen.Look](), dict[bytes, int](), []
+    looks, first, tops = dict[str, file_cache.FileRecord](), dict[bytes, int](), []
     for k, frame in enumerate(progress.track(dataset.frames, "reading frames")):
         if frame.path not in looks:
             path = dataset.folder / frame.path
-            looks[frame.path] = seen.look(path, before.get(str(path)))
-        pixels = frames.readings(frames.read_good(dataset, frame))
+            looks[frame.path] = file_cache.record_file(path, before.get(str(path)))
+        pixels = frames.select_good_readings(frames.read_masked_image(dataset, frame))
         top = top_of(pixels)
         tops.append(top)
         columns["minimum"][k], columns["maximum"][k] = top.lowest, top.highest
@@ -68,12 +67,12 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
         earlier = first.setdefault(hashlib.sha256(pixels.data).digest(), k) if varied else k
         columns["copy_of"][k] = earlier if earlier < k else -1
     for file, own in looks.items():
-        if seen.look(dataset.folder / file, own).sha256 != own.sha256:
+        if file_cache.record_file(dataset.folder / file, own).sha256 != own.sha256:
             raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
     end = end_of(tops, dataset.instrument, probe.bits)
     columns["at_full_scale"][:] = [own.pixels if own.highest == end.reading else 0 for own in tops]
     ds = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
-    remarks = [*probe.remarks, *remarks_on(dataset), *end.remarks, *copies(dataset, columns["copy_of"])]
+    remarks = [*probe.remarks, *list_unusual_values(dataset), *end.remarks, *copies(dataset, columns["copy_of"])]
     ds = store.add_remarks(ds, remarks)
     ds["frame"] = ("frame", np.arange(count), {"units": "1", "long_name": "row of the manifest, from 0"})
     for name, (_, units, long_name) in names.items():
@@ -98,7 +97,9 @@ def ingest(dataset: Dataset, before: Mapping[str, seen.Look] = MappingProxyType(
         name = re.sub(r"\W", "_", column)[:100]
         name = name if name[:1].isalpha() and name not in reserved else f"column_{name}"
         texts = np.array([frame.extra[column] for frame in dataset.frames], dtype=object)
-        ds = ds.assign_coords({name: ("frame", texts, {"units": unit_of(column), "long_name": f"column {column}"})})
+        ds = ds.assign_coords(
+            {name: ("frame", texts, {"units": get_column_unit(column), "long_name": f"column {column}"})}
+        )
     for name, value, units, long_name in (
         ("rows", probe.shape[0], "pixel", "rows of every frame"),
         ("columns", probe.shape[1], "pixel", "columns of every frame"),
@@ -148,8 +149,8 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
     for name, size, step, long_name in (
         ("y", side, 1, "row of the crop"),
         ("x", side, 1, "column of the crop"),
-        ("block_y", frames.blocks_along(shape[0], shape), block, "first row of the block"),
-        ("block_x", frames.blocks_along(shape[1], shape), block, "first column of the block"),
+        ("block_y", frames.count_blocks(shape[0], shape), block, "first row of the block"),
+        ("block_x", frames.count_blocks(shape[1], shape), block, "first column of the block"),
         ("row", shape[0], 1, "row of the frame"),
         ("column", shape[1], 1, "column of the frame"),
     ):
@@ -169,10 +170,11 @@ def crop(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: 
     copied = {(str(file), int(page)): int(own) >= 0 for file, page, own in zip(*columns, strict=True)}
     with (
         store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer,
-        seen.as_ingested(dataset, table),
+        file_cache.verify_unchanged(dataset, table),
     ):
         places, statuses, glances = [], [], []
-        for index, frame, pixels in progress.track(frames.spots(dataset), "cropping spots", len(dataset.spots)):
+        for index, frame in progress.track(dataset.cells(), "cropping spots", len(dataset.spots)):
+            pixels = frames.read_masked_image(dataset, frame)
             if (frame.file, frame.page) not in copied:
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
             again = store.flag("copy") if copied[frame.file, frame.page] else 0
@@ -192,7 +194,7 @@ def _cell(pixels: np.ndarray, side: int, highest: float, flags: int) -> dict[str
     """All variables of one frame; `flags` are set in its status beside what its pixels say."""
     spots = (spotfinding.light_centroid(pixels, side), spotfinding.brightest_pixel(pixels))
     images = np.stack([spotfinding.cut(pixels, spot, side) for spot in spots])
-    surround, top = frames.reduce_frame(pixels), top_of(frames.readings(pixels))
+    surround, top = frames.reduce_frame(pixels), top_of(frames.select_good_readings(pixels))
     clip = float(top.highest) if top.stops(top.lowest) else highest
     return {
         "image": images,

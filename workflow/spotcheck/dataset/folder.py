@@ -1,31 +1,31 @@
-"""A dataset folder that keeps the contract (workflow/docs/dataset-contract.md): manifest.csv, instrument.yaml, frames/,
-and the grid that its spots span.
+"""A dataset folder with manifest.csv, instrument.yaml and frames/ (workflow/docs/dataset-contract.md), and its grid.
 
-Everything that can be said without decoding a pixel is checked on loading; a breach raises `InputError`.
+Loading checks everything that does not need a pixel, and raises `InputError` for a mistake.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from spotcheck.dataset.instrument import Instrument, read_instrument
-from spotcheck.dataset.manifest import KINDS, Frame, number_in, read_manifest
+from spotcheck.dataset.manifest import KINDS, Frame, parse_number, read_manifest
 from spotcheck.errors import InputError
 from spotcheck.io.formats.names import IMAGE_SUFFIXES
 
+# Units of manifest columns, by the end of their names.
 UNIT_OF_SUFFIX = {"_m": "m", "_s": "s", "_k": "K", "_deg": "degree"}
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of the grid of spots; `values` is None when it was not recorded (then its length is 1)."""
+    """An axis of the grid of spots."""
 
-    name: str
-    values: tuple[float, ...] | None
-    units: str
-    long_name: str
+    name: str  # name of the dimension
+    values: tuple[float, ...] | None  # ascending; None if not recorded, then the length is 1
+    units: str  # unit of the values
+    long_name: str  # description for tables and plots
 
     @property
     def size(self) -> int:
@@ -33,13 +33,15 @@ class Axis:
         return 1 if self.values is None else len(self.values)
 
     def index(self, value: float | None) -> int:
-        """Place of a value on the axis."""
+        """Return the position of a value on the axis."""
         return 0 if self.values is None or value is None else bisect_left(self.values, value)
 
 
 @dataclass(frozen=True, repr=False)
 class Dataset:
-    """A folder of frames: what its manifest.csv and instrument.yaml say, as workflow/docs/dataset-contract.md explains.
+    """A folder of frames with the content of its manifest.csv and instrument.yaml.
+
+    The keys and columns are explained in workflow/docs/dataset-contract.md.
 
     Attributes
     ----------
@@ -66,46 +68,46 @@ class Dataset:
 
     def __repr__(self) -> str:
         counts = {kind: sum(frame.kind == kind for frame in self.frames) for kind in KINDS}
-        held = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items() if count)
-        along = ", ".join(f"{axis.name} ({axis.size})" for axis in self.axes if axis.values is not None)
-        return f"<Dataset {self.name}: {held}{' over ' if along else ''}{along}>"
+        kinds = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items() if count)
+        axes = ", ".join(f"{axis.name} ({axis.size})" for axis in self.axes if axis.values is not None)
+        return f"<Dataset {self.name}: {kinds}{' over ' if axes else ''}{axes}>"
 
     @property
     def name(self) -> str:
-        """The folder's name, under which results are filed."""
+        """Name of the folder, under which results are filed."""
         return self.folder.name
 
     @property
-    def sheets(self) -> list[Path]:
-        """instrument.yaml, whether it is there or not, and the files that it names."""
+    def instrument_files(self) -> list[Path]:
+        """Path of instrument.yaml, which need not exist, and the existing files that it names."""
         return [self.folder / "instrument.yaml", *self.instrument.files]
 
     @property
     def title(self) -> str:
-        """What a person calls it."""
+        """Title in instrument.yaml, or else the name of the folder."""
         return self.instrument.name or self.name
 
     @cached_property
     def spots(self) -> tuple[Frame, ...]:
         """The frames of kind `spot`, in manifest order."""
-        return tuple(f for f in self.frames if f.kind == "spot")
+        return tuple(frame for frame in self.frames if frame.kind == "spot")
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
         """Axes of the grid of spots: angle, exposure, repeat, then the declared conditions."""
         axes = [
-            _axis("angle", [f.angle_deg for f in self.spots], "degree", "fibre orientation"),
-            _axis("exposure", [f.exposure_s for f in self.spots], "s", "exposure time"),
-            _axis("repeat", [f.repeat for f in self.spots], "1", "site or repetition within a condition"),
+            _build_axis("angle", [frame.angle_deg for frame in self.spots], "degree", "fibre orientation"),
+            _build_axis("exposure", [frame.exposure_s for frame in self.spots], "s", "exposure time"),
+            _build_axis("repeat", [frame.repeat for frame in self.spots], "1", "site or repetition within a condition"),
         ]
-        for name in self.instrument.conditions:
-            values = [number_in(f.extra[name]) for f in self.spots]
-            axes.append(_axis(name, values, unit_of(name), name))
+        for column in self.instrument.conditions:
+            values = [parse_number(frame.extra[column]) for frame in self.spots]
+            axes.append(_build_axis(column, values, get_column_unit(column), column))
         return tuple(axes)
 
     @property
     def exposures(self) -> tuple[float, ...]:
-        """Exposure times of the spots [s], ascending; empty where they were not recorded."""
+        """Exposure times of the spots [s], ascending; empty if they were not recorded."""
         return next(axis for axis in self.axes if axis.name == "exposure").values or ()
 
     @cached_property
@@ -114,24 +116,36 @@ class Dataset:
         return tuple(axis.size for axis in self.axes)
 
     def cells(self) -> Iterator[tuple[tuple[int, ...], Frame]]:
-        """Index on the grid and frame, for every spot."""
+        """Yield the index on the grid and the frame of every spot."""
         angle, exposure, repeat, *conditions = self.axes
         for frame in self.spots:
-            own = [angle.index(frame.angle_deg), exposure.index(frame.exposure_s), repeat.index(frame.repeat)]
-            own += [axis.index(number_in(frame.extra[axis.name])) for axis in conditions]
-            yield tuple(own), frame
+            index = [angle.index(frame.angle_deg), exposure.index(frame.exposure_s), repeat.index(frame.repeat)]
+            index += [axis.index(parse_number(frame.extra[axis.name])) for axis in conditions]
+            yield tuple(index), frame
 
 
-def unit_of(column: str) -> str:
-    """Unit of an extra manifest column, from its suffix (`_m`, `_s`, `_k`, `_deg`), else `1`."""
+def _build_axis(name: str, values: Sequence[float | None], units: str, long_name: str) -> Axis:
+    """Return the axis of the distinct values."""
+    distinct = sorted({value for value in values if value is not None})
+    return Axis(name, tuple(distinct) or None, units, long_name)
+
+
+def get_column_unit(column: str) -> str:
+    """Return the unit of a manifest column by its suffix (`_m`, `_s`, `_k`, `_deg`), else `1`."""
     return next((unit for suffix, unit in UNIT_OF_SUFFIX.items() if column.endswith(suffix)), "1")
 
 
 def load(folder: str | Path) -> Dataset:
     """Read and check manifest.csv and instrument.yaml of a folder of frames; no image is opened.
 
-    Raises `InputError` for whatever is wrong with them: one sentence with the file, the row or key, and what would be
-    right.
+    Parameters
+    ----------
+    folder : folder with manifest.csv.
+
+    Raises
+    ------
+    InputError
+        For the first mistake: the file, the row or key, what is wrong and what would be right.
 
     Examples
     --------
@@ -152,39 +166,19 @@ def load(folder: str | Path) -> Dataset:
     return Dataset(folder, instrument, frames)
 
 
-def check_files(dataset: Dataset) -> None:
-    """Every named frame is there, and every image in frames/ is named. Raises `InputError`."""
-    for frame in dataset.frames:
-        if not (dataset.folder / frame.path).is_file():
-            near = _near(dataset.folder, frame.path)
-            said = f", but {near} is; correct the row" if near else "; add the file or drop the row"
-            raise InputError(f"manifest.csv line {frame.line}: {frame.path} is not there{said}")
-    named = {(dataset.folder / frame.path).resolve() for frame in dataset.frames}
-    for image in sorted((dataset.folder / "frames").rglob("*")):
-        # Names that start with a dot are the system's, such as the ._a.tif of macOS.
-        hidden = any(part.startswith(".") for part in image.relative_to(dataset.folder).parts)
-        if image.suffix.lower() in IMAGE_SUFFIXES and image.is_file() and not hidden and image.resolve() not in named:
-            raise InputError(
-                f"{image.relative_to(dataset.folder).as_posix()}: an image that manifest.csv does not name;"
-                f" add a row or move it out of frames/"
-            )
+def find_dataset(name: str, shelf: Path) -> Path:
+    """Return the folder of a dataset.
 
+    Parameters
+    ----------
+    name : path of the dataset, or its name in `shelf`.
+    shelf : folder of datasets.
 
-def _near(folder: Path, file: str) -> str | None:
-    """A file of that name, whatever its capitals, in the folder of a dataset or its frames/."""
-    for own in (*folder.glob("*"), *folder.glob("frames/*")):
-        if own.name.lower() == Path(file).name.lower() and own.is_file():
-            return own.relative_to(folder).as_posix()
-    return None
-
-
-def in_frames(file: str) -> bool:
-    """Whether a path of the manifest leads into frames/, where nothing goes unnamed."""
-    return Path(file).parts[0] == "frames"
-
-
-def find(name: str, shelf: Path) -> Path:
-    """Folder of a dataset given by path, or by its name on a shelf of datasets. Raises `InputError`."""
+    Raises
+    ------
+    InputError
+        If there is no such dataset, or its path contains braces.
+    """
     for folder in (Path(name), shelf / name):
         if (folder / "manifest.csv").is_file():
             if set("{}") & set(str(folder.resolve())):
@@ -193,6 +187,37 @@ def find(name: str, shelf: Path) -> Path:
     raise InputError(f"{name}: no folder with a manifest.csv, neither as a path nor as a name in {shelf.name}/")
 
 
-def _axis(name: str, values: list, units: str, long_name: str) -> Axis:
-    known = sorted({v for v in values if v is not None})
-    return Axis(name, tuple(known) if known else None, units, long_name)
+def check_files(dataset: Dataset) -> None:
+    """Check that every file in the manifest exists, and that the manifest names every image in frames/.
+
+    Raises
+    ------
+    InputError
+        For the first file that is missing on either side.
+    """
+    for frame in dataset.frames:
+        if not (dataset.folder / frame.path).is_file():
+            similar = _find_similar_file(dataset.folder, frame.path)
+            advice = f", but {similar} is; correct the row" if similar else "; add the file or drop the row"
+            raise InputError(f"manifest.csv line {frame.line}: {frame.path} is not there{advice}")
+    named = {(dataset.folder / frame.path).resolve() for frame in dataset.frames}
+    for image in sorted((dataset.folder / "frames").rglob("*")):
+        path = image.relative_to(dataset.folder)
+        is_image = image.suffix.lower() in IMAGE_SUFFIXES and image.is_file()
+        if is_image and not is_hidden(path) and image.resolve() not in named:
+            raise InputError(
+                f"{path.as_posix()}: an image that manifest.csv does not name; add a row or move it out of frames/"
+            )
+
+
+def _find_similar_file(folder: Path, file: str) -> str | None:
+    """Return a file with the same name, ignoring case, in the dataset folder or frames/; None if there is none."""
+    for path in (*folder.glob("*"), *folder.glob("frames/*")):
+        if path.name.lower() == Path(file).name.lower() and path.is_file():
+            return path.relative_to(folder).as_posix()
+    return None
+
+
+def is_hidden(path: Path) -> bool:
+    """Return whether a part of a relative path starts with a dot, as in system files such as ._a.tif of macOS."""
+    return any(part.startswith(".") for part in path.parts)

@@ -1,6 +1,5 @@
-"""Reading frames, and reducing what lies around a spot."""
+"""Reading of frames, and their reduction to block, row and column means."""
 
-from collections.abc import Iterator
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.dataset.folder import Dataset, in_frames
+from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.instrument import BadPixels, Instrument
 from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
@@ -16,144 +15,183 @@ from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import MONOCHROME, Colour, extract_plane
 from spotcheck.io.formats.page import PREVIEW_MESSAGE, Page
 
-# Side of the blocks of the reduced copy [px]: 64 × 48 numbers for a frame of 12 Mpx.
+# Side of the blocks of a reduced frame [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
-# Runs of pages that a message lists; more would not be read.
+# Runs of pages that a message lists.
 MOST_RUNS = 5
 
 
-class Probe(NamedTuple):
-    """What the headers of all frames say: rows and columns [px], bits of a stored pixel, and remarks on pages that no
-    row names."""
+class FrameFormat(NamedTuple):
+    """The common format of all frames of a dataset."""
 
-    shape: tuple[int, int]
-    bits: int
-    remarks: tuple[str, ...] = ()
+    shape: tuple[int, int]  # rows and columns [px]
+    bits: int  # bits of a stored pixel
+    remarks: tuple[str, ...] = ()  # remarks on pages that no row names
 
 
-def colour_of(instrument: Instrument) -> Colour:
-    """Which plane of its frames a dataset takes."""
+class ReducedFrame(NamedTuple):
+    """Means of a whole frame [DN]."""
+
+    block_mean: np.ndarray  # [block_row, block_column], blocks of `BLOCK_PX`
+    row_mean: np.ndarray  # [row]
+    column_mean: np.ndarray  # [column]
+
+
+def check_formats(dataset: Dataset) -> FrameFormat:
+    """Return the common format of all frames, read from the headers of their files.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, frames differ in size or depth, or instrument.yaml does not fit them.
+    """
+    pages = _read_pages(dataset)
+    remarks = _check_pages_without_row(dataset, pages)
+    first_frame = dataset.frames[0]
+    first = pages[first_frame.file][first_frame.page]
+    rows, columns = first.shape
+    for frame in dataset.frames:
+        page = pages[frame.file][frame.page]
+        if page.shape != first.shape:
+            raise InputError(
+                f"{frame.label}: {page.shape[1]} × {page.shape[0]} px, but {first_frame.label} has"
+                f" {columns} × {rows} px; all frames of a dataset must have one size"
+            )
+        if page.bits != first.bits:
+            raise InputError(
+                f"{frame.label}: {page.bits} bit, but {first_frame.label} has {first.bits} bit;"
+                f" all frames of a dataset must have one depth"
+            )
+    instrument = dataset.instrument
+    declared_bits = (instrument.sensor.bit_depth or 1) + instrument.sensor.value_shift_bits
+    if declared_bits > first.bits:
+        raise InputError(
+            f"{instrument.get_file_name('sensor.bit_depth')}: sensor.bit_depth and value_shift_bits ask for"
+            f" {declared_bits} bits, but the frames hold {first.bits}; together they must not exceed that"
+        )
+    if dataset.spots and instrument.crop_px > min(first.shape):
+        raise InputError(
+            f"instrument.yaml: crop_px is {instrument.crop_px}, but the frames have {columns} × {rows} px;"
+            f" it must be at most {min(first.shape)}"
+        )
+    build_bad_pixel_mask(instrument.bad_pixels, first.shape, get_colour(instrument))
+    return FrameFormat(first.shape, first.bits, remarks)
+
+
+def get_colour(instrument: Instrument) -> Colour:
+    """Return the colour plane that is taken of the frames of a dataset."""
     return Colour(instrument.sensor.channel, instrument.sensor.bayer)
 
 
-def pages_of(dataset: Dataset) -> dict[str, list[Page]]:
-    """Pages of every file that the manifest names; each row's is among them. Raises `InputError`."""
-    found: dict[str, list[Page]] = {}
+def _read_pages(dataset: Dataset) -> dict[str, list[Page]]:
+    """Return the pages of each file of the manifest. Raises `InputError` for a row whose page is not an image."""
+    pages: dict[str, list[Page]] = {}
     for frame in dataset.frames:
-        if frame.file not in found:
-            found[frame.file] = files.list_pages(dataset.folder / frame.file, frame.file, colour_of(dataset.instrument))
-        count = len(found[frame.file])
+        if frame.file not in pages:
+            pages[frame.file] = files.list_pages(dataset.folder / frame.file, frame.file, get_colour(dataset.instrument))
+        count = len(pages[frame.file])
         if frame.page >= count:
             raise InputError(f"{frame.label}: page is {frame.page}, but the file has {count}; pages count from 0")
-        if found[frame.file][frame.page].preview:
+        if pages[frame.file][frame.page].preview:
             raise InputError(f"{frame.label}: {PREVIEW_MESSAGE}")
-    return found
+    return pages
 
 
-def _unnamed_pages(dataset: Dataset, pages: dict[str, list[Page]]) -> tuple[str, ...]:
-    """Remarks on pages in frames/ that no row names. Raises `InputError` for a stack of which the first page alone is
-    named, as it is where nobody knew that it is a stack."""
+def _check_pages_without_row(dataset: Dataset, pages: dict[str, list[Page]]) -> tuple[str, ...]:
+    """Return remarks on pages in frames/ that no row names.
+
+    Raises `InputError` if the first page of a stack alone has a row: the user may not know that it is a stack.
+    """
     named = {(frame.file, frame.page) for frame in dataset.frames}
     remarks = []
-    for file, own in pages.items():
-        unnamed = [k for k, page in enumerate(own) if (file, k) not in named and not page.preview]
-        if not unnamed or not in_frames(file):
+    for file, file_pages in pages.items():
+        unnamed = [k for k, page in enumerate(file_pages) if (file, k) not in named and not page.preview]
+        if not unnamed or Path(file).parts[0] != "frames":
             continue
-        said = f"{file}: page{'s' if len(unnamed) > 1 else ''} {_runs(unnamed)}"
-        said += f" {'are' if len(unnamed) > 1 else 'is'} named by no row of manifest.csv"
-        if not any((file, k) in named for k in range(1, len(own))):
-            raise InputError(f"{said}; add a row with its page for each, or move the file out of frames/")
-        remarks.append(said)
+        is_plural = len(unnamed) > 1
+        remark = (
+            f"{file}: page{'s' if is_plural else ''} {_format_runs(unnamed)}"
+            f" {'are' if is_plural else 'is'} named by no row of manifest.csv"
+        )
+        if not any((file, k) in named for k in range(1, len(file_pages))):
+            raise InputError(f"{remark}; add a row with its page for each, or move the file out of frames/")
+        remarks.append(remark)
     return tuple(remarks)
 
 
-def _runs(numbers: list[int]) -> str:
-    """Ascending numbers in words: `1 to 8, 11`."""
-    runs = [[k for _, k in run] for _, run in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])]
-    said = [f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
-    return ", ".join(said if len(said) <= MOST_RUNS else [*said[:MOST_RUNS], "…"])
-
-
-def probe_all(dataset: Dataset) -> Probe:
-    """Probe of every frame of a dataset; they must agree, and hold a crop. Raises `InputError`."""
-    first: Probe | None = None
-    pages = pages_of(dataset)
-    remarks = _unnamed_pages(dataset, pages)
-    for frame in dataset.frames:
-        own = pages[frame.file][frame.page]
-        found = Probe(own.shape, own.bits, remarks)
-        if first is None:
-            first = found
-        elif found.shape != first.shape:
-            raise InputError(
-                f"{frame.label}: {found.shape[1]} × {found.shape[0]} px, but {dataset.frames[0].label} has"
-                f" {first.shape[1]} × {first.shape[0]} px; all frames of a dataset must have one size"
-            )
-        elif found.bits != first.bits:
-            raise InputError(
-                f"{frame.label}: {found.bits} bit, but {dataset.frames[0].label} has {first.bits} bit;"
-                f" all frames of a dataset must have one depth"
-            )
-    assert first is not None  # read_manifest refuses an empty one
-    sensor = dataset.instrument.sensor
-    if (sensor.bit_depth or 1) + sensor.value_shift_bits > first.bits:
-        raise InputError(
-            f"{dataset.instrument.file_of('sensor.bit_depth')}: sensor.bit_depth and value_shift_bits ask for"
-            f" {(sensor.bit_depth or 1) + sensor.value_shift_bits} bits, but the frames hold {first.bits};"
-            f" together they must not exceed that"
-        )
-    crop = dataset.instrument.crop_px
-    if dataset.spots and crop > min(first.shape):
-        raise InputError(
-            f"instrument.yaml: crop_px is {crop}, but the frames have {first.shape[1]} × {first.shape[0]} px;"
-            f" it must be at most {min(first.shape)}"
-        )
-    bad_pixels(dataset.instrument.bad_pixels, first.shape, colour_of(dataset.instrument))
-    return first
+def _format_runs(numbers: list[int]) -> str:
+    """Return ascending numbers as runs: `1 to 8, 11`."""
+    # Consecutive numbers have a constant difference from their positions.
+    runs = [[number for _, number in run] for _, run in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])]
+    texts = [f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
+    return ", ".join(texts if len(texts) <= MOST_RUNS else [*texts[:MOST_RUNS], "…"])
 
 
 @lru_cache(maxsize=4)
-def bad_pixels(named: BadPixels, shape: tuple[int, int], taken: Colour = MONOCHROME) -> np.ndarray | None:
-    """Which pixels [rows, columns] of frames that are read with `shape` instrument.yaml names as bad; None where it
-    names none. It names places on the sensor, of which Bayer frames are read a plane.
+def build_bad_pixel_mask(bad_pixels: BadPixels, shape: tuple[int, int], colour: Colour = MONOCHROME) -> np.ndarray | None:
+    """Return the mask of bad pixels of a frame.
 
-    Raises `InputError` for a mask of another size, or for a place beyond the frame.
+    Parameters
+    ----------
+    bad_pixels : section of instrument.yaml, in coordinates of the sensor.
+    shape : rows and columns of a frame [px]; of a Bayer sensor those of one colour plane.
+    colour : colour plane that is taken of the frames.
+
+    Returns
+    -------
+    array or None
+        Boolean, of `shape`, True where bad; None if no pixel is bad.
+
+    Raises
+    ------
+    InputError
+        If the mask image has another size, a pixel lies outside the frame, or all pixels are bad.
     """
-    shape = shape[0] * taken.step, shape[1] * taken.step
-    out = np.zeros(shape, bool)
-    if named.mask is not None:
-        name = Path(named.mask).name
-        size = files.list_pages(Path(named.mask), name)[0].shape
-        if size != shape:
+    rows, columns = shape[0] * colour.step, shape[1] * colour.step
+    is_bad = np.zeros((rows, columns), bool)
+    if bad_pixels.mask is not None:
+        name = Path(bad_pixels.mask).name
+        mask_shape = files.list_pages(Path(bad_pixels.mask), name)[0].shape
+        if mask_shape != is_bad.shape:
             raise InputError(
-                f"instrument.yaml: key bad_pixels.mask names {name!r}, which has {size[1]} × {size[0]} px, but the"
-                f" frames have {shape[1]} × {shape[0]} px; it must have their size"
+                f"instrument.yaml: key bad_pixels.mask names {name!r}, which has {mask_shape[1]} × {mask_shape[0]} px,"
+                f" but the frames have {columns} × {rows} px; it must have their size"
             )
-        out |= files.read_pixels(Path(named.mask), 0, name) != 0
-    for key, axis, places in (
-        ("columns", 1, named.columns),
-        ("rows", 0, named.rows),
-        ("pixels", 1, [x for x, _ in named.pixels]),
-        ("pixels", 0, [y for _, y in named.pixels]),
+        is_bad |= files.read_pixels(Path(bad_pixels.mask), 0, name) != 0
+    pixels_x, pixels_y = [x for x, _ in bad_pixels.pixels], [y for _, y in bad_pixels.pixels]
+    for key, axis, size, coordinates in (
+        ("columns", "x", columns, bad_pixels.columns),
+        ("rows", "y", rows, bad_pixels.rows),
+        ("pixels", "x", columns, pixels_x),
+        ("pixels", "y", rows, pixels_y),
     ):
-        if beyond := [place for place in places if place >= shape[axis]]:
+        outside = next((coordinate for coordinate in coordinates if coordinate >= size), None)
+        if outside is not None:
             raise InputError(
-                f"instrument.yaml: key bad_pixels.{key} names {'xy'[1 - axis]} = {beyond[0]}, but the frames have"
-                f" {shape[1]} × {shape[0]} px; it must be at most {shape[axis] - 1}"
+                f"instrument.yaml: key bad_pixels.{key} names {axis} = {outside}, but the frames have"
+                f" {columns} × {rows} px; it must be at most {size - 1}"
             )
-    out[:, list(named.columns)] = True
-    out[list(named.rows)] = True
-    out[[y for _, y in named.pixels], [x for x, _ in named.pixels]] = True
-    out = extract_plane(out, taken)
-    if out.all():
+    is_bad[:, list(bad_pixels.columns)] = True
+    is_bad[list(bad_pixels.rows)] = True
+    is_bad[pixels_y, pixels_x] = True
+    is_bad = extract_plane(is_bad, colour)
+    if is_bad.all():
         raise InputError("instrument.yaml: key bad_pixels names every pixel of the frames; some must be left")
-    return out if out.any() else None
+    return is_bad if is_bad.any() else None
 
 
-def read(dataset: Dataset, frame: Frame) -> np.ndarray:
-    """Image of a frame of a dataset: pixels [rows, columns] in DN, unsigned, shifted out of a left-aligned container.
+def read_image(dataset: Dataset, frame: Frame) -> np.ndarray:
+    """Return the pixels of a frame [rows, columns] in DN, unsigned, shifted out of a left-aligned container.
 
-    Raises `InputError` for a file that cannot be decoded or holds values above the bit depth.
+    Parameters
+    ----------
+    dataset : the dataset.
+    frame : one of its frames.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be decoded, or has values above the bit depth.
 
     Examples
     --------
@@ -163,7 +201,7 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
     >>> image.shape, image.dtype, int(image.max())
     ((96, 96), dtype('uint16'), 620)
     """
-    pixels = files.read_pixels(dataset.folder / frame.file, frame.page, frame.label, colour_of(dataset.instrument))
+    pixels = files.read_pixels(dataset.folder / frame.file, frame.page, frame.label, get_colour(dataset.instrument))
     sensor = dataset.instrument.sensor
     if sensor.value_shift_bits:
         if (pixels & (2**sensor.value_shift_bits - 1)).any():
@@ -173,52 +211,43 @@ def read(dataset: Dataset, frame: Frame) -> np.ndarray:
             )
         pixels = pixels >> sensor.value_shift_bits
     highest = int(pixels.max())
-    if sensor.bit_depth is not None and highest > full_scale(dataset.instrument, 16):
+    if sensor.bit_depth is not None and highest > 2**sensor.bit_depth - 1:
         raise InputError(
-            f"{frame.label}: holds the value {highest}, above the {full_scale(dataset.instrument, 16)} of"
+            f"{frame.label}: holds the value {highest}, above the {2**sensor.bit_depth - 1} of"
             f" sensor.bit_depth {sensor.bit_depth}; correct the bit depth, or set sensor.value_shift_bits"
         )
     return pixels
 
 
-def read_good(dataset: Dataset, frame: Frame) -> np.ndarray:
-    """As `read`, where instrument.yaml names bad pixels as float32 with NaN in their place: not measured."""
-    pixels = read(dataset, frame)
-    own = dataset.instrument
-    bad = bad_pixels(own.bad_pixels, (pixels.shape[0], pixels.shape[1]), colour_of(own))
-    return pixels if bad is None else np.where(bad, np.float32(np.nan), pixels.astype(np.float32))
+def read_masked_image(dataset: Dataset, frame: Frame) -> np.ndarray:
+    """Return the pixels of a frame as `read_image`; if pixels are bad, as float32 with NaN in their place."""
+    pixels = read_image(dataset, frame)
+    rows, columns = pixels.shape
+    instrument = dataset.instrument
+    is_bad = build_bad_pixel_mask(instrument.bad_pixels, (rows, columns), get_colour(instrument))
+    return pixels if is_bad is None else np.where(is_bad, np.float32(np.nan), pixels.astype(np.float32))
 
 
-def readings(pixels: np.ndarray) -> np.ndarray:
-    """The readings of all pixels that are measured [DN], unsigned: the image itself where no pixel is bad."""
+def select_good_readings(pixels: np.ndarray) -> np.ndarray:
+    """Return the unsigned readings [DN] of all pixels that are not NaN; an image without bad pixels itself."""
     return pixels if pixels.dtype.kind == "u" else pixels[~np.isnan(pixels)].astype(np.uint16)
 
 
-def full_scale(instrument: Instrument, container_bits: int) -> int:
-    """Largest reading [DN]: of the converter where its depth is given, else of the container."""
+def get_full_scale(instrument: Instrument, container_bits: int) -> int:
+    """Return the largest possible reading [DN] of the converter, or of the container if its depth is not given."""
     return 2 ** (instrument.sensor.bit_depth or container_bits - instrument.sensor.value_shift_bits) - 1
 
 
-class Surround(NamedTuple):
-    """Reduced copy of a whole frame [DN]: block means [block_row, block_column], row and column means."""
-
-    block_mean: np.ndarray
-    row_mean: np.ndarray
-    column_mean: np.ndarray
-
-
-def reduce_frame(pixels: np.ndarray) -> Surround:
-    """Block means (sides of `BLOCK_PX`, the remainder at the right and lower border left out), row and column means."""
+def reduce_frame(pixels: np.ndarray) -> ReducedFrame:
+    """Return block means, row means and column means of a frame [rows, columns] without its NaN pixels."""
     side = min(BLOCK_PX, *pixels.shape)
-    return Surround(
-        block_mean(pixels, side),
-        good_mean(pixels, axis=1),
-        good_mean(pixels, axis=0),
+    return ReducedFrame(
+        average_blocks(pixels, side), average_good_pixels(pixels, axis=1), average_good_pixels(pixels, axis=0)
     )
 
 
-def good_mean(pixels: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
-    """Mean along axes of all pixels that are not NaN; NaN where there are none."""
+def average_good_pixels(pixels: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
+    """Return the mean along axes without NaN pixels; NaN, without a warning, if all pixels are NaN."""
     if pixels.dtype.kind != "f":
         return np.asarray(pixels.mean(axis=axis, dtype=np.float64))
     count = np.count_nonzero(~np.isnan(pixels), axis=axis)
@@ -226,21 +255,26 @@ def good_mean(pixels: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
     return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
 
 
-def blocks_along(length: int, shape: tuple[int, int]) -> int:
-    """Number of blocks of the reduced copy along a side of a frame of `shape`."""
+def count_blocks(length: int, shape: tuple[int, int]) -> int:
+    """Return the number of blocks of a reduced frame along a side of a frame of `shape`."""
     return length // min(BLOCK_PX, *shape)
 
 
-def block_mean(pixels: np.ndarray, side: int) -> np.ndarray:
-    """Means of square blocks, the remainder at the right and lower border left out; NaN pixels do not count."""
+def average_blocks(pixels: np.ndarray, side: int) -> np.ndarray:
+    """Return the means of square blocks without NaN pixels; incomplete blocks at the right and lower border are cut.
+
+    Parameters
+    ----------
+    pixels : [rows, columns], unsigned or float.
+    side : side of a block [px].
+
+    Returns
+    -------
+    array
+        [rows // side, columns // side].
+    """
     rows, columns = pixels.shape[0] // side, pixels.shape[1] // side
     blocks = pixels[: rows * side, : columns * side].reshape(rows, side, columns, side)
     if pixels.dtype.kind == "f":
-        return good_mean(blocks, axis=(1, 3))
+        return average_good_pixels(blocks, axis=(1, 3))
     return blocks.sum(axis=(1, 3), dtype=np.uint32) / side**2
-
-
-def spots(dataset: Dataset) -> Iterator[tuple[tuple[int, ...], Frame, np.ndarray]]:
-    """Index on the grid, frame and pixels of every spot, NaN where bad, one at a time."""
-    for index, frame in dataset.cells():
-        yield index, frame, read_good(dataset, frame)

@@ -1,116 +1,100 @@
-"""instrument.yaml: its keys with their defaults, and one sentence for each thing that can be wrong with it."""
+"""instrument.yaml: its keys with their defaults, with one message for each possible mistake."""
 
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from spotcheck.dataset.manifest import REQUIRED_COLUMNS
-from spotcheck.dataset.plausible import USUAL, hint
+from spotcheck.dataset.plausibility import USUAL_RANGES, suggest_unit
 from spotcheck.errors import InputError
 from spotcheck.io.schema import find_violation, read_keys
 
-# No condition may bear the name of a standard column, or of a dimension or variable of the results.
+# Names of standard columns, and of dimensions and variables of the results, which no condition may have.
 RESERVED = {
     *REQUIRED_COLUMNS,
-    *("page", "angle", "exposure", "repeat", "y", "x", "row", "column", "block_y", "block_x", "source", "parameter"),
-    *(
-        "status",
-        "left_out",
-        "centring",
-        "fit",
-        "estimator",
-        "frame",
-        "registration",
-        "data_range",
-        "image",
-        "top",
-        "left",
-        "block_mean",
-    ),
-    *("row_mean", "column_mean", "amplitude", "x_centre", "y_centre", "sigma_major", "sigma_minor", "orientation"),
-    *("offset", "sigma_mean", "chi2_reduced", "p1", "p2", "peak", "laser_width", "likelihood_converged", "mean_light"),
-    *("sigma", "maximum", "sum", "speckle_contrast", "peak_ratio", "psnr", "law", "fine_exposure", "photons"),
-    *("axis", "power", "other_power", "coefficient", "origin", "scatter", "mean_reading", "azimuth"),
+    *"page angle exposure repeat y x row column block_y block_x source parameter status left_out centring fit".split(),
+    *"estimator frame registration data_range image top left block_mean row_mean column_mean amplitude".split(),
+    *"x_centre y_centre sigma_major sigma_minor orientation offset sigma_mean chi2_reduced p1 p2 peak".split(),
+    *"laser_width likelihood_converged mean_light sigma maximum sum speckle_contrast peak_ratio psnr law".split(),
+    *"fine_exposure photons axis power other_power coefficient origin scatter mean_reading azimuth".split(),
 }
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Section `sensor`; None marks a key without a default that was not given. Once read, `pixel_pitch_m` is that of
-    the plane of a colour: twice the sensor's where `bayer` is given."""
+    """Section `sensor`; None marks a missing key without a default."""
 
-    pixel_pitch_m: float | None = None
-    bit_depth: int | None = None
-    full_scale_dn: int | None = None
-    gain_dn_per_e: float | None = None
-    read_noise_e: float | None = None
-    dark_current_e_per_s: float = 0.0
-    quantum_efficiency: float = 1.0
-    full_well_e: float | None = None
-    black_level_dn: float = 0.0
-    response_bend: float = 0.0
-    value_shift_bits: int = 0
-    gain_dn_per_e_stderr: float = 0.0
-    read_noise_e_stderr: float = 0.0
-    black_level_dn_stderr: float = 0.0
-    channel: str | None = None
-    bayer: str | None = None
+    pixel_pitch_m: float | None = None  # pixel pitch [m]; with `bayer` that of one colour plane, twice the sensor's
+    bit_depth: int | None = None  # bits of the analogue-to-digital converter
+    full_scale_dn: int | None = None  # largest reading if the converter stops below its bits [DN]
+    gain_dn_per_e: float | None = None  # system gain K [DN/e-]
+    read_noise_e: float | None = None  # read noise, rms [e-]
+    dark_current_e_per_s: float = 0.0  # mean dark current of a pixel [e-/s]
+    quantum_efficiency: float = 1.0  # electrons per photon
+    full_well_e: float | None = None  # saturation capacity [e-]
+    black_level_dn: float = 0.0  # reading without light [DN]
+    response_bend: float = 0.0  # q: a signal y above black is read as y - q y²/full scale
+    value_shift_bits: int = 0  # unused low bits of left-aligned readings
+    gain_dn_per_e_stderr: float = 0.0  # standard error of `gain_dn_per_e` [DN/e-]
+    read_noise_e_stderr: float = 0.0  # standard error of `read_noise_e` [e-]
+    black_level_dn_stderr: float = 0.0  # standard error of `black_level_dn` [DN]
+    channel: str | None = None  # colour to take: red, green or blue; of a Bayer sensor green_r or green_b for green
+    bayer: str | None = None  # filter colours of the upper left 2 x 2 pixels, row by row, such as RGGB
 
 
 @dataclass(frozen=True)
 class Optics:
-    """Section `optics`."""
+    """Section `optics`; None marks a missing key."""
 
-    focal_length_m: float | None = None
-    working_distance_m: float | None = None
-    f_number: float | None = None
-    filter_transmission: float | None = None
-    pixel_integration: bool = False
+    focal_length_m: float | None = None  # focal length of the lens [m]
+    working_distance_m: float | None = None  # distance from sample to lens [m]
+    f_number: float | None = None  # focal length over the diameter of the pupil
+    filter_transmission: float | None = None  # transmission of the filter in front of the sensor, 0 to 1
+    pixel_integration: bool = False  # whether a pixel reads the mean of the light over its area
 
 
 @dataclass(frozen=True)
 class Laser:
-    """Section `laser`."""
+    """Section `laser`; None marks a missing key."""
 
-    power_w: float | None = None
-    wavelength_m: float | None = None
-    fwhm_x_m: float | None = None
-    fwhm_y_m: float | None = None
+    power_w: float | None = None  # power [W]
+    wavelength_m: float | None = None  # wavelength [m]
+    fwhm_x_m: float | None = None  # full width at half maximum on the sample along x [m]
+    fwhm_y_m: float | None = None  # full width at half maximum on the sample along y [m]
 
 
 @dataclass(frozen=True)
 class Material:
-    """Section `material`."""
+    """Section `material`; None marks a missing key."""
 
-    reflectance: float | None = None
+    reflectance: float | None = None  # fraction of the light that the sample reflects
 
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """Section `model`: which baseline the simulation uses."""
+    """Section `model`: the baseline model of the simulation."""
 
-    photon_budget: str = "linear"
-    top_hat: bool = False
+    photon_budget: str = "linear"  # law of the peak over exposure time: spot_area, linear or free
+    top_hat: bool = False  # whether the peak is cut at exp(-1/4) of it (Eqs. 39-40)
 
 
 @dataclass(frozen=True)
 class Light:
-    """Section `light`: the file of a shape that was learned before; once read, its absolute path."""
+    """Section `light`."""
 
-    profile: str | None = None
+    profile: str | None = None  # file with a light shape that was learned before; absolute path once read
 
 
 @dataclass(frozen=True)
 class BadPixels:
-    """Section `bad_pixels`: what of the sensor is not measured. An image, once read by its absolute path, whose pixels
-    other than 0 are bad; whole columns and rows; and single pixels (x, y)."""
+    """Section `bad_pixels`: pixels of the sensor that are not used."""
 
-    mask: str | None = None
-    columns: tuple[int, ...] = ()
-    rows: tuple[int, ...] = ()
-    pixels: tuple[tuple[int, int], ...] = ()
+    mask: str | None = None  # image whose non-zero pixels are bad; absolute path once read
+    columns: tuple[int, ...] = ()  # x of whole columns
+    rows: tuple[int, ...] = ()  # y of whole rows
+    pixels: tuple[tuple[int, int], ...] = ()  # (x, y) of single pixels
 
 
 DEFAULT = "default"
@@ -118,39 +102,38 @@ DEFAULT = "default"
 
 @dataclass(frozen=True)
 class Instrument:
-    """The content of instrument.yaml with its defaults; `based_on`, once read, is an absolute path. `given` are the
-    keys that have a value, `shared` those of them that only the file below has."""
+    """The content of instrument.yaml with its defaults."""
 
-    based_on: str | None = None
-    name: str | None = None
-    order_known: bool = True
-    conditions: tuple[str, ...] = ()
-    crop_px: int = 240
-    sensor: Sensor = field(default_factory=Sensor)
-    optics: Optics = field(default_factory=Optics)
-    laser: Laser = field(default_factory=Laser)
-    material: Material = field(default_factory=Material)
-    model: ModelChoice = field(default_factory=ModelChoice)
-    light: Light = field(default_factory=Light)
-    bad_pixels: BadPixels = field(default_factory=BadPixels)
-    given: frozenset[str] = frozenset()
-    shared: frozenset[str] = frozenset()
+    based_on: str | None = None  # shared instrument file below this one; absolute path once read
+    name: str | None = None  # title of the dataset
+    order_known: bool = True  # whether the rows of the manifest are in the order of acquisition
+    conditions: tuple[str, ...] = ()  # further columns of the manifest that are axes of the experiment
+    crop_px: int = 240  # side of the crops around spots [px]
+    sensor: Sensor = field(default_factory=Sensor)  # section `sensor`
+    optics: Optics = field(default_factory=Optics)  # section `optics`
+    laser: Laser = field(default_factory=Laser)  # section `laser`
+    material: Material = field(default_factory=Material)  # section `material`
+    model: ModelChoice = field(default_factory=ModelChoice)  # section `model`
+    light: Light = field(default_factory=Light)  # section `light`
+    bad_pixels: BadPixels = field(default_factory=BadPixels)  # section `bad_pixels`
+    given_keys: frozenset[str] = frozenset()  # keys that have a value in a file, such as "sensor.bit_depth"
+    inherited_keys: frozenset[str] = frozenset()  # those of them that only the shared file has
 
-    def source(self, key: str) -> str:
-        """Where the value of a key such as "sensor.gain_dn_per_e" comes from: `DEFAULT`, or the name of a file."""
-        if key not in self.given:
+    def get_source(self, key: str) -> str:
+        """Return the source of the value of a key such as "sensor.gain_dn_per_e": `DEFAULT` or the name of a file."""
+        if key not in self.given_keys:
             return DEFAULT
-        return self.file_of(key) + (", on which instrument.yaml is based" if key in self.shared else "")
+        return self.get_file_name(key) + (", on which instrument.yaml is based" if key in self.inherited_keys else "")
 
     @property
     def files(self) -> list[Path]:
-        """Files that it names and that are there: the shared sheet, the light's profile, the mask of bad pixels."""
-        named = (self.based_on, self.light.profile, self.bad_pixels.mask)
-        return [path for own in named if own and (path := Path(own)).exists()]
+        """Existing files that instrument.yaml names: the shared file, the light profile, the mask of bad pixels."""
+        names = (self.based_on, self.light.profile, self.bad_pixels.mask)
+        return [path for name in names if name and (path := Path(name)).exists()]
 
-    def file_of(self, key: str) -> str:
-        """Name of the file in which a key is, or would have to be."""
-        return Path(self.based_on).name if key in self.shared and self.based_on else "instrument.yaml"
+    def get_file_name(self, key: str) -> str:
+        """Return the name of the file that has a key, or would have to have it."""
+        return Path(self.based_on).name if key in self.inherited_keys and self.based_on else "instrument.yaml"
 
     @property
     def laser_sigma_m(self) -> float | None:
@@ -160,64 +143,103 @@ class Instrument:
         return (self.laser.fwhm_x_m + self.laser.fwhm_y_m) / 2 / math.sqrt(8 * math.log(2))
 
 
-SECTIONS = {
-    "sensor": Sensor,
-    "optics": Optics,
-    "laser": Laser,
-    "material": Material,
-    "model": ModelChoice,
-    "light": Light,
-    "bad_pixels": BadPixels,
-}
+# Record of each section of instrument.yaml.
+SECTIONS: dict[str, Any] = {part.name: part.type for part in fields(Instrument) if is_dataclass(part.type)}
 
 
 def read_instrument(path: Path) -> Instrument:
-    """Instrument of `path`; all defaults when the file does not exist. Raises `InputError`."""
+    """Read and check instrument.yaml.
+
+    Parameters
+    ----------
+    path : path of the file; all keys have their defaults if it does not exist.
+
+    Raises
+    ------
+    InputError
+        For the first mistake, with its key.
+    """
     if not path.exists() and not path.is_symlink():
         return Instrument()
-    content = _content(path)
-    own = _names(content)
+    content = _read_content(path)
+    own_keys = _list_keys(content)
     if "based_on" in content:
-        shared = _content(Path(content["based_on"]))
-        if "based_on" in shared:
-            raise InputError(
-                f"{path.name}: key based_on names {Path(content['based_on']).name}, which has such a key itself; one"
-                " file may stand below another, and no third"
-            )
-        content = shared | content | {k: shared.get(k, {}) | content.get(k, {}) for k in SECTIONS}
-    given = _names(content)
-    sections = {name: kind(**_whole(content.pop(name, {}))) for name, kind in SECTIONS.items()}
+        content = _merge_shared_file(path, content)
+    given_keys = _list_keys(content)
+    sections = {name: section(**_convert_values(content.pop(name, {}))) for name, section in SECTIONS.items()}
     if sections["optics"].pixel_integration and sections["model"].top_hat:
         raise InputError(
             f"{path.name}: keys optics.pixel_integration and model.top_hat are both true; one of them must be false"
         )
-    sections["sensor"] = _of_colour(path, sections["sensor"], sections["optics"])
-    content = _whole(content)
+    sections["sensor"] = _adapt_to_colour_plane(path, sections["sensor"], sections["optics"])
     content["conditions"] = tuple(content.get("conditions", ()))
-    for condition in content["conditions"]:
-        if condition in RESERVED:
-            raise InputError(
-                f"{path.name}: key conditions names {condition}, which has a meaning of its own; rename it"
-            )
-        if not re.fullmatch(r"[A-Za-z]\w{0,99}", condition):
-            raise InputError(
-                f"{path.name}: key conditions names {condition!r}; it must be a word of letters, digits and underscores"
-            )
-    return Instrument(**content, **sections, given=given, shared=given - own)
-
-
-def _names(content: dict[str, Any]) -> frozenset[str]:
-    """Keys that have a value, those of sections as "sensor.bit_depth"."""
-    return frozenset(
-        f"{name}.{key}" if key else name for name, own in content.items() for key in (own if name in SECTIONS else [""])
+    _check_conditions(path, content["conditions"])
+    return Instrument(
+        **_convert_values(content), **sections, given_keys=given_keys, inherited_keys=given_keys - own_keys
     )
 
 
-def _of_colour(path: Path, sensor: Sensor, optics: Optics) -> Sensor:
-    """The sensor as a plane of one colour has it. Raises `InputError` for keys that do not go together."""
-    greens = sensor.channel in ("green_r", "green_b")
+def _read_content(path: Path) -> dict[str, Any]:
+    """Return the keys of one file, with absolute paths of the files that it names. Raises `InputError`."""
+    # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
+    content = {key: ({} if value is None and key in SECTIONS else value) for key, value in read_keys(path).items()}
+    if breach := find_violation(content, "instrument"):
+        raise InputError(f"{path.name}: {breach}{_suggest_unit_for(content, breach)}")
+    _resolve_path(path, content, "", "based_on", "an instrument file")
+    _resolve_path(path, content, "light", "profile", "a light.nc")
+    _resolve_path(path, content, "bad_pixels", "mask", "an image")
+    return content
+
+
+def _suggest_unit_for(content: dict[str, Any], breach: str) -> str:
+    """Return in which unit a refused number would be a usual one, in brackets; "" if in none."""
+    for key, usual in USUAL_RANGES.items():
+        section, _, name = key.partition(".")
+        if f"key {key} is " in breach and isinstance(content[section][name], int | float):
+            suggestion = suggest_unit(content[section][name], usual)
+            return f" ({suggestion})" if suggestion else ""
+    return ""
+
+
+def _resolve_path(path: Path, content: dict[str, Any], section: str, key: str, expected: str) -> None:
+    """Replace the path of a file relative to the dataset folder by its absolute path. Raises `InputError`."""
+    keys = content.get(section, {}) if section else content
+    if key not in keys:
+        return
+    name, full_key = keys[key], f"{section}.{key}" if section else key
+    if re.search("[{}\0]", name):
+        raise InputError(f"{path.name}: key {full_key} is {name!r}; it must be a path without braces")
+    file = path.parent / name
+    if not name or not file.is_file():
+        raise InputError(
+            f"{path.name}: key {full_key} names {name!r}, which is not there; it must be the path of {expected},"
+            " relative to the dataset folder"
+        )
+    keys[key] = str(file.resolve())
+
+
+def _merge_shared_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of a file above those of the shared file on which it is based. Raises `InputError`."""
+    shared = _read_content(Path(content["based_on"]))
+    if "based_on" in shared:
+        raise InputError(
+            f"{path.name}: key based_on names {Path(content['based_on']).name}, which has such a key itself; one"
+            " file may stand below another, and no third"
+        )
+    sections = {name: shared.get(name, {}) | content.get(name, {}) for name in SECTIONS}
+    return shared | content | sections
+
+
+def _list_keys(content: dict[str, Any]) -> frozenset[str]:
+    """Return the keys that have a value, with their section: "sensor.bit_depth"."""
+    top_level = {name for name in content if name not in SECTIONS}
+    return frozenset(top_level | {f"{name}.{key}" for name in SECTIONS for key in content.get(name, {})})
+
+
+def _adapt_to_colour_plane(path: Path, sensor: Sensor, optics: Optics) -> Sensor:
+    """Return the sensor with the pitch of a colour plane. Raises `InputError` for keys that exclude each other."""
     if sensor.bayer is None:
-        if greens:
+        if sensor.channel in ("green_r", "green_b"):
             raise InputError(
                 f"{path.name}: key sensor.channel is {sensor.channel}; it must be green without sensor.bayer"
             )
@@ -235,50 +257,25 @@ def _of_colour(path: Path, sensor: Sensor, optics: Optics) -> Sensor:
     return replace(sensor, pixel_pitch_m=None if sensor.pixel_pitch_m is None else 2 * sensor.pixel_pitch_m)
 
 
-def _content(path: Path) -> dict[str, Any]:
-    """Keys of one file, with absolute paths of the files that it names. Raises `InputError`."""
-    # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
-    content = {k: ({} if v is None and k in SECTIONS else v) for k, v in read_keys(path).items()}
-    if breach := find_violation(content, "instrument"):
-        raise InputError(f"{path.name}: {breach}{_in_another_unit(content, breach)}")
-    _find(path, content, "", "based_on", "an instrument file")
-    _find(path, content, "light", "profile", "a light.nc")
-    _find(path, content, "bad_pixels", "mask", "an image")
-    return content
+def _check_conditions(path: Path, conditions: tuple[str, ...]) -> None:
+    """Raise `InputError` for a condition that is a reserved name or not a word."""
+    for condition in conditions:
+        if condition in RESERVED:
+            raise InputError(
+                f"{path.name}: key conditions names {condition}, which has a meaning of its own; rename it"
+            )
+        if not re.fullmatch(r"[A-Za-z]\w{0,99}", condition):
+            raise InputError(
+                f"{path.name}: key conditions names {condition!r}; it must be a word of letters, digits and underscores"
+            )
 
 
-def _in_another_unit(content: dict[str, Any], breach: str) -> str:
-    """In which unit a number that is refused would be a usual one; "" where in none."""
-    for key, usual in USUAL.items():
-        section, _, name = key.partition(".")
-        if f"key {key} is " in breach and isinstance(content[section][name], int | float):
-            right = hint(content[section][name], usual)
-            return f" ({right})" if right else ""
-    return ""
+def _convert_values(section: dict[str, Any]) -> dict[str, Any]:
+    """Return integer keys as integers, since the schema accepts 240.0 but slices do not; lists become tuples."""
+    integer_keys = ("crop_px", "bit_depth", "full_scale_dn", "value_shift_bits", "columns", "rows", "pixels")
+    return {key: _convert_integers(value) if key in integer_keys else value for key, value in section.items()}
 
 
-def _find(path: Path, content: dict[str, Any], section: str, key: str, wanted: str) -> None:
-    """Put a file's own path in the place of that from the dataset's folder. Raises `InputError`."""
-    own = content.get(section, {}) if section else content
-    if key not in own:
-        return
-    name, place = own[key], f"{section}.{key}" if section else key
-    if re.search("[{}\0]", name):
-        raise InputError(f"{path.name}: key {place} is {name!r}; it must be a path without braces")
-    file = path.parent / name
-    if not name or not file.is_file():
-        raise InputError(
-            f"{path.name}: key {place} names {name!r}, which is not there; it must be the path of {wanted},"
-            " relative to the dataset folder"
-        )
-    own[key] = str(file.resolve())
-
-
-def _whole(section: dict[str, Any]) -> dict[str, Any]:
-    """Whole numbers written as 240.0 as integers: the schema takes them for such, slices do not; lists as tuples."""
-    whole = ("crop_px", "bit_depth", "full_scale_dn", "value_shift_bits", "columns", "rows", "pixels")
-    return {key: _integers(value) if key in whole else value for key, value in section.items()}
-
-
-def _integers(value: Any) -> Any:
-    return tuple(map(_integers, value)) if isinstance(value, list) else int(value)
+def _convert_integers(value: Any) -> Any:
+    """Return a number as an integer, and nested lists of numbers as tuples of integers."""
+    return tuple(map(_convert_integers, value)) if isinstance(value, list) else int(value)

@@ -1,4 +1,4 @@
-"""manifest.csv: one row a frame, and one sentence for each thing that can be wrong with one."""
+"""manifest.csv: one row per frame, with one message for each possible mistake."""
 
 import csv
 import math
@@ -9,67 +9,119 @@ from pathlib import Path, PureWindowsPath
 from typing import Any
 from unicodedata import normalize
 
-from spotcheck.dataset.conditions import EXPOSURE_PART, grouped
+from spotcheck.dataset.conditions import EXPOSURE_TOLERANCE, merge_values
 from spotcheck.errors import InputError
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
 from spotcheck.io.text import read_text
 
 KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
-# The column that gives the light of a flat.
+# Column with the light on a flat [photons per pixel].
 PHOTONS = "photons_per_px"
-# The column that says whether a frame is used whatever its siblings look like; blank: they decide.
+# Column that decides whether a frame is used; if blank, the comparison with its siblings decides.
 KEEP = "keep"
-KEEPS = {"yes": True, "no": False, "": None}
-# The column that says when a frame was taken (ISO 8601); only the comparison of datasets asks for it.
+KEEP_VALUES = {"yes": True, "no": False, "": None}
+# Column with the time of acquisition (ISO 8601), which only the comparison of datasets needs.
 DATE = "date"
-ALIKE_TWICE = (
-    f"every frame must be named once, with a repeat of its own (exposures within {100 * EXPOSURE_PART:g} % are one)"
-)
-# Longest path of a file [characters]; what is longer is no name, and systems refuse to look for it.
+# Longest path of a file [characters]; systems refuse longer ones.
 LONGEST_NAME = 250
 # Characters of a wrong cell that a message shows.
 LONGEST_CELL = 40
-# The line by which Excel is told the separator.
-SEPARATOR = re.compile('"?sep=,"?,*')
+# Line that tells Excel the separator.
+SEPARATOR_LINE = re.compile('"?sep=,"?,*')
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One row of the manifest. `line` counts lines of the file from 1, the header being line 1. Behind the path of an
-    HDF5 file, `file` may name what is inside it: `scan.h5#/entry/data`."""
+    """One row of the manifest."""
 
-    line: int
-    file: str
-    page: int
-    kind: str
-    angle_deg: float | None
-    exposure_s: float | None
-    repeat: int | None
-    extra: dict[str, str]
+    line: int  # line of the file, from 1; the header is line 1
+    file: str  # path relative to the dataset, perhaps with the path inside an HDF5 file: `scan.h5#/entry/data`
+    page: int  # page of a stack, from 0
+    kind: str  # one of `KINDS`
+    angle_deg: float | None  # orientation of the sample [deg]; None if blank
+    exposure_s: float | None  # exposure time [s]; None if blank
+    repeat: int | None  # number of the site or repetition within a condition; None if blank
+    extra: dict[str, str]  # cells of all other columns, by column
 
     @property
     def path(self) -> str:
-        """The file alone, without what is named inside it."""
+        """Path of the file, without the path inside it."""
         return split_inner_path(self.file)[0]
 
     @property
     def label(self) -> str:
-        """How messages name the frame."""
+        """Name of the frame in messages."""
         return f"{self.file}, page {self.page}" if self.page else self.file
 
     @property
     def keep(self) -> bool | None:
-        """Whether the frame is used whatever its siblings look like, or not at all; None: they decide."""
-        return KEEPS[self.extra.get(KEEP, "").lower()]
+        """Whether the frame is used or left out by hand; None if the comparison with its siblings decides."""
+        return KEEP_VALUES[self.extra.get(KEEP, "").lower()]
 
 
 def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, ...]:
-    """Rows of manifest.csv in their order, checked among themselves and against the files of the folder. Exposures,
-    angles and declared conditions that are equal within their tolerances are made equal (see `conditions`)."""
+    """Read and check manifest.csv.
+
+    Exposure times, angles and declared conditions that are equal within their tolerances are made equal (see the module
+    `conditions`).
+
+    Parameters
+    ----------
+    path : path of manifest.csv.
+    conditions : columns that instrument.yaml declares as axes of the experiment.
+
+    Returns
+    -------
+    tuple of Frame
+        The rows in their order.
+
+    Raises
+    ------
+    InputError
+        For the first mistake, with its line.
+    """
     if not path.is_file():
         raise InputError(f"{path.name}: not there; a dataset needs it ({', '.join(REQUIRED_COLUMNS)})")
-    columns, rows = _rows(path, conditions)
+    columns, rows = _read_rows(path, conditions)
+    _check_columns(path, columns, conditions)
+    if not rows:
+        raise InputError(f"{path.name}: no rows; it must name at least one frame")
+    frames = tuple(_parse_row(path, line, row, conditions) for line, row in rows)
+    frames = _merge_conditions(_spell_as_on_disk(path.parent, frames), conditions)
+    _check_duplicates(path, frames, conditions)
+    _check_blanks(path, frames)
+    return frames
+
+
+def _read_rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list[tuple[int, dict[str | None, Any]]]]:
+    """Return the columns in our spelling, and each row with its line number. Raises `InputError`."""
+    lines = [
+        (number, line)
+        for number, line in enumerate(re.split(r"\r\n|\r|\n", read_text(path)), start=1)
+        if line.strip(" ,") and not (_is_comment(line, path.parent) or (number == 1 and SEPARATOR_LINE.fullmatch(line)))
+    ]
+    spelling = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, KEEP, *conditions)}
+    try:
+        reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
+        columns = [spelling.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
+        reader.fieldnames = columns
+        return columns, [(lines[reader.line_num - 1][0], row) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path.name}: cannot be read as CSV ({error}); look for an unclosed quote") from None
+
+
+def _is_comment(line: str, folder: Path) -> bool:
+    """Return whether a line starts with #, but not with the name of an existing image such as #1.tif."""
+    if not line.startswith("#"):
+        return False
+    name = line.split(",")[0].strip()
+    is_image = len(name) <= LONGEST_NAME and Path(name).suffix.lower() in IMAGE_SUFFIXES and (folder / name).is_file()
+    return not is_image
+
+
+def _check_columns(path: Path, columns: list[str], conditions: tuple[str, ...]) -> None:
+    """Raise `InputError` for a missing or repeated column."""
     for column in REQUIRED_COLUMNS:
         if column not in columns:
             cause = "; separate cells by commas" if len(columns) == 1 and re.search("[;\t]", columns[0]) else ""
@@ -77,7 +129,7 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
                 f"{path.name}: column {column} is missing; the header must name {','.join(REQUIRED_COLUMNS)}{cause}"
             )
     for column in columns:
-        # A spreadsheet leaves empty columns at the end: they are dropped.
+        # Spreadsheets leave empty columns at the end, which are dropped.
         if column and columns.count(column) > 1:
             raise InputError(f"{path.name}: column {column[:LONGEST_CELL]} stands twice; keep one of them")
     for condition in conditions:
@@ -86,158 +138,138 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
                 f"instrument.yaml: key conditions names {condition}, which is no column of {path.name};"
                 f" add the column or drop the name"
             )
-    if not rows:
-        raise InputError(f"{path.name}: no rows; it must name at least one frame")
-    frames = _as_on_disk(path.parent, tuple(_frame(path, line, row, conditions) for line, row in rows))
-    frames = _with_common(frames, conditions)
-    _check_rows(path, frames, conditions)
-    return frames
 
 
-def _rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list[tuple[int, dict[str | None, Any]]]]:
-    """Columns as this program calls them, and every row with the number of its line. Raises `InputError`."""
-    lines = [
-        (number, line)
-        for number, line in enumerate(re.split(r"\r\n|\r|\n", read_text(path)), start=1)
-        if line.strip(" ,") and not (_is_comment(line, path.parent) or (number == 1 and SEPARATOR.fullmatch(line)))
-    ]
-    known = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, KEEP, *conditions)}
-    try:
-        reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
-        columns = [known.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
-        reader.fieldnames = columns
-        return columns, [(lines[reader.line_num - 1][0], row) for row in reader]
-    except csv.Error as error:
-        raise InputError(f"{path.name}: cannot be read as CSV ({error}); look for an unclosed quote") from None
-
-
-def _is_comment(line: str, folder: Path) -> bool:
-    """Whether a line starts with #, as comments of `new-dataset` do, but not with the name of a file such as #1.tif."""
-    if not line.startswith("#"):
-        return False
-    name = line.split(",")[0].strip()
-    is_image = len(name) <= LONGEST_NAME and Path(name).suffix.lower() in IMAGE_SUFFIXES and (folder / name).is_file()
-    return not is_image
-
-
-def _as_on_disk(folder: Path, frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
-    """The frames with their files named as the disk does: ä is one letter to some systems and two to others (Unicode's
-    normal forms C and D)."""
+def _spell_as_on_disk(folder: Path, frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
+    """Return the frames with file names in the Unicode normal form of the disk: ä may be one character or two."""
     if all(frame.path.isascii() or (folder / frame.path).exists() for frame in frames):
         return frames
-    there = [own.relative_to(folder).as_posix() for own in folder.rglob("*")]
-    spelt = {normalize("NFC", own): own for own in there}
+    paths = [path.relative_to(folder).as_posix() for path in folder.rglob("*")]
+    # A path that is spelt exactly so takes precedence over one in the other normal form.
+    spelling = {normalize("NFC", path): path for path in paths} | {path: path for path in paths}
+    spelt = [spelling.get(frame.path, spelling.get(normalize("NFC", frame.path), frame.path)) for frame in frames]
     return tuple(
-        frame
-        if (folder / frame.path).exists()
-        else replace(
-            frame, file=spelt.get(normalize("NFC", frame.path), frame.path) + frame.file.removeprefix(frame.path)
-        )
-        for frame in frames
+        replace(frame, file=path + frame.file.removeprefix(frame.path))
+        for frame, path in zip(frames, spelt, strict=True)
     )
 
 
-def _frame(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[str, ...]) -> Frame:
+def _parse_row(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[str, ...]) -> Frame:
+    """Return the frame of a row. Raises `InputError` for the first wrong cell."""
     where = f"{path.name} line {line}"
     if None in row or None in row.values():
         raise InputError(f"{where}: {'more' if None in row else 'fewer'} cells than the header has columns")
-    cell = {name.strip(): value.strip() for name, value in row.items() if name and name.strip()}
+    cells = {name.strip(): value.strip() for name, value in row.items() if name and name.strip()}
     if any(value.strip() for name, value in row.items() if not (name or "").strip()):
         raise InputError(f"{where}: a cell stands under a column without a name; name the column in the header")
-    if cell["kind"] not in KINDS:
-        raise InputError(f"{where}: kind is {cell['kind'][:LONGEST_CELL]!r}; it must be one of {', '.join(KINDS)}")
-    spot = cell["kind"] == "spot"
-
-    def number(column: str) -> float | None:
-        if not cell[column]:
-            return None
-        value = number_in(cell[column])
-        if value is None:
-            raise InputError(f"{where}: {column} is {cell[column][:LONGEST_CELL]!r}; it must be a number or blank")
-        return value
-
-    def count(column: str) -> int | None:
-        text = cell.get(column, "")
-        if text and not (text.isdecimal() and len(text) < 10):
-            raise InputError(f"{where}: {column} is {text[:LONGEST_CELL]!r}; it must be a whole number from 0")
-        return int(text) if text else None
-
-    exposure = number("exposure_s")
-    if exposure is not None and (exposure < 0 or (spot and exposure == 0)):
-        raise InputError(f"{where}: exposure_s is {cell['exposure_s']}; it must be positive, in seconds")
+    if cells["kind"] not in KINDS:
+        raise InputError(f"{where}: kind is {cells['kind'][:LONGEST_CELL]!r}; it must be one of {', '.join(KINDS)}")
+    is_spot = cells["kind"] == "spot"
+    exposure_s = _parse_optional_number(where, cells, "exposure_s")
+    if exposure_s is not None and (exposure_s < 0 or (is_spot and exposure_s == 0)):
+        raise InputError(f"{where}: exposure_s is {cells['exposure_s']}; it must be positive, in seconds")
     for condition in conditions:
-        if spot and number(condition) is None:
+        if is_spot and _parse_optional_number(where, cells, condition) is None:
             raise InputError(f"{where}: {condition} is blank; it is declared in conditions and needs a number")
-    # Windows parts folders by a back-slash.
-    file = cell["file"].replace("\\", "/")
+    file = _parse_file(where, path.parent, cells["file"])
+    if cells.get(KEEP, "").lower() not in KEEP_VALUES:
+        raise InputError(f"{where}: {KEEP} is {cells[KEEP][:LONGEST_CELL]!r}; it must be yes, no or blank")
+    return Frame(
+        line=line,
+        file=file,
+        page=_parse_optional_count(where, cells, "page") or 0,
+        kind=cells["kind"],
+        angle_deg=_parse_optional_number(where, cells, "angle_deg"),
+        exposure_s=exposure_s,
+        repeat=_parse_optional_count(where, cells, "repeat"),
+        extra={name: value for name, value in cells.items() if name not in (*REQUIRED_COLUMNS, "page")},
+    )
+
+
+def _parse_optional_number(where: str, cells: dict[str, str], column: str) -> float | None:
+    """Return the number in a cell, None if it is blank. Raises `InputError`."""
+    text = cells[column]
+    value = parse_number(text)
+    if text and value is None:
+        raise InputError(f"{where}: {column} is {text[:LONGEST_CELL]!r}; it must be a number or blank")
+    return value
+
+
+def _parse_optional_count(where: str, cells: dict[str, str], column: str) -> int | None:
+    """Return the whole number in a cell, None if it is blank or the column is missing. Raises `InputError`."""
+    text = cells.get(column, "")
+    if text and not (text.isdecimal() and len(text) < 10):
+        raise InputError(f"{where}: {column} is {text[:LONGEST_CELL]!r}; it must be a whole number from 0")
+    return int(text) if text else None
+
+
+def _parse_file(where: str, folder: Path, text: str) -> str:
+    """Return the normalized path of an image inside the dataset folder. Raises `InputError`."""
+    file = text.replace("\\", "/")  # Windows separates folders by a backslash
     if len(file) > LONGEST_NAME:
         raise InputError(f"{where}: file has {len(file)} characters; it must be a path of at most {LONGEST_NAME}")
-    path_alone, inside = split_inner_path(file)
-    absolute = Path(file).is_absolute() or PureWindowsPath(file).is_absolute()
-    if not file or "\0" in file or absolute or not _inside(path.parent, path_alone):
+    path, inner_path = split_inner_path(file)
+    is_absolute = Path(file).is_absolute() or PureWindowsPath(file).is_absolute()
+    if not file or "\0" in file or is_absolute or not _is_inside(folder, path):
         raise InputError(
             f"{where}: file is {file!r}; it must be a path inside the dataset folder, not a link out of it"
         )
     if re.search("[{}]", file):
         raise InputError(f"{where}: file is {file!r}; it must be a name without braces")
-    if Path(path_alone).suffix.lower() not in IMAGE_SUFFIXES:
+    if Path(path).suffix.lower() not in IMAGE_SUFFIXES:
         raise InputError(
             f"{where}: {file} is in no format that is read; save it as TIFF, PNG or PGM ({', '.join(IMAGE_SUFFIXES)})"
         )
-    if cell.get(KEEP, "").lower() not in KEEPS:
-        raise InputError(f"{where}: {KEEP} is {cell[KEEP][:LONGEST_CELL]!r}; it must be yes, no or blank")
-    extra = {name: value for name, value in cell.items() if name not in (*REQUIRED_COLUMNS, "page")}
-    return Frame(
-        line=line,
-        file=Path(os.path.normpath(path_alone)).as_posix() + (f"#{inside}" if inside else ""),
-        page=count("page") or 0,
-        kind=cell["kind"],
-        angle_deg=number("angle_deg"),
-        exposure_s=exposure,
-        repeat=count("repeat"),
-        extra=extra,
-    )
+    return Path(os.path.normpath(path)).as_posix() + (f"#{inner_path}" if inner_path else "")
 
 
-def _with_common(frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> tuple[Frame, ...]:
-    """Frames of one condition with equal values."""
-    angles, exposures = (
-        grouped(column, [getattr(frame, column) for frame in frames]).values for column in ("angle_deg", "exposure_s")
-    )
-    frames = tuple(
-        replace(frame, angle_deg=angle, exposure_s=exposure)
-        for frame, angle, exposure in zip(frames, angles, exposures, strict=True)
-    )
-    for name in conditions:
-        values = [number_in(frame.extra[name]) for frame in frames]
-        own = [
-            frame.extra if value == before else frame.extra | {name: repr(value)}
-            for frame, before, value in zip(frames, values, grouped(name, values).values, strict=True)
-        ]
-        frames = tuple(replace(frame, extra=extra) for frame, extra in zip(frames, own, strict=True))
-    return frames
-
-
-def _inside(folder: Path, file: str) -> bool:
+def _is_inside(folder: Path, file: str) -> bool:
+    """Return whether a path, with its links followed, stays in a folder."""
     try:
         return (folder / file).resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError):  # a link that leads to itself
         return False
 
 
-def _check_rows(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> None:
-    by_page: dict[tuple, Frame] = {}
-    by_cell: dict[tuple, Frame] = {}
+def _merge_conditions(frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> tuple[Frame, ...]:
+    """Return the frames with angles, exposure times and declared conditions that agree within tolerances made equal."""
+    angles = merge_values("angle_deg", [frame.angle_deg for frame in frames]).values
+    exposures = merge_values("exposure_s", [frame.exposure_s for frame in frames]).values
+    extras = [dict(frame.extra) for frame in frames]
+    for column in conditions:
+        values = [parse_number(frame.extra[column]) for frame in frames]
+        for extra, value, merged in zip(extras, values, merge_values(column, values).values, strict=True):
+            if merged != value:
+                extra[column] = repr(merged)
+    return tuple(
+        replace(frame, angle_deg=angle, exposure_s=exposure, extra=extra)
+        for frame, angle, exposure, extra in zip(frames, angles, exposures, extras, strict=True)
+    )
+
+
+def _check_duplicates(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> None:
+    """Raise `InputError` for two rows with the same page of a file, or with the same condition and repeat."""
+    lines: dict[tuple, int] = {}
     for frame in frames:
-        at = tuple(number_in(frame.extra[name]) for name in conditions)
-        cell = (frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat, at)
-        for seen, key, what, right in (
-            (by_page, (frame.file, frame.page), "file and page", "every frame must be named once"),
-            (by_cell, cell, "kind, angle, exposure, repeat and conditions", ALIKE_TWICE),
+        values = tuple(parse_number(frame.extra[column]) for column in conditions)
+        page = frame.file, frame.page
+        repeat = frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat, values
+        for key, columns, advice in (
+            (page, "file and page", "every frame must be named once"),
+            (
+                repeat,
+                "kind, angle, exposure, repeat and conditions",
+                "every frame must be named once, with a repeat of its own (exposures within"
+                f" {100 * EXPOSURE_TOLERANCE:g} % are one)",
+            ),
         ):
-            if key in seen:
-                raise InputError(f"{path.name} lines {seen[key].line} and {frame.line} agree in {what}; {right}")
-            seen[key] = frame
+            if key in lines:
+                raise InputError(f"{path.name} lines {lines[key]} and {frame.line} agree in {columns}; {advice}")
+            lines[key] = frame.line
+
+
+def _check_blanks(path: Path, frames: tuple[Frame, ...]) -> None:
+    """Raise `InputError` for a column that is blank in some, but not all spot rows."""
     spots = [frame for frame in frames if frame.kind == "spot"]
     for column in ("angle_deg", "exposure_s", "repeat"):
         blank = [frame for frame in spots if getattr(frame, column) is None]
@@ -248,11 +280,11 @@ def _check_rows(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ..
             )
 
 
-def number_in(text: str) -> float | None:
-    """The finite number that a cell holds, or None."""
+def parse_number(text: str) -> float | None:
+    """Return the finite number in a cell; None for any other text."""
     try:
         value = float(text)
     except ValueError:
         return None
-    # Python's own 1_0 for 10 is nobody's number.
+    # Python reads 1_0 as 10, which no instrument writes.
     return value if "_" not in text and math.isfinite(value) else None

@@ -1,119 +1,128 @@
-"""A new dataset folder: manifest.csv with a row for every frame that was found, and a commented instrument.yaml."""
+"""Files of a new dataset: manifest.csv with a row per frame, and a commented instrument.yaml."""
 
 import csv
 import io
 from pathlib import Path
 
 from spotcheck.dataset.manifest import REQUIRED_COLUMNS
-from spotcheck.dataset.survey.rows import Rows
+from spotcheck.dataset.scan.draft import ManifestDraft
 from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.io.schema import read_schema
 
-NUMBERS = ("number", "integer")
-# Lines on what the files say beside what is used.
-MOST_SAID = 30
+# Entries of unused metadata that instrument.yaml lists.
+MOST_UNUSED = 30
+# Column at which comments of instrument.yaml start.
+COMMENT_COLUMN = 34
+# Row of a manifest without frames; `spotcheck check` asks to replace it.
+EXAMPLE_ROW = {"file": "frames/first.tif", "kind": "spot", "angle_deg": "0", "exposure_s": "0.0001", "repeat": "0"}
+MANIFEST_COMMENTS = """\
+# One row a frame, in the order of acquisition. Lines that start with # are comments.
+# file: relative to this folder. kind: spot, dark (no light) or flat (homogeneous light).
+# angle_deg: orientation of the sample; exposure_s: in seconds. Leave either blank in every row where it was
+# not recorded, and in rows of dark and flat frames where it has no meaning.
+# repeat: 0, 1, 2 ... within a condition; frames of one angle and repeat look at the same site. Number on
+# through all exposures where the sample moved between them.
+# page: of a stack, counted from 0; other files need no such column. Other columns are carried along; name
+# those that are axes of the experiment under `conditions` in instrument.yaml.
+"""
+INSTRUMENT_COMMENTS = """\
+# Take the # off the keys that you know. A missing key is never an error: it is taken from the frames
+# where they allow it, else the report says what could not be computed for want of it.
+"""
 
 
-EXAMPLE = {"file": "frames/first.tif", "kind": "spot", "angle_deg": "0", "exposure_s": "0.0001", "repeat": "0"}
-
-
-def check_free(folder: Path) -> None:
-    """Raise `InputError` where a folder holds a manifest or a data sheet: neither is ever overwritten."""
+def check_absent(folder: Path) -> None:
+    """Raise `InputError` if a folder already has a manifest or an instrument file; neither is ever overwritten."""
     for name in ("manifest.csv", "instrument.yaml"):
         if (folder / name).exists():
             raise InputError(f"{folder / name}: is already there; choose another folder or move it away")
 
 
-def write(folder: Path, rows: Rows | None = None, crop_px: int | None = None) -> None:
-    """Write manifest.csv and instrument.yaml: of the frames that were found, else empty ones to fill in.
+def write_template(folder: Path, draft: ManifestDraft | None = None, crop_px: int | None = None) -> None:
+    """Write manifest.csv and instrument.yaml of a new dataset.
 
-    Raises `InputError` when one of them is already there.
+    Parameters
+    ----------
+    folder : folder of the dataset.
+    draft : rows and keys; None for files to fill in, with a folder frames/.
+    crop_px : side of the crops [px]; None for the default.
+
+    Raises
+    ------
+    InputError
+        If one of the files already exists.
     """
-    check_free(folder)
-    if rows is None:
+    check_absent(folder)
+    if draft is None:
         (folder / "frames").mkdir(parents=True, exist_ok=True)
-    store.write_text(folder / "manifest.csv", manifest(rows))
-    store.write_text(folder / "instrument.yaml", instrument(rows, crop_px))
+    store.write_text(folder / "manifest.csv", _format_manifest(draft))
+    store.write_text(folder / "instrument.yaml", _format_instrument(draft, crop_px))
 
 
-def manifest(rows: Rows | None) -> str:
-    """Header and a row a frame; without frames one example row that `spotcheck check` will ask to replace."""
-    comments = [
-        "# One row a frame, in the order of acquisition. Lines that start with # are comments.",
-        "# file: relative to this folder. kind: spot, dark (no light) or flat (homogeneous light).",
-        "# angle_deg: orientation of the sample; exposure_s: in seconds. Leave either blank in every row where it was",
-        "# not recorded, and in rows of dark and flat frames where it has no meaning.",
-        "# repeat: 0, 1, 2 ... within a condition; frames of one angle and repeat look at the same site. Number on",
-        "# through all exposures where the sample moved between them.",
-        "# page: of a stack, counted from 0; other files need no such column. Other columns are carried along; name",
-        "# those that are axes of the experiment under `conditions` in instrument.yaml.",
-    ]
-    text = io.StringIO("\n".join(comments) + "\n")
-    text.seek(0, io.SEEK_END)
-    columns = rows.columns if rows else REQUIRED_COLUMNS
+def list_settable_keys() -> dict[str, dict]:
+    """Return the schema of each key of instrument.yaml whose value is a number or one of a few words."""
+    sections = read_schema("instrument")["properties"]
+    keys = {
+        f"{section}.{name}": key
+        for section, content in sections.items()
+        for name, key in content.get("properties", {}).items()
+    }
+    return {name: key for name, key in keys.items() if key["type"] in ("number", "integer") or "enum" in key}
+
+
+def _format_manifest(draft: ManifestDraft | None) -> str:
+    """Return the text of manifest.csv."""
+    text = io.StringIO()
+    text.write(MANIFEST_COMMENTS)
+    columns = draft.columns if draft else REQUIRED_COLUMNS
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows.cells if rows else [EXAMPLE])
+    writer.writerows(draft.rows if draft else [EXAMPLE_ROW])
     return text.getvalue()
 
 
-def instrument(rows: Rows | None = None, crop_px: int | None = None) -> str:
-    """Every key of the schema: those that were found with their value and its origin, the others as comments with their
-    meaning and default."""
-    schema = read_schema("instrument")
-    known = _known(rows, crop_px)
-    lines = [
-        "# Take the # off the keys that you know. A missing key is never an error: it is taken from the frames",
-        "# where they allow it, else the report says what could not be computed for want of it.",
-        "",
-    ]
-    for name, key in schema["properties"].items():
-        if key["type"] != "object":
-            lines.append(_given(name, *known[name]) if name in known else f"# {_line(name, key)}")
-            continue
-        own = {inner: known.get(f"{name}.{inner}") for inner in key["properties"]}
-        lines.append(f"\n{name}:" if any(own.values()) else f"\n# {name}:")
-        for inner, content in key["properties"].items():
-            found = own[inner]
-            lines.append(f"  {_given(inner, *found)}" if found else f"#   {_line(inner, content)}")
-    if rows and rows.also:
-        lines += ["", "# Said by the files as well, and not used:"]
-        lines += [f"#   {own.text} ({own.where})" for own in rows.also[:MOST_SAID]]
+def _format_instrument(draft: ManifestDraft | None, crop_px: int | None) -> str:
+    """Return the text of instrument.yaml: known keys with their origin, the others as comments with their meaning."""
+    known = _collect_known_keys(draft, crop_px) if draft else {}
+    lines = [INSTRUMENT_COMMENTS]
+    for name, key in read_schema("instrument")["properties"].items():
+        if key["type"] == "object":
+            section = {f"{name}.{inner}": content for inner, content in key["properties"].items()}
+            lines.append(f"\n{name}:" if known.keys() & section else f"\n# {name}:")
+            lines += [_format_key(path, content, known) for path, content in section.items()]
+        else:
+            lines.append(_format_key(name, key, known))
+    if draft and draft.unused:
+        lines += ["", "# Other metadata in the files, which is not used:"]
+        lines += [f"#   {unused.text} ({unused.source})" for unused in draft.unused[:MOST_UNUSED]]
     return "\n".join(lines) + "\n"
 
 
-def keys() -> dict[str, dict]:
-    """Every key of instrument.yaml that holds a number or one of some words, with what the schema says of it."""
-    sections = read_schema("instrument")["properties"]
-    own = {f"{name}.{key}": kind for name, held in sections.items() for key, kind in held.get("properties", {}).items()}
-    return {key: kind for key, kind in own.items() if kind["type"] in NUMBERS or "enum" in kind}
-
-
-def _known(rows: Rows | None, crop_px: int | None) -> dict[str, tuple[object, str]]:
-    """Value and origin of every key that the frames tell."""
+def _collect_known_keys(draft: ManifestDraft, crop_px: int | None) -> dict[str, tuple[object, str]]:
+    """Return value and origin of each key that the frames determine."""
     known: dict[str, tuple[object, str]] = {}
-    if rows is None:
-        return known
-    if not rows.order_known:
+    if not draft.is_order_known:
         known["order_known"] = "false", "neither times nor one running number tell the order"
-    if rows.conditions:
-        known["conditions"] = f"[{', '.join(rows.conditions)}]", "takes more than one value"
+    if draft.conditions:
+        known["conditions"] = f"[{', '.join(draft.conditions)}]", "takes more than one value"
     if crop_px:
         known["crop_px"] = crop_px, "ten times the widest spot's standard deviation, as far as the frames reach"
-    if rows.spots and all(cell["exposure_s"] == "" for cell in rows.cells if cell["kind"] == "spot"):
+    if draft.has_spots and all(row["exposure_s"] == "" for row in draft.rows if row["kind"] == "spot"):
         known["model.photon_budget"] = "free", "without exposures no law links the peaks of the frames"
-    for key, label in rows.keys.items():
-        known[key] = label.value, f"{label.where}: {label.text}"
+    for key, entry in draft.instrument_keys.items():
+        known[key] = entry.value, f"{entry.source}: {entry.text}"
     return known
 
 
-def _given(name: str, value: object, origin: str) -> str:
-    return f"{name}: {value}".ljust(34) + f"# {origin}"
-
-
-def _line(name: str, key: dict) -> str:
-    choices = f" ({', '.join(key['enum'])})" if "enum" in key else ""
+def _format_key(path: str, key: dict, known: dict[str, tuple[object, str]]) -> str:
+    """Return the line of a key: its value and origin, or a comment with its default and meaning."""
+    section, _, name = path.rpartition(".")
+    if path in known:
+        value, origin = known[path]
+        return ("  " if section else "") + f"{name}: {value}".ljust(COMMENT_COLUMN) + f"# {origin}"
     default = key.get("default", "")
-    shown = {True: "true", False: "false"}.get(default, default) if isinstance(default, bool) else default
-    return f"{name}: {shown}".ljust(34) + f"# {key.get('description', '')}{choices}"
+    default = str(default).lower() if isinstance(default, bool) else default
+    choices = f" ({', '.join(key['enum'])})" if "enum" in key else ""
+    indent = "#   " if section else "# "
+    return indent + f"{name}: {default}".ljust(COMMENT_COLUMN) + f"# {key.get('description', '')}{choices}"

@@ -8,7 +8,7 @@ import xarray as xr
 
 from spotcheck.crops.stages import usable
 from spotcheck.dataset.folder import Dataset
-from spotcheck.dataset.manifest import number_in
+from spotcheck.dataset.manifest import parse_number
 from spotcheck.io import store
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 
@@ -303,7 +303,7 @@ def load_frames(dataset: Dataset, crops: xr.Dataset) -> FrameSet:
     exposure_s = np.array([1.0 if value is None else value for value in exposures])
     angle = np.deg2rad([frame.angle_deg or 0.0 for frame in frames])
     repeat = np.array([frame.repeat or 0 for frame in frames])
-    declared = [tuple(number_in(frame.extra[name]) for name in dataset.instrument.conditions) for frame in frames]
+    declared = [tuple(parse_number(frame.extra[name]) for name in dataset.instrument.conditions) for frame in frames]
     place = np.array([number[id(frame)] for frame in frames], float)
     has_order = dataset.instrument.order_known and len(frames) > 1
     order = place / max(len(dataset.spots) - 1, 1) if has_order else np.full(len(frames), 0.5)

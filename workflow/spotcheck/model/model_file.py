@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.dataset.manifest import Frame, number_in
+from spotcheck.dataset.manifest import Frame, parse_number
 from spotcheck.errors import InputError
 from spotcheck.io.schema import find_violation, read_keys
 from spotcheck.model.baseline import Baseline
@@ -66,7 +66,7 @@ class ExtendedModel:
 
 def site_of(frame: Frame, conditions: Sequence[str], has_law: bool) -> Site:
     """Return what identifies the spot of a frame of the manifest."""
-    values = tuple((name, number_in(frame.extra[name])) for name in sorted(conditions))
+    values = tuple((name, parse_number(frame.extra[name])) for name in sorted(conditions))
     return Site(frame.angle_deg, None if has_law else frame.exposure_s, frame.repeat or 0, values)
 
 

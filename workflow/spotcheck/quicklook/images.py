@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.dataset.labels.files import labels_of
-from spotcheck.dataset.labels.label import Label, settled, shown
-from spotcheck.dataset.labels.names import natural
+from spotcheck.dataset.metadata.entry import MetadataEntry, resolve_entries
+from spotcheck.dataset.metadata.file_names import natural_sort_key
+from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import CHANNELS, MONOCHROME, Colour
@@ -30,7 +30,7 @@ class Image(NamedTuple):
     shape: tuple[int, ...]
     page: int = 0
     bits: int | None = None
-    labels: dict[str, Label] | None = None
+    labels: dict[str, MetadataEntry] | None = None
     colour: Colour = MONOCHROME
 
     def read(self) -> np.ndarray:
@@ -95,7 +95,7 @@ def common(images: Sequence[Image], what: str) -> tuple[float | None, str]:
     said = [label for image in images if (label := (image.labels or {}).get(what)) is not None]
     if not said or len({label.value for label in said}) > 1:
         return None, ""
-    return float(said[0].value or 0.0), shown(said[0])
+    return float(said[0].value or 0.0), str(said[0])
 
 
 def _in_folder(folder: Path) -> list[Path]:
@@ -104,7 +104,7 @@ def _in_folder(folder: Path) -> list[Path]:
         below = next((p for p in sorted(folder.iterdir()) if p.is_dir() and p.name == "frames"), None)
         hint = f"; look at {below}" if below else "; name a folder with TIFF, PNG, PGM, HDF5 or .npy files"
         raise InputError(f"{folder}: holds no image{hint}")
-    return sorted(found, key=lambda path: natural(path.name))
+    return sorted(found, key=lambda path: natural_sort_key(path.name))
 
 
 def _pages(path: Path) -> Iterator[Image]:
@@ -112,12 +112,12 @@ def _pages(path: Path) -> Iterator[Image]:
     name, inside = split_inner_path(path.as_posix())
     file = Path(name)
     for stack in [f"{file.name}#{inside}"] if inside else files.list_stacks(file, file.name):
-        source, labels = file.parent / stack, labels_of(file, inside=split_inner_path(stack)[1])
+        source, labels = file.parent / stack, read_metadata(file, inner_path=split_inner_path(stack)[1])
         pages, colour = _coloured(source, stack)
         own = [(number, page) for number, page in enumerate(pages) if not page.preview]
         for number, page in own:
             name = stack if len(own) == 1 else f"{stack} page {number}"
-            yield Image(name, source, page.shape, number, page.bits or None, settled(labels, number)[0], colour)
+            yield Image(name, source, page.shape, number, page.bits or None, resolve_entries(labels, number)[0], colour)
 
 
 def _coloured(path: Path, name: str) -> tuple[list[Page], Colour]:

@@ -167,7 +167,7 @@ def _positions(
     if len({z for z in found if z is not None}) < 2:
         return [None] * len(images), []
     first = next(label for image in images if (label := (image.labels or {}).get(Z)) is not None)
-    source, without = first.where, found.count(None)
+    source, without = first.source, found.count(None)
     return found, [f"z: by the {source}" + (f"; images without: {without}" if without else "")]
 
 

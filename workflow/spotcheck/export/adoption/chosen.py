@@ -40,7 +40,7 @@ def _choice(own: Learned, given: Instrument) -> Choice:
     if not name or not isinstance(own.value, int | float):
         return Choice(own, None, 0.0, True, "learned beside what the sheet states")
     holder = getattr(given, section)
-    stated = getattr(holder, name) if own.key in given.given else None
+    stated = getattr(holder, name) if own.key in given.given_keys else None
     stated_stderr = float(getattr(holder, f"{name}_stderr", 0.0)) if stated is not None else 0.0
     if breach := find_violation({section: {name: own.value}}, "instrument"):
         return Choice(own, stated, stated_stderr, False, breach)

@@ -87,7 +87,7 @@ def _section(path: Path, section: str, taken: Mapping[str, Choice], given: Instr
             error = taken[name.removesuffix("_stderr")].learned.stderr
             if np.isfinite(error):
                 yield f"{key}: {error:.{DIGITS_OF_ERROR}g}"
-        elif name in given.given:
+        elif name in given.given_keys:
             yield f"{key}: {_text(key, getattr(getattr(given, section), key), path)}"
 
 

@@ -112,7 +112,7 @@ def write(dataset: Dataset, known: Known, folder: Path) -> int:
     # Of a stack every page asks for the digest of the one file.
     digest = cache(provenance.file_digest)
     for frame, name in zip(dataset.frames, names_of(dataset.frames), strict=True):
-        image = frames.read_good(dataset, frame).astype(float)
+        image = frames.read_masked_image(dataset, frame).astype(float)
         if known.maps is not None and known.maps.offset.values.shape != image.shape:
             size = " × ".join(map(str, known.maps.offset.values.shape[::-1]))
             raise InputError(

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck.dataset.conditions import grouped
+from spotcheck.dataset.conditions import merge_values
 from spotcheck.dataset.manifest import DATE
 from spotcheck.errors import InputError
 from spotcheck.io import store
@@ -126,7 +126,7 @@ def _aligned(sets: Sequence[Set]) -> list[Set]:
     same: dict[str, dict[float, float]] = {}
     for axis, known in values.items():
         given = sorted(known)
-        one = grouped(COLUMNS.get(axis, axis), given).values
+        one = merge_values(COLUMNS.get(axis, axis), given).values
         same[axis] = {own: own if mean is None else mean for own, mean in zip(given, one, strict=True)}
     return [own._replace(numbers={_at(name, same): number for name, number in own.numbers.items()}) for own in sets]
 

@@ -47,7 +47,7 @@ def parameters(
     """Rows (parameter, symbol, its index, value with unit, source)."""
     given = dataset.instrument
     rows = [
-        Row(name, symbol, attrgetter(key)(given), unit, given.source(key), f"instrument.{key}")
+        Row(name, symbol, attrgetter(key)(given), unit, given.get_source(key), f"instrument.{key}")
         for name, symbol, unit, key in STATED
     ]
     if given.model.top_hat:

@@ -122,8 +122,8 @@ def of_sheet(path: Path) -> Iterator[tuple[Entry, Cell]]:
             continue
         said = DESCRIBED.fullmatch(told["description"])
         assert said is not None, key
-        how = "" if key in sheet.given else f"the default: {path.name} does not give it"
-        if key in sheet.shared:
+        how = "" if key in sheet.given_keys else f"the default: {path.name} does not give it"
+        if key in sheet.inherited_keys:
             how = f"given by {sheet.based_on}, on which {path.name} is based"
         stderr = getattr(around, f"{name}_stderr", 0.0) or None
         own = Cell(float(value), stderr, said["unit"] or "1", said["words"], key, how, {})

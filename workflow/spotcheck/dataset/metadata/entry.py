@@ -1,0 +1,84 @@
+"""One piece of metadata about a frame, and the comparison of pieces from several sources."""
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+# Numbers that differ by less than this fraction are equal: file names round what tags store to more digits.
+ROUNDING_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class MetadataEntry:
+    """One piece of metadata that a file gives about its frames.
+
+    Attributes
+    ----------
+    column : column of manifest.csv (`kind`, `angle_deg`, `exposure_s`, `repeat`, `z_m`, `date`, `photons_per_px`), key
+        of instrument.yaml (`sensor.pixel_pitch_m`, …), or `number` for the number at the end of a file name. None if
+        the text was not understood.
+    value : number in the unit of `column`, or a word. None if the number has no unit or the text was not understood.
+    text : the text that was read, as messages show it.
+    source : where the text was found, such as "TIFF tag 306 DateTime".
+    page : page of the stack that the entry describes; None for all pages.
+    """
+
+    column: str | None
+    value: float | int | str | None
+    text: str
+    source: str
+    page: int | None = None
+
+    @property
+    def source_pattern(self) -> str:
+        """The source in a form that is common to all frames: a sidecar file is named by its suffix alone."""
+        return re.sub(r"^side file .*(\.\w+)$", r"side file *\1", self.source)
+
+    def __str__(self) -> str:
+        return f"{self.source} says {self.text!r}"
+
+
+def group_by_column(entries: Iterable[MetadataEntry]) -> dict[str, list[MetadataEntry]]:
+    """Return the entries of each column in their order, without those that were not understood."""
+    by_column: dict[str, list[MetadataEntry]] = {}
+    for entry in entries:
+        if entry.column:
+            by_column.setdefault(entry.column, []).append(entry)
+    return by_column
+
+
+def resolve_entries(
+    entries: Iterable[MetadataEntry], page: int = 0
+) -> tuple[dict[str, MetadataEntry], dict[str, tuple[MetadataEntry, MetadataEntry]]]:
+    """Return the metadata of a page on which all sources agree, and the conflicts between sources.
+
+    Parameters
+    ----------
+    entries : metadata of a file, the most exact sources first.
+    page : page of the stack, from 0.
+
+    Returns
+    -------
+    agreed : the first entry of each column whose entries are consistent.
+    conflicts : the first entry of each other column, and the first that contradicts it.
+    """
+    agreed, conflicts = {}, {}
+    usable = (entry for entry in entries if entry.value is not None and entry.page in (None, page))
+    for column, candidates in group_by_column(usable).items():
+        first = candidates[0]
+        contradicting = next((entry for entry in candidates if not is_consistent(first, entry)), None)
+        if contradicting is None:
+            agreed[column] = first
+        else:
+            conflicts[column] = first, contradicting
+    return agreed, conflicts
+
+
+def is_consistent(first: MetadataEntry, second: MetadataEntry) -> bool:
+    """Return whether two entries of a column agree: numbers within `ROUNDING_TOLERANCE`, dates by their day."""
+    if first.column == "date":
+        return str(first.value)[:10] == str(second.value)[:10]
+    if isinstance(first.value, float) and isinstance(second.value, float):
+        return math.isclose(first.value, second.value, rel_tol=ROUNDING_TOLERANCE)
+    return first.value == second.value

@@ -1,0 +1,125 @@
+"""Metadata in names of files and folders: `45deg/100us_003.tif`, `t=1.5ms`, `z_176mm`, `dark_07`."""
+
+import re
+from collections.abc import Iterator
+from pathlib import PurePath
+
+from spotcheck.dataset.metadata import units
+from spotcheck.dataset.metadata.entry import MetadataEntry
+from spotcheck.dataset.metadata.key_values import KEYS, KIND_WORDS, parse_date
+
+# Sources of entries from names.
+FILE, FOLDER = "file name", "folder name"
+# Longest part of a name that is parsed [characters].
+LONGEST_NAME = 250
+# A number with its unit, and the word before it. Some names write 1p5 for 1.5.
+_QUANTITY = re.compile(
+    rf"(?<![A-Za-z0-9.])(?:(?P<key>[^\W\d_]+)(?P<gap>\s*=\s*|[\s_-]*))?(?P<sign>[-+]?)(?P<number>\d+(?:[.,p]\d+)?)"
+    rf"[\s_]?(?P<unit>(?i:{units.UNIT_PATTERN}))(?![^\W_])"
+)
+# A word and a number without a unit.
+_NUMBERED_WORD = re.compile(
+    r"(?<![A-Za-z0-9.])(?P<key>[^\W\d_]+)(?P<gap>[\s_=-]*)(?P<number>\d+(?:[.,p]\d+)?)(?![^\W_])"
+)
+_TRAILING_NUMBER = re.compile(r"(?:^|[\s_.()-])(\d{1,6})\)?$")
+# A date, perhaps with a time: 20260131, 2026-01-31_143000.
+_DATE = re.compile(
+    r"(?<!\d)((?:19|20)\d\d)([-_.]?)([01]\d)\2([0-3]\d)(?:[-_T ]*(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d))?(?!\d)"
+)
+# Column of a quantity without a known word before it, by dimension.
+_DEFAULT_COLUMNS = {"s": "exposure_s", "m": "z_m", "deg": "angle_deg"}
+# Words before a quantity that is neither exposure, position nor angle of the sample.
+OTHER_QUANTITIES = set(
+    "x y f d w dx dy lens focal fl dia diameter pinhole slit fwhm waist delay period interval pulse wait dt tilt pol"
+    " polarizer polariser hwp qwp".split()
+)
+# Words whose number is the repeat, and words whose number only counts files.
+REPEAT_WORDS = ("r", "rep", "repeat", "shot", "run")
+COUNTER_WORDS = ("snap", "img", "image", "frame", "pic", "no", "nr", "n", "page")
+# Range of laser wavelengths that silicon detects [m]: a length in nm within it is the wavelength.
+WAVELENGTHS_M = (1.5e-7, 1.2e-6)
+
+
+def parse_name(name: str, source: str = FILE) -> Iterator[MetadataEntry]:
+    """Yield the metadata in the stem of a file or the name of a folder.
+
+    Parameters
+    ----------
+    name : the name without suffix.
+    source : `FILE` or `FOLDER`; only a file has a number at its end.
+    """
+    rest = name = name[:LONGEST_NAME]
+    for match in _QUANTITY.finditer(name):
+        if entry := _parse_quantity(match, source):
+            yield entry
+            rest = rest.replace(entry.text, " ", 1)
+    if date_match := _DATE.search(rest):
+        year, _, month, day, *time = date_match.groups()
+        if date := parse_date(f"{year}-{month}-{day}" + (f"T{':'.join(time)}" if time[0] else "")):
+            yield MetadataEntry("date", date, date_match[0], source)
+            rest = rest.replace(date_match[0], " ", 1)
+    for word in re.findall(r"[^\W\d_]+", rest):
+        if word.lower() in KIND_WORDS:
+            yield MetadataEntry("kind", KIND_WORDS[word.lower()], word, source)
+    for match in _NUMBERED_WORD.finditer(rest):
+        is_separated_end = match["gap"] != "" and match.end() == len(match.string)
+        if entry := _parse_numbered_word(match, is_separated_end, source):
+            yield entry
+            rest = rest.replace(match[0], " ", 1)
+    if source == FILE and (number := _TRAILING_NUMBER.search(rest.rstrip())):
+        yield MetadataEntry("number", int(number[1]), number[1], source)
+
+
+def parse_path(path: PurePath) -> Iterator[MetadataEntry]:
+    """Yield the metadata in a relative path: first the file name, then its folders from the innermost outwards."""
+    yield from parse_name(path.stem, FILE)
+    for folder in reversed(path.parts[:-1]):
+        if folder not in ("..", "/"):
+            yield from parse_name(folder, FOLDER)
+
+
+def _parse_quantity(match: re.Match, source: str) -> MetadataEntry | None:
+    """Return the entry of a number with a unit; None if its unit or value has no meaning here."""
+    unit, key, gap = match["unit"], (match["key"] or "").lower(), match["gap"]
+    dimension = units.get_dimension(unit)
+    if dimension is None:
+        return None
+    # A single hyphen between a word and a number is a separator; after another separator, or without a word, a minus.
+    is_negative = match["sign"] == "-" or (gap is not None and len(gap) > 1 and gap.endswith("-"))
+    number = ("-" if is_negative else "") + match["number"].replace("p", ".")
+    value = units.convert_quantity(number, unit, dimension)
+    if value is None:
+        return None
+    if key in OTHER_QUANTITIES or (key in KEYS and KEYS[key][1] != dimension):
+        return MetadataEntry(None, None, match[0], source)
+    column = KEYS[key][0] if key in KEYS else _DEFAULT_COLUMNS.get(dimension)
+    if key not in KEYS and unit.lower() == "nm" and WAVELENGTHS_M[0] <= value <= WAVELENGTHS_M[1]:
+        column = "laser.wavelength_m"
+    if column is None:
+        return None
+    belongs_to_word = key in KEYS or gap == "" or "=" in (gap or "")
+    text = match[0] if belongs_to_word else match[0][match.start("number") - match.start() :]
+    return MetadataEntry(column, value, text.strip(" _-"), source)
+
+
+def _parse_numbered_word(match: re.Match, is_separated_end: bool, source: str) -> MetadataEntry | None:
+    """Return the entry of a word with a number without unit; None if the number may only count files."""
+    key, number = match["key"].lower(), match["number"].replace("p", ".")
+    if key in REPEAT_WORDS and number.isdecimal():
+        return MetadataEntry("repeat", int(number), match[0], source)
+    if key in KEYS and KEYS[key][1] in units.UNITS:
+        column, dimension = KEYS[key]
+        # ASSUME: an angle without a unit is in degrees.
+        value = units.convert_quantity(number, "deg", dimension) if dimension == "deg" else None
+        return MetadataEntry(column, value, match[0], source)
+    if key in (*KIND_WORDS, *COUNTER_WORDS) or is_separated_end:
+        return None
+    return MetadataEntry(None, None, match[0], source)
+
+
+def natural_sort_key(name: str) -> list[tuple[int, str]]:
+    """Return a key that sorts 2 before 10 and ignores case."""
+    return [
+        (int(part), "") if part.isdecimal() and len(part) < 20 else (-1, part.casefold())
+        for part in re.split(r"(\d+)", name)
+    ]

@@ -1,0 +1,184 @@
+"""Keys and values in texts: `key = value` lines, JSON and XML, as cameras and programs write them."""
+
+import json
+import re
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+from itertools import islice
+from typing import Any
+from xml.etree import ElementTree
+
+from spotcheck.dataset.metadata import units
+from spotcheck.dataset.metadata.entry import MetadataEntry
+
+# Limits per text: characters that are parsed, keys that are read, characters of an entry that a message shows.
+LONGEST_TEXT, MOST_KEYS, LONGEST_SHOWN = 1_000_000, 2000, 60
+# Column, and dimension or type of its values, by the known keys in the spelling of `normalize_key`.
+KEYS: dict[str, tuple[str, str]] = {
+    key: column_and_dimension
+    for column_and_dimension, keys in {
+        ("exposure_s", "s"): (
+            "exposure exposuretime exptime exp texp shutter shutterspeed shuttertime tint integrationtime inttime"
+            " exposuretimeabs detectorexposuretime cameraexposure"
+        ),
+        ("angle_deg", "deg"): "angle ang rotation theta rotationangle fibreangle",
+        ("z_m", "m"): "z zpos zposition positionz posz stagez zstage distance dist defocus",
+        ("sensor.pixel_pitch_m", "m"): "pixelsize pixelpitch pitch sensorpixelsize",
+        ("laser.wavelength_m", "m"): "wavelength laserwavelength lambda",
+        ("sensor.gain_dn_per_e", "dn_per_e"): "gain",
+        ("repeat", "count"): "repeat rep shot run",
+        ("sensor.bit_depth", "count"): "bitdepth significantbits adcbitdepth",
+        ("kind", "kind"): "kind frametype imagetype imagetyp",
+        ("date", "date"): "date datetime dateobs datetimeoriginal acquisitiondate acquisitiontime timestamp",
+    }.items()
+    for key in keys.split()
+}
+# Kind of a frame by the words that name it.
+KIND_WORDS = {
+    **dict.fromkeys("dark darks darkframe bias background bg bkg".split(), "dark"),
+    **dict.fromkeys("flat flats flatfield flatframe".split(), "flat"),
+    **dict.fromkeys("spot spots light".split(), "spot"),
+}
+# Keys with which tifffile and ImageJ describe the layout of a stack or its display, not the frame.
+LAYOUT = set(
+    "imagej images slices frames channels hyperstack mode loop min max axes shape unit spacing finterval fps labels"
+    " ranges luts ij c0 c1 cf vunit software".split()
+)
+# XML attributes that hold the key of an element.
+KEY_ATTRIBUTES = ("name", "key", "id")
+_LINE = re.compile(r"([^\W\d][^=:]{0,59})[=:](.+)")
+# A unit at the end of a key: Exposure-ms, exposure_s, ZPositionUm, Exposure (ms).
+_KEY_UNIT = re.compile(
+    rf"(.*?)(?:[\s_-]*[(\[]|[\s_-]|(?<=[a-z])(?=[A-Z]))((?i:{units.UNIT_PATTERN})|dn_per_e)[)\]]?",
+)
+_DATE = re.compile(r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)(?:[T ](\d\d:\d\d(?::\d\d(?:\.\d{1,6})?)?))?.*")
+
+
+def parse_text(text: str, source: str, page: int | None = None) -> Iterator[MetadataEntry]:
+    """Yield the metadata of a JSON or XML text, or else of `key = value` parts between line ends and semicolons.
+
+    Parameters
+    ----------
+    text : the text; the part beyond `LONGEST_TEXT` characters is ignored.
+    source : where the text was found.
+    page : page that the text describes; None for all pages.
+    """
+    yield from parse_pairs(_split_pairs(text[:LONGEST_TEXT]), source, page)
+
+
+def _split_pairs(text: str) -> Iterable[tuple[str, Any]]:
+    """Return keys and values of a JSON, XML or line-based text."""
+    start = text.lstrip()[:1]
+    if start in ("{", "["):
+        try:
+            return list(flatten_keys(json.loads(text)))
+        except (ValueError, RecursionError):
+            pass
+    # Entities can expand to more than memory holds.
+    if start == "<" and "<!DOCTYPE" not in text and "<!ENTITY" not in text:
+        try:
+            return _flatten_xml(ElementTree.fromstring(text.strip()))
+        except ElementTree.ParseError:
+            pass
+    parts = (part.strip("\0# \t\r") for part in re.split(r"[\n\r;]", text))
+    return ((match[1].strip(), match[2].strip()) for part in parts if (match := _LINE.fullmatch(part)))
+
+
+def flatten_keys(content: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the keys and scalar values of nested dictionaries and lists."""
+    stack = [("", content)]
+    while stack:
+        key, value = stack.pop()
+        if isinstance(value, dict):
+            stack += [(str(name), item) for name, item in reversed(value.items())]
+        elif isinstance(value, list):
+            stack += [(key, item) for item in value[:MOST_KEYS] if isinstance(item, dict)]
+        elif value is not None:
+            yield key, value
+
+
+def _flatten_xml(root: ElementTree.Element) -> Iterator[tuple[str, Any]]:
+    """Yield names and texts of elements, their attributes, and `<Property name="Exposure" value="10 ms"/>`."""
+    for element in root.iter():
+        if not isinstance(element.tag, str):
+            continue
+        attributes = {name.rpartition("}")[2].lower(): value for name, value in element.items()}
+        tag = element.tag.rpartition("}")[2]
+        name = next((attributes.pop(key) for key in KEY_ATTRIBUTES if key in attributes), tag)
+        text = (element.text or "").strip() or attributes.pop("value", "")
+        # <Exposure unit="ms">10</Exposure>
+        unit = attributes.pop("unit", attributes.pop("units", ""))
+        if text:
+            yield name, f"{text} {unit}".strip()
+        yield from attributes.items()
+
+
+def parse_pairs(pairs: Iterable[tuple[str, Any]], source: str, page: int | None = None) -> Iterator[MetadataEntry]:
+    """Yield an entry for each of the first `MOST_KEYS` keys and values, without keys that only describe a layout."""
+    for key, value in islice(pairs, MOST_KEYS):
+        name = normalize_key(key)
+        if name and name not in LAYOUT:
+            yield parse_pair(key[:LONGEST_SHOWN], str(value).strip("\"' \t"), source, page)
+
+
+def normalize_key(key: str) -> str:
+    """Return a key in lower case, without spaces and punctuation."""
+    return re.sub(r"[\W_]", "", key).lower()
+
+
+def parse_pair(key: str, value: str, source: str, page: int | None = None) -> MetadataEntry:
+    """Return the entry of one key and its value; its column is None for an unknown key."""
+    text = f"{key} = {value}".replace("\n", " ")
+    text = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
+    known, unit = KEYS.get(normalize_key(key)), ""
+    if known is None and (match := _KEY_UNIT.fullmatch(key.strip())):
+        known, unit = KEYS.get(normalize_key(match[1])), match[2].replace("_per_", "/")
+    if known is None:
+        return MetadataEntry(None, None, text, source, page)
+    column, dimension = known
+    return MetadataEntry(column, parse_value(value, unit, dimension), text, source, page)
+
+
+def parse_value(value: str, unit: str, dimension: str) -> float | int | str | None:
+    """Return the value of a column.
+
+    Parameters
+    ----------
+    value : text of the value, perhaps with a unit.
+    unit : unit of a number that has none behind it; "" if unknown.
+    dimension : key of `units.UNITS`, or "kind", "date" or "count".
+
+    Returns
+    -------
+    float, int, str or None
+        None if the text is not such a value, or a number lacks the unit that it needs.
+    """
+    if dimension == "kind":
+        return KIND_WORDS.get(normalize_key(value))
+    if dimension == "date":
+        return parse_date(value)
+    quantity = units.parse_quantity(value)
+    if quantity is None:
+        return None
+    number, own_unit = quantity
+    if dimension == "count":
+        is_count = number.isdecimal() and len(number) < 10 and not own_unit
+        return int(number) if is_count else None
+    # ASSUME: an angle without a unit is in degrees, as no instrument shows radians.
+    unit = own_unit or unit or ("deg" if dimension == "deg" else "")
+    converted = units.convert_quantity(number, unit, dimension)
+    return None if dimension == "s" and converted is not None and converted < 0 else converted
+
+
+def parse_date(text: str) -> str | None:
+    """Return a date, with its time if there is one, in ISO 8601; None for any other text. Colons may separate days."""
+    match = _DATE.fullmatch(text.strip()[:40])
+    if match is None:
+        return None
+    year, month, day, time = match.groups()
+    iso = f"{year}-{month}-{day}" + (f"T{time}" if time else "")
+    try:
+        datetime.fromisoformat(iso)
+    except ValueError:
+        return None
+    return iso

@@ -1,0 +1,81 @@
+"""Numbers with units as people and cameras write them."""
+
+import re
+from decimal import Decimal, InvalidOperation
+
+# Factor from each unit to the unit of our columns, by dimension. The micro sign has two code points in Unicode:
+# the sign itself (\u00b5) and the Greek letter (\u03bc).
+UNITS: dict[str, dict[str, str]] = {
+    dimension: {unit: factor for factor, names in factors.items() for unit in names.split()}
+    for dimension, factors in {
+        "s": {
+            "60": "min",
+            "1": "s sec secs second seconds",
+            "1e-3": "ms msec millisecond milliseconds",
+            "1e-6": "us \u00b5s \u03bcs usec \u00b5sec \u03bcsec microsecond microseconds",
+            "1e-9": "ns nsec nanosecond nanoseconds",
+        },
+        "m": {
+            "1": "m meter metre",
+            "1e-2": "cm",
+            "1e-3": "mm",
+            "1e-6": "um \u00b5m \u03bcm micron microns micrometer micrometre",
+            "1e-9": "nm",
+        },
+        # Not grad: a circle has 400 of them.
+        "deg": {"1": "deg degs degree degrees \u00b0", "57.29577951308232": "rad", "0.05729577951308232": "mrad"},
+        "dn_per_e": {"1": "dn/e dn/e- adu/e-"},
+    }.items()
+}
+# Alternatives of regular expressions: any unit, the longest first, and any decimal number.
+UNIT_PATTERN = "|".join(
+    sorted((re.escape(unit) for factors in UNITS.values() for unit in factors), key=len, reverse=True)
+)
+NUMBER_PATTERN = r"[-+]?(?:\d+(?:[.,]\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+_QUANTITY = re.compile(rf"\s*({NUMBER_PATTERN})(?:\s*/\s*(\d+))?\s*[\[(]?([^\W\d_]*|°|DN/e-?|ADU/e-)[\])]?\s*")
+# Longest text that is read as a number with a unit [characters].
+_LONGEST = 60
+# Converted numbers of this size or more are rejected as misread.
+_LARGEST = 1e12
+
+
+def get_dimension(unit: str) -> str | None:
+    """Return the key of `UNITS` for a unit: s, m, deg or dn_per_e; None for an unknown unit."""
+    return next((name for name, factors in UNITS.items() if unit in factors or unit.lower() in factors), None)
+
+
+def convert_quantity(number: str, unit: str, dimension: str) -> float | None:
+    """Return a number in the unit of our columns.
+
+    Decimal arithmetic makes 100 µs exactly 1e-4 s, not the binary fraction next to it.
+
+    Parameters
+    ----------
+    number : decimal number, with a point or a comma.
+    unit : unit of the number.
+    dimension : key of `UNITS`, which is also the unit of the result.
+
+    Returns
+    -------
+    float or None
+        None if the unit does not belong to the dimension, or the text is not a number below 1e12.
+    """
+    factor = UNITS[dimension].get(unit) or UNITS[dimension].get(unit.lower())
+    try:
+        value = float(Decimal(number.replace(",", ".")) * Decimal(factor)) if factor else None
+    except (InvalidOperation, OverflowError, ValueError):
+        return None
+    return value if value is not None and abs(value) < _LARGEST else None
+
+
+def parse_quantity(text: str) -> tuple[str, str] | None:
+    """Return number and unit ("" if absent) of a text such as `1.5 ms`, `1/200 s` or `3`; None for any other text."""
+    match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
+    if match is None:
+        return None
+    number, denominator, unit = match.groups()
+    if denominator:
+        if not int(denominator):
+            return None
+        number = repr(float(number.replace(",", ".")) / int(denominator))
+    return number, unit

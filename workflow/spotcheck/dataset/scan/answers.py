@@ -1,0 +1,118 @@
+"""The user's answers about a folder of images (`--set KEY=VALUE`), and the metadata of a frame after these answers.
+
+An answer is a value, the unit of numbers that have none, or the source that is right where two sources disagree.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+from spotcheck.dataset.folder import get_column_unit
+from spotcheck.dataset.manifest import DATE, KINDS
+from spotcheck.dataset.metadata import units
+from spotcheck.dataset.metadata.entry import MetadataEntry, group_by_column, resolve_entries
+from spotcheck.dataset.metadata.key_values import parse_date
+from spotcheck.dataset.scan.folder_scan import FolderScan, ScannedFrame
+from spotcheck.errors import InputError
+from spotcheck.io.schema import find_violation
+
+# Keys that select a colour plane.
+COLOUR_KEYS = ("sensor.channel", "sensor.bayer")
+# Description of valid answers, by column or dimension.
+EXPECTED_ANSWERS = {
+    "kind": "spot, dark or flat",
+    DATE: "a date such as 2026-01-31 or 2026-01-31T09:30:00",
+    "s": "a time such as 2ms",
+    "m": "a length such as 3.45um",
+    "deg": "an angle such as 45deg",
+}
+
+
+def resolve_frame(
+    frame: ScannedFrame, answers: Mapping[str, str]
+) -> tuple[dict[str, MetadataEntry], dict[str, tuple[MetadataEntry, MetadataEntry]]]:
+    """Return the metadata of a frame on which its sources and the user agree, and the remaining conflicts.
+
+    Parameters
+    ----------
+    frame : the frame.
+    answers : the user's answers by column or key; see `check_answers`.
+
+    Returns
+    -------
+    agreed, conflicts : as in `resolve_entries`.
+    """
+    entries = list[MetadataEntry]()
+    for column, candidates in group_by_column(frame.metadata).items():
+        answer = answers.get(column, "")
+        valued = [entry for entry in candidates if entry.value is not None] or _apply_unit(candidates, answer)
+        entries += [entry for entry in valued if entry.source_pattern == answer] or valued
+    agreed, conflicts = resolve_entries(entries, frame.page)
+    for column, answer in answers.items():
+        value = _parse_answer(column, answer)
+        if value is not None:
+            agreed[column] = MetadataEntry(column, value, answer, "as you said")
+            conflicts.pop(column, None)
+    return agreed, conflicts
+
+
+def check_answers(scan: FolderScan, answers: Mapping[str, str]) -> None:
+    """Check that each answer is a value, a unit or a source.
+
+    Raises
+    ------
+    InputError
+        For an answer that is none of these, or a value that instrument.yaml cannot have.
+    """
+    for column, answer in answers.items():
+        value, dimension = _parse_answer(column, answer), get_column_dimension(column)
+        entries = (entry for frame in scan.frames for entry in frame.metadata)
+        sources = {entry.source_pattern for entry in entries if entry.column == column}
+        is_unit = dimension is not None and units.get_dimension(answer) == dimension
+        if value is None and answer not in sources and not is_unit:
+            expected = EXPECTED_ANSWERS.get(dimension or column, "a number")
+            listed = f", or which source is right: {', '.join(sorted(sources))}" if sources else ""
+            raise InputError(f"--set {column}={answer}: must be {expected}{listed}")
+        if breach := find_schema_breach(column, value):
+            raise InputError(f"--set {column}={answer}: {breach}")
+
+
+def find_schema_breach(column: str, value: float | int | str | None) -> str | None:
+    """Return what is wrong with the value of a key of instrument.yaml; None if it is valid, and for columns."""
+    section, dot, key = column.partition(".")
+    return find_violation({section: {key: value}}, "instrument") if dot and value is not None else None
+
+
+def get_column_dimension(column: str) -> str | None:
+    """Return the dimension (s, m or deg) of a column or key; None if users write it without a unit."""
+    return units.get_dimension(get_column_unit(column))
+
+
+def _parse_answer(column: str, answer: str) -> float | int | str | None:
+    """Return the value that an answer gives for a column; None if the answer is a unit or a source."""
+    if column == "kind":
+        return answer if answer in KINDS else None
+    if column == DATE:
+        return parse_date(answer)
+    if column in COLOUR_KEYS:
+        return answer
+    quantity = units.parse_quantity(answer)
+    if quantity is None:
+        return None
+    number, unit = quantity
+    dimension = get_column_dimension(column)
+    if dimension and unit:
+        return units.convert_quantity(number, unit, dimension)
+    value = float(number.replace(",", "."))
+    return int(value) if column in ("repeat", "sensor.bit_depth") else value
+
+
+def _apply_unit(entries: list[MetadataEntry], unit: str) -> list[MetadataEntry]:
+    """Return the entries whose text ends in a number, with its value in a unit; none if the unit does not fit."""
+    converted = []
+    for entry in entries:
+        dimension, number = get_column_dimension(entry.column or ""), re.search(rf"{units.NUMBER_PATTERN}$", entry.text)
+        if dimension and number:
+            value = units.convert_quantity(number[0].lstrip("-_"), unit, dimension)
+            converted += [replace(entry, value=value)] if value is not None else []
+    return converted

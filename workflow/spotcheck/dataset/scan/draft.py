@@ -1,0 +1,228 @@
+"""Draft of the manifest and of the known keys of instrument.yaml for a folder of images."""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from spotcheck.dataset.manifest import DATE, PHOTONS, REQUIRED_COLUMNS
+from spotcheck.dataset.metadata.entry import MetadataEntry
+from spotcheck.dataset.scan.answers import find_schema_breach, resolve_frame
+from spotcheck.dataset.scan.folder_scan import FolderScan, ScannedFrame
+
+# Position along the beam: a condition if it takes more than one value.
+POSITION = "z_m"
+# Columns that metadata may fill, in the order of the manifest.
+METADATA_COLUMNS = ("kind", "angle_deg", "exposure_s", "repeat", POSITION, PHOTONS, DATE)
+# Columns that define a condition; repeats are counted within one.
+CONDITION_COLUMNS = ("kind", "angle_deg", "exposure_s", POSITION, PHOTONS)
+# Sources of values that no file gives.
+ASSUMED, COUNTED = "assumed: nothing says dark or flat", "counted within each condition"
+
+# Metadata of a frame by column, after conflicts are resolved.
+FrameMetadata = Mapping[str, MetadataEntry]
+
+
+class Conflict(NamedTuple):
+    """Two sources that disagree about a column."""
+
+    column: str  # column or key
+    first: MetadataEntry  # entry of the first source in one of the frames
+    second: MetadataEntry  # contradicting entry in the same frame
+    frames: int  # number of frames in which the two sources disagree
+
+
+class UnusedMetadata(NamedTuple):
+    """Metadata that the draft does not use; entries that differ only in their numbers are counted as one."""
+
+    column: str | None  # column whose unit is missing; None for metadata that was not understood
+    text: str  # text of the first such entry
+    source: str  # its source
+    frames: int  # number of frames with such an entry
+
+
+@dataclass(frozen=True)
+class ManifestDraft:
+    """A draft of the manifest, and of the keys of instrument.yaml that the files give."""
+
+    frames: tuple[ScannedFrame, ...]  # in the order of the rows
+    columns: tuple[str, ...]  # columns of the manifest
+    rows: tuple[dict[str, str], ...]  # cells of each frame, by column
+    provenance: dict[str, Counter[tuple[str, str]]]  # number of values by (source, example text), for each column
+    instrument_keys: dict[str, MetadataEntry]  # keys of instrument.yaml on which all frames agree
+    conditions: tuple[str, ...]  # columns that are axes of the experiment
+    is_order_known: bool  # whether the rows are in the order of acquisition
+    conflicts: tuple[Conflict, ...]  # columns left blank in some frames because sources disagree
+    missing: dict[str, tuple[str, ...]]  # files of the frames without a value, by column
+    unused: tuple[UnusedMetadata, ...]  # remaining metadata, the most frequent first
+
+    @property
+    def has_spots(self) -> bool:
+        """Whether there are frames of spots."""
+        return any(row["kind"] == "spot" for row in self.rows)
+
+
+def draft_manifest(scan: FolderScan, answers: Mapping[str, str]) -> ManifestDraft:
+    """Return the draft of a manifest for the frames of a folder.
+
+    Parameters
+    ----------
+    scan : frames and metadata of the folder; at least one frame.
+    answers : the user's answers by column or key; see `answers.check_answers`.
+    """
+    resolved = [resolve_frame(frame, answers) for frame in scan.frames]
+    order, is_order_known = _order_frames(scan.frames, [agreed for agreed, _ in resolved])
+    frames = tuple(scan.frames[index] for index in order)
+    metadata = [_drop_meaningless(resolved[index][0]) for index in order]
+    rows = [_draft_row(frame, entries) for frame, entries in zip(frames, metadata, strict=True)]
+    repeats, repeat_column = _number_repeats(rows, metadata)
+    for row, repeat in zip(rows, repeats, strict=True):
+        row["repeat"] = str(repeat)
+    available = {column for entries in metadata for column in entries}
+    if not all(DATE in entries for entries in metadata):
+        available.discard(DATE)
+    missing = {column: _find_missing(column, rows) for column in ("exposure_s", "angle_deg", POSITION)}
+    positions = {row[POSITION] for row in rows if row["kind"] == "spot"}
+    return ManifestDraft(
+        frames=frames,
+        columns=(
+            *REQUIRED_COLUMNS,
+            *(["page"] if any(frame.page for frame in frames) else []),
+            *(column for column in METADATA_COLUMNS if column in available and column not in REQUIRED_COLUMNS),
+        ),
+        rows=tuple(rows),
+        provenance=_collect_provenance(metadata, repeat_column),
+        instrument_keys=_collect_instrument_keys(frames, metadata),
+        conditions=(POSITION,) if len(positions) > 1 and not missing[POSITION] else (),
+        is_order_known=is_order_known,
+        conflicts=_collect_conflicts(conflicts for _, conflicts in resolved),
+        missing=missing,
+        unused=_collect_unused(frames, metadata),
+    )
+
+
+def _order_frames(frames: Sequence[ScannedFrame], metadata: Sequence[FrameMetadata]) -> tuple[list[int], bool]:
+    """Return the indices of the frames in the order of the rows, and whether that is the order of acquisition.
+
+    The order of acquisition is that of the times, of a unique running number, or of the pages of a single stack.
+    """
+    indices = list(range(len(frames)))
+    dates = [str(entries[DATE].value) if DATE in entries else "" for entries in metadata]
+    # Cameras may write the time of a whole series into all its frames.
+    if all("T" in date for date in dates) and len(set(dates)) > len(dates) / 2:
+        return sorted(indices, key=lambda index: dates[index]), True
+    numbers = _collect_integers("number", metadata)
+    if len(numbers) == len(frames) == len(set(numbers)):
+        return sorted(indices, key=lambda index: numbers[index]), True
+    return indices, len({frame.file for frame in frames}) == 1
+
+
+def _collect_integers(column: str, metadata: Sequence[FrameMetadata]) -> list[int]:
+    """Return the integers of a column; fewer than frames if some have none."""
+    values = (entries[column].value for entries in metadata if column in entries)
+    return [value for value in values if isinstance(value, int)]
+
+
+def _drop_meaningless(entries: dict[str, MetadataEntry]) -> dict[str, MetadataEntry]:
+    """Return the metadata without angles of darks and flats, and without exposure times of zero of spots."""
+    kept = dict(entries)
+    if "kind" in kept and kept["kind"].value != "spot":
+        kept.pop("angle_deg", None)
+    elif "exposure_s" in kept and not kept["exposure_s"].value:
+        del kept["exposure_s"]
+    return kept
+
+
+def _draft_row(frame: ScannedFrame, entries: FrameMetadata) -> dict[str, str]:
+    """Return the cells of a frame; numbers in the shortest form that reads back as the same value."""
+    row = {column: str(entries[column].value) if column in entries else "" for column in METADATA_COLUMNS}
+    return row | {"kind": row["kind"] or "spot", "file": frame.file, "page": str(frame.page)}
+
+
+def _find_missing(column: str, rows: Sequence[Mapping[str, str]]) -> tuple[str, ...]:
+    """Return the files of the frames without a value: of all kinds for the exposure time, else of spots."""
+    kinds = ("spot", "dark", "flat") if column == "exposure_s" else ("spot",)
+    return tuple(row["file"] for row in rows if row[column] == "" and row["kind"] in kinds)
+
+
+def _number_repeats(
+    rows: Sequence[Mapping[str, str]], metadata: Sequence[FrameMetadata]
+) -> tuple[list[int], str | None]:
+    """Return the repeat of each frame within its condition, and the column of metadata that gives it.
+
+    The column is None if no metadata is unique within each condition; the frames are then counted.
+    """
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for index, row in enumerate(rows):
+        groups.setdefault(tuple(row[column] for column in CONDITION_COLUMNS), []).append(index)
+    largest = max(map(len, groups.values()))
+    for column in ("repeat", "number"):
+        numbers = _collect_integers(column, metadata)
+        is_unique = len(numbers) == len(rows) and all(
+            len({numbers[index] for index in group}) == len(group) for group in groups.values()
+        )
+        # A running number gives the repeat only if it starts anew in each condition.
+        if is_unique and (column == "repeat" or len(set(numbers)) <= largest):
+            first = 0 if column == "repeat" else min(numbers)
+            return [number - first for number in numbers], column
+    repeat_of = {index: repeat for group in groups.values() for repeat, index in enumerate(group)}
+    return [repeat_of[index] for index in range(len(rows))], None
+
+
+def _collect_provenance(
+    metadata: Sequence[FrameMetadata], repeat_column: str | None
+) -> dict[str, Counter[tuple[str, str]]]:
+    """Return how many values of each column come from which source, with the text of its first value."""
+    defaults = {"kind": MetadataEntry("kind", "spot", "", ASSUMED), "repeat": MetadataEntry("repeat", 0, "", COUNTED)}
+    first_texts: dict[tuple[str, str], str] = {}
+    provenance: dict[str, Counter[tuple[str, str]]] = {}
+    for entries in metadata:
+        used = defaults | {column: entry for column, entry in entries.items() if column not in ("repeat", "number")}
+        if repeat_column:
+            used["repeat"] = entries[repeat_column]
+        for column, entry in used.items():
+            text = first_texts.setdefault((column, entry.source_pattern), entry.text)
+            provenance.setdefault(column, Counter())[entry.source_pattern, text] += 1
+    return provenance
+
+
+def _collect_instrument_keys(
+    frames: Sequence[ScannedFrame], metadata: Sequence[FrameMetadata]
+) -> dict[str, MetadataEntry]:
+    """Return the valid keys of instrument.yaml to which all frames that have them give the same value."""
+    container_bits = min(frame.bits for frame in frames)
+    keys: dict[str, MetadataEntry] = {}
+    for key in sorted({column for entries in metadata for column in entries if "." in column}):
+        candidates = [entries[key] for entries in metadata if key in entries]
+        value = candidates[0].value
+        is_too_deep = key == "sensor.bit_depth" and isinstance(value, int) and value > container_bits
+        is_unanimous = len({entry.value for entry in candidates}) == 1
+        if is_unanimous and not is_too_deep and not find_schema_breach(key, value):
+            keys[key] = candidates[0]
+    return keys
+
+
+def _collect_conflicts(
+    conflicts_by_frame: Iterable[Mapping[str, tuple[MetadataEntry, MetadataEntry]]],
+) -> tuple[Conflict, ...]:
+    """Return the conflicts of all frames, one for each column and pair of sources."""
+    collected: dict[tuple[str, str, str], Conflict] = {}
+    for conflicts in conflicts_by_frame:
+        for column, (first, second) in conflicts.items():
+            key = column, first.source_pattern, second.source_pattern
+            earlier = collected.get(key, Conflict(column, first, second, 0))
+            collected[key] = earlier._replace(frames=earlier.frames + 1)
+    return tuple(collected.values())
+
+
+def _collect_unused(frames: Sequence[ScannedFrame], metadata: Sequence[FrameMetadata]) -> tuple[UnusedMetadata, ...]:
+    """Return metadata without a column or a unit that the rows do not use, the most frequent first."""
+    collected: dict[tuple[str, str], UnusedMetadata] = {}
+    for frame, entries in zip(frames, metadata, strict=True):
+        for entry in frame.metadata:
+            if entry.value is None and (entry.column is None or entry.column not in entries):
+                key = re.sub(r"\d+", "0", entry.text), entry.source_pattern
+                first = collected.get(key, UnusedMetadata(entry.column, entry.text, entry.source_pattern, 0))
+                collected[key] = first._replace(frames=first.frames + 1)
+    return tuple(sorted(collected.values(), key=lambda unused: -unused.frames))

@@ -1,0 +1,105 @@
+"""The frames in a folder of images, page by page, with their metadata."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from spotcheck.dataset.folder import is_hidden
+from spotcheck.dataset.metadata import sidecar
+from spotcheck.dataset.metadata.entry import MetadataEntry
+from spotcheck.dataset.metadata.file_names import FILE, FOLDER, natural_sort_key
+from spotcheck.dataset.metadata.readers import read_metadata
+from spotcheck.errors import InputError
+from spotcheck.io.formats import files
+from spotcheck.io.formats.colour import MONOCHROME, Colour
+from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
+
+
+@dataclass(frozen=True)
+class ScannedFrame:
+    """One frame of a folder of images."""
+
+    file: str  # path relative to the folder
+    page: int  # page of the file, from 0
+    shape: tuple[int, int]  # rows and columns [px]
+    bits: int  # bits of a stored pixel
+    metadata: tuple[MetadataEntry, ...]  # what all sources give about this page, the most exact first
+
+
+class FolderScan(NamedTuple):
+    """The result of scanning a folder."""
+
+    frames: tuple[ScannedFrame, ...]  # in the natural order of their file names
+    unread_files: tuple[str, ...]  # paths of files that are neither images nor metadata
+    errors: tuple[str, ...]  # one message for each image that cannot be read
+
+
+def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
+    """Return the frames and metadata of a folder of images.
+
+    Parameters
+    ----------
+    folder : folder whose frames/, or else the whole tree below it, is searched for images.
+    colour : colour plane to take from images with colours.
+
+    Raises
+    ------
+    InputError
+        If the name of an image contains characters that cannot be printed.
+    """
+    visible = [path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder))]
+    images = _select_images(folder, visible)
+    frames, errors, read_files = list[ScannedFrame](), list[str](), set(images)
+    for image in images:
+        name = image.relative_to(folder).as_posix()
+        if not name.isprintable():
+            raise InputError(f"{name!r}: the name contains characters that cannot be printed; rename the file")
+        try:
+            frames += _scan_image(image, folder, colour)
+        except InputError as error:
+            errors.append(str(error))
+            continue
+        read_files.update(sidecar.find_sidecars(image))
+        for parent in image.parents[:2]:
+            read_files.update(sidecar.find_tables(parent))
+    unread_files = sorted(path.relative_to(folder).as_posix() for path in visible if path not in read_files)
+    return FolderScan(_restore_signs(frames), tuple(unread_files), tuple(errors))
+
+
+def _select_images(folder: Path, visible: list[Path]) -> list[Path]:
+    """Return the images in frames/, or else below the folder, in natural order."""
+    images = [path for path in visible if path.suffix.lower() in IMAGE_SUFFIXES]
+    # A manifest names no file outside its folder, so links that lead out are left out.
+    images = [path for path in images if path.resolve().is_relative_to(folder.resolve())]
+    images = [path for path in images if (folder / "frames") in path.parents] or images
+    return sorted(images, key=lambda path: natural_sort_key(path.relative_to(folder).as_posix()))
+
+
+def _scan_image(image: Path, folder: Path, colour: Colour) -> Iterator[ScannedFrame]:
+    """Return the frames of all stacks in an image file. Raises `InputError` if one of them cannot be read."""
+    stacks = files.list_stacks(image, image.relative_to(folder).as_posix())
+    pages_by_stack = {stack: files.list_pages(folder / stack, stack, colour) for stack in stacks}
+    for stack, pages in pages_by_stack.items():
+        entries = read_metadata(image, folder, split_inner_path(stack)[1])
+        for number, page in enumerate(pages):
+            if not page.preview:
+                page_entries = tuple(entry for entry in entries if entry.page in (None, number))
+                yield ScannedFrame(stack, number, page.shape, page.bits, page_entries)
+
+
+def _restore_signs(frames: list[ScannedFrame]) -> tuple[ScannedFrame, ...]:
+    """Return the frames with hyphens in names read as minus signs if other names show the same word without one.
+
+    `z-5mm` is -5 mm beside `z+5mm` or `z0mm`, and otherwise 5 mm.
+    """
+    texts = {entry.text for frame in frames for entry in frame.metadata if entry.source in (FILE, FOLDER)}
+    signed_words = {match[1] for text in texts if (match := re.match(r"([^\W\d_]+)\+?\d", text))}
+
+    def restore_sign(entry: MetadataEntry) -> MetadataEntry:
+        match = re.match(r"([^\W\d_]+)-\d", entry.text)
+        is_negative = match is not None and match[1] in signed_words and entry.source in (FILE, FOLDER)
+        return replace(entry, value=-entry.value) if is_negative and isinstance(entry.value, float) else entry
+
+    return tuple(replace(frame, metadata=tuple(map(restore_sign, frame.metadata))) for frame in frames)

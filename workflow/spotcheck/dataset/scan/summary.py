@@ -1,0 +1,110 @@
+"""Summary of a folder scan and its draft for a terminal: a table and messages."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from spotcheck.dataset.manifest import parse_number
+from spotcheck.dataset.scan.answers import get_column_dimension
+from spotcheck.dataset.scan.draft import METADATA_COLUMNS, Conflict, ManifestDraft, UnusedMetadata
+from spotcheck.dataset.scan.folder_scan import FolderScan
+
+# Different values that a line lists, and examples of a longer list.
+MOST_VALUES, MOST_EXAMPLES = 6, 5
+
+
+def summarize_scan(name: str, scan: FolderScan, draft: ManifestDraft) -> Iterator[str]:
+    """Yield lines on the frames of a folder, the values and sources of each column, and what is not used.
+
+    Parameters
+    ----------
+    name : name of the folder.
+    scan : its frames and metadata.
+    draft : the draft of its manifest.
+    """
+    files = len({frame.file for frame in draft.frames})
+    formats = Counter((frame.shape, frame.bits) for frame in draft.frames)
+    yield f"{name}: {len(draft.frames)} frames in {files} file{'s' if files > 1 else ''}, " + ", ".join(
+        f"{shape[1]} × {shape[0]} px of {bits} bit{f' ({count})' if len(formats) > 1 else ''}"
+        for (shape, bits), count in formats.most_common(MOST_EXAMPLES)
+    )
+    if len(formats) > 1:
+        yield "All frames of a dataset must have one size and depth: move the others out of the folder."
+    yield ""
+    yield from _format_table(draft)
+    yield ""
+    yield from map(_format_conflict, draft.conflicts)
+    yield from _list_gaps(draft)
+    yield from scan.errors
+    if scan.unread_files:
+        yield f"Not read: {_join_examples(scan.unread_files)}"
+    if unknown := [_format_unused(unused) for unused in draft.unused if unused.column is None]:
+        yield f"Not understood: {_join_examples(unknown)}"
+
+
+def _format_table(draft: ManifestDraft) -> Iterator[str]:
+    """Yield a line with values and sources for each column and key."""
+    lines = [("column", "values", "from")]
+    for column in METADATA_COLUMNS:
+        if (column in draft.columns or column in draft.provenance) and (column != "angle_deg" or draft.has_spots):
+            values = _summarize_values([row[column] for row in draft.rows if row[column] != ""])
+            sources = draft.provenance.get(column, Counter()).most_common(MOST_EXAMPLES)
+            lines.append((column, values, "; ".join(_format_source(*source) for source in sources)))
+    for key, entry in draft.instrument_keys.items():
+        value = f"{entry.value:g}" if isinstance(entry.value, float) else str(entry.value)
+        lines.append((key, value, f"{entry.source} ({entry.text})"))
+    widths = [max(len(line[column]) for line in lines) for column in (0, 1)]
+    for name, values, source in lines:
+        yield f"  {name:{widths[0]}}  {values:{widths[1]}}  {source}".rstrip()
+
+
+def _format_source(source_and_example: tuple[str, str], count: int) -> str:
+    """Return a source with the text of its first value."""
+    source, example = source_and_example
+    return f"{source} ({example}{', …' if count > 1 else ''})" if example else source
+
+
+def _summarize_values(values: Sequence[str]) -> str:
+    """Return the values of a column if they are few, or else their number and range."""
+    counts = Counter(values)
+    if not counts:
+        return "not found"
+    numbers = sorted({number for value in counts if (number := parse_number(value)) is not None})
+    if len(numbers) == len(counts):
+        if len(numbers) <= MOST_VALUES:
+            return ", ".join(f"{number:g}" for number in numbers)
+        return f"{len(numbers)} values from {numbers[0]:g} to {numbers[-1]:g}"
+    if len(counts) <= MOST_VALUES:
+        return ", ".join(f"{count} {value}" for value, count in counts.items())
+    return f"{len(counts)} values from {min(counts)} to {max(counts)}"
+
+
+def _format_conflict(conflict: Conflict) -> str:
+    """Return the message on two sources that disagree."""
+    column, first, second, frames = conflict
+    return (
+        f"{column}: {first}, but {second}{f' ({frames} frames)' if frames > 1 else ''}; left blank: say which is right"
+        f' by --set "{column}={first.source_pattern}" or --set "{column}={second.source_pattern}"'
+    )
+
+
+def _list_gaps(draft: ManifestDraft) -> Iterator[str]:
+    """Yield messages on columns that only some frames have, and on numbers without a unit."""
+    for column, files in draft.missing.items():
+        if files and len(files) < len(draft.rows) and any(row[column] for row in draft.rows):
+            yield f"{column}: not found for {len(files)} of {len(draft.rows)} frames ({_join_examples(files)})"
+    for unused in draft.unused:
+        if unused.column:
+            unit = {"s": "ms", "m": "mm"}.get(get_column_dimension(unused.column) or "")
+            advice = f"; give it by --set {unused.column}={unit}" if unit and unused.column in METADATA_COLUMNS else ""
+            yield f"{unused.column}: {_format_unused(unused)} has no unit that is known{advice}"
+
+
+def _format_unused(unused: UnusedMetadata) -> str:
+    """Return the text and source of unused metadata, and how many entries are like it."""
+    return f"{unused.text} ({unused.source}{f', and {unused.frames - 1} like it' if unused.frames > 1 else ''})"
+
+
+def _join_examples(texts: Sequence[str]) -> str:
+    """Return the first texts, separated by commas, and the number of the others."""
+    more = f" and {len(texts) - MOST_EXAMPLES} more" if len(texts) > MOST_EXAMPLES else ""
+    return ", ".join(texts[:MOST_EXAMPLES]) + more

@@ -1,1 +1,0 @@
-"""A folder of images as it is: what its files say of their frames, settled to the rows of a manifest."""
