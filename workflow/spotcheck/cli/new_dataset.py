@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from spotcheck.crops import proposal as crop
+from spotcheck.crops.crop_size import propose_crop_size
 from spotcheck.dataset import template
 from spotcheck.dataset.survey.rows import LABELLED, POSITION, Rows, rows_of
 from spotcheck.dataset.survey.scan import COLOUR, Scan, check, scan
@@ -66,13 +66,13 @@ def run(args: argparse.Namespace) -> None:
     else:
         print(*told(str(folder), found, rows), sep="\n")
         rows = _completed(found, rows, given)
-        side, seen = crop.look(folder, rows, colour)
-        if not seen:
+        proposal = propose_crop_size(folder, rows, colour)
+        if not proposal.has_spot:
             print(
                 "No spot stands out in these frames. Darks and flats are told by those words in the names of files or"
             )
             print("folders, or in the column kind.")
-        template.write(folder, rows, side)
+        template.write(folder, rows, proposal.side_px)
     then = "next" if rows else "fill in the blanks, then"
     print(f"{folder}: wrote manifest.csv, instrument.yaml; {then}: spotcheck check {folder}")
     if remark := configuration.remark_on(str(folder)):
