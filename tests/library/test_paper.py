@@ -9,12 +9,13 @@ from spotcheck.characterization import sensor_choice as sensor
 from spotcheck.crops.full_scale import FullScale
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import store
+from spotcheck.io.schema import read_yaml
 from spotcheck.paper import derived, measured, number_checks, simulated
 from spotcheck.paper.number_checks import NumberCheck, accepted_interval, count_met, find_regressions
 from spotcheck.paper.results import Results
 from tests.library.conftest import ROOT
 
-ENTRIES = number_checks.read_numbers(ROOT / "data" / "paper_numbers.yaml")
+ENTRIES = read_yaml(ROOT / "data" / "paper_numbers.yaml")
 IDS = [e["id"] for e in ENTRIES]
 NUMBER = r"(-?\d+(?:\.\d+)?(?:e-?\d+)?)"
 

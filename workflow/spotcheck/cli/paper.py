@@ -6,6 +6,7 @@ from pathlib import Path
 
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import provenance, store
+from spotcheck.io.schema import read_yaml
 from spotcheck.paper import number_checks
 from spotcheck.paper.results import Results
 from spotcheck.report.pages import numbers
@@ -31,7 +32,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Judge every number; with --strict, end with status 1 when one left its tolerance."""
     results = Results(dataset.load(args.dataset), args.results)
-    checks = number_checks.check_numbers(number_checks.read_numbers(args.numbers), results)
+    checks = number_checks.check_numbers(read_yaml(args.numbers), results)
     inputs = [args.numbers, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
     store.write_text(args.table, number_checks.format_csv(checks), code=provenance.code_digest(__name__), inputs=inputs)
     numbers.write(args.page, checks)

@@ -76,7 +76,8 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
             writer.put(index, cell)
             indices.append(index)
             statuses.append(cell["status"])
-            moments.append(_measure_usable(cell))
+            image, left, top = (cell[name][AT_LIGHT] for name in ("image", "left", "top"))
+            moments.append(measure_moments(image, left, top) if is_usable(cell["status"][AT_LIGHT]) else None)
         revised, remarks = _flag_outliers(dataset, np.array(statuses), moments)
         for index, status in zip(indices, revised, strict=True):
             writer.put(index, {"status": status})
@@ -113,15 +114,8 @@ def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int)
         is_inside = 0 <= top <= pixels.shape[0] - side and 0 <= left <= pixels.shape[1] - side
         masked = 0 if is_inside else store.flag("masked")
         status.append(flags | masked | _flag_readings(image, spots[AT_LIGHT].exists, full_scale, clip))
-    return {
-        "image": images,
-        "top": tops,
-        "left": lefts,
-        "status": status,
-        "block_mean": reduced.block_mean,
-        "row_mean": reduced.row_mean,
-        "column_mean": reduced.column_mean,
-    }
+    means = {"block_mean": reduced.block_mean, "row_mean": reduced.row_mean, "column_mean": reduced.column_mean}
+    return {"image": images, "top": tops, "left": lefts, "status": status} | means
 
 
 def _flag_readings(image: np.ndarray, has_spot: bool, full_scale: float, clip: float) -> int:
@@ -130,13 +124,6 @@ def _flag_readings(image: np.ndarray, has_spot: bool, full_scale: float, clip: f
     if np.count_nonzero(readings < full_scale) <= MAX_UNCLIPPED_SATURATED * readings.size:
         return store.flag("saturated")
     return (0 if has_spot else store.flag("black")) | (store.flag("clipped") if np.any(readings >= clip) else 0)
-
-
-def _measure_usable(cell: dict[str, Any]) -> SpotMoments | None:
-    """Return the moments of the crop around the light; None if it is unusable."""
-    if not is_usable(cell["status"][AT_LIGHT]):
-        return None
-    return measure_moments(cell["image"][AT_LIGHT], cell["left"][AT_LIGHT], cell["top"][AT_LIGHT])
 
 
 def _flag_outliers(

@@ -2,9 +2,10 @@
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -55,104 +56,88 @@ def ingest_frames(dataset: Dataset, before: Mapping[str, seen.Look] = MappingPro
         If a file changes while it is read: its digest would not belong to the pixels.
     """
     probe = check_dataset(dataset)
-    extremes, means, zeros, copy_of = [], [], [], []
-    looks, first_with = dict[str, seen.Look](), dict[bytes, int]()
+    statistics, digests = _decode_frames(dataset, before)
+    extremes, means, zeros, copy_of = zip(*statistics, strict=True)
+    full_scale = find_full_scale(extremes, dataset.instrument, probe.bits)
+    at_full_scale = [frame.at_highest if frame.highest == full_scale.reading else 0 for frame in extremes]
+    manifest = dataset.frames
+    columns = {
+        "frame": _column(range(len(manifest)), "i8", "1", "row of the manifest, from 0"),
+        "minimum": _column([frame.lowest for frame in extremes], "i4", "DN", "smallest reading"),
+        "maximum": _column([frame.highest for frame in extremes], "i4", "DN", "largest reading"),
+        "mean": _column(means, "f8", "DN", "mean reading"),
+        "at_full_scale": _column(at_full_scale, "i8", "pixel", "pixels that read full scale"),
+        "at_zero": _column(zeros, "i8", "pixel", "pixels that read zero"),
+        "copy_of": _column(copy_of, "i4", "1", "earlier frame that holds the same pixels; -1 where none does"),
+        "file": _column([frame.file for frame in manifest], object, "1", "path in the dataset folder"),
+        "kind": _column([frame.kind for frame in manifest], object, "1", "spot, dark or flat"),
+        "sha256": _column([digests[frame.path] for frame in manifest], object, "1", "SHA-256 of the file"),
+        # Empty cells (None) become NaN.
+        "angle_deg": _column([frame.angle_deg for frame in manifest], float, "degree", "fibre orientation"),
+        "exposure_s": _column([frame.exposure_s for frame in manifest], float, "s", "exposure time"),
+        "repeat": _column([frame.repeat for frame in manifest], float, "1", "site or repetition within a condition"),
+        "page": _column([frame.page for frame in manifest], float, "1", "page of a stack, from 0"),
+    }
+    shared = {
+        "rows": ((), probe.shape[0], {"units": "pixel", "long_name": "rows of every frame"}),
+        "columns": ((), probe.shape[1], {"units": "pixel", "long_name": "columns of every frame"}),
+        "container_bits": ((), probe.bits, {"units": "bit", "long_name": "bits of a stored pixel"}),
+        "full_scale": ((), full_scale.reading, {"units": "DN", "long_name": "largest possible reading"}),
+    }
+    extra = _extra_columns(dataset, {*columns, *shared})
+    table = xr.Dataset(columns | shared, extra, {"title": dataset.title, "dataset": dataset.name})
+    table["full_scale"].attrs["source"] = full_scale.source
+    remarks = [*probe.remarks, *remarks_on(dataset), *full_scale.remarks, *_name_copies(dataset, copy_of)]
+    return store.with_remarks(table, remarks)
+
+
+def _decode_frames(
+    dataset: Dataset, before: Mapping[str, seen.Look]
+) -> tuple[list[tuple[ReadingExtremes, float, int, int]], dict[str, str]]:
+    """Decode all frames and compute the digests of their files.
+
+    Returns
+    -------
+    statistics : list of tuple
+        Extreme readings, mean [DN], number of zeros and first frame with the same pixels (−1: none) of each frame.
+    digests : dict
+        SHA-256 of each file by path.
+    """
+    statistics, looks, first_row = [], dict[str, seen.Look](), dict[bytes, int]()
     for row, frame in enumerate(progress.over(dataset.frames, "reading frames")):
         if frame.path not in looks:
             path = dataset.folder / frame.path
             looks[frame.path] = seen.look(path, before.get(str(path)))
         pixels = frames.readings(frames.read_good(dataset, frame))
-        extremes.append(measure_extremes(pixels))
-        means.append(pixels.mean(dtype=np.float64))
-        zeros.append(int(pixels.size - np.count_nonzero(pixels)))
+        extremes = measure_extremes(pixels)
         # ASSUME: noise makes no two exposures equal in every pixel, unless all of them read the same, as black ones do.
-        is_uniform = extremes[-1].lowest == extremes[-1].highest
-        first = row if is_uniform else first_with.setdefault(hashlib.sha256(pixels.data).digest(), row)
-        copy_of.append(first if first < row else -1)
+        is_uniform = extremes.lowest == extremes.highest
+        first = row if is_uniform else first_row.setdefault(hashlib.sha256(pixels.data).digest(), row)
+        zeros = int(pixels.size - np.count_nonzero(pixels))
+        statistics.append((extremes, float(pixels.mean(dtype=np.float64)), zeros, first if first < row else -1))
     for file, look in looks.items():
         if seen.look(dataset.folder / file, look).sha256 != look.sha256:
             raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
-    full_scale = find_full_scale(extremes, dataset.instrument, probe.bits)
-    table = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
-    remarks = [*probe.remarks, *remarks_on(dataset), *full_scale.remarks, *_name_copies(dataset, copy_of)]
-    table = store.with_remarks(table, remarks)
-    digests = [looks[frame.path].sha256 for frame in dataset.frames]
-    table = table.assign(_pixel_columns(extremes, means, zeros, copy_of, full_scale.reading))
-    table = table.assign(_manifest_columns(dataset, digests))
-    table = table.assign(_shared_values(probe, full_scale))
-    return table.assign_coords(_extra_columns(dataset, set(table.variables)))
+    return statistics, {path: look.sha256 for path, look in looks.items()}
 
 
-def _pixel_columns(
-    extremes: list[ReadingExtremes], means: list[float], zeros: list[int], copy_of: list[int], full_scale: int
-) -> dict[str, tuple]:
-    """Return the columns of frames.nc that are computed from pixels, each with the row of the manifest as `frame`."""
-    at_full_scale = [frame.at_highest if frame.highest == full_scale else 0 for frame in extremes]
-    lowest, highest = [frame.lowest for frame in extremes], [frame.highest for frame in extremes]
-    return {
-        name: ("frame", np.array(values, dtype), {"units": units, "long_name": long_name})
-        for name, values, dtype, units, long_name in (
-            ("frame", range(len(extremes)), "i8", "1", "row of the manifest, from 0"),
-            ("minimum", lowest, "i4", "DN", "smallest reading"),
-            ("maximum", highest, "i4", "DN", "largest reading"),
-            ("mean", means, "f8", "DN", "mean reading"),
-            ("at_full_scale", at_full_scale, "i8", "pixel", "pixels that read full scale"),
-            ("at_zero", zeros, "i8", "pixel", "pixels that read zero"),
-            ("copy_of", copy_of, "i4", "1", "earlier frame that holds the same pixels; -1 where none does"),
-        )
-    }
+def _column(values: Sequence[Any], dtype: Any, units: str, long_name: str) -> tuple:
+    """Return a variable of frames.nc with one value per frame."""
+    return "frame", np.array(values, dtype), {"units": units, "long_name": long_name}
 
 
-def _manifest_columns(dataset: Dataset, digests: list[str]) -> dict[str, tuple]:
-    """Return the columns of frames.nc that every manifest has, and the SHA-256 of each frame's file."""
-    texts = {
-        name: ("frame", np.array(values, dtype=object), {"units": "1", "long_name": long_name})
-        for name, values, long_name in (
-            ("file", [frame.file for frame in dataset.frames], "path in the dataset folder"),
-            ("kind", [frame.kind for frame in dataset.frames], "spot, dark or flat"),
-            ("sha256", digests, "SHA-256 of the file"),
-        )
-    }
-    # Empty cells (None) become NaN.
-    numbers = {
-        name: ("frame", np.array(values, float), {"units": units, "long_name": long_name})
-        for name, values, units, long_name in (
-            ("angle_deg", [frame.angle_deg for frame in dataset.frames], "degree", "fibre orientation"),
-            ("exposure_s", [frame.exposure_s for frame in dataset.frames], "s", "exposure time"),
-            ("repeat", [frame.repeat for frame in dataset.frames], "1", "site or repetition within a condition"),
-            ("page", [frame.page for frame in dataset.frames], "1", "page of a stack, from 0"),
-        )
-    }
-    return texts | numbers
-
-
-def _shared_values(probe: frames.Probe, full_scale: FullScale) -> dict[str, tuple]:
-    """Return the variables of frames.nc that all frames share."""
-    variables = {
-        name: ((), value, {"units": units, "long_name": long_name})
-        for name, value, units, long_name in (
-            ("rows", probe.shape[0], "pixel", "rows of every frame"),
-            ("columns", probe.shape[1], "pixel", "columns of every frame"),
-            ("container_bits", probe.bits, "bit", "bits of a stored pixel"),
-            ("full_scale", full_scale.reading, "DN", "largest possible reading"),
-        )
-    }
-    variables["full_scale"][2]["source"] = full_scale.source
-    return variables
-
-
-def _extra_columns(dataset: Dataset, reserved: set) -> dict[str, tuple]:
+def _extra_columns(dataset: Dataset, reserved: set[str]) -> dict[str, tuple]:
     """Return the additional columns of the manifest as coordinates, under names that netCDF allows."""
     coordinates = {}
     for column in dataset.frames[0].extra:
         name = re.sub(r"\W", "_", column)[:100]
         name = name if name[:1].isalpha() and name not in reserved else f"column_{name}"
-        texts = np.array([frame.extra[column] for frame in dataset.frames], dtype=object)
-        coordinates[name] = ("frame", texts, {"units": unit_of(column), "long_name": f"column {column}"})
+        texts = [frame.extra[column] for frame in dataset.frames]
+        coordinates[name] = _column(texts, object, unit_of(column), f"column {column}")
     return coordinates
 
 
-def _name_copies(dataset: Dataset, copy_of: list[int]) -> list[str]:
+def _name_copies(dataset: Dataset, copy_of: Sequence[int]) -> list[str]:
     """Return one remark per frame that is a copy; for many, the first and the number of the others."""
     remarks = [
         f"{frame.label} holds the same pixels as {dataset.frames[first].label}, so that it is left out as a copy"

@@ -144,13 +144,10 @@ def find_outlier_frames(dataset: Dataset, moments: Sequence[SpotMoments | None])
     index = [index_of_frame[id(dataset.spots[spot])] for spot, _ in measured]
     values = np.array([(np.log(m.light), np.log(m.sigma), m.x, m.y) for _, m in measured])
     errors = np.array([(m.log_light_error, m.log_sigma_error, m.centre_error, m.centre_error) for _, m in measured])
-    repeat_axis = [axis.name for axis in dataset.axes].index("repeat")
-    comparison = _compare_repeats(values, errors, index, repeat_axis)
+    comparison = _compare_repeats(values, errors, index, [axis.name for axis in dataset.axes].index("repeat"))
     comparison = _compare_neighbours(values, errors, index, dataset, comparison)
-    faults = [
-        _classify(deviation, limit, float(np.exp(log_width)))
-        for deviation, limit, log_width in zip(comparison.deviation, comparison.limit, values[:, WIDTH], strict=True)
-    ]
+    widths = np.exp(values[:, WIDTH])
+    faults = [_classify(*frame) for frame in zip(comparison.deviation, comparison.limit, widths, strict=True)]
     siblings = Counter(comparison.group)
     faulty = Counter(group for group, fault in zip(comparison.group, faults, strict=True) if fault)
     outliers = [
@@ -279,15 +276,11 @@ def _classify(deviation: np.ndarray, limit: np.ndarray, sigma: float) -> tuple[s
     """
     tested = np.where(np.isfinite(limit), deviation, 0.0)
     light, width, distance = float(np.exp(tested[0])), float(np.exp(tested[1])), float(np.hypot(*tested[2:]))
-    significant = np.abs(tested) > limit
-    is_gross_light = light < MIN_LIGHT or light > MAX_LIGHT
-    is_gross_width = width < MIN_WIDTH or width > MAX_WIDTH
+    is_gross_light, is_gross_width = not MIN_LIGHT <= light <= MAX_LIGHT, not MIN_WIDTH <= width <= MAX_WIDTH
     is_gross_shift = distance > MAX_SHIFT * sigma / width
-    if not (
-        (is_gross_light and significant[0])
-        or (is_gross_width and significant[1])
-        or (is_gross_shift and significant[2:].any())
-    ):
+    # The shift is significant if it is so along either axis.
+    significant = np.abs(tested) > limit
+    if not (np.array([is_gross_light, is_gross_width, is_gross_shift, is_gross_shift]) & significant).any():
         return None
     if is_gross_light:
         share = f"{100 * light:.2g} % of" if light < 1 else f"{light:.2g} times"

@@ -78,14 +78,12 @@ def _read_transfer_sensor(results: Path) -> SensorModel | None:
     with store.read(results / "transfer.nc") as ds, store.read(results / "frames.nc") as table:
         quantities, full_scale = quantities_of(ds), float(table["full_scale"])
         curvature = float(ds.attrs["response_bend"])
-    gain, noise, current, black = (
-        quantities[BY_FLATS[name]].value
-        for name in ("gain_dn_per_e", "read_noise_e", "dark_current_e_per_s", "black_level_dn")
-    )
-    if not np.isfinite(gain + noise + black):
+    names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
+    values = {name: quantities[BY_FLATS[name]].value for name in names}
+    if not np.isfinite(list(values.values())).all():
         return None
-    current = max(np.nan_to_num(current), 0.0)
-    return SensorModel(gain, noise, current, np.inf, black, full_scale, response_bend=curvature)
+    dark_current = max(np.nan_to_num(quantities[BY_FLATS["dark_current_e_per_s"]].value), 0.0)
+    return SensorModel(**values, dark_current_e_per_s=dark_current, full_scale_dn=full_scale, response_bend=curvature)
 
 
 def _read_sensor_effects(results: Path) -> list[AppliedEffect]:

@@ -115,43 +115,33 @@ def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
 def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
     """Yield the sensor parameters from spots, then those from flats and darks, which are more accurate."""
     names = [name for name in BY_FLATS if name not in NEVER_TAKEN]
-    estimates = []
+    estimates, file = [], "sensor.nc"
     if (results / "sensor.nc").is_file():
         with store.read(results / "sensor.nc") as ds:
             for source in (SPOTS, FLATS):
                 for name in names:
                     value, stderr = (float(ds[f"{name}_{part}"].sel(source=source)) for part in ("by", "by_stderr"))
-                    estimates.append((name, value, stderr, source, "sensor.nc"))
+                    estimates.append((name, value, stderr, source))
     elif (results / "transfer.nc").is_file():
+        file = "transfer.nc"
         with store.read(results / "transfer.nc") as ds:
             quantities = quantities_of(ds)
         for name in names:
             quantity = quantities[BY_FLATS[name]]
-            estimates.append((name, quantity.value, quantity.stderr, FLATS, "transfer.nc"))
-    for name, value, stderr, source, file in estimates:
+            estimates.append((name, quantity.value, quantity.stderr, FLATS))
+    for name, value, stderr, source in estimates:
         if np.isfinite(value):
-            yield LearnedValue(
-                key=f"sensor.{name}",
-                # Noise can make the estimate of a dark current negative.
-                value=max(value, 0.0),
-                stderr=stderr,
-                unit=QUANTITIES[name][0],
-                source=f"{source} ({file})",
-                is_from_spots=source == SPOTS,
-            )
+            # Noise can make the estimate of a dark current negative.
+            value, unit, words = max(value, 0.0), QUANTITIES[name][0], f"{source} ({file})"
+            yield LearnedValue(f"sensor.{name}", value, stderr, unit, words, is_from_spots=source == SPOTS)
 
 
 def _read_revised_sheet(verdict: Mapping[str, Any]) -> Iterator[LearnedValue]:
     """Yield the numbers of the data sheet that the verdict's fit of all frames has revised."""
+    source = "data sheet and all frames together (verdict.json)"
     for entry in verdict.get("sheet") or ():
-        yield LearnedValue(
-            key=f"sensor.{entry['name']}",
-            value=entry["found"],
-            stderr=_to_float(entry["stderr"]),
-            unit=entry["unit"],
-            source="data sheet and all frames together (verdict.json)",
-            overrules=entry["contradicts"],
-        )
+        key, stderr = f"sensor.{entry['name']}", _to_float(entry["stderr"])
+        yield LearnedValue(key, entry["found"], stderr, entry["unit"], source, overrules=entry["contradicts"])
 
 
 def _update_sensor(
@@ -171,8 +161,7 @@ def _convert_effects(
     verdict: Mapping[str, Any], sensor: SensorModel | None
 ) -> tuple[list[LearnedValue], list[UnusedResult]]:
     """Return the keys that the detected effects set, and the effects without a key."""
-    learned: list[LearnedValue] = []
-    unused = []
+    learned, unused = list[LearnedValue](), list[UnusedResult]()
     for entry in verdict.get("effects", ()):
         effect = vocabulary().get(entry["name"])
         if effect is None or not effect.stages:
@@ -186,11 +175,8 @@ def _convert_effects(
                 keys = list(_derive_keys(effect.apply(values, entry["form"]), errors, sensor))
         learned += keys
         if not keys:
-            numbers = ", ".join(
-                f"{name} {format_number(float(parameter['value']), _to_float(parameter['stderr']), parameter['unit'])}"
-                for name, parameter in parameters.items()
-                if parameter["value"] is not None
-            )
+            stated = {name: parameter for name, parameter in parameters.items() if parameter["value"] is not None}
+            numbers = ", ".join(f"{name} {_format_parameter(parameter)}" for name, parameter in stated.items())
             text = f"{entry['form']}: {numbers}" if entry["form"] else numbers
             reason = f"it may as well be {' or '.join(rivals)}" if rivals else "no key of an instrument file holds it"
             unused.append(UnusedResult(entry["name"], text, reason))
@@ -204,25 +190,21 @@ def _derive_keys(applied: AppliedEffect, errors: Mapping[str, float], sensor: Se
     ]
     for key, value in applied.instrument_keys(sensor).items():
         changes = [(other.instrument_keys(sensor).get(key, np.nan) - value) / DERIVATIVE_STEP for other in varied]
-        yield LearnedValue(
-            key=key,
-            # Full scale is an integer.
-            value=round(value) if key == "sensor.full_scale_dn" else value,
-            stderr=float(np.hypot.reduce(changes)) or np.nan,
-            unit=_read_unit(key),
-            source=f"{applied.effect.name} (verdict.json)",
-            overrules=True,
-        )
+        stderr = float(np.hypot.reduce(changes)) or np.nan
+        # Full scale is an integer.
+        value = round(value) if key == "sensor.full_scale_dn" else value
+        source = f"{applied.effect.name} (verdict.json)"
+        yield LearnedValue(key, value, stderr, _read_unit(key), source, overrules=True)
 
 
 def _replace_gain(values: Mapping[str, LearnedValue], gain: float, stderr: float) -> Iterator[LearnedValue]:
     """Yield the gain of flats [DN/e-] fitted together with the detected effects, and quantities in electrons by it."""
-    key = "sensor.gain_dn_per_e"
-    if key not in values:
+    previous = values.get("sensor.gain_dn_per_e")
+    if previous is None:
         return
-    ratio = values[key].value / gain
     source = f"{FLATS}, beside what else was found (verdict.json)"
-    yield replace(values[key], value=gain, stderr=stderr, source=source, is_from_spots=False)
+    yield replace(previous, value=gain, stderr=stderr, source=source, is_from_spots=False)
+    ratio = previous.value / gain
     for name in IN_ELECTRONS:
         if quantity := values.get(f"sensor.{name}"):
             source = f"{quantity.source}, by that gain"
@@ -270,6 +252,11 @@ def _collect_bad_pixels(results: Path, instrument: Instrument, sensor: SensorMod
         tuple(sorted({*declared.pixels, *bad.pixels})),
     )
     return LearnedValue("bad_pixels", merged, np.nan, "", f"left out of {count} fits (fits.nc)", overrules=True)
+
+
+def _format_parameter(parameter: Mapping[str, Any]) -> str:
+    """Return a parameter of an effect in verdict.json as text."""
+    return format_number(float(parameter["value"]), _to_float(parameter["stderr"]), parameter["unit"])
 
 
 def format_number(value: float, stderr: float, unit: str) -> str:

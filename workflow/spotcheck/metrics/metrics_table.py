@@ -50,9 +50,9 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
         ("data_range", DATA_RANGES, "range that PSNR is scaled to: 65535 of the container, or the sensor's own"),
     ):
         ds[name] = (name, np.array(labels, dtype=object), {"units": "1", "long_name": long_name})
-    values = np.stack([_measure_crops(crops[source], dims, source) for source in SOURCES], axis=1)
-    for metric, value in zip(PER_IMAGE, values, strict=True):
-        ds[metric.name] = (("source", *dims), value, {"units": metric.units, "long_name": metric.long_name})
+    values = np.stack([_measure_crops(crops[source], dims, source) for source in SOURCES])
+    for k, metric in enumerate(PER_IMAGE):
+        ds[metric.name] = (("source", *dims), values[..., k], {"units": metric.units, "long_name": metric.long_name})
     ds["fit"] = fits["measured"]["fit"]
     attributes = {
         name: {"units": units, "long_name": str(fits["measured"][name].attrs["long_name"])}
@@ -74,14 +74,14 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
 
 
 def _measure_crops(crops: xr.Dataset, dims: tuple[str, ...], source: str) -> np.ndarray:
-    """Return the metrics [metric, dims...] of all usable crops of a source; NaN elsewhere."""
-    values = np.full((len(PER_IMAGE), *(crops.sizes[dim] for dim in dims)), np.nan)
+    """Return the metrics [dims..., metric] of all usable crops of a source; NaN elsewhere."""
+    values = np.full((*(crops.sizes[dim] for dim in dims), len(PER_IMAGE)), np.nan)
     status = crops["status"].transpose(*dims).values
     for index in progress.over(list(iterate_cells(crops, dims)), f"metrics of {source} frames"):
         cell = tuple(index.values())
         if is_usable(status[cell]):
             image = crops["image"].isel(index).values
-            values[(..., *cell)] = [metric.function(image) for metric in PER_IMAGE]
+            values[cell] = [metric.function(image) for metric in PER_IMAGE]
     return values
 
 

@@ -2,29 +2,13 @@
 
 import csv
 import io
-from pathlib import Path
 from typing import NamedTuple
 
-from spotcheck.io.schema import read_yaml
 from spotcheck.paper import derived, measured, simulated
 from spotcheck.paper.results import Results
 
 # Columns of paper_numbers.csv.
-COLUMNS = (
-    "id",
-    "kind",
-    "section",
-    "printed",
-    "low",
-    "high",
-    "ours",
-    "unit",
-    "holds",
-    "expected",
-    "counted",
-    "because",
-    "remark",
-)
+COLUMNS = tuple("id kind section printed low high ours unit holds expected counted because remark".split())
 # Kinds of numbers that are counted, and how the summary calls them.
 KINDS = {"derived": "that follow from its inputs", "simulated": "of its simulation", "measured": "of its frames"}
 
@@ -60,13 +44,8 @@ def accepted_interval(entry: dict) -> tuple[float, float]:
     return entry.get("at_least", -float("inf")), entry.get("at_most", float("inf"))
 
 
-def read_numbers(path: Path) -> list[dict]:
-    """Return the entries of paper_numbers.yaml."""
-    return read_yaml(path)
-
-
 def check_numbers(entries: list[dict], results: Results) -> list[NumberCheck]:
-    """Return the check of each entry, whose `id` is the name of the function that computes its counterpart."""
+    """Return the check of each entry of paper_numbers.yaml; its `id` names the function that computes its value."""
     functions = vars(derived) | vars(simulated) | vars(measured)
     return [NumberCheck(entry, float(functions[entry["id"]](results)), *accepted_interval(entry)) for entry in entries]
 
@@ -86,14 +65,12 @@ def summarise_checks(checks: list[NumberCheck]) -> str:
         if check.is_counted and not check.is_met
     ]
     uncounted = [_name_of(check) for check in checks if not check.is_counted and not check.is_met]
-    return "\n\n".join(
-        [
-            f"Of the numbers that the paper prints, {', '.join(parts[:-1])} and {parts[-1]} hold.",
-            f"What does not hold: {'; '.join(failed) or 'nothing'}. Shown but not counted, and not holding either:"
-            f" {', '.join(uncounted) or 'nothing'}.",
-            "A printed range counts as two numbers, each met within half the range's width; other numbers count as met"
-            " within the printed ±.\n",
-        ]
+    return (
+        f"Of the numbers that the paper prints, {', '.join(parts[:-1])} and {parts[-1]} hold.\n\n"
+        f"What does not hold: {'; '.join(failed) or 'nothing'}. Shown but not counted, and not holding either:"
+        f" {', '.join(uncounted) or 'nothing'}.\n\n"
+        "A printed range counts as two numbers, each met within half the range's width; other numbers count as met"
+        " within the printed ±.\n"
     )
 
 
