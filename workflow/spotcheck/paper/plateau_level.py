@@ -60,10 +60,10 @@ def estimate_plateau_levels(
     in_metres = float(photons.scattering_factor(exposure_s, spread * pitch))
     density = 1 / (2 * math.pi * sigma**2)
     printed = float(spot.photon_distribution(0.0, 0.0, sigma, sigma, 0.0, scale))
-    spread_out, centre = "Eq. 14 spread over the Gaussian of σ_g", "Eq. 12 at the laser's centre"
+    spread_out, at_centre = "Eq. 14 spread over the Gaussian of σ_g", "Eq. 12 at the laser's centre"
     return [
-        (f"{centre}, without ϱ_s", level_at_centre(1.0)),
-        (f"{centre}, ϱ_s with p_b in pixels", level_at_centre(in_pixels)),
+        (f"{at_centre}, without ϱ_s", level_at_centre(1.0)),
+        (f"{at_centre}, ϱ_s with p_b in pixels", level_at_centre(in_pixels)),
         (f"{spread_out}, without ϱ_s", sum_on_sensor(1.0) * density),
         (f"{spread_out}, ϱ_s with p_b in pixels", sum_on_sensor(in_pixels) * density),
         (f"{spread_out}, ϱ_s with p_b in metres on the sensor", sum_on_sensor(in_metres) * density),
