@@ -48,9 +48,11 @@ def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) ->
     side = centred.sizes["x"]
 
     def covers_column(x: int) -> np.ndarray:
+        """Return whether each crop [fit] covers a column of the sensor."""
         return (lefts <= x) & (x < lefts + side)
 
     def covers_row(y: int) -> np.ndarray:
+        """Return whether each crop [fit] covers a row of the sensor."""
         return (tops <= y) & (y < tops + side)
 
     bad = BadPixels(
