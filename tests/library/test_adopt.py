@@ -12,13 +12,13 @@ import xarray as xr
 from spotcheck.characterization.sensor_choice import SHEET, SOURCES, stderr_of
 from spotcheck.cli import main, run
 from spotcheck.cli.judging import judge_dataset
-from spotcheck.crops.clip import end_of, top_of
+from spotcheck.crops.full_scale import find_full_scale, measure_extremes
 from spotcheck.dataset.instrument import BadPixels, Instrument, Sensor, read_instrument
 from spotcheck.errors import InputError
-from spotcheck.export.adoption.bad import bad_in
-from spotcheck.export.adoption.chosen import choices_of
-from spotcheck.export.adoption.learned import Learned, learned_of
-from spotcheck.export.adoption.written import write
+from spotcheck.export.bad_pixels import find_bad_pixels
+from spotcheck.export.instrument_file import write_instrument_file
+from spotcheck.export.learned_values import LearnedValue, collect_learned_values
+from spotcheck.export.value_choice import choose_values
 from spotcheck.fitting.fits import fit_crops
 from spotcheck.io import store
 from spotcheck.io.schema import find_violation
@@ -84,7 +84,7 @@ FLATS, SPOTS = "flats and darks (sensor.nc)", "spots (sensor.nc)"
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "stderr", "origin", "overrules", "taken", "why"),
+    ("key", "value", "stderr", "source", "overrules", "is_adopted", "reason"),
     [
         ("gain_dn_per_e", 0.112, 0.001, FLATS, False, False, "agrees with the sheet within 2.0 errors"),
         ("gain_dn_per_e", 0.114, 0.001, FLATS, False, True, "contradicts the sheet by 4.0 errors"),
@@ -105,10 +105,11 @@ FLATS, SPOTS = "flats and darks (sensor.nc)", "spots (sensor.nc)"
         ),
     ],
 )
-def test_what_a_sheet_states_gives_way(key, value, stderr, origin, overrules, taken, why):
+def test_what_a_sheet_states_gives_way(key, value, stderr, source, overrules, is_adopted, reason):
     """Where it says nothing, is contradicted beyond three errors, or is known worse; never to spots alone."""
-    (own,) = choices_of([Learned(f"sensor.{key}", value, stderr, "1", origin, overrules)], SHEET_OF)
-    assert (own.taken, own.why) == (taken, why)
+    learned = LearnedValue(f"sensor.{key}", value, stderr, "1", source, overrules, is_from_spots=source == SPOTS)
+    (choice,) = choose_values([learned], SHEET_OF)
+    assert (choice.is_adopted, choice.reason) == (is_adopted, reason)
 
 
 # The whole way.
@@ -199,7 +200,9 @@ def test_the_file_is_that_of_the_instrument(judged, shelf, tmp_path):
     assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
     made = read_instrument(tmp_path / "a.yaml")
     assert made.sensor.bit_depth == 12 and made.name is None
-    learned = {own.key for own in learned_of(judged, read_instrument(shelf / "my-flats" / "instrument.yaml"))[0]}
+    learned = {
+        own.key for own in collect_learned_values(judged, read_instrument(shelf / "my-flats" / "instrument.yaml"))[0]
+    }
     assert made.given_keys == learned | {"sensor.bit_depth"} | {
         f"sensor.{name}_stderr" for name in ("gain_dn_per_e", "read_noise_e", "black_level_dn")
     }
@@ -234,17 +237,17 @@ def test_effects_and_light_of_a_verdict(tmp_path):
     shape = LightShape(0.25, np.zeros((6, 6)))
     for count in (2, 1):
         write_light([shape] * count, LightFile(results / "light.nc", "d", code="c"))
-        learned, left = learned_of(results, given)
+        learned, left = collect_learned_values(results, given)
         own = {one.key: one for one in learned}
         assert (own["sensor.gain_dn_per_e"].value, own["sensor.full_well_e"].value) == (0.22, pytest.approx(2000))
         assert own["sensor.full_well_e"].stderr == pytest.approx(2.2 / 0.22)
-        why = {one.what: one.why for one in left}
+        why = {result.name: result.reason for result in left}
         assert why["excess_read_noise"] == "it may as well be row_noise"
         assert why["dark_offset"] == "no key of an instrument file holds it"
         assert ("light" in why) == (count == 2) and ("light.profile" in own) == (count == 1)
-    choices = choices_of(learned, given)
-    assert all(one.taken for one in choices)
-    write(tmp_path / "camera.yaml", choices, left, given, results)
+    choices = choose_values(learned, given)
+    assert all(choice.is_adopted for choice in choices)
+    write_instrument_file(tmp_path / "camera.yaml", choices, left, given, results)
     made = read_instrument(tmp_path / "camera.yaml")
     assert made.light.profile == str(tmp_path / "camera-light.nc")
     assert (made.sensor.full_well_e, made.sensor.gain_dn_per_e_stderr) == (2000, 0.001)
@@ -265,7 +268,7 @@ def test_pixels_that_frame_after_frame_leaves_out_are_bad(tmp_path):
     run(["ingest", str(data.folder), "--output", str(tmp_path / "frames.nc")])
     run(["crop", str(data.folder), "--frames", str(tmp_path / "frames.nc"), "--output", str(tmp_path / "crops.nc")])
     with store.read(tmp_path / "crops.nc") as images:
-        found = bad_in(fit_crops(images, SENSOR), images, SENSOR)
+        found = find_bad_pixels(fit_crops(images, SENSOR), images, SENSOR)
     assert found == (BadPixels(columns=(60,), pixels=((44, 52),)), 4)
 
 
@@ -275,7 +278,7 @@ def test_where_the_converter_stops_is_taken_from_the_file(tmp_path):
     text = "{crop_px: 40, sensor: {bit_depth: 10, full_scale_dn: %d}}"
     for stated, remarks in ((700, 0), (650, 1)):
         found = loaded(tmp_path / str(stated), [image], text % stated)
-        end = end_of([top_of(image)], found.instrument, 16)
+        end = find_full_scale([measure_extremes(image)], found.instrument, 16)
         assert (end.reading, end.source, len(end.remarks)) == (stated, "instrument.yaml", remarks)
 
 

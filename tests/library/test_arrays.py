@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from spotcheck.cli import main
-from spotcheck.crops import stages as crops
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
 from spotcheck.dataset.metadata.entry import resolve_entries
@@ -208,7 +208,7 @@ def test_a_dataset_of_hdf5_and_npy(tmp_path, capsys):
         (name, page) for name in ("a.h5#/a", "a.h5#/b", "c.npy") for page in range(3)
     ]
     assert found.frames[4].label == "a.h5#/b, page 1"
-    table = crops.ingest(found)
+    table = ingest_frames(found)
     assert len(set(table["sha256"].values)) == 2 and set(table["copy_of"].values) == {-1}
     np.testing.assert_array_equal(frames.read_image(found, found.frames[4]), noisy[1, 1])
 

@@ -6,7 +6,8 @@ import tifffile
 
 from spotcheck.characterization import levels, same_site
 from spotcheck.crops import spotfinding
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.ingest import check_dataset, ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
 from spotcheck.errors import InputError
@@ -41,8 +42,8 @@ def folder(tmp_path, images, form, instrument=YAML):
 
 def cropped(found, path):
     """Its table of frames and its crops."""
-    table = crops.ingest(found)
-    crops.crop(found, table, path / "crops.nc", code="c", inputs=[])
+    table = ingest_frames(found)
+    crop_spots(found, table, path / "crops.nc", code="c", inputs=[])
     return table, store.read(path / "crops.nc").load()
 
 
@@ -78,9 +79,9 @@ def test_the_spot_is_found_beside_bad_pixels(sigma, over_noise):
     for seed, x in enumerate((40.0, 70.0, 76.2)):
         image = noisy(gaussian(SIDE, over_noise * noise_dn, x, 80.0, sigma), seed).astype(np.float32)
         image[:, 72:75] = np.nan
-        spot = spotfinding.light_centroid(image, 60)
-        assert spot.found and abs(spot.column - x) < max(1.5, sigma / 3) and abs(spot.row - 80) < max(1.5, sigma / 3)
-        assert not np.isnan(image[spotfinding.brightest_pixel(image)[:2]])
+        spot = spotfinding.find_light_centroid(image, 60)
+        assert spot.exists and abs(spot.column - x) < max(1.5, sigma / 3) and abs(spot.row - 80) < max(1.5, sigma / 3)
+        assert not np.isnan(image[spotfinding.find_brightest_pixel(image)[:2]])
 
 
 def test_levels_of_flats_are_those_of_the_good_pixels():
@@ -126,7 +127,7 @@ def test_bad_pixels_that_cannot_be_are_refused_before_a_frame_is_decoded(tmp_pat
     (tmp_path / "data/masks").mkdir(parents=True)
     tifffile.imwrite(tmp_path / "data/masks/small.tif", np.zeros((10, 20), np.uint8))
     with pytest.raises(InputError) as raised:
-        crops.check_dataset(loaded(tmp_path / "data", [spoilt(0, 0)], f"{YAML}{yaml}\n"))
+        check_dataset(loaded(tmp_path / "data", [spoilt(0, 0)], f"{YAML}{yaml}\n"))
     assert words in str(raised.value) and str(raised.value).count("\n") == 0
 
 

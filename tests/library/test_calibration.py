@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import CENTRINGS, crop_spots
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset.instrument import Instrument, ModelChoice
 from spotcheck.fitting import propagation
 from spotcheck.fitting.calibration import calibrate
@@ -52,7 +53,7 @@ def fits_of(width: np.ndarray, exposures=EXPOSURES, status=None) -> xr.Dataset:
     """
     dims = ("angle", "exposure", "repeat", "centring", "fit")
     ds = xr.Dataset(attrs={"title": "T", "dataset": "d", "not_recorded": "", "preferred": "likelihood"})
-    ds["centring"] = ("centring", np.array(crops.CENTRINGS, dtype=object))
+    ds["centring"] = ("centring", np.array(CENTRINGS, dtype=object))
     ds["fit"] = ("fit", np.array(list(FITS), dtype=object))
     if exposures is not None:
         ds["exposure"] = ("exposure", exposures)
@@ -67,7 +68,7 @@ def fits_of(width: np.ndarray, exposures=EXPOSURES, status=None) -> xr.Dataset:
 def crops_of(shape) -> xr.Dataset:
     """Crops without a usable pixel: the averages need none."""
     ds = xr.Dataset()
-    ds["centring"] = ("centring", np.array(crops.CENTRINGS, dtype=object))
+    ds["centring"] = ("centring", np.array(CENTRINGS, dtype=object))
     dims = ("angle", "exposure", "repeat", "centring")
     ds["status"] = (dims, np.full((*shape, 2), store.flag("missing"), "i4"))
     ds["image"] = ((*dims, "y", "x"), np.full((*shape, 2, 8, 8), np.nan))
@@ -164,7 +165,7 @@ def test_the_whole_stage_on_frames_of_the_model(tmp_path):
         images.append(noisy(gaussian(110, amplitude[k], 52.4, 58.7, sigma[k]), k, SENSOR, t))
         times.append(float(t))
     ds = loaded(tmp_path / "d", images, "crop_px: 60\nsensor: {bit_depth: 10, black_level_dn: 40}", times)
-    crops.crop(ds, crops.ingest(ds), tmp_path / "crops.nc", code="c", inputs=[])
+    crop_spots(ds, ingest_frames(ds), tmp_path / "crops.nc", code="c", inputs=[])
     with store.read(tmp_path / "crops.nc") as own:
         fits = fit_crops(own, SENSOR)
         out = calibrate(own, fits, ds.instrument, SENSOR)
@@ -210,7 +211,7 @@ def test_fits_of_a_sensor_that_is_unknown_and_of_an_empty_frame(tmp_path):
     """Least squares alone, preferred, with the reason in the other's flags; no fit of a frame without light."""
     dark = np.full((110, 110), 40, np.uint16)
     ds = loaded(tmp_path / "d", [noisy(gaussian(110, 600.0, 52.4, 58.7, 6.0), 1), dark], "crop_px: 60")
-    crops.crop(ds, crops.ingest(ds), tmp_path / "crops.nc", code="c", inputs=[])
+    crop_spots(ds, ingest_frames(ds), tmp_path / "crops.nc", code="c", inputs=[])
     with store.read(tmp_path / "crops.nc") as own:
         fits = store.check(fit_crops(own, None), "fits")
         cell = {"angle": 0, "exposure": 0, "repeat": 0, "centring": 0}

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from spotcheck.characterization.sensor_choice import model_of, resolve
-from spotcheck.crops import stages as crops
-from spotcheck.crops.clip import end_of, step_of, top_of
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.full_scale import find_full_scale, find_reading_step, measure_extremes
+from spotcheck.crops.ingest import ingest_frames, read_full_scale
 from spotcheck.dataset.instrument import Instrument, Sensor
 from spotcheck.fitting.fits import fit_crops, preferred
 from spotcheck.io import store
@@ -32,15 +33,15 @@ def test_a_clipped_spot_is_fitted_as_one_without_a_bit_depth(tmp_path, highest, 
     unit = 2**shift
     sheet = f"sensor: {{gain_dn_per_e: {GAIN * unit}, read_noise_e: {NOISE_E}, black_level_dn: {BLACK * unit}}}"
     dataset = loaded(tmp_path, frames, f"crop_px: 96\n{sheet}")
-    table = crops.ingest(dataset)
+    table = ingest_frames(dataset)
     assert int(table["full_scale"]) == highest * unit and (table["at_full_scale"] > 10).all()
     said = "\n".join(store.remarks_of(table))
     assert f"3 frames stop at exactly {highest * unit} DN" in said
     depth = {1023: "sensor.bit_depth 10", 16383: "sensor.bit_depth 14", 4095: "sensor.bit_depth 12", 3871: "give it"}
     assert depth[highest] in said and (f"value_shift_bits {shift}" in said) == bool(shift)
-    crops.crop(dataset, table, tmp_path / "crops.nc", code="", inputs=[])
+    crop_spots(dataset, table, tmp_path / "crops.nc", code="", inputs=[])
     with store.read(tmp_path / "crops.nc") as images:
-        end = crops.end_in(table)
+        end = read_full_scale(table)
         sensor = model_of(resolve(dataset, end, []))
         fits = preferred(fit_crops(images, sensor))
     assert sensor.full_scale_dn == highest * unit
@@ -53,7 +54,9 @@ def test_a_clipped_spot_is_fitted_as_one_without_a_bit_depth(tmp_path, highest, 
 
 def whole(pixels: np.ndarray, **sensor) -> int:
     """Where the readings of one frame stop, in a container of 16 bits."""
-    return end_of([top_of(pixels)], Instrument(sensor=Sensor(**sensor), given_keys=frozenset(sensor)), 16).reading
+    return find_full_scale(
+        [measure_extremes(pixels)], Instrument(sensor=Sensor(**sensor), given_keys=frozenset(sensor)), 16
+    ).reading
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -83,16 +86,18 @@ def test_a_saturated_flat_is_clipped_beside_darks():
     """All pixels of a flat at 1023, and darks at 30: the end of both."""
     rng = np.random.default_rng(2)
     dark = np.rint(rng.normal(30, 2, (60, 60))).astype(np.uint16)
-    tops = [top_of(dark), top_of(np.full((60, 60), 1023, np.uint16))]
-    assert end_of(tops, Instrument(), 16).reading == 1023
-    assert end_of([], Instrument(), 8).reading == 255
+    tops = [measure_extremes(dark), measure_extremes(np.full((60, 60), 1023, np.uint16))]
+    assert find_full_scale(tops, Instrument(), 16).reading == 1023
+    assert find_full_scale([], Instrument(), 8).reading == 255
 
 
 @pytest.mark.parametrize(("highest", "end"), [(4080, 4080), (4094, 4094), (4095, 4095), (4000, 4095)])
 def test_a_plateau_just_below_the_stated_depth_is_the_end(highest, end):
     """Within 1 % of it; further below the sensor saturates, and a remark says so."""
-    top = top_of(spot(np.random.default_rng(5), 3 * highest, highest))
-    found = end_of([top], Instrument(sensor=Sensor(bit_depth=12), given_keys=frozenset({"sensor.bit_depth"})), 16)
+    top = measure_extremes(spot(np.random.default_rng(5), 3 * highest, highest))
+    found = find_full_scale(
+        [top], Instrument(sensor=Sensor(bit_depth=12), given_keys=frozenset({"sensor.bit_depth"})), 16
+    )
     assert found.reading == end and bool(found.remarks) == (highest == 4000)
 
 
@@ -101,8 +106,10 @@ def test_a_bit_depth_that_frames_contradict_is_said():
     converter has is left to the verdict."""
     rng = np.random.default_rng(3)
     for highest, words in ((4095, "sensor.bit_depth 12 would be right"), (2900, "the verdict looks for saturation")):
-        top = top_of(spot(rng, 3 * highest, highest))
-        end = end_of([top], Instrument(sensor=Sensor(bit_depth=16), given_keys=frozenset({"sensor.bit_depth"})), 16)
+        top = measure_extremes(spot(rng, 3 * highest, highest))
+        end = find_full_scale(
+            [top], Instrument(sensor=Sensor(bit_depth=16), given_keys=frozenset({"sensor.bit_depth"})), 16
+        )
         assert end.reading == 65535 and len(end.remarks) == 1
         assert f"stops at exactly {highest} DN" in end.remarks[0] and words in end.remarks[0]
 
@@ -111,6 +118,6 @@ def test_a_bit_depth_that_frames_contradict_is_said():
 def test_left_aligned_values_are_said(shift):
     """The lowest bit that any reading has set."""
     pixels = spot(np.random.default_rng(4), 600, 1023, shift=shift)
-    end = end_of([top_of(pixels)], Instrument(), 16)
-    assert step_of(top_of(pixels).bits) == 2**shift
+    end = find_full_scale([measure_extremes(pixels)], Instrument(), 16)
+    assert find_reading_step(measure_extremes(pixels).bits) == 2**shift
     assert ([f"sensor.value_shift_bits to {shift}" in text for text in end.remarks] == [True]) == bool(shift)

@@ -6,7 +6,8 @@ import tifffile
 
 from spotcheck.characterization.characterise import characterise_dataset
 from spotcheck.characterization.same_site import pairs_along
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots, iterate_cells
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset.conditions import (
     ANGLE_TOLERANCE_DEG,
     EXPOSURE_TOLERANCE,
@@ -122,12 +123,12 @@ def test_a_frame_an_exposure_is_no_walk_over_a_square(tmp_path):
     tifffile.imwrite(found_in / "frames/f.tif", pages, photometric="minisblack")
     dataset = load(found_in)
     assert dataset.shape == (1, count, count)
-    table = crops.ingest(dataset)
+    table = ingest_frames(dataset)
     assert store.remarks_of(table) == list_unusual_values(dataset)
     assert store.remarks_of(table)[0].startswith("manifest.csv: exposure_s has 40 different values in 40 spot rows")
-    crops.crop(dataset, table, tmp_path / "crops.nc", code="", inputs=[])
+    crop_spots(dataset, table, tmp_path / "crops.nc", code="", inputs=[])
     with store.read(tmp_path / "crops.nc") as images:
         own = images.sel(centring="light")
-        filled = list(crops.cells(own, store.grid_dims(images)))
+        filled = list(iterate_cells(own, store.grid_dims(images)))
         assert [(at["exposure"], at["repeat"]) for at in filled] == [(k, k) for k in range(count)]
         assert list(pairs_along(own, "exposure")) == []

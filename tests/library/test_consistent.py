@@ -7,13 +7,13 @@ from spotcheck.characterization.characterise import characterise_sensor
 from spotcheck.characterization.consistent import LONGER, too_long
 from spotcheck.characterization.photon_transfer import Quantity
 from spotcheck.characterization.sensor_choice import Darks, model_of, resolve
-from spotcheck.crops.clip import End
+from spotcheck.crops.full_scale import FullScale
 from spotcheck.dataset.folder import load
 from spotcheck.io import store
 from spotcheck.sensor import SensorModel
 from tests.library.conftest import HEADER, folder
 
-END = End(4095, "bits of the converter")
+END = FullScale(4095, "bits of the converter")
 TRUTH = SensorModel(
     0.5, 9.0, dark_current_e_per_s=300.0, black_level_dn=30.0, full_scale_dn=4095, quantum_efficiency=0.4
 )

@@ -14,7 +14,7 @@ from scipy import stats
 from spotcheck.cli import run
 from spotcheck.cli.judging import judge_dataset
 from spotcheck.errors import InputError
-from spotcheck.export.correction.electrons import corrected, curve_of
+from spotcheck.export.frame_correction import compute_response_curve, correct_frame
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.pixel_maps import PixelMaps
 from tests.library.model_files import applied
@@ -45,7 +45,7 @@ def test_pulls_are_standard_normal(bend, dsnu, prnu):
     error = (1.0, 0.01) if dsnu else (0.0, 0.0)
     maps = PixelMaps(offset + rng.normal(0, error[0], SHAPE), gain + rng.normal(0, error[1], SHAPE), *error)
     effects = [applied("nonlinearity", q=bend)] if bend else []
-    own = corrected(image, SENSOR, curve_of(SENSOR, effects), maps if dsnu else None, EXPOSURE)
+    own = correct_frame(image, SENSOR, compute_response_curve(SENSOR, effects), maps if dsnu else None, EXPOSURE)
     pull = ((own.electrons - LIGHT) / np.sqrt(own.variance)).ravel()
     assert own.clipped == 0 and np.isfinite(pull).all()
     assert abs(pull.mean()) < 0.02 + 5 / np.sqrt(pull.size)
@@ -61,12 +61,12 @@ def test_what_cannot_be_told_is_marked():
         ([], [0, 0, 1, 1, 0, 0]),
         ([applied("saturation", "sharp", level=level)], [0, 0, 1, 1, 1, 0]),
     ):
-        own = corrected(image, SENSOR, curve_of(SENSOR, effects))
+        own = correct_frame(image, SENSOR, compute_response_curve(SENSOR, effects))
         assert np.isnan(own.electrons[0]).tolist() == np.isnan(own.variance[0]).tolist() == [bool(m) for m in marked]
         assert own.clipped == sum(marked) - 1
         assert own.electrons[0, :2] == pytest.approx([0, 400], abs=1e-6)
-    well = curve_of(replace(SENSOR, full_well_e=1200.0), [])
-    assert np.isnan(corrected(image, replace(SENSOR, full_well_e=1200.0), well).electrons[0, 4])
+    well = compute_response_curve(replace(SENSOR, full_well_e=1200.0), [])
+    assert np.isnan(correct_frame(image, replace(SENSOR, full_well_e=1200.0), well).electrons[0, 4])
 
 
 @pytest.fixture(scope="module")
@@ -127,5 +127,5 @@ def test_what_is_refused(flats, tmp_path):
     (tmp_path / "kept.txt").write_text("mine")
     with pytest.raises(InputError, match="is not empty; name a new folder"):
         run(["correct", str(base), "--results", str(results), "--output", str(tmp_path)])
-    with pytest.raises(InputError, match="tells no gain and read noise"):
+    with pytest.raises(InputError, match="holds no gain and read noise"):
         run(["correct", str(base), "--results", str(tmp_path), "--output", str(tmp_path / "new")])

@@ -15,7 +15,7 @@ import tifffile
 import spotcheck
 from spotcheck.characterization.levels import PHOTONS
 from spotcheck.cli import COMMANDS
-from spotcheck.crops.stages import check_dataset
+from spotcheck.crops.ingest import check_dataset
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset.frames import read_image
 from spotcheck.dataset.manifest import DATE, KEEP, REQUIRED_COLUMNS

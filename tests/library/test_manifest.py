@@ -10,7 +10,8 @@ import tifffile
 
 from spotcheck.characterization.characterise import characterise_dataset
 from spotcheck.cli import main
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots, is_usable
+from spotcheck.crops.ingest import MAX_NAMED, ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
 from spotcheck.errors import InputError
@@ -180,15 +181,15 @@ def test_copies_are_no_repeats(tmp_path, capsys):
     black = np.zeros_like(spots[0])
     text = "crop_px: 40\nsensor: {bit_depth: 10}"
     found = loaded(tmp_path, [spots[0], spots[1], spots[0], black, black, spots[2], spots[0]], text)
-    table = crops.ingest(found)
+    table = ingest_frames(found)
     assert table["copy_of"].values.tolist() == [-1, -1, 0, -1, -1, -1, 0]
     assert store.remarks_of(table) == [
         f"frames/f{k}.tif holds the same pixels as frames/f0.tif, so that it is left out as a copy" for k in (2, 6)
     ]
-    crops.crop(found, table, tmp_path / "crops.nc", code="c", inputs=[])
+    crop_spots(found, table, tmp_path / "crops.nc", code="c", inputs=[])
     with store.read(tmp_path / "crops.nc") as own:
         status = own["status"].sel(centring="light").values.ravel()
-    assert [crops.usable(one) for one in status] == [True, True, False, False, False, True, False]
+    assert [is_usable(one) for one in status] == [True, True, False, False, False, True, False]
     assert store.status_names(status[2]) == "copy"
     main(["ingest", str(tmp_path), "--output", str(tmp_path / "frames.nc")])
     assert "frames/f6.tif holds the same pixels as frames/f0.tif" in capsys.readouterr().out
@@ -197,8 +198,8 @@ def test_copies_are_no_repeats(tmp_path, capsys):
 def test_many_copies_are_counted(tmp_path):
     """A remark that nobody reads says nothing."""
     found = loaded(tmp_path, [RAMP] * 9, "crop_px: 8")
-    assert len(store.remarks_of(crops.ingest(found))) == crops.MOST_NAMED + 1
-    assert store.remarks_of(crops.ingest(found))[-1] == "3 more frames are copies"
+    assert len(store.remarks_of(ingest_frames(found))) == MAX_NAMED + 1
+    assert store.remarks_of(ingest_frames(found))[-1] == "3 more frames are copies"
 
 
 def test_copies_of_flats_and_darks_give_no_noise(tmp_path):

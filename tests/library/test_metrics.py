@@ -9,7 +9,7 @@ from skimage.metrics import peak_signal_noise_ratio
 
 from spotcheck.errors import InputError
 from spotcheck.metrics import crop_metrics as metrics
-from spotcheck.metrics.pairs import metrics_of_both
+from spotcheck.metrics.metrics_table import compute_metrics
 from tests.library.conftest import gaussian
 
 
@@ -103,7 +103,7 @@ def test_psnr_of_masked_and_equal_images():
 def test_shift_against_an_analytic_gaussian(move):
     """Cubic splines of a Gaussian of σ = 5 px are off by less than 1e-4 of its peak, away from the border."""
     image = gaussian(80, 1000.0, 40, 38, 5.0)
-    moved = metrics.shifted(image, *move)
+    moved = metrics.shift_image(image, *move)
     want = gaussian(80, 1000.0, 40 + move[1], 38 + move[0], 5.0)
     # Error of a cubic spline: some 0.003 h⁴ f⁗, f⁗ up to 3/σ⁴ of the peak an axis: 3e-5 of it; rounding at 0.
     inner = slice(5, -5)
@@ -112,7 +112,7 @@ def test_shift_against_an_analytic_gaussian(move):
 
 def test_shift_marks_what_came_from_outside():
     """Moved by three rows: the first three are NaN and nothing else."""
-    moved = metrics.shifted(np.ones((9, 9)), 3.0, 0.0)
+    moved = metrics.shift_image(np.ones((9, 9)), 3.0, 0.0)
     assert np.isnan(moved[:3]).all() and np.isfinite(moved[3:]).all()
 
 
@@ -120,7 +120,7 @@ def test_shift_keeps_a_uniform_image_uniform_beside_a_gap():
     """A masked crop of constant background stays constant wherever it is finite."""
     image = np.full((40, 40), 100.0)
     image[:, :8] = np.nan
-    moved = metrics.shifted(image, 0.3, 0.4)
+    moved = metrics.shift_image(image, 0.3, 0.4)
     # Splines reproduce constants; 1e-9 for rounding.
     np.testing.assert_allclose(moved[np.isfinite(moved)], 100.0, rtol=1e-9)
 
@@ -129,4 +129,4 @@ def test_a_condition_does_not_take_the_place_of_a_metric():
     """Both would be one variable of the file."""
     crops = xr.Dataset({"status": (("angle", "peak_ratio", "centring"), np.zeros((1, 2, 2), int))})
     with pytest.raises(InputError, match=r"instrument\.yaml: key conditions names peak_ratio, .*; rename it"):
-        metrics_of_both({"measured": crops, "simulated": crops}, {}, 1023.0)
+        compute_metrics({"measured": crops, "simulated": crops}, {}, 1023.0)

@@ -8,11 +8,11 @@ import pytest
 from spotcheck.characterization import sensor_choice as sensor_stage
 from spotcheck.characterization.by_spots import seen_by_spots
 from spotcheck.characterization.noise_curve import gain_from_curve, noise_curve
-from spotcheck.crops.clip import End
+from spotcheck.crops.full_scale import FullScale
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
 SIDE = 240
-END = End(1023, "bits of the converter")
+END = FullScale(1023, "bits of the converter")
 
 
 def light_of(kind: str, seed: int) -> np.ndarray:

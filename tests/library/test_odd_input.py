@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.ingest import check_dataset, ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
 from spotcheck.errors import InputError
@@ -75,7 +76,7 @@ def test_more_bits_than_the_frames_hold(tmp_path, text):
     """Bit depth and shift together exceed the container."""
     ds = loaded(tmp_path, [np.zeros((40, 40), np.uint16)], f"crop_px: 24\nsensor: {text}")
     with pytest.raises(InputError, match="17 bits, but the frames hold 16"):
-        crops.check_dataset(ds)
+        check_dataset(ds)
 
 
 def test_a_wrong_key_is_named_with_its_file(tmp_path):
@@ -83,7 +84,7 @@ def test_a_wrong_key_is_named_with_its_file(tmp_path):
     (tmp_path / "camera.yaml").write_text("sensor: {bit_depth: 12}", encoding="utf-8")
     ds = loaded(tmp_path / "own", [np.zeros((40, 40), np.uint8)], "{crop_px: 24, based_on: ../camera.yaml}")
     with pytest.raises(InputError, match=r"^camera\.yaml: sensor\.bit_depth .* but the frames hold 8"):
-        crops.check_dataset(ds)
+        check_dataset(ds)
 
 
 def test_values_that_are_not_left_aligned(tmp_path):
@@ -111,7 +112,7 @@ def test_hidden_files_are_no_unnamed_images(tmp_path):
     """macOS leaves ._a.tif beside a.tif."""
     ds = loaded(tmp_path, [np.zeros((40, 40), np.uint16)], "crop_px: 24")
     (tmp_path / "frames" / "._f0.tif").write_bytes(b"")
-    crops.check_dataset(ds)
+    check_dataset(ds)
 
 
 def test_extra_columns_may_be_called_anything(tmp_path):
@@ -122,7 +123,7 @@ def test_extra_columns_may_be_called_anything(tmp_path):
     ds = dataset.Dataset(
         ds.folder, ds.instrument, (own.__class__(**{**own.__dict__, "extra": dict.fromkeys(names, "q")}),)
     )
-    table = crops.ingest(ds)
+    table = ingest_frames(ds)
     assert int(table["maximum"][0]) == 0
     assert sum(v.attrs["long_name"].startswith("column ") for v in table.coords.values()) == len(names)
 
@@ -140,7 +141,7 @@ def test_no_site_at_two_exposures(tmp_path):
     ds = loaded(tmp_path, [noisy(light, k) for k in range(2)], "crop_px: 40\nsensor: {bit_depth: 10}", [1e-4, 5e-4])
     moved = [f.__class__(**{**f.__dict__, "repeat": k}) for k, f in enumerate(ds.frames)]
     ds = dataset.Dataset(ds.folder, ds.instrument, tuple(moved))
-    crops.crop(ds, crops.ingest(ds), tmp_path / "crops.nc", code="c", inputs=[])
+    crop_spots(ds, ingest_frames(ds), tmp_path / "crops.nc", code="c", inputs=[])
     own = read(tmp_path / "crops.nc").load()
     found = calibrate(own, fit_crops(own, SENSOR), ds.instrument, SENSOR)
     assert "one site at two exposures" in found.attrs["skipped"]

@@ -7,7 +7,8 @@ import pytest
 from scipy import ndimage
 
 from spotcheck.characterization.odd_pixels import odd_pixels
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.fitting.fits import TOO_HIGH, fit_crops, remarks_of
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.io import store
@@ -29,7 +30,7 @@ def stored(tmp_path, images, sensor, side=SIDE):
     """Crops of images that are no larger, and their fits."""
     bits = int(np.log2(sensor.full_scale_dn + 1))
     found = loaded(tmp_path / "data", images, f"crop_px: {side}\nsensor: {{bit_depth: {bits}}}\n")
-    crops.crop(found, crops.ingest(found), tmp_path / "crops.nc", code="c", inputs=[])
+    crop_spots(found, ingest_frames(found), tmp_path / "crops.nc", code="c", inputs=[])
     own = fit_crops(store.read(tmp_path / "crops.nc").load(), sensor)
     return own.sel(centring="light").isel(angle=0, exposure=0)
 

@@ -6,15 +6,16 @@ import pytest
 import xarray as xr
 
 from spotcheck.characterization import sensor_choice as sensor
-from spotcheck.crops.clip import End
+from spotcheck.crops.full_scale import FullScale
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import store
-from spotcheck.paper import derived, measured, simulated, verdicts
+from spotcheck.io.schema import read_yaml
+from spotcheck.paper import derived, measured, number_checks, simulated
+from spotcheck.paper.number_checks import NumberCheck, accepted_interval, count_met, find_regressions
 from spotcheck.paper.results import Results
-from spotcheck.paper.verdicts import Verdict, interval, lost, shares
 from tests.library.conftest import ROOT
 
-ENTRIES = verdicts.read_numbers(ROOT / "data" / "paper_numbers.yaml")
+ENTRIES = read_yaml(ROOT / "data" / "paper_numbers.yaml")
 IDS = [e["id"] for e in ENTRIES]
 NUMBER = r"(-?\d+(?:\.\d+)?(?:e-?\d+)?)"
 
@@ -31,12 +32,12 @@ NUMBER = r"(-?\d+(?:\.\d+)?(?:e-?\d+)?)"
 )
 def test_interval(entry, low, high):
     """Ends hold, what lies beyond does not."""
-    assert interval(entry) == (low, high)
+    assert accepted_interval(entry) == (low, high)
     for end in (low, high):
-        assert Verdict(entry, end, low, high).holds
-    assert not Verdict(entry, low - 1e-6, low, high).holds or low == -float("inf")
-    assert not Verdict(entry, high + 1e-6, low, high).holds or high == float("inf")
-    assert not Verdict(entry, float("nan"), low, high).holds
+        assert NumberCheck(entry, end, low, high).is_met
+    assert not NumberCheck(entry, low - 1e-6, low, high).is_met or low == -float("inf")
+    assert not NumberCheck(entry, high + 1e-6, low, high).is_met or high == float("inf")
+    assert not NumberCheck(entry, float("nan"), low, high).is_met
 
 
 def entry(kind, **more):
@@ -54,10 +55,10 @@ def test_shares_count_what_is_to_be_counted():
         (entry("measured", holds=False), 3.0),
         (entry("inconsistent"), 3.0),
     ]
-    own = [Verdict(e, v, *interval(e)) for e, v in numbers]
-    assert shares(own) == {"derived": (1, 2), "simulated": (1, 1), "measured": (0, 1)}
+    own = [NumberCheck(e, v, *accepted_interval(e)) for e, v in numbers]
+    assert count_met(own) == {"derived": (1, 2), "simulated": (1, 1), "measured": (0, 1)}
     # Lost: expected to hold and does not, counted or not.
-    assert [v.entry for v in lost(own)] == [numbers[1][0], numbers[2][0], numbers[5][0]]
+    assert [v.entry for v in find_regressions(own)] == [numbers[1][0], numbers[2][0], numbers[5][0]]
 
 
 def test_summary_says_how_many_hold_and_which_do_not():
@@ -68,7 +69,9 @@ def test_summary_says_how_many_hold_and_which_do_not():
         (entry("measured") | {"id": "sum_sd", "printed": "up to 1"}, 2.0),
         (entry("measured", counted=False) | {"id": "p2_sd"}, 2.0),
     ]
-    first, second, third = verdicts.summary([Verdict(e, v, *interval(e)) for e, v in numbers]).split("\n\n")
+    first, second, third = number_checks.summarise_checks(
+        [NumberCheck(e, v, *accepted_interval(e)) for e, v in numbers]
+    ).split("\n\n")
     assert first == (
         "Of the numbers that the paper prints, 1 of 1 that follow from its inputs, 1 of 1 of its simulation"
         " and 0 of 1 of its frames hold."
@@ -78,10 +81,10 @@ def test_summary_says_how_many_hold_and_which_do_not():
 
 
 def test_table_has_a_row_a_number():
-    """CSV with the bounds, ours, and the verdict."""
-    own = Verdict(entry("derived", printed="0–1, both", unit="1"), 0.25, 0, 1)
-    rows = verdicts.table([own]).splitlines()
-    assert rows[0].split(",") == list(verdicts.COLUMNS) and len(rows) == 2
+    """CSV with the bounds, ours, and the check."""
+    own = NumberCheck(entry("derived", printed="0–1, both", unit="1"), 0.25, 0, 1)
+    rows = number_checks.format_csv([own]).splitlines()
+    assert rows[0].split(",") == list(number_checks.COLUMNS) and len(rows) == 2
     assert '"0–1, both",0,1,0.25,1,True,True,True' in rows[1]
 
 
@@ -140,7 +143,7 @@ def results(tmp_path) -> Results:
     for name, value in (("rows", 3072), ("columns", 4096), ("full_scale", 1023)):
         frames[name] = ((), value, {"units": "1", "long_name": name})
     store.write(frames, tmp_path / "frames.nc", code="c")
-    store.write(sensor.resolve(data, End(1023, "bits of the converter"), []), tmp_path / "sensor.nc", code="c")
+    store.write(sensor.resolve(data, FullScale(1023, "bits of the converter"), []), tmp_path / "sensor.nc", code="c")
     return Results(data, tmp_path)
 
 
@@ -150,8 +153,8 @@ DERIVED = [e for e in ENTRIES if e["kind"] == "derived"]
 @pytest.mark.parametrize("own", DERIVED, ids=[e["id"] for e in DERIVED])
 def test_derived_numbers_hold(own, results):
     """From instrument.yaml of the default dataset and the size of its frames, to the digits printed."""
-    (verdict,) = verdicts.judge([own], results)
-    assert verdict.holds, f"{own['id']}: {verdict.ours}"
+    (check,) = number_checks.check_numbers([own], results)
+    assert check.is_met, f"{own['id']}: {check.value}"
 
 
 DIGITS = [e for e in DERIVED if "printed digit" in e["because"] and re.match(NUMBER, e["printed"])]
@@ -170,5 +173,5 @@ def test_printed_digits_are_the_tolerance(own):
 def test_a_false_number_does_not_hold(results):
     """The judge can say no: the same function against a neighbour of the printed value."""
     own = next(e for e in ENTRIES if e["id"] == "field_height") | {"value": 84.2}
-    (verdict,) = verdicts.judge([own], results)
-    assert not verdict.holds and lost([verdict]) == [verdict]
+    (check,) = number_checks.check_numbers([own], results)
+    assert not check.is_met and find_regressions([check]) == [check]

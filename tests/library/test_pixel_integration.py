@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset.folder import load
 from spotcheck.errors import InputError
 from spotcheck.fitting.fits import fit_crops, preferred
@@ -71,7 +72,7 @@ def test_a_fit_gives_the_width_of_the_light(tmp_path, sigma):
     sheet = "sensor: {bit_depth: 16, gain_dn_per_e: 0.3, read_noise_e: 4, black_level_dn: 50}\ncrop_px: 33\n"
     dataset = loaded(tmp_path, frames, sheet + KEY)
     assert dataset.instrument.optics.pixel_integration
-    crops.crop(dataset, crops.ingest(dataset), tmp_path / "crops.nc", code="", inputs=[])
+    crop_spots(dataset, ingest_frames(dataset), tmp_path / "crops.nc", code="", inputs=[])
     with store.read(tmp_path / "crops.nc") as images:
         for integrated, truth in ((True, sigma), (False, np.hypot(sigma, 12**-0.5))):
             own = preferred(fit_crops(images, SENSOR, integrated=integrated))["sigma_mean"].values.ravel()

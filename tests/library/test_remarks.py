@@ -7,7 +7,8 @@ import pytest
 import xarray as xr
 
 from spotcheck.cli import main
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.fitting import caustic
 from spotcheck.fitting.fits import TOO_HIGH, TOO_LOW, fit_crops, preferred
 from spotcheck.fitting.precision import sentence
@@ -27,7 +28,7 @@ def test_a_chi_square_far_from_one_is_flagged_and_said(tmp_path, gain, noise, wo
     """A spot of 0.11 DN/e- and 13 e-, fitted with that, with e-/DN for a gain, and with other noise."""
     frames = [noisy(gaussian(100, 900.0, 48.4, 51.7, 14.0), seed) for seed in (1, 2)]
     dataset = loaded(tmp_path, frames, SHEET + "}")
-    crops.crop(dataset, crops.ingest(dataset), tmp_path / "crops.nc", code="", inputs=[])
+    crop_spots(dataset, ingest_frames(dataset), tmp_path / "crops.nc", code="", inputs=[])
     stated = replace(SENSOR, gain_dn_per_e=gain, read_noise_e=noise)
     with store.read(tmp_path / "crops.nc") as images:
         fits = fit_crops(images, stated)

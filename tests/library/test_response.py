@@ -10,7 +10,7 @@ import spotcheck
 from spotcheck.cli import main
 from spotcheck.cli.judging import judge_dataset
 from spotcheck.dataset.instrument import read_instrument
-from spotcheck.export.correction.electrons import corrected, curve_of
+from spotcheck.export.frame_correction import compute_response_curve, correct_frame
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.response import apply_curvature, remove_curvature
 
@@ -105,7 +105,7 @@ def test_bounds_are_those_that_fits_reach():
 def test_electrons_are_those_of_the_light():
     """Corrected frames of a sheet that states the bend: mean to five errors, and the variance that is stated."""
     light = np.full((200, 200), 2000.0)
-    own = corrected(readings(light, np.random.default_rng(5)), SENSOR, curve_of(SENSOR, []))
+    own = correct_frame(readings(light, np.random.default_rng(5)), SENSOR, compute_response_curve(SENSOR, []))
     assert own.electrons.mean() == pytest.approx(2000, abs=5 * np.sqrt(own.electrons.var() / light.size) + 0.5)
     assert own.variance.mean() == pytest.approx(own.electrons.var(), rel=5 * np.sqrt(2 / light.size) + 0.005)
 
@@ -131,7 +131,7 @@ def test_what_flats_tell_of_the_response_is_adopted(tmp_path, capsys):
     (first / "instrument.yaml").write_text("sensor: {bit_depth: 12}\n", encoding="utf-8")
     judge_dataset(first, tmp_path / "results")
     main(["adopt", str(tmp_path / "results" / "flats"), "--to", str(tmp_path / "camera.yaml")])
-    assert "it is of a straight response" in capsys.readouterr().out
+    assert "it assumes a linear response" in capsys.readouterr().out
     made = read_instrument(tmp_path / "camera.yaml").sensor
     # To four of the errors that the file states or a tenth of the bend, whichever is more.
     assert made.gain_dn_per_e == pytest.approx(0.3, abs=4 * made.gain_dn_per_e_stderr)

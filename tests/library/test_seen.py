@@ -11,7 +11,8 @@ import pytest
 import tifffile
 
 from spotcheck.cli import main
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import file_cache, frames
 from spotcheck.errors import InputError
 from spotcheck.io import provenance, store
@@ -115,7 +116,7 @@ def test_a_frame_that_changes_while_it_is_ingested_is_refused(tmp_path, monkeypa
     own = loaded(tmp_path / "d", spot_frames(), CROP)
     overwriting(monkeypatch, own.folder / "frames" / "f1.tif", when)
     with pytest.raises(InputError, match=r"^frames/f1\.tif: has changed while it was read; run again"):
-        crops.ingest(own)
+        ingest_frames(own)
 
 
 def test_a_frame_that_changed_after_ingest_is_refused(tmp_path, capsys):
@@ -136,18 +137,18 @@ def test_a_frame_that_changed_after_ingest_is_refused(tmp_path, capsys):
 
 def test_a_frame_that_changes_while_it_is_cropped_is_refused(tmp_path, monkeypatch):
     own = loaded(tmp_path / "d", spot_frames(), CROP)
-    table = crops.ingest(own)
+    table = ingest_frames(own)
     overwriting(monkeypatch, own.folder / "frames" / "f0.tif", "f2.tif")
     with pytest.raises(InputError, match=r"^frames/f0\.tif: has changed since it was ingested"):
-        crops.crop(own, table, tmp_path / "crops.nc", code="c", inputs=[])
+        crop_spots(own, table, tmp_path / "crops.nc", code="c", inputs=[])
     assert not (tmp_path / "crops.nc").exists()
 
 
 def test_frames_as_they_were_are_cropped(tmp_path):
     """Touched, they are what they were."""
     own = loaded(tmp_path / "d", spot_frames(), CROP)
-    table = crops.ingest(own)
+    table = ingest_frames(own)
     (own.folder / "frames" / "f1.tif").touch()
-    crops.crop(own, table, tmp_path / "crops.nc", code="c", inputs=[])
+    crop_spots(own, table, tmp_path / "crops.nc", code="c", inputs=[])
     with store.read(tmp_path / "crops.nc") as ds:
         assert ds.sizes["repeat"] == 3

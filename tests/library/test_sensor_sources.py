@@ -5,14 +5,14 @@ import pytest
 
 from spotcheck.characterization.photon_transfer import Quantity
 from spotcheck.characterization.sensor_choice import Darks, known_beforehand, resolve
-from spotcheck.crops.clip import End
+from spotcheck.crops.full_scale import FullScale
 from spotcheck.model.spot import elliptical_gaussian
 from spotcheck.sensor import SensorModel
 from tests.library.conftest import loaded
 from tests.reference.numpy_chain import draw
 
 TRUTH = SensorModel(0.25, 8.0, black_level_dn=60.0, full_scale_dn=4095)
-END = End(4095, "bits of the converter")
+END = FullScale(4095, "bits of the converter")
 FRAME = [np.full((40, 40), 60, np.uint16)]
 
 

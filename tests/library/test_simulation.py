@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import CENTRINGS, crop_spots
+from spotcheck.crops.ingest import check_dataset, ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames, template
 from spotcheck.dataset.instrument import Instrument
@@ -13,7 +14,7 @@ from spotcheck.fitting.fits import FITS, fit_crops
 from spotcheck.fitting.spot_states import spot_states
 from spotcheck.io import store
 from spotcheck.metrics import crop_metrics as metrics
-from spotcheck.metrics import pairs
+from spotcheck.metrics.metrics_table import SOURCES, compute_metrics
 from spotcheck.model import simulation
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 
@@ -34,7 +35,7 @@ def calibration(p1=0.6, p2=10.0, peak=700.0) -> xr.Dataset:
 def own_fits(ds, amplitude, sigma) -> xr.Dataset:
     """A fits file with the same amplitude and width in every cell of the fit that it prefers."""
     dims = ("angle", "exposure", "repeat", "centring", "fit")
-    out = xr.Dataset({"centring": ("centring", np.array(crops.CENTRINGS, dtype=object))})
+    out = xr.Dataset({"centring": ("centring", np.array(CENTRINGS, dtype=object))})
     out["fit"] = ("fit", np.array(list(FITS), dtype=object))
     for name, value, other in (("amplitude", amplitude, -1.0), ("sigma_mean", sigma, -1.0), ("status", 0, 64)):
         out[name] = (dims, np.stack([np.full((*ds.shape, 2), v) for v in (value, other)], axis=-1))
@@ -63,7 +64,7 @@ def test_the_simulated_folder_keeps_the_contract(tmp_path):
     ds = three(tmp_path / "in")
     out = simulate(ds, calibration(), own_fits(ds, 1, 1), SENSOR, tmp_path / "out")
     again = dataset.load(tmp_path / "out")
-    crops.check_dataset(again)
+    check_dataset(again)
     assert [(f.angle_deg, f.exposure_s, f.repeat) for f in again.frames] == [(0.0, t, 0) for t in EXPOSURES]
     t = np.array(EXPOSURES)
     sigma = 0.6 * np.log(t) + 10.0
@@ -121,7 +122,7 @@ def test_a_frame_whose_fit_is_a_dip(tmp_path):
 def cropped(base, images):
     """Crops and fits of one angle and time, repeats counting up."""
     ds = loaded(base / "in", images, "crop_px: 48\nsensor: {bit_depth: 10}")
-    crops.crop(ds, crops.ingest(ds), base / "crops.nc", code="c", inputs=[])
+    crop_spots(ds, ingest_frames(ds), base / "crops.nc", code="c", inputs=[])
     own = store.read(base / "crops.nc").load()
     return own, fit_crops(own, SENSOR)
 
@@ -129,15 +130,15 @@ def cropped(base, images):
 def test_metrics_by_hand(tmp_path):
     """Metrics of each crop, PSNR of the crops at the maximum, means and standard deviations (n − 1) over repeats."""
     both = {}
-    for k, source in enumerate(pairs.SOURCES):
+    for k, source in enumerate(SOURCES):
         images = [noisy(gaussian(100, 500.0 + 30 * k, 50 + 0.3 * r, 48, 6.0), 10 * k + r) for r in range(3)]
         images[2] = np.full((100, 100), 40, np.uint16) if k == 0 else images[2]
         both[source] = cropped(tmp_path / source, images)
     own, fits = ({s: both[s][k] for s in both} for k in range(2))
-    out = pairs.metrics_of_both(own, fits, 1023.0)
+    out = compute_metrics(own, fits, 1023.0)
     store.check(out, "metrics")
     at = {"angle": 0, "exposure": 0}
-    for source in pairs.SOURCES:
+    for source in SOURCES:
         image = own[source]["image"].isel(repeat=0, **at).sel(centring="light").values.astype(float)
         got = out.sel(source=source, centring="light").isel(repeat=0, **at)
         assert float(got["sum"]) == pytest.approx(image.sum(), rel=1e-12)
@@ -166,9 +167,9 @@ def test_registration_brings_both_centres_together(tmp_path):
     """Two noise-free spots 0.4 px apart: registered they differ by rounding alone, at the maximum they do not."""
     images = [np.rint(40 + gaussian(100, 800.0, 50 + d, 48 - d, 6.0)).astype(np.uint16) for d in (0.0, 0.4)]
     own, fits = {}, {}
-    for source, image in zip(pairs.SOURCES, images, strict=True):
+    for source, image in zip(SOURCES, images, strict=True):
         own[source], fits[source] = cropped(tmp_path / source, [image])
-    got = pairs.metrics_of_both(own, fits, 1023.0)["psnr"].sel(data_range="sensor").values.ravel()
+    got = compute_metrics(own, fits, 1023.0)["psnr"].sel(data_range="sensor").values.ravel()
     # Rounding of both images leaves √(2/12) DN at the least, splines and centres as much again: 0.8 DN is 62 dB.
     assert got[1] > 20 * np.log10(1023 / 0.8) > got[0] + 10
     assert metrics.CONTAINER_RANGE == 65535

@@ -29,7 +29,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from spotcheck.crops import stages as crops
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
@@ -326,7 +326,7 @@ def tallies(folder: Path, count: int, seed: int = 1) -> Iterator[tuple[str, Tall
 
     def ingest() -> None:
         read_metadata(frame, folder)
-        crops.ingest(dataset.load(folder))
+        ingest_frames(dataset.load(folder))
 
     def load() -> None:
         list(dataset.load(folder).cells())

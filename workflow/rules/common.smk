@@ -13,7 +13,7 @@ from spotcheck.io import configuration, store, atomic_files
 from spotcheck.dataset import file_cache
 from spotcheck.dataset import folder as contract
 from spotcheck.cli import COMMANDS, vocabulary
-from spotcheck.crops.stages import check_dataset
+from spotcheck.crops.ingest import check_dataset
 from spotcheck.errors import InputError
 from spotcheck.model import effects
 from spotcheck.model.baseline import of_instrument

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from spotcheck.characterization.levels import Level, level_of, levels_of, on_response, with_common_drift
 from spotcheck.characterization.photon_transfer import Quantity, Transfer, transfer_of
 from spotcheck.characterization.transfer_data import dataset_of, quantities_in
-from spotcheck.crops.stages import ingest, without_copies
+from spotcheck.crops.ingest import exclude_copies, ingest_frames
 from spotcheck.dataset.folder import load
 from spotcheck.errors import InputError
 from spotcheck.io import store
@@ -170,9 +170,9 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
         raise InputError(
             "manifest.csv: has no frame of kind flat or dark; there is nothing to characterise a sensor by"
         )
-    table = ingest(dataset)
+    table = ingest_frames(dataset)
     full_scale = float(table["full_scale"])
-    found = transfer_of(levels_of(without_copies(dataset, table), full_scale), full_scale)
+    found = transfer_of(levels_of(exclude_copies(dataset, table), full_scale), full_scale)
     found.remarks.extend([*on_response(dataset), *store.remarks_of(table)])
     return Characterisation(found, dataset.title, dataset.name)
 

@@ -13,7 +13,7 @@ import xarray as xr
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from spotcheck.characterization.noise_curve import CUT_AT_SD, FEWEST, NoiseCurve
-from spotcheck.crops.stages import cells, usable
+from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.io import store
 
 # Pixels of a block's side.
@@ -60,9 +60,9 @@ def pairs_along(images: xr.Dataset, axis: str) -> Iterator[tuple[np.ndarray, np.
     dims = store.grid_dims(images)
     if axis not in dims:
         return
-    for index in cells(images, tuple(d for d in dims if d != axis)):
+    for index in iterate_cells(images, tuple(d for d in dims if d != axis)):
         row = images.isel(index)
-        places = [k for k, status in enumerate(row["status"].values) if usable(status)][::-1]
+        places = [k for k, status in enumerate(row["status"].values) if is_usable(status)][::-1]
         for k, other in zip(places[1::2], places[::2], strict=False):
             first, second = row.isel({axis: k}), row.isel({axis: other})
             down, right = (int(second[name]) - int(first[name]) for name in ("top", "left"))

@@ -11,7 +11,7 @@ from spotcheck.characterization.by_spots import BySpots, seen_by_spots
 from spotcheck.characterization.consistent import SURELY, Told, black_too_high, in_numbers, in_sources, stated, too_long
 from spotcheck.characterization.noise_curve import ENDS
 from spotcheck.characterization.photon_transfer import Quantity
-from spotcheck.crops.clip import End
+from spotcheck.crops.full_scale import FullScale
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.frames import ReducedFrame
 from spotcheck.dataset.instrument import DEFAULT, Instrument
@@ -94,7 +94,7 @@ class Found(NamedTuple):
 
 def resolve(
     dataset: Dataset,
-    end: End,
+    end: FullScale,
     crops: Iterable[np.ndarray],
     darks: Darks = NO_DARKS,
     measured: Mapping[str, Quantity] | None = None,

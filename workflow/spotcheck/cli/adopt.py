@@ -6,9 +6,9 @@ from pathlib import Path
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import folder as dataset
 from spotcheck.errors import InputError
-from spotcheck.export.adoption import written
-from spotcheck.export.adoption.chosen import choices_of
-from spotcheck.export.adoption.learned import learned_of
+from spotcheck.export.instrument_file import format_table, write_instrument_file
+from spotcheck.export.learned_values import collect_learned_values
+from spotcheck.export.value_choice import choose_values
 from spotcheck.io import store
 
 
@@ -29,15 +29,15 @@ def run(args: argparse.Namespace) -> None:
     if not folder:
         raise InputError(f"{args.results}: holds no results of a dataset; name its folder, such as results/my-frames")
     given = dataset.load(folder).instrument
-    learned, left = learned_of(args.results, given)
-    if not learned and not left:
+    learned, unused = collect_learned_values(args.results, given)
+    if not learned and not unused:
         raise InputError(f"{args.results}: says nothing of the instrument; run the workflow on {folder} to its end")
-    choices = choices_of(learned, given)
-    print(written.table(choices, left))
+    choices = choose_values(learned, given)
+    print(format_table(choices, unused))
     if not (args.results / "verdict.json").is_file():
         print("there is no verdict yet, so that effects and the light's shape are not among these")
     if args.to is None:
         print("nothing is written: name a new instrument file with --to")
         return
-    written.write(args.to, choices, left, given, args.results)
+    write_instrument_file(args.to, choices, unused, given, args.results)
     print(f"wrote {args.to}; a dataset uses it by `based_on:` and its path in instrument.yaml")

@@ -4,7 +4,7 @@ import argparse
 import shlex
 from importlib.util import find_spec
 
-from spotcheck.crops.stages import check_dataset
+from spotcheck.crops.ingest import check_dataset
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.dataset.plausibility import list_unusual_values

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import folder as dataset
-from spotcheck.export.correction.folder import known_in, write
+from spotcheck.export.corrected_folder import read_calibration, write_corrected_frames
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,10 +20,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Write every frame corrected, and say by what."""
     vocabulary.choose(args)
-    found, known = dataset.load(args.dataset), known_in(args.results)
-    count = write(found, known, args.output)
-    sensor, maps = known.sensor, known.maps
-    response = ", ".join(applied.effect.name for applied in known.effects) or "straight"
+    found, calibration = dataset.load(args.dataset), read_calibration(args.results)
+    count = write_corrected_frames(found, calibration, args.output)
+    sensor, maps = calibration.sensor, calibration.maps
+    response = ", ".join(applied.effect.name for applied in calibration.effects) or "straight"
     mapped = "no maps of pixels" if maps is None else f"maps of offset{' and gain' if maps.gain else ''}"
     print(f"{found.name}: {count} frames in electrons, in {args.output}")
     print(

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import crop_spots
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import provenance, store
 
@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> None:
     """Crop frame by frame."""
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table:
-        crops.crop(found, table, Path(args.output), code=provenance.code_digest(__name__), inputs=[args.frames])
+        crop_spots(found, table, Path(args.output), code=provenance.code_digest(__name__), inputs=[args.frames])
     print(f"{found.name}: {len(found.spots)} spots cropped to {found.instrument.crop_px} px")
     with store.read(args.output) as written:
         for remark in store.remarks_of(written):

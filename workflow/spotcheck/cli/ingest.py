@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from spotcheck.crops import stages as crops
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import file_cache
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import provenance, store
@@ -23,7 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Check the dataset, decode every frame once, record what it is."""
     found = dataset.load(args.dataset)
-    table = crops.ingest(found, file_cache.read_cache(file_cache.get_cache_path(Path(args.output).parent)))
+    table = ingest_frames(found, file_cache.read_cache(file_cache.get_cache_path(Path(args.output).parent)))
     inputs = [found.folder / "manifest.csv", *found.instrument_files]
     store.write(table, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     print(f"{found.name}: {table.sizes['frame']} frames recorded")

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.characterization.sensor_choice import model_of, stderr_of
-from spotcheck.crops.stages import usable
+from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.analysis import Setting
@@ -131,7 +131,7 @@ def describe_unusable(dataset: Dataset, crops: xr.Dataset) -> str:
     reasons = Counter(text for flag in flags for bit, (_, text) in store.STATUS.items() if flag & bit & store.UNUSABLE)
     if not reasons:
         return ""
-    count = sum(not usable(flag) for flag in flags)
+    count = sum(not is_usable(flag) for flag in flags)
     if total == 1:
         subject = "the only spot frame cannot"
     elif count == total:

@@ -3,7 +3,7 @@
 import argparse
 
 from spotcheck.characterization.pixel_maps import dataset_of, maps_of
-from spotcheck.crops.stages import without_copies
+from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset import file_cache
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import provenance, store
@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> None:
     """Map offsets and gains of the sensor's pixels."""
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table, file_cache.verify_unchanged(found, table):
-        maps = maps_of(without_copies(found, table), float(table["full_scale"]))
+        maps = maps_of(exclude_copies(found, table), float(table["full_scale"]))
     written = dataset_of(maps, found.title, found.name)
     store.write(written, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     if isinstance(maps, str):

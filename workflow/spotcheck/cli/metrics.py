@@ -3,7 +3,7 @@
 import argparse
 
 from spotcheck.io import provenance, store
-from spotcheck.metrics.pairs import metrics_of_both
+from spotcheck.metrics.metrics_table import compute_metrics
 
 EXAMPLE = """Example:
   spotcheck metrics --crops out/my-frames/crops.nc out/my-frames/simulated/crops.nc \\
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
     crops = {name: store.read(path) for name, path in zip(names, args.crops, strict=True)}
     fits = {name: store.read(path) for name, path in zip(names, args.fits, strict=True)}
     with store.read(args.sensor) as sensor:
-        found = metrics_of_both(crops, fits, float(sensor["full_scale_dn"]))
+        found = compute_metrics(crops, fits, float(sensor["full_scale_dn"]))
     store.write(
         found,
         args.output,

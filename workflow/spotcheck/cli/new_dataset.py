@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from spotcheck.crops import proposal as crop
+from spotcheck.crops.crop_size import propose_crop_size
 from spotcheck.dataset import template
 from spotcheck.dataset.scan.answers import COLOUR_KEYS, check_answers
 from spotcheck.dataset.scan.draft import METADATA_COLUMNS, POSITION, ManifestDraft, draft_manifest
@@ -67,13 +67,13 @@ def run(args: argparse.Namespace) -> None:
     else:
         print(*summarize_scan(str(folder), found, rows), sep="\n")
         rows = _completed(found, rows, given)
-        side, seen = crop.look(folder, rows, colour)
-        if not seen:
+        proposal = propose_crop_size(folder, rows, colour)
+        if not proposal.has_spot:
             print(
                 "No spot stands out in these frames. Darks and flats are told by those words in the names of files or"
             )
             print("folders, or in the column kind.")
-        template.write_template(folder, rows, side)
+        template.write_template(folder, rows, proposal.side_px)
     then = "next" if rows else "fill in the blanks, then"
     print(f"{folder}: wrote manifest.csv, instrument.yaml; {then}: spotcheck check {folder}")
     if remark := configuration.remark_on_quotes(str(folder)):

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import provenance, store
-from spotcheck.paper import verdicts
+from spotcheck.io.schema import read_yaml
+from spotcheck.paper import number_checks
 from spotcheck.paper.results import Results
 from spotcheck.report.pages import numbers
 
@@ -31,18 +32,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Judge every number; with --strict, end with status 1 when one left its tolerance."""
     results = Results(dataset.load(args.dataset), args.results)
-    found = verdicts.judge(verdicts.read_numbers(args.numbers), results)
+    checks = number_checks.check_numbers(read_yaml(args.numbers), results)
     inputs = [args.numbers, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
-    store.write_text(args.table, verdicts.table(found), code=provenance.code_digest(__name__), inputs=inputs)
-    numbers.write(args.page, found)
-    store.write_text(args.summary, verdicts.summary(found))
-    for kind, (held, counted) in verdicts.shares(found).items():
-        print(f"{kind}: {held} of {counted} hold")
-    lost = verdicts.lost(found)
-    for verdict in lost:
-        print(
-            f"left its tolerance: {verdict.entry['id']} is {verdict.ours:.6g},"
-            f" not {verdict.low:.6g} … {verdict.high:.6g}"
-        )
-    if lost and args.strict:
+    store.write_text(args.table, number_checks.format_csv(checks), code=provenance.code_digest(__name__), inputs=inputs)
+    numbers.write(args.page, checks)
+    store.write_text(args.summary, number_checks.summarise_checks(checks))
+    for kind, (met, counted) in number_checks.count_met(checks).items():
+        print(f"{kind}: {met} of {counted} hold")
+    regressions = number_checks.find_regressions(checks)
+    for check in regressions:
+        print(f"left its tolerance: {check.entry['id']} is {check.value:.6g}, not {check.low:.6g} … {check.high:.6g}")
+    if regressions and args.strict:
         sys.exit(1)

@@ -5,7 +5,8 @@ import argparse
 from spotcheck.characterization import sensor_choice as sensor
 from spotcheck.characterization.same_site import pairs_along
 from spotcheck.characterization.transfer_data import quantities_of
-from spotcheck.crops import stages as crops
+from spotcheck.crops.cropping import is_usable, iterate_cells
+from spotcheck.crops.ingest import read_full_scale
 from spotcheck.dataset import file_cache, frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import provenance, store
@@ -33,15 +34,15 @@ def run(args: argparse.Namespace) -> None:
         own = images.sel(centring="light")
         usable = (
             own["image"].isel(index).values
-            for index in crops.cells(own, store.grid_dims(images))
-            if crops.usable(own["status"].isel(index))
+            for index in iterate_cells(own, store.grid_dims(images))
+            if is_usable(own["status"].isel(index))
         )
         darks = (
             frames.reduce_frame(frames.read_masked_image(found, own)) for own in found.frames if own.kind == "dark"
         )
         beside = (
             frames.ReducedFrame(*(images[name].isel(index).values for name in frames.ReducedFrame._fields))
-            for index in crops.cells(images, store.grid_dims(images))
+            for index in iterate_cells(images, store.grid_dims(images))
         )
         dark = sensor.judge_darks(darks, beside, float(table["full_scale"]))
         measured = {}
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> None:
                 measured = quantities_of(transfer)
         pairs = {"exposures of a site": pairs_along(own, "exposure"), "repeats": pairs_along(own, "repeat")}
         highest = float(table["maximum"].max())
-        settled = sensor.resolve(found, crops.end_in(table), usable, dark, measured, pairs, highest)
+        settled = sensor.resolve(found, read_full_scale(table), usable, dark, measured, pairs, highest)
     inputs = [args.crops, args.frames, *args.transfer, *found.instrument_files]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:

@@ -6,7 +6,7 @@ from spotcheck.characterization.levels import levels_of, on_response
 from spotcheck.characterization.pattern import add_patterns
 from spotcheck.characterization.photon_transfer import transfer_of
 from spotcheck.characterization.transfer_data import dataset_of, quantities_of
-from spotcheck.crops.stages import without_copies
+from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset import file_cache
 from spotcheck.dataset import folder as dataset
 from spotcheck.io import provenance, store
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> None:
     """Characterise the sensor by its flats and darks."""
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table, file_cache.verify_unchanged(found, table):
-        full_scale, found = float(table["full_scale"]), without_copies(found, table)
+        full_scale, found = float(table["full_scale"]), exclude_copies(found, table)
         transfer = transfer_of(levels_of(found, full_scale), full_scale)
         transfer.remarks.extend(on_response(found))
         measured = add_patterns(dataset_of(transfer, found.title, found.name), found, transfer)

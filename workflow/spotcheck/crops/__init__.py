@@ -1,4 +1,5 @@
-"""The spot in a frame: where it is, its crop, and frames that are unlike their siblings.
+"""Ingest frames, find the spot in each, cut crops, and flag outlier frames.
 
-In: the frames of a `Dataset`. Out: frames.nc and crops.nc on the grid of spots, each cell with its status flags.
+In: the frames of a `Dataset`. Out: frames.nc, one row per frame, and crops.nc on the grid of spots, where each cell has
+status flags.
 """

@@ -88,7 +88,9 @@ def _read_pages(dataset: Dataset) -> dict[str, list[Page]]:
     pages: dict[str, list[Page]] = {}
     for frame in dataset.frames:
         if frame.file not in pages:
-            pages[frame.file] = files.list_pages(dataset.folder / frame.file, frame.file, get_colour(dataset.instrument))
+            pages[frame.file] = files.list_pages(
+                dataset.folder / frame.file, frame.file, get_colour(dataset.instrument)
+            )
         count = len(pages[frame.file])
         if frame.page >= count:
             raise InputError(f"{frame.label}: page is {frame.page}, but the file has {count}; pages count from 0")
@@ -128,7 +130,9 @@ def _format_runs(numbers: list[int]) -> str:
 
 
 @lru_cache(maxsize=4)
-def build_bad_pixel_mask(bad_pixels: BadPixels, shape: tuple[int, int], colour: Colour = MONOCHROME) -> np.ndarray | None:
+def build_bad_pixel_mask(
+    bad_pixels: BadPixels, shape: tuple[int, int], colour: Colour = MONOCHROME
+) -> np.ndarray | None:
     """Return the mask of bad pixels of a frame.
 
     Parameters

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from spotcheck.characterization.levels import levels_of, straightening
 from spotcheck.characterization.photon_transfer import Transfer, transfer_of
-from spotcheck.crops.stages import without_copies
+from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.candidates import list_starts, value_is_one_sided
 from spotcheck.discrepancy.criteria import MIN_GAIN
@@ -80,7 +80,7 @@ def analyse_flats(
         Receives lines of text on the progress.
     """
     full_scale_dn = float(frames_table["full_scale"])
-    dataset = without_copies(dataset, frames_table)
+    dataset = exclude_copies(dataset, frames_table)
     transfer = transfer_of(levels_of(dataset, full_scale_dn), full_scale_dn)
     # Levels are those of readings whose stated curvature was removed.
     linear_end = straightening(dataset, full_scale_dn).without_curvature().full_scale_dn

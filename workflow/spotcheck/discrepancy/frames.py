@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from spotcheck.crops.stages import usable
+from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import parse_number
 from spotcheck.io import store
@@ -292,7 +292,7 @@ def load_frames(dataset: Dataset, crops: xr.Dataset) -> FrameSet:
     dims = store.grid_dims(crops)
     number = {id(frame): k for k, frame in enumerate(dataset.spots)}
     cells = [(dict(zip(dims, index, strict=True)), frame) for index, frame in dataset.cells()]
-    cells = [(at, frame) for at, frame in cells if usable(at_light["status"].isel(at))]
+    cells = [(at, frame) for at, frame in cells if is_usable(at_light["status"].isel(at))]
     cells.sort(key=lambda cell: number[id(cell[1])])
     frames = [frame for _, frame in cells]
     images, left, top = (

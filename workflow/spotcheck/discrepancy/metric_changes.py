@@ -32,7 +32,7 @@ PSNR = "PSNR"
 OF_IMAGES: tuple[tuple[str, str, Callable[[np.ndarray], float]], ...] = (
     ("speckle contrast", "1", metrics.speckle_contrast),
     ("maximum", "DN", metrics.largest_reading),
-    ("sum", "DN", metrics.total),
+    ("sum", "DN", metrics.pixel_sum),
 )
 # Metrics of the spot fit: name, unit, attribute of `SpotFits`.
 OF_FITS = (("amplitude", "DN", "amplitude"), ("width", "px", "sigma_mean"))

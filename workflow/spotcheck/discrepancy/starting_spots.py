@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from spotcheck.crops.stages import usable
+from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.evaluation import THREADS
@@ -62,7 +62,7 @@ def usable_cells(dataset: Dataset, status: xr.DataArray) -> list[tuple[tuple[int
     # A name of a dimension that was not recorded is kept by the file of crops as well.
     dims = [axis.name for axis in dataset.axes]
     number = {id(frame): k for k, frame in enumerate(dataset.spots)}
-    cells = [(at, frame) for at, frame in dataset.cells() if usable(status.isel(dict(zip(dims, at, strict=True))))]
+    cells = [(at, frame) for at, frame in dataset.cells() if is_usable(status.isel(dict(zip(dims, at, strict=True))))]
     return sorted(cells, key=lambda cell: number[id(cell[1])])
 
 

@@ -1,4 +1,4 @@
-"""Results for other programs: an instrument file with what was learned, and frames in electrons.
+"""Export results for other programs and datasets: an instrument file, and frames in electrons.
 
-In: the results of a dataset, and its frames. Out: instrument.yaml, or a folder of corrected frames.
+In: the results of a dataset, and its frames. Out: instrument.yaml with learned values, or a folder of corrected frames.
 """

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
-from spotcheck.crops.stages import cells, usable
+from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting.fits import preferred
 from spotcheck.fitting.likelihood import JointFit, SiteFrame, fit_baseline
@@ -131,8 +131,8 @@ def _maxima(crops: xr.Dataset) -> np.ndarray:
     dims = store.grid_dims(crops)
     own = crops.sel(centring="maximum")
     maxima: list[list[float]] = [[] for _ in range(crops.sizes["exposure"])]
-    for index in cells(crops, dims):
-        if usable(own["status"].isel(index)):
+    for index in iterate_cells(crops, dims):
+        if is_usable(own["status"].isel(index)):
             maxima[index["exposure"]].append(float(np.nanmax(own["image"].isel(index).values)))
     return np.array([np.mean(values) if values else np.nan for values in maxima])
 
@@ -149,7 +149,7 @@ def _likelihood(
     own_crops, own_fits = crops.sel(centring="light"), preferred(fits)
     frames: list[SiteFrame] = []
     centres: list[tuple[float, float]] = []
-    for site in cells(crops, site_dims):
+    for site in iterate_cells(crops, site_dims):
         x, y = (own_fits[name].isel(site).values for name in ("x_centre", "y_centre"))
         good = [k for k in range(crops.sizes["exposure"]) if np.isfinite(x[k])]
         if not good:

@@ -8,7 +8,7 @@ import xarray as xr
 
 from spotcheck.characterization.odd_pixels import Odd, odd_pixels
 from spotcheck.characterization.pixel_maps import SensorMaps
-from spotcheck.crops.stages import cells, usable
+from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.fitting.by_maps import ByMaps
 from spotcheck.fitting.fitted import NAMES, PARAMETERS, SpotFits
 from spotcheck.fitting.spotfit import fit_spots
@@ -63,9 +63,9 @@ def fit_crops(
         status[..., 0] |= store.flag("no_noise")
     origin = {1: crops["left"].values, 2: crops["top"].values}
     told = None if maps is None or sensor is None else ByMaps(crops, dims[:-1])
-    for index in progress.track(list(cells(crops, dims[:-1])), "fitting spots"):
+    for index in progress.track(list(iterate_cells(crops, dims[:-1])), "fitting spots"):
         at = tuple(index.values())
-        if not usable(crops["status"].values[at]):
+        if not is_usable(crops["status"].values[at]):
             continue
         image = crops["image"].isel(index).values
         part = None if told is None or maps is None else told.cut(maps, index)

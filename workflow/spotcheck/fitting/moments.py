@@ -19,7 +19,7 @@ from scipy import ndimage
 from skimage.measure import label
 
 from spotcheck.characterization.noise_curve import differences
-from spotcheck.crops.spotfinding import light_centroid
+from spotcheck.crops.spotfinding import find_light_centroid
 
 # Sides of the area of integration in widths (ISO 11146-1, clause 7).
 AREA = 3.0
@@ -151,8 +151,8 @@ def _start(pixels: np.ndarray) -> _Ellipse | None:
     """The ellipse of the Gaussian that is as large at half of its peak as the light is; None where there is no spot."""
     if min(pixels.shape) < 4:
         return None
-    at = light_centroid(pixels, min(pixels.shape))
-    if not at.found:
+    at = find_light_centroid(pixels, min(pixels.shape))
+    if not at.exists:
         return None
     smooth = ndimage.uniform_filter(pixels, 3)
     background = float(np.median(pixels[::4, ::4]))

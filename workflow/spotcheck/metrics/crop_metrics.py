@@ -1,7 +1,9 @@
-"""Quality metrics of a spot's image: PSNR, speckle contrast, maximum, sum, peak ratio (Sections 2.2.2, 4.1.2 and 6.2).
+"""Quality metrics of a spot image: PSNR, speckle contrast, maximum, sum and peak ratio (Sections 2.2.2, 4.1.2, 6.2).
 
-`PER_IMAGE` lists the metrics of a single crop. Each of them is computed for measured and simulated frames, stored with
-its mean and scatter over repeats in metrics.nc, and drawn in the report.
+`PER_IMAGE` lists the metrics of a single crop. Each is computed for measured and simulated frames, stored in metrics.nc
+with its mean and standard deviation over repeats, and drawn in the report.
+
+Images are arrays [rows, columns] in DN; NaN pixels are ignored.
 """
 
 from collections.abc import Callable
@@ -11,48 +13,51 @@ import numpy as np
 from scipy import ndimage
 from skimage.metrics import peak_signal_noise_ratio
 
-# The paper scales PSNR to the container, although the sensor fills 10 bits of it: 36.1 dB more than the sensor's own
-# range.
+# Largest value of the 16-bit container [DN], to which the paper scales PSNR. The sensor fills 10 bits of it, so that
+# PSNR is 36.1 dB larger than with the range of the sensor.
 CONTAINER_RANGE = 65535.0
-# A peak pixel lies within this part of the image maximum, a plateau pixel above that one (Section 6.2).
+# Peak pixels deviate from the maximum by at most the first fraction of it; plateau pixels exceed the second
+# (Section 6.2).
 PEAK_WITHIN = 0.02
 PLATEAU_ABOVE = 0.5
 
 
 def largest_reading(image: np.ndarray) -> float:
-    """Largest finite pixel of an image [DN]."""
+    """Return the largest finite pixel of an image [DN]."""
     return float(np.nanmax(image))
 
 
-def total(image: np.ndarray) -> float:
-    """Sum of all finite pixels of an image [DN]."""
+def pixel_sum(image: np.ndarray) -> float:
+    """Return the sum of all finite pixels of an image [DN]."""
     return float(np.nansum(image, dtype=np.float64))
 
 
 def speckle_contrast(image: np.ndarray) -> float:
-    """C_s [1], standard deviation over mean of all finite pixels (Eq. 2). NaN for an image without light."""
+    """Return C_s, the standard deviation over the mean of all finite pixels (Eq. 2); NaN for an image without light."""
     mean = float(np.nanmean(image, dtype=np.float64))
     return float(np.nanstd(image, dtype=np.float64)) / mean if mean > 0 else np.nan
 
 
 def mean_of_frames(frames: np.ndarray) -> float:
-    """µ_y [DN], the mean over all pixels of several frames [frame, rows, columns] (Eq. 17, with its sum rightly
-    normalised)."""
+    """Return µ_y [DN], the mean over all pixels of several frames [frame, rows, columns] (Eq. 17).
+
+    The paper prints the factor 1/(KMN + 1); the mean needs 1/(KMN).
+    """
     return float(np.mean(frames, dtype=np.float64))
 
 
 def mean_maximum(maxima: np.ndarray) -> float:
-    """µ_y,max [DN], the mean over frames of each frame's maximum (Eq. 18)."""
+    """Return µ_y,max [DN], the mean over frames of the maximum of each frame (Eq. 18)."""
     return float(np.nanmean(maxima))
 
 
 def mean_sum(sums: np.ndarray) -> float:
-    """µ_y,total [DN], the mean over frames of each frame's pixel sum (Eq. 19)."""
+    """Return µ_y,total [DN], the mean over frames of the pixel sum of each frame (Eq. 19)."""
     return float(np.nanmean(sums))
 
 
 def peak_ratio(image: np.ndarray) -> float:
-    """Pixels within 2 % of the maximum over pixels above half of it [1] (Section 6.2)."""
+    """Return the number of pixels within 2 % of the maximum over that of pixels above half of it (Section 6.2)."""
     maximum = np.nanmax(image)
     if not maximum > 0:
         return np.nan
@@ -60,40 +65,42 @@ def peak_ratio(image: np.ndarray) -> float:
 
 
 def psnr(reference: np.ndarray, image: np.ndarray, data_range: float) -> float:
-    """Peak signal-to-noise ratio [dB] over the pixels that both images have; infinite for equal images."""
-    both = np.isfinite(reference) & np.isfinite(image)
-    if not both.any():
+    """Return the peak signal-to-noise ratio [dB] for a data range [DN], over the pixels that are finite in both images.
+
+    Equal images give infinity, images without a common pixel NaN.
+    """
+    common = np.isfinite(reference) & np.isfinite(image)
+    if not common.any():
         return np.nan
-    if np.array_equal(reference[both], image[both]):
+    expected, actual = reference[common].astype(float), image[common].astype(float)
+    if np.array_equal(expected, actual):
         return np.inf
-    return float(
-        peak_signal_noise_ratio(reference[both].astype(float), image[both].astype(float), data_range=data_range)
-    )
+    return float(peak_signal_noise_ratio(expected, actual, data_range=data_range))
 
 
-def shifted(image: np.ndarray, rows: float, columns: float) -> np.ndarray:
-    """The image moved by a fraction of pixels (cubic interpolation); NaN where nothing came from inside."""
-    gap = ~np.isfinite(image)
-    # Gaps are filled from the nearest pixel: a step down to 0 would ring through the splines.
-    nearest = ndimage.distance_transform_edt(gap, return_distances=False, return_indices=True)
+def shift_image(image: np.ndarray, rows: float, columns: float) -> np.ndarray:
+    """Return the image shifted by fractions of pixels (cubic interpolation); NaN where it would need pixels outside."""
+    gaps = ~np.isfinite(image)
+    # Gaps are filled with the nearest pixel first: a step to 0 would make the splines ring.
+    nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
     moved = ndimage.shift(image[tuple(nearest)].astype(float), (rows, columns), order=3, mode="nearest")
-    near_gap = ndimage.binary_dilation(gap) if gap.any() else gap
+    near_gap = ndimage.binary_dilation(gaps) if gaps.any() else gaps
     outside = ndimage.shift(near_gap.astype(float), (rows, columns), order=1, mode="constant", cval=1.0)
     return np.where(outside > 1e-9, np.nan, moved)
 
 
 class Metric(NamedTuple):
-    """A metric of one crop [y, x] in DN, NaN beyond the frame: its name in metrics.nc, unit, meaning, and function."""
+    """A metric of one crop."""
 
-    name: str
+    name: str  # variable of metrics.nc
     units: str
-    long_name: str
-    function: Callable[[np.ndarray], float]
+    long_name: str  # meaning, as axis label and netCDF attribute
+    function: Callable[[np.ndarray], float]  # of a crop [y, x] in DN, NaN beyond the frame
 
 
 PER_IMAGE = (
     Metric("maximum", "DN", "largest reading of the crop", largest_reading),
-    Metric("sum", "DN", "sum of all readings of the crop", total),
+    Metric("sum", "DN", "sum of all readings of the crop", pixel_sum),
     Metric("speckle_contrast", "1", "standard deviation over mean of the crop", speckle_contrast),
     Metric("peak_ratio", "1", "pixels within 2 % of the maximum over pixels above half of it", peak_ratio),
 )

@@ -63,10 +63,12 @@ class SimulatedFrame(NamedTuple):
         model, frame, spot = self
         pixels, column, row = frame.pixels, round(frame.x0), round(frame.y0)
         centre = spotfinding.Spot(row - int(pixels.y[0, 0]), column - int(pixels.x[0, 0]), True)
-        light = spotfinding.cut(np.broadcast_to(model.light(frame).total, (pixels.y.size, pixels.x.size)), centre, side)
+        light = spotfinding.cut_crop(
+            np.broadcast_to(model.light(frame).total, (pixels.y.size, pixels.x.size)), centre, side
+        )
         values: dict[str, Any] = {"mean_light": light, "amplitude": spot.peak_dn, "sigma": spot.sigma_px}
         if "mean_reading" in variables:
-            reading = spotfinding.cut(model.expected(frame).mean, centre, side)
+            reading = spotfinding.cut_crop(model.expected(frame).mean, centre, side)
             values |= {"mean_reading": reading, "left": column - side // 2, "top": row - side // 2}
         return values
 

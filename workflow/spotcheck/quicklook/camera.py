@@ -7,7 +7,7 @@ import numpy as np
 
 from spotcheck.characterization.by_spots import dark_level, seen_by_spots
 from spotcheck.characterization.sensor_choice import Found, spots_in_electrons
-from spotcheck.crops.clip import LEAST_PX, Top, top_of
+from spotcheck.crops.full_scale import MIN_PLATEAU_PX, measure_extremes
 from spotcheck.io import progress
 from spotcheck.io.plus_minus import plus_minus
 from spotcheck.quicklook.images import Image
@@ -104,6 +104,5 @@ def stop_of(pixels: np.ndarray, bits: int | None) -> float:
     if bits is not None and highest >= 2**bits - 1:
         return highest
     if not np.array_equal(known, np.rint(known)) or known.min() < 0:
-        return highest if np.count_nonzero(known == highest) >= LEAST_PX else np.inf
-    top: Top = top_of(known.astype(np.int64))
-    return highest if top.stops(top.lowest) else np.inf
+        return highest if np.count_nonzero(known == highest) >= MIN_PLATEAU_PX else np.inf
+    return highest if measure_extremes(known.astype(np.int64)).has_plateau() else np.inf

@@ -30,7 +30,7 @@ from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
 from spotcheck.model.effect import Effect
 from spotcheck.model.effects import built_in, vocabulary
-from spotcheck.paper.level import readings
+from spotcheck.paper.plateau_level import estimate_plateau_levels
 from spotcheck.report.dataset_page.frames import label_of
 from spotcheck.report.dataset_page.spoken import numbers_in
 from spotcheck.report.pages.cited import Cited
@@ -182,7 +182,7 @@ def levels_of(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] 
     own = calibration.sel({"estimator": calibration.attrs["used"]})
     longest = max(f.exposure_s or 0.0 for f in dataset.spots)
     try:
-        rows = readings(
+        rows = estimate_plateau_levels(
             dataset.instrument, longest, float(own["p1_mean"]), float(own["p2_mean"]), float(sensor["gain_dn_per_e"])
         )
     except InputError:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck.crops.stages import usable
+from spotcheck.crops.cropping import is_usable
 from spotcheck.fitting.fits import preferred
 from spotcheck.io import store
 from spotcheck.metrics import crop_metrics as metrics
@@ -36,7 +36,7 @@ class Spot(NamedTuple):
 def crop(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray | None:
     """Light-centred crop [y, x] in DN of one cell of the grid, or None when it is not usable."""
     own = crops.sel(centring="light").isel(index)
-    return own["image"].values.astype(float) if usable(int(own["status"])) else None
+    return own["image"].values.astype(float) if is_usable(int(own["status"])) else None
 
 
 def spot(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> Spot | None:
@@ -54,7 +54,7 @@ def expected(results: Results, index: dict[str, int], at: Spot) -> np.ndarray:
     simulated = results.get("simulated")
     light = simulated["mean_light"].isel(index).values.astype(float)
     # The border is light too faint to matter; NaN would bite into the crop's edge.
-    light = np.nan_to_num(metrics.shifted(light, at.row - light.shape[0] // 2, at.column - light.shape[1] // 2))
+    light = np.nan_to_num(metrics.shift_image(light, at.row - light.shape[0] // 2, at.column - light.shape[1] // 2))
     exposure = float(simulated["exposure"][index["exposure"]]) if "exposure" in simulated.coords else None
     return results.mean_reading(np.maximum(light, 0.0), exposure)
 

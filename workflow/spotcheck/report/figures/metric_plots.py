@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import CONTAINER_RANGE, PER_IMAGE, Metric
-from spotcheck.metrics.pairs import FROM_FIT
+from spotcheck.metrics.metrics_table import FIT_PARAMETERS
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import METRICS, Category, Entry
 from spotcheck.report.figures.frames_of import UNTRUSTED
@@ -90,7 +90,7 @@ def _metric(results: Results, name: str, ylabel: str, what: str, paper: str = ""
     ds = every.sel(centring="light", fit="least_squares" if results.like_paper() else every.attrs["preferred"])
     design = series.design_of(ds, store.grid_dims(results.get("metrics")))
     values, left_out = ds[name], 0
-    if name in FROM_FIT:
+    if name in FIT_PARAMETERS:
         values = values.where((ds["status"] & UNTRUSTED) == 0)
         left_out = int((ds[name].notnull() & values.isnull()).sel(source="measured").sum())
     measured = series.need_values(series.points(values.sel(source="measured"), design), what.lower())

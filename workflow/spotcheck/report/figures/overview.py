@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spotcheck.metrics.crop_metrics import shifted
+from spotcheck.metrics.crop_metrics import shift_image
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import PAIR, Category, Entry
 from spotcheck.report.figures.frames_of import example
@@ -15,7 +15,7 @@ def draw(results: Results) -> style.Drawing:
     found = example(results, describe)
     half = half_side(found)
     at, other = found.measured_spot, found.simulated_spot
-    moved = shifted(found.simulated, at.row - other.row, at.column - other.column)
+    moved = shift_image(found.simulated, at.row - other.row, at.column - other.column)
     difference = found.measured - moved
     highest = float(max(np.nanmax(found.measured), np.nanmax(moved)))
     figure = style.new(2.5, 1.45 * style.WIDTH)

@@ -3,26 +3,26 @@
 from pathlib import Path
 from typing import Any
 
-from spotcheck.paper.verdicts import Verdict, shares
+from spotcheck.paper.number_checks import NumberCheck, count_met
 from spotcheck.report.pages import write_page
 
 
-def content(verdicts: list[Verdict]) -> dict[str, Any]:
+def content(checks: list[NumberCheck]) -> dict[str, Any]:
     """What the template of the numbers' table asks for."""
-    groups: dict[str, list[Verdict]] = {}
-    for verdict in verdicts:
-        groups.setdefault(verdict.entry["kind"], []).append(verdict)
-    return {"groups": groups, "shares": shares(verdicts), "bounds": _bounds}
+    groups: dict[str, list[NumberCheck]] = {}
+    for check in checks:
+        groups.setdefault(check.entry["kind"], []).append(check)
+    return {"groups": groups, "shares": count_met(checks), "bounds": _bounds}
 
 
-def _bounds(verdict: Verdict) -> str:
-    if verdict.low == -float("inf"):
-        return f"≤ {verdict.high:.5g}"
-    if verdict.high == float("inf"):
-        return f"≥ {verdict.low:.5g}"
-    return f"{verdict.low:.5g} … {verdict.high:.5g}"
+def _bounds(check: NumberCheck) -> str:
+    if check.low == -float("inf"):
+        return f"≤ {check.high:.5g}"
+    if check.high == float("inf"):
+        return f"≥ {check.low:.5g}"
+    return f"{check.low:.5g} … {check.high:.5g}"
 
 
-def write(path: Path, verdicts: list[Verdict]) -> None:
+def write(path: Path, checks: list[NumberCheck]) -> None:
     """Write the page."""
-    write_page(path, "numbers.html", title="The paper's numbers", **content(verdicts))
+    write_page(path, "numbers.html", title="The paper's numbers", **content(checks))

@@ -8,8 +8,9 @@ import pytest
 import tifffile
 from scipy import stats
 
-from spotcheck.crops import stages as crops
-from spotcheck.crops.siblings import ALARM, Glance, glance, odd_ones
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.ingest import ingest_frames
+from spotcheck.crops.outlier_frames import FALSE_ALARM_RATE, SpotMoments, find_outlier_frames, measure_moments
 from spotcheck.dataset.folder import Dataset, load
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.dataset.manifest import Frame
@@ -35,7 +36,7 @@ def grid(angles=(0.0,), exposures=(1e-4, 4e-4, 9e-4), repeats=5, keep: dict[int,
     return Dataset(Path(), Instrument(), frames)
 
 
-def glances(dataset: Dataset, off: np.ndarray, growth: float = 1.0, sites: float = 0.3) -> list[Glance]:
+def glances(dataset: Dataset, off: np.ndarray, growth: float = 1.0, sites: float = 0.3) -> list[SpotMoments]:
     """Glances at spots whose light grows with that power of the exposure, whose sites differ, and whose ln light, ln
     width, x and y are `off` [spot, 4]; of hardly any noise."""
     rng = np.random.default_rng(7)
@@ -45,7 +46,7 @@ def glances(dataset: Dataset, off: np.ndarray, growth: float = 1.0, sites: float
     for frame, own in zip(dataset.spots, off, strict=True):
         light, width, x, y = site[frame.angle_deg, frame.repeat] + own
         light += 10 + growth * np.log(frame.exposure_s / 1e-4)
-        out.append(Glance(float(np.exp(light)), float(SIGMA * np.exp(width)), 100 + x, 90 + y, 1e-4, 1e-4, 1e-3))
+        out.append(SpotMoments(float(np.exp(light)), float(SIGMA * np.exp(width)), 100 + x, 90 + y, 1e-4, 1e-4, 1e-3))
     return out
 
 
@@ -58,22 +59,23 @@ def test_a_glance_is_the_moments_of_the_light():
     """A Gaussian cut at 3 × the noise of a reading, of which the median of nine keeps some: light and width fall short
     of the whole by (1 + c) e⁻ᶜ-like parts of c = ln(peak / cut), 3 % and 5 % here. A bright pixel changes nothing."""
     crop = image(x=33.3, y=27.8)
-    own = glance(crop, 100, 200)
+    own = measure_moments(crop, 100, 200)
     assert own.light == pytest.approx(2 * np.pi * SIGMA**2 * 300, rel=0.04)
     assert own.sigma == pytest.approx(SIGMA, rel=0.06)
     assert (own.x, own.y) == (pytest.approx(133.3, abs=0.1), pytest.approx(227.8, abs=0.1))
     crop[5, 50] = 1023
     crop[40, 2] = np.nan
-    assert glance(crop, 100, 200).light == pytest.approx(own.light, rel=1e-3)
-    assert glance(image(light=0.0), 0, 0) is None
+    assert measure_moments(crop, 100, 200).light == pytest.approx(own.light, rel=1e-3)
+    assert measure_moments(image(light=0.0), 0, 0) is None
 
 
 def test_errors_of_a_glance_are_its_scatter():
     """Over 200 draws of the noise; the scatter of 200 is known to 5 % (1 σ), the errors are of noise that the median
     has made alike, so that they are right to a third."""
-    every = np.array([glance(image(light=60.0, seed=k), 0, 0) for k in range(200)])
-    found = np.std([np.log(every[:, 0]), np.log(every[:, 1]), every[:, 2]], axis=1)
-    np.testing.assert_allclose(every[:, 4:7].mean(axis=0) / found, 1, atol=0.45)
+    draws = [measure_moments(image(light=60.0, seed=k), 0, 0) for k in range(200)]
+    scatter = np.std([(np.log(draw.light), np.log(draw.sigma), draw.x) for draw in draws], axis=0)
+    errors = np.mean([(draw.log_light_error, draw.log_sigma_error, draw.centre_error) for draw in draws], axis=0)
+    np.testing.assert_allclose(errors / scatter, 1, atol=0.45)
 
 
 BAD = {
@@ -92,11 +94,11 @@ def test_bad_frames_are_set_aside(kind):
     crops = [image(300 * (1 + 0.01 * rng.standard_normal()), *(30 + 0.1 * rng.standard_normal(2)), seed=k + 9)
              for k in range(len(dataset.spots))]  # fmt: skip
     crops[7] = BAD[kind]
-    looked = [glance(crop, 0, 0) for crop in crops]
-    found, remark = odd_ones(dataset, looked)
+    looked = [measure_moments(crop, 0, 0) for crop in crops]
+    found, remark = find_outlier_frames(dataset, looked)
     assert [(own.spot, own.flag) for own in found] == [(7, "double" if kind == "twice" else kind)]
-    assert found[0].why and not remark
-    assert odd_ones(grid(angles=(0.0, 90.0), keep={7: "yes"}), looked) == ([], "")
+    assert found[0].reason and not remark
+    assert find_outlier_frames(grid(angles=(0.0, 90.0), keep={7: "yes"}), looked) == ([], "")
 
 
 def test_two_of_three_are_no_accident():
@@ -106,7 +108,7 @@ def test_two_of_three_are_no_accident():
         off = small(dataset)
         off[list(odd), 0] -= np.array([1.5, 0.8])[: len(odd)]
         assert dataset.spots[4].exposure_s == dataset.spots[1].exposure_s
-        assert [own.spot for own in odd_ones(dataset, glances(dataset, off))[0]] == expected
+        assert [own.spot for own in find_outlier_frames(dataset, glances(dataset, off))[0]] == expected
 
 
 def test_many_odd_ones_are_the_light():
@@ -114,7 +116,7 @@ def test_many_odd_ones_are_the_light():
     dataset = grid(exposures=tuple(1e-4 * 2.0 ** np.arange(8)))
     off = small(dataset)
     off[[0, 9, 18, 27, 36], 0] -= 0.7
-    found, remark = odd_ones(dataset, glances(dataset, off))
+    found, remark = find_outlier_frames(dataset, glances(dataset, off))
     assert not found and remark.startswith("5 of 40 spot frames are unlike their siblings, f0.tif first")
 
 
@@ -137,9 +139,9 @@ def test_good_frames_are_used(design, tails):
     count, aside = 0, 0
     while count < 4000:
         off = stats.t.rvs(tails, size=(len(dataset.spots), 4), random_state=rng) * [0.6, 0.3, 10, 10]
-        aside += len(odd_ones(dataset, glances(dataset, off))[0])
+        aside += len(find_outlier_frames(dataset, glances(dataset, off))[0])
         count += len(off)
-    assert ALARM == 1e-4 and aside < 5
+    assert FALSE_ALARM_RATE == 1e-4 and aside < 5
 
 
 def effects(dataset: Dataset, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -163,7 +165,7 @@ def test_what_the_light_does_is_no_bad_frame(design, kind):
     dataset = grid(**DESIGNS[design])
     for seed in range(10):
         off = small(dataset, seed) + effects(dataset, np.random.default_rng(seed))[kind]
-        assert odd_ones(dataset, glances(dataset, off)) == ([], "")
+        assert find_outlier_frames(dataset, glances(dataset, off)) == ([], "")
 
 
 def test_a_series_without_repeats_tells_by_its_neighbours():
@@ -172,15 +174,15 @@ def test_a_series_without_repeats_tells_by_its_neighbours():
     for odd, expected in ((11, [11]), (24, []), (0, []), (23, [])):
         off = small(dataset)
         off[odd, 0] -= 1.0
-        assert [own.spot for own in odd_ones(dataset, glances(dataset, off))[0]] == expected
+        assert [own.spot for own in find_outlier_frames(dataset, glances(dataset, off))[0]] == expected
 
 
 def test_no_use_and_no_sibling():
     """A frame of which there is no glance is not judged; of fewer than three nothing is said."""
     dataset = grid(angles=(0.0, 90.0))
-    looked: Sequence[Glance | None] = [None, *glances(dataset, small(dataset))[1:]]
-    assert odd_ones(dataset, looked) == ([], "")
-    assert odd_ones(dataset, [None] * 28 + list(looked[28:])) == ([], "")
+    looked: Sequence[SpotMoments | None] = [None, *glances(dataset, small(dataset))[1:]]
+    assert find_outlier_frames(dataset, looked) == ([], "")
+    assert find_outlier_frames(dataset, [None] * 28 + list(looked[28:])) == ([], "")
 
 
 @pytest.fixture
@@ -208,8 +210,8 @@ def manifest(folder: Path, keep: dict[int, str]) -> None:
 def cropped(folder: Path) -> tuple[dict[str, str], list[str]]:
     """Flags of the frames that are of no use, by their files, and remarks."""
     dataset = load(folder)
-    table = crops.ingest(dataset)
-    crops.crop(dataset, table, folder / "crops.nc", code="", inputs=[])
+    table = ingest_frames(dataset)
+    crop_spots(dataset, table, folder / "crops.nc", code="", inputs=[])
     with store.read(folder / "crops.nc") as ds:
         status = ds["status"].sel(centring="light").transpose("angle", "exposure", "repeat").values
         flags = {f.file: str(store.status_names(status[index] & store.UNUSABLE)) for index, f in dataset.cells()}

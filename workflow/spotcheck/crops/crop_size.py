@@ -1,0 +1,61 @@
+"""Propose a crop size for the spots of a folder of images."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.crops.spotfinding import find_light_centroid
+from spotcheck.dataset.frames import average_blocks
+from spotcheck.dataset.instrument import Instrument
+from spotcheck.dataset.scan.draft import ManifestDraft
+from spotcheck.errors import InputError
+from spotcheck.io.formats import files
+from spotcheck.io.formats.colour import MONOCHROME, Colour
+
+# Largest number of frames that are read, evenly spaced over the rows: spots change slowly along a scan.
+MAX_FRAMES = 16
+# Side of the blocks that are averaged first, so that a hot pixel is not the peak [px].
+BLOCK_PX = 4
+# Width of the crop in standard deviations of the spot, which the dataset contract requires, and its step [px].
+CROP_SIGMAS, STEP_PX = 10, 20
+# σ of a Gaussian over the standard deviation of positions inside its half maximum. These fill a disk of radius
+# √(2 ln 2) σ, and the standard deviation per axis of a uniform disk is half its radius.
+SIGMA_OVER_DISK = 2 / np.sqrt(2 * np.log(2))
+
+
+class CropProposal(NamedTuple):
+    """Result of a search for spots in some frames of a folder."""
+
+    side_px: int | None  # side of the crop [px] for the widest spot; None if the default is large enough
+    has_spot: bool  # whether a spot was found, or no row is a spot frame
+
+
+def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOCHROME) -> CropProposal:
+    """Return the crop size for the widest spot in a sample of the spot frames of a folder."""
+    spots = [frame for frame, row in zip(draft.frames, draft.rows, strict=True) if row["kind"] == "spot"]
+    if not spots:
+        return CropProposal(None, True)
+    sigmas = []
+    for frame in spots[:: -(-len(spots) // MAX_FRAMES)]:
+        try:
+            pixels = files.read_pixels(folder / frame.file, frame.page, frame.file, colour)
+        except InputError:
+            continue
+        if find_light_centroid(pixels, Instrument.crop_px).exists:
+            sigmas.append(estimate_sigma(pixels))
+    side = STEP_PX * -(-CROP_SIGMAS * max(sigmas, default=0.0) // STEP_PX)
+    smallest_frame = min(min(frame.shape) for frame in spots)
+    side = int(min(smallest_frame, max(Instrument.crop_px, side)))
+    return CropProposal(None if side == Instrument.crop_px else side, bool(sigmas))
+
+
+def estimate_sigma(pixels: np.ndarray) -> float:
+    """Return the standard deviation of a spot along its longer axis [px], from the region above half its peak."""
+    side = min(BLOCK_PX, *pixels.shape)
+    means = average_blocks(pixels, side)
+    background = float(np.median(means))
+    positions = np.argwhere(means > (background + float(means.max())) / 2)
+    if len(positions) < 3:
+        return 0.0
+    return float(SIGMA_OVER_DISK * side * np.sqrt(np.linalg.eigvalsh(np.cov(positions.T))[-1]))

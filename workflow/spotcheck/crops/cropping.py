@@ -1,0 +1,176 @@
+"""The crop stage: cut out the spot of each frame and flag unusable frames (crops.nc)."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.crops import spotfinding
+from spotcheck.crops.full_scale import measure_extremes
+from spotcheck.crops.ingest import MAX_NAMED
+from spotcheck.crops.outlier_frames import SpotMoments, find_outlier_frames, measure_moments
+from spotcheck.dataset import file_cache, frames
+from spotcheck.dataset.folder import Dataset
+from spotcheck.errors import InputError
+from spotcheck.io import progress, store
+
+# Centre of the crop: the centroid of the light (default of every stage), or the maximum, as in the paper.
+CENTRINGS = ("light", "maximum")
+AT_LIGHT = CENTRINGS.index("light")
+# A crop is saturated if at most this part of its pixels reads below full scale.
+MAX_UNCLIPPED_SATURATED = 0.01
+# Variables of crops.nc that each frame fills.
+VARIABLES = {
+    "image": store.Variable(
+        ("centring", "y", "x"), "f4", "DN", "crop; NaN beyond the frame and where the pixel is bad"
+    ),
+    "top": store.Variable(("centring",), "i4", "pixel", "row of the frame under row 0 of the crop"),
+    "left": store.Variable(("centring",), "i4", "pixel", "column of the frame under column 0 of the crop"),
+    "status": store.Variable(("centring",), "i4", "1", "status flags"),
+    "block_mean": store.Variable(("block_y", "block_x"), "f4", "DN", "mean of each block of the frame"),
+    "row_mean": store.Variable(("row",), "f4", "DN", "mean of each row of the frame"),
+    "column_mean": store.Variable(("column",), "f4", "DN", "mean of each column of the frame"),
+}
+
+
+def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: list) -> None:
+    """Write crops.nc: both crops of every spot, their position on the sensor, and a reduced copy of the whole frame.
+
+    Outlier frames are flagged. Attribute `remarks` gives the reason for each frame that is set aside.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Its spot frames are decoded one at a time.
+    table : Dataset
+        frames.nc of the dataset.
+    path : Path
+        crops.nc to write.
+    code, inputs
+        Provenance, see `store.write`.
+
+    Raises
+    ------
+    InputError
+        If a frame is missing in `table` or has changed since.
+    """
+    side = dataset.instrument.crop_px
+    full_scale = float(table["full_scale"])
+    columns = (table[name].values for name in ("file", "page", "copy_of"))
+    is_copy = {(str(file), int(page)): int(first) >= 0 for file, page, first in zip(*columns, strict=True)}
+    extra = _crop_coordinates(dataset, (int(table["rows"]), int(table["columns"])))
+    with (
+        store.frame_writer(path, dataset, extra, VARIABLES, code=code, inputs=inputs) as writer,
+        file_cache.verify_unchanged(dataset, table),
+    ):
+        indices, statuses, moments = [], [], []
+        for index, frame in progress.track(dataset.cells(), "cropping spots", len(dataset.spots)):
+            if (frame.file, frame.page) not in is_copy:
+                raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
+            flags = store.flag("copy") if is_copy[frame.file, frame.page] else 0
+            flags |= store.flag("dropped") if frame.keep is False else 0
+            cell = _process_frame(frames.read_masked_image(dataset, frame), side, full_scale, flags)
+            writer.put(index, cell)
+            indices.append(index)
+            statuses.append(cell["status"])
+            image, left, top = (cell[name][AT_LIGHT] for name in ("image", "left", "top"))
+            moments.append(measure_moments(image, left, top) if is_usable(cell["status"][AT_LIGHT]) else None)
+        revised, remarks = _flag_outliers(dataset, np.array(statuses), moments)
+        for index, status in zip(indices, revised, strict=True):
+            writer.put(index, {"status": status})
+        writer.remark(remarks)
+
+
+def _crop_coordinates(dataset: Dataset, shape: tuple[int, int]) -> xr.Dataset:
+    """Return the coordinates of crops.nc beyond the grid of spots, for frames of `shape` (rows, columns)."""
+    side, block = dataset.instrument.crop_px, min(frames.BLOCK_PX, *shape)
+    coordinates = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
+    attributes = {"units": "1", "long_name": "what the crop is centred on"}
+    coordinates["centring"] = ("centring", np.array(CENTRINGS, dtype=object), attributes)
+    for name, size, step, long_name in (
+        ("y", side, 1, "row of the crop"),
+        ("x", side, 1, "column of the crop"),
+        ("block_y", frames.count_blocks(shape[0], shape), block, "first row of the block"),
+        ("block_x", frames.count_blocks(shape[1], shape), block, "first column of the block"),
+        ("row", shape[0], 1, "row of the frame"),
+        ("column", shape[1], 1, "column of the frame"),
+    ):
+        coordinates[name] = (name, np.arange(size, dtype="i4") * step, {"units": "pixel", "long_name": long_name})
+    return coordinates
+
+
+def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int) -> dict[str, Any]:
+    """Return all variables of one frame; `flags` are added to the status that follows from its pixels."""
+    spots = (spotfinding.find_light_centroid(pixels, side), spotfinding.find_brightest_pixel(pixels))
+    images = np.stack([spotfinding.cut_crop(pixels, spot, side) for spot in spots])
+    reduced, extremes = frames.reduce_frame(pixels), measure_extremes(frames.select_good_readings(pixels))
+    clip = float(extremes.highest) if extremes.has_plateau() else full_scale
+    tops, lefts = [spot.row - side // 2 for spot in spots], [spot.column - side // 2 for spot in spots]
+    status = []
+    for image, top, left in zip(images, tops, lefts, strict=True):
+        is_inside = 0 <= top <= pixels.shape[0] - side and 0 <= left <= pixels.shape[1] - side
+        masked = 0 if is_inside else store.flag("masked")
+        status.append(flags | masked | _flag_readings(image, spots[AT_LIGHT].exists, full_scale, clip))
+    means = {"block_mean": reduced.block_mean, "row_mean": reduced.row_mean, "column_mean": reduced.column_mean}
+    return {"image": images, "top": tops, "left": lefts, "status": status} | means
+
+
+def _flag_readings(image: np.ndarray, has_spot: bool, full_scale: float, clip: float) -> int:
+    """Return the flags of a crop; `clip` is the reading at which its own frame is clipped [DN]."""
+    readings = image[np.isfinite(image)]
+    if np.count_nonzero(readings < full_scale) <= MAX_UNCLIPPED_SATURATED * readings.size:
+        return store.flag("saturated")
+    return (0 if has_spot else store.flag("black")) | (store.flag("clipped") if np.any(readings >= clip) else 0)
+
+
+def _flag_outliers(
+    dataset: Dataset, statuses: np.ndarray, moments: list[SpotMoments | None]
+) -> tuple[np.ndarray, list[str]]:
+    """Flag outlier frames, and clear flags of frames with keep = yes.
+
+    Returns
+    -------
+    statuses : array [spot, centring]
+        Revised in place.
+    remarks : list of str
+        One sentence for each reason, with the frames that it applies to.
+    """
+    outliers, remark = find_outlier_frames(dataset, moments)
+    reasons = {outlier.spot: outlier.reason for outlier in outliers}
+    for outlier in outliers:
+        statuses[outlier.spot] |= store.flag(outlier.flag)
+    labels_by_fate: dict[str, list[str]] = {}
+    for spot, frame in enumerate(dataset.spots):
+        flags = statuses[spot, AT_LIGHT] & store.EXCLUDED
+        if frame.keep:
+            statuses[spot] &= ~store.CLEARED_BY_KEEP
+        if flags:
+            fate = "used by hand (keep = yes in manifest.csv) though" if frame.keep else "set aside as"
+            reason = reasons.get(spot, store.describe_flags(flags))
+            labels_by_fate.setdefault(f"{fate} {store.status_names(flags)}: {reason}", []).append(frame.label)
+    remarks = [remark] if remark else []
+    for fate, labels in labels_by_fate.items():
+        if len(labels) == 1:
+            remarks.append(f"{labels[0]} is {fate}")
+        else:
+            more = [f"{len(labels) - MAX_NAMED} more"] if len(labels) > MAX_NAMED else []
+            remarks.append(f"{len(labels)} frames are {fate} ({', '.join([*labels[:MAX_NAMED], *more])})")
+    return statuses, remarks
+
+
+def is_usable(status: int | np.ndarray | xr.DataArray) -> bool:
+    """Return whether the status of one crop allows a fit and metrics."""
+    return not int(status) & store.UNUSABLE
+
+
+def iterate_cells(ds: xr.Dataset, dims: tuple[str, ...]) -> Iterator[dict[str, int]]:
+    """Yield the index of each cell along `dims` that has a frame, as keywords for `isel`.
+
+    Frames can then be read one at a time. Most cells may be empty, for example if each repeat has its own exposure.
+    """
+    others = [dim for dim in ds["status"].dims if dim not in dims]
+    has_frame = (ds["status"] != store.flag("missing")).any(others).transpose(*dims).values
+    for index in np.argwhere(has_frame).tolist():
+        yield dict(zip(dims, index, strict=True))

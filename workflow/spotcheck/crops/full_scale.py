@@ -1,0 +1,144 @@
+"""Full scale of a dataset: the largest reading, from the data sheet or from clipped frames.
+
+All pixels that exceed the range of the converter have the same reading. A clipped frame therefore has a plateau: many
+pixels at exactly its highest reading, where light and noise alone would spread them over many readings.
+
+# ASSUME: no light is so flat and no noise so small that pixels gather at exactly the highest reading without a clip.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from spotcheck.dataset.frames import get_full_scale
+from spotcheck.dataset.instrument import Instrument
+
+# Number of readings below the highest that a plateau is compared with. In so narrow a range, a spot has about as many
+# pixels at each reading, and at least one of the readings occurs where the light is not clipped.
+READINGS_BELOW = 16
+# A plateau has at least this many pixels, and this many times those of the most frequent reading below it. If the mean
+# number of pixels per reading is 1, ten occur by chance once in 1e7 frames.
+MIN_PLATEAU_PX, MIN_PLATEAU_RATIO = 10, 5
+# A plateau above this part of the stated range is the end of the converter: many stop slightly below their largest
+# number, at 4080 or 4094 of 4095. A lower plateau is saturation of the sensor, which the verdict detects.
+END_OF_RANGE = 0.99
+
+
+@dataclass(frozen=True)
+class ReadingExtremes:
+    """Statistics of the extreme readings of a frame."""
+
+    lowest: int  # lowest reading [DN]
+    highest: int  # highest reading [DN]
+    at_highest: int  # number of pixels at the highest reading
+    at_next: int  # largest number of pixels at one of the `READINGS_BELOW` readings below the highest
+    bits: int  # bitwise OR of all readings
+
+    def has_plateau(self, lowest: int | None = None) -> bool:
+        """Return whether pixels gather at the highest reading.
+
+        `lowest` is the lowest reading of the dataset [DN], by default of this frame. A highest reading close to it is
+        no plateau: frames without light and noise have one reading everywhere.
+        """
+        gathers = self.at_highest >= max(MIN_PLATEAU_PX, MIN_PLATEAU_RATIO * self.at_next)
+        lowest = self.lowest if lowest is None else lowest
+        return gathers and self.highest - lowest >= READINGS_BELOW * find_reading_step(self.bits)
+
+
+class FullScale(NamedTuple):
+    """Largest possible reading of the frames of a dataset."""
+
+    reading: int  # [DN]
+    source: str  # how it is known, in words; starts with `FROM_FRAMES` if clipped frames show it
+    remarks: tuple[str, ...] = ()  # sentences for the user
+
+
+# First word of `FullScale.source` if the value was found in clipped frames.
+FROM_FRAMES = "where"
+
+
+def measure_extremes(pixels: np.ndarray) -> ReadingExtremes:
+    """Return the statistics of the extreme readings of a frame of integers [DN], of any shape."""
+    highest, bits = int(pixels.max()), int(np.bitwise_or.reduce(pixels, axis=None))
+    step = find_reading_step(bits)
+    below = highest - pixels[pixels >= highest - min(READINGS_BELOW * step, highest)].astype(np.int64)
+    counts = np.bincount(below // step, minlength=2)
+    return ReadingExtremes(int(pixels.min()), highest, int(counts[0]), int(counts[1:].max()), bits)
+
+
+def find_reading_step(bits: int) -> int:
+    """Return the smallest step between readings [DN] by the bits that any of them sets: 16 for 12 bits in upper 16."""
+    return bits & -bits or 1
+
+
+def find_full_scale(extremes: Sequence[ReadingExtremes], instrument: Instrument, container_bits: int) -> FullScale:
+    """Return the largest possible reading of a dataset.
+
+    The first of these that is available is used: `sensor.full_scale_dn` of instrument.yaml; the plateau of the
+    brightest frames, unless `sensor.bit_depth` states a range that ends clearly above it; the range of
+    `sensor.bit_depth`; the range of the stored pixel.
+
+    Parameters
+    ----------
+    extremes : sequence of ReadingExtremes
+        One for each frame.
+    instrument : Instrument
+        Keys of instrument.yaml.
+    container_bits : int
+        Bits of a stored pixel.
+    """
+    range_end, depth = get_full_scale(instrument, container_bits), instrument.sensor.bit_depth
+    bits = int(np.bitwise_or.reduce([frame.bits for frame in extremes])) if extremes else 0
+    highest = max((frame.highest for frame in extremes), default=0)
+    remarks = _check_alignment(highest, bits, instrument)
+    if (stated := instrument.sensor.full_scale_dn) is not None:
+        file = instrument.get_file_name("sensor.full_scale_dn")
+        above = f"{file}: sensor.full_scale_dn is {stated}, but frames read up to {highest} DN; correct it"
+        return FullScale(stated, "instrument.yaml", (*remarks, above) if highest > stated else remarks)
+    lowest = min((frame.lowest for frame in extremes), default=0)
+    clipped = [frame for frame in extremes if frame.highest == highest and frame.has_plateau(lowest)]
+    converter = "bits of the converter"
+    if not clipped or highest == range_end:
+        container = f"container of {container_bits} bit (sensor.bit_depth is missing)"
+        return FullScale(range_end, converter if depth else container, remarks)
+    count = f"{len(clipped)} frames stop" if len(clipped) > 1 else "1 frame stops"
+    if depth and highest > END_OF_RANGE * range_end:
+        return FullScale(highest, f"{FROM_FRAMES} {count}, within 1 % of sensor.bit_depth {depth}", remarks)
+    plateau = f"{count} at exactly {highest} DN, up to {max(frame.at_highest for frame in clipped)} pixels of one"
+    proposal = _propose_bit_depth(highest, bits)
+    if depth is None:
+        advice = f"{proposal} would say so" if proposal else "give it"
+        missing = (
+            f"instrument.yaml: sensor.bit_depth is missing, and {plateau}, which is taken for full scale; {advice}"
+        )
+        return FullScale(highest, f"{FROM_FRAMES} {count} (sensor.bit_depth is missing)", (*remarks, missing))
+    file = instrument.get_file_name("sensor.bit_depth")
+    advice = (
+        f"{proposal} would be right" if proposal else "fits take them as whole, and the verdict looks for saturation"
+    )
+    low = f"{file}: sensor.bit_depth is {depth}, whose largest reading is {range_end} DN, but {plateau}; {advice}"
+    return FullScale(range_end, converter, (*remarks, low))
+
+
+def _propose_bit_depth(highest: int, bits: int) -> str:
+    """Return the keys of instrument.yaml for a converter whose largest reading is `highest`; "" if there is none."""
+    step = find_reading_step(bits)
+    readings = highest // step + 1
+    if readings & (readings - 1):
+        return ""
+    shift = f" and sensor.value_shift_bits {step.bit_length() - 1}" if step > 1 else ""
+    return f"sensor.bit_depth {readings.bit_length() - 1}{shift}"
+
+
+def _check_alignment(highest: int, bits: int, instrument: Instrument) -> tuple[str, ...]:
+    """Return a remark if readings are left-aligned but not declared so, as this underestimates their rounding noise."""
+    step = find_reading_step(bits)
+    if step == 1 or highest < READINGS_BELOW * step:
+        return ()
+    shift = instrument.sensor.value_shift_bits + step.bit_length() - 1
+    return (
+        f"every reading is a multiple of {step}: set sensor.value_shift_bits to {shift}, and give gain and"
+        f" black level in steps of {step}",
+    )

@@ -1,0 +1,158 @@
+"""The ingest stage: check the frames of a dataset and tabulate digest, extremes, clipping and copies (frames.nc)."""
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.crops.full_scale import FullScale, ReadingExtremes, find_full_scale, measure_extremes
+from spotcheck.dataset import file_cache, frames
+from spotcheck.dataset.folder import Dataset, check_files, get_column_unit
+from spotcheck.dataset.plausibility import list_unusual_values
+from spotcheck.errors import InputError
+from spotcheck.io import progress, store
+
+# Largest number of frames that a remark lists by name.
+MAX_NAMED = 5
+
+
+def check_dataset(dataset: Dataset) -> frames.FrameFormat:
+    """Check without decoding pixels that all files exist, that their headers agree, and that the crop fits.
+
+    Raises
+    ------
+    InputError
+        For the first check that fails.
+    """
+    check_files(dataset)
+    return frames.check_formats(dataset)
+
+
+def ingest_frames(dataset: Dataset, before: Mapping[str, file_cache.FileRecord] = MappingProxyType({})) -> xr.Dataset:
+    """Return the table of all frames of the manifest, which is written as frames.nc.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Every frame is decoded once.
+    before : mapping
+        Digests of earlier runs by path. They are reused for files whose size and times have not changed.
+
+    Returns
+    -------
+    Dataset
+        Digest, extreme readings, clipped pixels and copies by `frame`; shape, bits and full scale of all frames;
+        attribute `remarks`.
+
+    Raises
+    ------
+    InputError
+        If a file changes while it is read: its digest would not belong to the pixels.
+    """
+    probe = check_dataset(dataset)
+    statistics, digests = _decode_frames(dataset, before)
+    extremes, means, zeros, copy_of = zip(*statistics, strict=True)
+    full_scale = find_full_scale(extremes, dataset.instrument, probe.bits)
+    at_full_scale = [frame.at_highest if frame.highest == full_scale.reading else 0 for frame in extremes]
+    manifest = dataset.frames
+    columns = {
+        "frame": _column(range(len(manifest)), "i8", "1", "row of the manifest, from 0"),
+        "minimum": _column([frame.lowest for frame in extremes], "i4", "DN", "smallest reading"),
+        "maximum": _column([frame.highest for frame in extremes], "i4", "DN", "largest reading"),
+        "mean": _column(means, "f8", "DN", "mean reading"),
+        "at_full_scale": _column(at_full_scale, "i8", "pixel", "pixels that read full scale"),
+        "at_zero": _column(zeros, "i8", "pixel", "pixels that read zero"),
+        "copy_of": _column(copy_of, "i4", "1", "earlier frame that holds the same pixels; -1 where none does"),
+        "file": _column([frame.file for frame in manifest], object, "1", "path in the dataset folder"),
+        "kind": _column([frame.kind for frame in manifest], object, "1", "spot, dark or flat"),
+        "sha256": _column([digests[frame.path] for frame in manifest], object, "1", "SHA-256 of the file"),
+        # Empty cells (None) become NaN.
+        "angle_deg": _column([frame.angle_deg for frame in manifest], float, "degree", "fibre orientation"),
+        "exposure_s": _column([frame.exposure_s for frame in manifest], float, "s", "exposure time"),
+        "repeat": _column([frame.repeat for frame in manifest], float, "1", "site or repetition within a condition"),
+        "page": _column([frame.page for frame in manifest], float, "1", "page of a stack, from 0"),
+    }
+    shared = {
+        "rows": ((), probe.shape[0], {"units": "pixel", "long_name": "rows of every frame"}),
+        "columns": ((), probe.shape[1], {"units": "pixel", "long_name": "columns of every frame"}),
+        "container_bits": ((), probe.bits, {"units": "bit", "long_name": "bits of a stored pixel"}),
+        "full_scale": ((), full_scale.reading, {"units": "DN", "long_name": "largest possible reading"}),
+    }
+    extra = _extra_columns(dataset, {*columns, *shared})
+    table = xr.Dataset(columns | shared, extra, {"title": dataset.title, "dataset": dataset.name})
+    table["full_scale"].attrs["source"] = full_scale.source
+    remarks = [*probe.remarks, *list_unusual_values(dataset), *full_scale.remarks, *_name_copies(dataset, copy_of)]
+    return store.add_remarks(table, remarks)
+
+
+def _decode_frames(
+    dataset: Dataset, before: Mapping[str, file_cache.FileRecord]
+) -> tuple[list[tuple[ReadingExtremes, float, int, int]], dict[str, str]]:
+    """Decode all frames and compute the digests of their files.
+
+    Returns
+    -------
+    statistics : list of tuple
+        Extreme readings, mean [DN], number of zeros and first frame with the same pixels (−1: none) of each frame.
+    digests : dict
+        SHA-256 of each file by path.
+    """
+    statistics, looks, first_row = [], dict[str, file_cache.FileRecord](), dict[bytes, int]()
+    for row, frame in enumerate(progress.track(dataset.frames, "reading frames")):
+        if frame.path not in looks:
+            path = dataset.folder / frame.path
+            looks[frame.path] = file_cache.record_file(path, before.get(str(path)))
+        pixels = frames.select_good_readings(frames.read_masked_image(dataset, frame))
+        extremes = measure_extremes(pixels)
+        # ASSUME: noise makes no two exposures equal in every pixel, unless all of them read the same, as black ones do.
+        is_uniform = extremes.lowest == extremes.highest
+        first = row if is_uniform else first_row.setdefault(hashlib.sha256(pixels.data).digest(), row)
+        zeros = int(pixels.size - np.count_nonzero(pixels))
+        statistics.append((extremes, float(pixels.mean(dtype=np.float64)), zeros, first if first < row else -1))
+    for file, look in looks.items():
+        if file_cache.record_file(dataset.folder / file, look).sha256 != look.sha256:
+            raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
+    return statistics, {path: look.sha256 for path, look in looks.items()}
+
+
+def _column(values: Sequence[Any], dtype: Any, units: str, long_name: str) -> tuple:
+    """Return a variable of frames.nc with one value per frame."""
+    return "frame", np.array(values, dtype), {"units": units, "long_name": long_name}
+
+
+def _extra_columns(dataset: Dataset, reserved: set[str]) -> dict[str, tuple]:
+    """Return the additional columns of the manifest as coordinates, under names that netCDF allows."""
+    coordinates = {}
+    for column in dataset.frames[0].extra:
+        name = re.sub(r"\W", "_", column)[:100]
+        name = name if name[:1].isalpha() and name not in reserved else f"column_{name}"
+        texts = [frame.extra[column] for frame in dataset.frames]
+        coordinates[name] = _column(texts, object, get_column_unit(column), f"column {column}")
+    return coordinates
+
+
+def _name_copies(dataset: Dataset, copy_of: Sequence[int]) -> list[str]:
+    """Return one remark per frame that is a copy; for many, the first and the number of the others."""
+    remarks = [
+        f"{frame.label} holds the same pixels as {dataset.frames[first].label}, so that it is left out as a copy"
+        for frame, first in zip(dataset.frames, copy_of, strict=True)
+        if first >= 0
+    ]
+    more = [f"{len(remarks) - MAX_NAMED} more frames are copies"] if len(remarks) > MAX_NAMED else []
+    return remarks[:MAX_NAMED] + more
+
+
+def exclude_copies(dataset: Dataset, table: xr.Dataset) -> Dataset:
+    """Return the dataset without copies of other frames (by its frames.nc) and without frames with keep = no."""
+    rows = zip(dataset.frames, table["copy_of"].values, strict=True)
+    return replace(dataset, frames=tuple(frame for frame, first in rows if first < 0 and frame.keep is not False))
+
+
+def read_full_scale(table: xr.Dataset) -> FullScale:
+    """Return the full scale of a dataset from its frames.nc."""
+    return FullScale(int(table["full_scale"]), str(table["full_scale"].attrs["source"]))

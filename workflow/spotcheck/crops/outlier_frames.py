@@ -1,0 +1,290 @@
+"""Find outlier frames: spot frames that are blocked, displaced or exposed twice.
+
+Brightness, width and position of each spot are compared with those of its siblings. The siblings of a frame are the
+repeats of its condition, after the offset of its site is removed. If a condition has fewer than three repeats, the
+siblings are the neighbouring frames of the same site in a series of exposures or of positions along the beam.
+
+Only gross outliers are reported. Power fluctuation, drift and pointing jitter are a scatter that all frames share. This
+scatter sets the scale of the test here, and the verdict quantifies it.
+"""
+
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from spotcheck.crops.spotfinding import median_filter_3x3
+from spotcheck.dataset.folder import Dataset
+
+# Largest rate of good frames that are reported. It holds for quantities with the heavy tails of Student's t
+# distribution with five degrees of freedom, and is shared equally by the four quantities of a frame.
+FALSE_ALARM_RATE, TAIL_FREEDOM, QUANTITIES = 1e-4, 5.0, 4
+# Standard deviation over median absolute deviation, and efficiency of that estimate, both for a normal distribution.
+MAD_TO_SIGMA, MAD_EFFICIENCY = 1.4826, 0.37
+# Gross outliers: light relative to the siblings, width relative to the siblings, distance in widths of the siblings.
+MIN_LIGHT, MAX_LIGHT, MIN_WIDTH, MAX_WIDTH, MAX_SHIFT = 0.75, 1.5, 0.75, 1.33, 0.5
+# Fewest siblings for a test. At most one of 3 siblings, and one of 10 spots of the dataset, can be an outlier.
+MIN_SIBLINGS, SIBLINGS_PER_OUTLIER, SPOTS_PER_OUTLIER = 3, 3, 10
+# Frames that a series needs on either side of a tested frame: an outlier at the end must not condemn its neighbour.
+MIN_NEIGHBOURS = 2
+# Axes along which brightness and position change smoothly.
+SMOOTH_AXES = ("exposure", "z_m")
+# Alternating medians of conditions and sites converge within a few iterations.
+MEDIAN_POLISH_ITERATIONS = 5
+# A pixel is lit if it exceeds the noise of a reading by this factor, of which the median filter leaves 0.41, and this
+# level.
+LIT_OVER_NOISE, FAINTEST_DN = 3.0, 1.0
+MIN_LIT_PIXELS = 9
+# Standard deviation of pixels over that of a sum per √pixel: the median filter correlates the noise of neighbours.
+CORRELATED_NOISE = 1.5
+# Column of the quantities ln light, ln width, x and y that holds the width.
+WIDTH = 1
+
+
+@dataclass(frozen=True)
+class SpotMoments:
+    """Brightness, width and position of a spot, and their standard errors due to pixel noise.
+
+    The errors are those of independent frames of the same spot. They do not include any change of the light.
+    """
+
+    light: float  # sum of the light [DN px]
+    sigma: float  # root mean square radius per axis [px]
+    x: float  # centroid, column on the sensor [px]
+    y: float  # centroid, row on the sensor [px]
+    log_light_error: float  # standard error of ln light
+    log_sigma_error: float  # standard error of ln sigma
+    centre_error: float  # standard error of x and of y [px]
+
+
+class OutlierFrame(NamedTuple):
+    """A spot frame that differs grossly from its siblings."""
+
+    spot: int  # index in `dataset.spots`
+    flag: str  # status flag: blocked, double or moved
+    reason: str  # what is wrong, in words
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """Deviations of frames from their siblings in ln light, ln width, x and y."""
+
+    deviation: np.ndarray  # [frame, quantity], NaN if the frame was not compared
+    limit: np.ndarray  # [frame, quantity], largest deviation of a good frame; infinite if not tested
+    group: list[Hashable]  # label of the siblings of each frame
+
+
+def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None:
+    """Return the moments of a spot, after a median filter that removes isolated bright pixels.
+
+    Parameters
+    ----------
+    crop : array [rows, columns]
+        Readings [DN], NaN where no pixel was read. The median of the border is the background.
+    left, top : int
+        Column and row of the first pixel of the crop on the sensor [px].
+
+    Returns
+    -------
+    SpotMoments or None
+        None if fewer than `MIN_LIT_PIXELS` pixels exceed the noise.
+    """
+    valid = np.isfinite(crop)
+    if not valid.any():
+        return None
+    image = np.where(valid, crop, np.median(crop[valid])).astype(np.float32)
+    border = np.ones(image.shape, bool)
+    border[tuple(slice(1 + size // 16, -1 - size // 16) for size in image.shape)] = False
+    noise = float(np.median(np.abs(np.diff(image, axis=1)))) / 0.954
+    signal = median_filter_3x3(image) - np.median(image[border])
+    rows, columns = np.nonzero((signal > max(LIT_OVER_NOISE * noise, FAINTEST_DN)) & valid)
+    if len(rows) < MIN_LIT_PIXELS:
+        return None
+    light = float(signal[rows, columns].sum(dtype=float))
+    weights = signal[rows, columns] / light
+    x, y = float(columns @ weights), float(rows @ weights)
+    squared_radii = ((columns - x) ** 2 + (rows - y) ** 2) / 2
+    variance = float(squared_radii @ weights)
+    relative_noise = CORRELATED_NOISE * noise / light
+    return SpotMoments(
+        light=light,
+        sigma=variance**0.5,
+        x=left + x,
+        y=top + y,
+        log_light_error=float(relative_noise * np.sqrt(len(rows))),
+        log_sigma_error=float(relative_noise * np.linalg.norm((squared_radii / variance - 1) / 2)),
+        centre_error=float(relative_noise * np.sqrt(squared_radii.sum())),
+    )
+
+
+def find_outlier_frames(dataset: Dataset, moments: Sequence[SpotMoments | None]) -> tuple[list[OutlierFrame], str]:
+    """Return the spot frames that differ grossly from their siblings.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Frames whose column `keep` is set are compared but never reported.
+    moments : sequence
+        Moments of each of `dataset.spots`; None for unusable frames, which are neither tested nor siblings.
+
+    Returns
+    -------
+    outliers : list of OutlierFrame
+        In the order of `dataset.spots`.
+    remark : str
+        Not empty if more than one spot in ten is an outlier. No frame is reported then, as the cause is the light.
+    """
+    measured = [(spot, moment) for spot, moment in enumerate(moments) if moment is not None]
+    if len(measured) < MIN_SIBLINGS:
+        return [], ""
+    index_of_frame = {id(frame): index for index, frame in dataset.cells()}
+    index = [index_of_frame[id(dataset.spots[spot])] for spot, _ in measured]
+    values = np.array([(np.log(m.light), np.log(m.sigma), m.x, m.y) for _, m in measured])
+    errors = np.array([(m.log_light_error, m.log_sigma_error, m.centre_error, m.centre_error) for _, m in measured])
+    comparison = _compare_repeats(values, errors, index, [axis.name for axis in dataset.axes].index("repeat"))
+    comparison = _compare_neighbours(values, errors, index, dataset, comparison)
+    widths = np.exp(values[:, WIDTH])
+    faults = [_classify(*frame) for frame in zip(comparison.deviation, comparison.limit, widths, strict=True)]
+    siblings = Counter(comparison.group)
+    faulty = Counter(group for group, fault in zip(comparison.group, faults, strict=True) if fault)
+    outliers = [
+        OutlierFrame(spot, *fault)
+        for (spot, _), group, fault in zip(measured, comparison.group, faults, strict=True)
+        if fault and faulty[group] <= siblings[group] // SIBLINGS_PER_OUTLIER and dataset.spots[spot].keep is None
+    ]
+    if len(outliers) > max(len(measured) // SPOTS_PER_OUTLIER, 1):
+        first = dataset.spots[outliers[0].spot].label
+        return [], (
+            f"{len(outliers)} of {len(measured)} spot frames are unlike their siblings, {first} first"
+            f" ({outliers[0].reason}): too many for accidents, so that all are used"
+        )
+    return outliers, ""
+
+
+def _compare_repeats(
+    values: np.ndarray, errors: np.ndarray, index: list[tuple[int, ...]], repeat_axis: int
+) -> _Comparison:
+    """Compare each frame [frame, quantity] with the repeats of its condition, and with the other frames of its site."""
+    conditions: list[Hashable] = [cell[:repeat_axis] + cell[repeat_axis + 1 :] for cell in index]
+    # The second axis of the grid is the exposure.
+    sites = [(cell[0], *cell[2:]) for cell in index]
+    exposures = np.array([cell[1] for cell in index])
+    size = Counter(conditions)
+    tested = np.array([size[condition] >= MIN_SIBLINGS for condition in conditions])
+    deviation, limit = np.full(values.shape, np.nan), np.full(values.shape, np.inf)
+    condition_groups, site_groups = _group_frames(conditions, tested), _group_frames(sites, tested)
+    has_site = np.zeros(len(index), bool)
+    has_site[[frame for group in site_groups for frame in group]] = True
+    # A site with too few frames has no offset of its own: its frames are compared with the scatter of all sites.
+    # Offsets of conditions and of sites have one mean in common, which counts once.
+    for groups, frames, common in (
+        (condition_groups, np.flatnonzero(tested & ~has_site), 0),
+        (condition_groups + site_groups, np.flatnonzero(tested & has_site), 1),
+    ):
+        if not len(frames):
+            continue
+        residual = np.where(tested[:, None], values, np.nan)
+        for _ in range(MEDIAN_POLISH_ITERATIONS):
+            for group in groups:
+                residual[group] -= np.median(residual[group], axis=0)
+        freedom = int(tested.sum()) - len(groups) + common
+        scatter = _estimate_scatter(residual[tested])
+        for frame in frames:
+            # Short exposures may scatter more than long ones.
+            same_exposure = tested & (exposures == exposures[frame])
+            same_exposure[frame] = False
+            widest = np.maximum(scatter, _estimate_scatter(residual[same_exposure]))
+            deviation[frame], limit[frame] = residual[frame], _limit_deviation(widest, errors[frame], freedom)
+    return _Comparison(deviation, limit, conditions)
+
+
+def _group_frames(labels: Sequence[Hashable], selected: np.ndarray) -> list[np.ndarray]:
+    """Return the indices of the selected frames of each label that has at least `MIN_SIBLINGS` of them."""
+    groups: dict[Hashable, list[int]] = {}
+    for frame in np.flatnonzero(selected).tolist():
+        groups.setdefault(labels[frame], []).append(frame)
+    return [np.array(group) for group in groups.values() if len(group) >= MIN_SIBLINGS]
+
+
+def _estimate_scatter(residual: np.ndarray) -> np.ndarray:
+    """Return the robust standard deviation of each column of residuals [frame, quantity]."""
+    # A residual of exactly 0 belongs to the frame that was the median, and has no information about the scatter.
+    magnitudes = [np.sort(np.abs(column[column != 0])) for column in residual.T]
+    return np.array([MAD_TO_SIGMA * m[(len(m) - 1) // 2] if len(m) else 0.0 for m in magnitudes])
+
+
+def _limit_deviation(scatter: np.ndarray, errors: np.ndarray, freedom: float) -> np.ndarray:
+    """Return the largest deviation of a good frame, for a scatter with that many degrees of freedom."""
+    if freedom <= 0:
+        return np.full(errors.shape, np.inf)
+    distribution = stats.t(min(TAIL_FREEDOM, MAD_EFFICIENCY * freedom))
+    return distribution.isf(FALSE_ALARM_RATE / QUANTITIES / 2) * np.hypot(scatter, errors)
+
+
+def _compare_neighbours(
+    values: np.ndarray, errors: np.ndarray, index: list[tuple[int, ...]], dataset: Dataset, comparison: _Comparison
+) -> _Comparison:
+    """Compare frames without enough repeats with their neighbours in the longest series along a smooth axis."""
+    pending = np.isnan(comparison.deviation).all(axis=1)
+    lengths = {axis.name: axis.size for axis in dataset.axes if axis.name in SMOOTH_AXES and axis.values is not None}
+    if not pending.any() or not lengths or max(lengths.values()) <= 2 * MIN_NEIGHBOURS:
+        return comparison
+    name = max(lengths, key=lambda name: lengths[name])
+    axis = [axis.name for axis in dataset.axes].index(name)
+    coordinates = np.array(dataset.axes[axis].values, float)
+    coordinates = np.log(coordinates) if name == "exposure" else coordinates
+    position = np.array([coordinates[cell[axis]] for cell in index])
+    labels: list[Hashable] = [(name, *cell[:axis], *cell[axis + 1 :]) for cell in index]
+    series = [frames[np.argsort(position[frames])] for frames in _group_frames(labels, pending)]
+    deviation, limit, group = comparison.deviation.copy(), comparison.limit.copy(), list(comparison.group)
+    for frame in (frame for frames in series for frame in frames):
+        group[frame] = labels[frame]
+    while True:
+        for frames in series:
+            deviation[frames] = _subtract_interpolation(position[frames], values[frames])
+        inner = np.concatenate([frames[1:-1] for frames in series]) if series else np.zeros(0, int)
+        if not len(inner):
+            break
+        limit[inner] = _limit_deviation(_estimate_scatter(deviation[inner]), errors[inner], len(inner))
+        # The width is not linear in the position near a waist.
+        limit[inner, WIDTH] = np.inf
+        worst = inner[int(np.argmax((np.abs(deviation[inner]) / limit[inner]).max(axis=1)))]
+        if _classify(deviation[worst], limit[worst], float(np.exp(values[worst, WIDTH]))) is None:
+            break
+        # Near the end of a series, an outlier cannot be distinguished from a change of the light.
+        if not any(worst in frames[MIN_NEIGHBOURS:-MIN_NEIGHBOURS] for frames in series):
+            limit[worst] = np.inf
+        series = [frames[frames != worst] for frames in series]
+    return _Comparison(deviation, limit, group)
+
+
+def _subtract_interpolation(position: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values [frame, quantity] minus the linear interpolation between their neighbours; NaN at both ends."""
+    deviation = np.full(values.shape, np.nan)
+    fraction = ((position[1:-1] - position[:-2]) / (position[2:] - position[:-2]))[:, None]
+    deviation[1:-1] = values[1:-1] - (1 - fraction) * values[:-2] - fraction * values[2:]
+    return deviation
+
+
+def _classify(deviation: np.ndarray, limit: np.ndarray, sigma: float) -> tuple[str, str] | None:
+    """Return flag and reason of a frame of width sigma [px]; None if it is no gross outlier.
+
+    Light is tested first: a spot that lacks part of its light is displaced as well.
+    """
+    tested = np.where(np.isfinite(limit), deviation, 0.0)
+    light, width, distance = float(np.exp(tested[0])), float(np.exp(tested[1])), float(np.hypot(*tested[2:]))
+    is_gross_light, is_gross_width = not MIN_LIGHT <= light <= MAX_LIGHT, not MIN_WIDTH <= width <= MAX_WIDTH
+    is_gross_shift = distance > MAX_SHIFT * sigma / width
+    # The shift is significant if it is so along either axis.
+    significant = np.abs(tested) > limit
+    if not (np.array([is_gross_light, is_gross_width, is_gross_shift, is_gross_shift]) & significant).any():
+        return None
+    if is_gross_light:
+        share = f"{100 * light:.2g} % of" if light < 1 else f"{light:.2g} times"
+        return "blocked" if light < 1 else "double", f"it holds {share} the light of its siblings"
+    if is_gross_width:
+        return "blocked" if width < 1 else "double", f"its spot is {width:.2g} times as wide as its siblings'"
+    return "moved", f"its spot lies {distance:.3g} px from where its siblings have theirs"

@@ -1,0 +1,69 @@
+"""Find bad pixels of the sensor: outlying pixels that many fits have left out."""
+
+from collections import Counter
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.characterization.odd_pixels import odd_pixels
+from spotcheck.crops.cropping import iterate_cells
+from spotcheck.dataset.instrument import BadPixels
+from spotcheck.io import store
+from spotcheck.sensor import SensorModel
+
+# A pixel, column or row is bad if at least this number and this part of the fits left it out. The part is that of fits
+# whose crop covers it and which left out something. An event in a single frame, such as a cosmic ray, is no defect.
+MIN_FITS, MIN_PART = 2, 0.5
+
+
+def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) -> tuple[BadPixels, int]:
+    """Return the bad pixels of the sensor and the number of fits that left out pixels.
+
+    The outlying pixels of these fits are searched again, as fits.nc names only the first of them.
+
+    Parameters
+    ----------
+    fits, crops : Dataset
+        fits.nc and crops.nc of a dataset.
+    sensor : SensorModel
+        Sensor by which a pixel is outlying.
+    """
+    centred = crops.sel(centring="light")
+    flags = fits["status"].sel(centring="light", fit="likelihood")
+    columns: Counter[int] = Counter()
+    rows: Counter[int] = Counter()
+    pixels: Counter[tuple[int, int]] = Counter()
+    corners = []
+    for index in iterate_cells(centred, store.grid_dims(crops)):
+        if not int(flags.isel(index)) & store.flag("left_out"):
+            continue
+        crop = centred.isel(index)
+        left, top = int(crop["left"]), int(crop["top"])
+        corners.append((left, top))
+        outlying = odd_pixels(crop["image"].values, sensor)
+        columns.update(left + x for x in outlying.columns)
+        rows.update(top + y for y in outlying.rows)
+        pixels.update((left + x, top + y) for y, x in outlying.pixels)
+    lefts, tops = np.array(corners, int).reshape(-1, 2).T
+    side = centred.sizes["x"]
+
+    def covers_column(x: int) -> np.ndarray:
+        """Return whether each crop [fit] covers a column of the sensor."""
+        return (lefts <= x) & (x < lefts + side)
+
+    def covers_row(y: int) -> np.ndarray:
+        """Return whether each crop [fit] covers a row of the sensor."""
+        return (tops <= y) & (y < tops + side)
+
+    bad = BadPixels(
+        None,
+        tuple(x for x in sorted(columns) if _is_frequent(columns[x], covers_column(x))),
+        tuple(y for y in sorted(rows) if _is_frequent(rows[y], covers_row(y))),
+        tuple((x, y) for x, y in sorted(pixels) if _is_frequent(pixels[x, y], covers_column(x) & covers_row(y))),
+    )
+    return bad, len(corners)
+
+
+def _is_frequent(count: int, covers: np.ndarray) -> bool:
+    """Return whether a place was left out by enough of the fits whose crop covers it [fit]."""
+    return count >= max(MIN_FITS, MIN_PART * np.count_nonzero(covers))

@@ -1,0 +1,192 @@
+"""Write a folder of corrected frames: float TIFF files of two pages, electrons and their variance, and a manifest."""
+
+import csv
+import io
+import json
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tifffile
+
+import spotcheck
+from spotcheck.characterization.pixel_maps import SensorMaps, maps_in
+from spotcheck.characterization.sensor_choice import BY_FLATS
+from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.dataset import frames
+from spotcheck.dataset.folder import Dataset
+from spotcheck.dataset.manifest import REQUIRED_COLUMNS, Frame
+from spotcheck.errors import InputError
+from spotcheck.export.frame_correction import CorrectedFrame, compute_response_curve, correct_frame
+from spotcheck.export.learned_values import read_sensor, read_verdict
+from spotcheck.io import provenance, store
+from spotcheck.io.atomic_files import write_atomically
+from spotcheck.io.formats.names import split_inner_path
+from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.effects import vocabulary
+from spotcheck.model.model_file import read_model, reason_without_model
+from spotcheck.model.stage import Stage
+from spotcheck.sensor import SensorModel
+
+# Files of a results folder that a correction uses.
+SOURCES = ("frames.nc", "transfer.nc", "sensor.nc", "maps.nc", "verdict.json", "model.yaml")
+# Pages of a corrected file.
+PAGES = ("electrons of the light [e-]", "variance [e-2]")
+MANIFEST_HEAD = """\
+# Corrected frames, by `spotcheck correct`. Page 0 of a file holds electrons of the light [e-], page 1 their
+# variance [e-2], both 32-bit floats; NaN marks pixels that are bad or clipped. Black level, offsets of pixels,
+# dark current and the curvature of the response are removed, and gains of pixels divided by, as far as the results
+# contain them: the description of each file lists them. source, source_page: the frame that was read. clipped_px: how
+# many pixels are clipped.
+"""
+
+
+class Calibration(NamedTuple):
+    """Calibration of a sensor by which frames are corrected."""
+
+    sensor: SensorModel
+    effects: tuple[AppliedEffect, ...]  # detected effects on well and response
+    maps: SensorMaps | None  # offset and gain of each pixel; None if they were not measured
+    digests: dict[str, str]  # first digits of the SHA-256 of each file of the results, by name
+
+
+def read_calibration(results: Path) -> Calibration:
+    """Return the calibration in a results folder. Raises `InputError` if it has no gain and read noise."""
+    has_sensor = (results / "sensor.nc").is_file()
+    sensor = read_sensor(results) if has_sensor else _read_transfer_sensor(results)
+    if sensor is None:
+        raise InputError(
+            f"{results}: holds no gain and read noise; use results that do, such as those of flats and darks"
+        )
+    maps = None
+    if (results / "maps.nc").is_file():
+        with store.read(results / "maps.nc") as ds:
+            maps = maps_in(ds)
+    digests = {name: provenance.file_digest(results / name)[:16] for name in SOURCES if (results / name).is_file()}
+    return Calibration(sensor, tuple(_read_sensor_effects(results)), maps, digests)
+
+
+def _read_transfer_sensor(results: Path) -> SensorModel | None:
+    """Return the sensor by photon transfer of flats and darks alone; None if gain, noise or black level is unknown."""
+    if not (results / "transfer.nc").is_file():
+        return None
+    with store.read(results / "transfer.nc") as ds, store.read(results / "frames.nc") as table:
+        quantities, full_scale = quantities_of(ds), float(table["full_scale"])
+        curvature = float(ds.attrs["response_bend"])
+    names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
+    values = {name: quantities[BY_FLATS[name]].value for name in names}
+    if not np.isfinite(list(values.values())).all():
+        return None
+    dark_current = max(np.nan_to_num(quantities[BY_FLATS["dark_current_e_per_s"]].value), 0.0)
+    return SensorModel(**values, dark_current_e_per_s=dark_current, full_scale_dn=full_scale, response_bend=curvature)
+
+
+def _read_sensor_effects(results: Path) -> list[AppliedEffect]:
+    """Return the effects on well and response of model.yaml, or of verdict.json if there is no model.
+
+    Effects of verdict.json that are unknown here, or lack a constant of their variant, are skipped.
+    """
+    model = results / "model.yaml"
+    effects: list[AppliedEffect] = []
+    if model.is_file() and not reason_without_model(model):
+        effects += read_model(model).effects
+    else:
+        for entry in read_verdict(results).get("effects", ()):
+            values = {name: parameter["value"] for name, parameter in entry["parameters"].items()}
+            with suppress(KeyError, TypeError, ValueError):
+                effects.append(vocabulary()[entry["name"]].apply(values, entry["form"]))
+    return [applied for applied in effects if {Stage.WELL, Stage.RESPONSE} & set(applied.effect.stages)]
+
+
+def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: Path) -> int:
+    """Correct and write every frame of a dataset, one at a time, and manifest.csv; return their number.
+
+    Raises
+    ------
+    InputError
+        If the folder is not empty, or if the frames and the maps differ in size.
+    """
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError(f"{folder}: is not empty; name a new folder, nothing is overwritten")
+    curve, rows = compute_response_curve(calibration.sensor, calibration.effects), []
+    # All pages of a stack have the digest of one file.
+    digest = cache(provenance.file_digest)
+    for frame, name in zip(dataset.frames, name_corrected_frames(dataset.frames), strict=True):
+        image = frames.read_masked_image(dataset, frame).astype(float)
+        maps = None
+        if calibration.maps is not None:
+            _check_size(frame, image.shape, calibration.maps)
+            maps = calibration.maps.at(frame.exposure_s)
+        result = correct_frame(image, calibration.sensor, curve, maps, frame.exposure_s)
+        description = _describe(dataset, frame, calibration, digest(dataset.folder / frame.path))
+        _write_tiff(folder / name, result, description)
+        numbers = ("" if v is None else v for v in (frame.angle_deg, frame.exposure_s, frame.repeat))
+        rows.append([name, frame.kind, *numbers, *frame.extra.values(), frame.file, frame.page, result.clipped])
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*REQUIRED_COLUMNS, *dataset.frames[0].extra, "source", "source_page", "clipped_px"])
+    writer.writerows(rows)
+    store.write_text(folder / "manifest.csv", MANIFEST_HEAD + text.getvalue())
+    return len(rows)
+
+
+def _check_size(frame: Frame, shape: tuple[int, ...], maps: SensorMaps) -> None:
+    """Raise `InputError` if a frame differs from the maps in size."""
+    expected = maps.offset.values.shape
+    if expected != shape:
+        raise InputError(
+            f"{frame.label}: has {shape[1]} × {shape[0]} px, but maps.nc of the results {expected[1]} × {expected[0]}"
+            " px; correct frames of the sensor's same part"
+        )
+
+
+def name_corrected_frames(manifest: Sequence[Frame]) -> list[str]:
+    """Return the path of each corrected frame, unique and derived from its source.
+
+    The path inside an HDF5 file, and the page of a stack, become part of the name.
+    """
+    pages = Counter(frame.file for frame in manifest)
+    sources = {file: (Path(path), inside) for file in pages for path, inside in (split_inner_path(file),)}
+    same_stem = Counter((path.with_suffix(""), inside) for path, inside in sources.values())
+    names = []
+    for frame in manifest:
+        path, inside = sources[frame.file]
+        stem = path.name.replace(".", "_") if same_stem[path.with_suffix(""), inside] > 1 else path.stem
+        stem += inside.replace("/", "_") + (f"_p{frame.page}" if pages[frame.file] > 1 else "")
+        names.append(path.with_name(f"{stem}.tif").as_posix())
+    return names
+
+
+def _describe(dataset: Dataset, frame: Frame, calibration: Calibration, sha256: str) -> dict[str, Any]:
+    """Return the description of a corrected file; `sha256` is that of its source."""
+    maps = calibration.maps
+    return {
+        "made_by": f"spotcheck correct {spotcheck.__version__}",
+        "dataset": dataset.name,
+        "source": frame.file,
+        "source_page": frame.page,
+        "source_sha256": sha256,
+        "pages": PAGES,
+        "nan": "bad or clipped",
+        "sensor": {key: value for key, value in asdict(calibration.sensor).items() if np.isfinite(value)},
+        "turned_round": {
+            applied.effect.name: {"form": applied.variant.value}
+            | {name: value for name, value in applied.parameters.items() if np.isfinite(value)}
+            for applied in calibration.effects
+        },
+        "maps": [] if maps is None else ["offset", *(["gain"] if maps.gain is not None else [])],
+        "results": calibration.digests,
+    }
+
+
+def _write_tiff(path: Path, frame: CorrectedFrame, description: dict[str, Any]) -> None:
+    """Write a TIFF of two pages atomically; equal frames give equal bytes."""
+    with write_atomically(path) as scratch, tifffile.TiffWriter(scratch) as tiff:
+        for page, text in ((frame.electrons, json.dumps(description)), (frame.variance, PAGES[1])):
+            tiff.write(page.astype(np.float32), compression="zlib", photometric="minisblack", description=text,
+                       metadata=None, software="")  # fmt: skip

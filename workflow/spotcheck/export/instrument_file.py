@@ -1,0 +1,152 @@
+"""Write the instrument file of `spotcheck adopt`, and format the table that it prints.
+
+The file describes the instrument and not the dataset: it has no name, conditions or crop. Each learned value has a
+comment with its error, its source and the value of the data sheet.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import spotcheck
+from spotcheck.dataset.instrument import SECTIONS, BadPixels, Instrument
+from spotcheck.errors import InputError
+from spotcheck.export.learned_values import UnusedResult, format_number
+from spotcheck.export.value_choice import Choice
+from spotcheck.io import provenance, store
+from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.schema import read_schema
+
+# Significant digits of a learned value and of its error, more than are known of any of them.
+DIGITS, DIGITS_OF_ERROR = 6, 3
+# Files that values come from.
+SOURCES = ("frames.nc", "transfer.nc", "sensor.nc", "fits.nc", "verdict.json", "light.nc")
+
+
+def write_instrument_file(
+    path: Path, choices: Sequence[Choice], unused: Sequence[UnusedResult], instrument: Instrument, results: Path
+) -> None:
+    """Write an instrument file, and beside it the light shape if one was learned.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; the light shape gets its stem with "-light.nc".
+    choices : sequence of Choice
+        Adopted values are written, the others are listed in a comment.
+    unused : sequence of UnusedResult
+        Results that are listed in the same comment.
+    instrument : Instrument
+        Data sheet of the dataset, for the other keys.
+    results : Path
+        Results folder, whose files are named with their digests.
+
+    Raises
+    ------
+    InputError
+        If a file already exists.
+    """
+    adopted = {choice.learned.key: choice for choice in choices if choice.is_adopted}
+    light = path.with_name(f"{path.stem}-light.nc")
+    has_light = "light.profile" in adopted
+    for file in (path, *([light] if has_light else [])):
+        if file.exists():
+            raise InputError(f"{file}: is already there; name a new file, nothing is overwritten")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if has_light:
+        with store.write_with_sidecar(light) as scratch:
+            shutil.copyfile(adopted["light.profile"].learned.value, scratch)
+    lines = [*_format_head(results)]
+    for section in SECTIONS:
+        if rows := list(_format_section(path, section, adopted, instrument, light.name)):
+            lines += [f"{section}:", *(f"  {row}" for row in rows)]
+    rejected = [
+        f"{choice.learned.key}: learned {format_value(choice)}, {choice.learned.source}: {choice.reason}"
+        for choice in choices
+        if not choice.is_adopted
+    ]
+    rejected += [f"{result.name}: {result.text}: {result.reason}" for result in unused]
+    if rejected:
+        lines += ["# Not adopted:", *(f"# - {row}" for row in rejected)]
+    store.write_text(path, "\n".join(lines) + "\n")
+
+
+def _format_head(results: Path) -> Iterator[str]:
+    """Yield the comment at the top of the file, with the digests of its sources."""
+    yield f"# What the data sheet of {results.name} states, and what was learned from its frames: written by"
+    yield f"# `spotcheck adopt`, version {spotcheck.__version__}. A dataset names this file by `based_on:` in its"
+    yield "# instrument.yaml, or has it as its instrument.yaml."
+    for name in SOURCES:
+        if (results / name).is_file():
+            yield f"# {name}: SHA-256 {provenance.file_digest(results / name)[:16]}"
+
+
+def _format_section(
+    path: Path, section: str, adopted: Mapping[str, Choice], instrument: Instrument, light_name: str
+) -> Iterator[str]:
+    """Yield the lines of a section, in the order of the schema."""
+    if section in adopted:
+        learned = adopted[section].learned
+        yield f"# {learned.source}"
+        yield from (f"{key}: {_format_yaml(key, value, path)}" for key, value in asdict(learned.value).items() if value)
+        return
+    for key in read_schema("instrument")["properties"][section]["properties"]:
+        name = f"{section}.{key}"
+        if name in adopted:
+            choice = adopted[name]
+            text = _format_yaml(key, light_name if key == "profile" else choice.learned.value, path)
+            yield f"{key}: {text}  # learned: {format_value(choice)}, {choice.learned.source}; {_explain(choice)}"
+        elif key.endswith("_stderr") and name.removesuffix("_stderr") in adopted:
+            stderr = adopted[name.removesuffix("_stderr")].learned.stderr
+            if np.isfinite(stderr):
+                yield f"{key}: {stderr:.{DIGITS_OF_ERROR}g}"
+        elif name in instrument.given_keys:
+            yield f"{key}: {_format_yaml(key, getattr(getattr(instrument, section), key), path)}"
+
+
+def _format_yaml(key: str, value: Any, path: Path) -> str:
+    """Return a value as YAML; paths of files are relative to the folder of the new file."""
+    if key in ("profile", "mask") and Path(value).is_absolute():
+        value = os.path.relpath(value, path.parent.resolve())
+    if isinstance(value, float) and np.isfinite(value):
+        return f"{value:.{DIGITS}g}"
+    return json.dumps(value)
+
+
+def _explain(choice: Choice) -> str:
+    """Return why a value was adopted, and the value of the data sheet."""
+    if choice.stated is None:
+        return choice.reason
+    return f"{choice.reason}, which said {plus_minus(float(choice.stated), choice.stated_stderr)}"
+
+
+def format_value(choice: Choice) -> str:
+    """Return a learned value with its error and unit as text."""
+    value = choice.learned.value
+    if isinstance(value, BadPixels):
+        counts = {name: len(getattr(value, name)) for name in ("columns", "rows", "pixels")}
+        return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    if isinstance(value, Path):
+        return "a shape"
+    return format_number(float(value), choice.learned.stderr, choice.learned.unit)
+
+
+def format_table(choices: Sequence[Choice], unused: Sequence[UnusedResult]) -> str:
+    """Return a table of all learned values and unused results, with the decision on each and its reason."""
+    rows = [("key", "sheet", "learned", "", "why", "origin")]
+    for choice in choices:
+        learned = choice.learned
+        stated = "–" if choice.stated is None else plus_minus(float(choice.stated), choice.stated_stderr)
+        decision = "taken" if choice.is_adopted else "left"
+        rows.append((learned.key, stated, format_value(choice), decision, choice.reason, learned.source))
+    rows += [(result.name, "–", result.text, "left", result.reason, "verdict.json") for result in unused]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )

@@ -1,0 +1,269 @@
+"""Collect from the results of a dataset the learned value of each key of instrument.yaml, its error and its source.
+
+Sensor parameters come from transfer.nc, sensor.nc and verdict.json, the light shape from light.nc, and bad pixels from
+the fits. Detected effects set keys through `Effect.instrument_keys`.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spotcheck.characterization.sensor_choice import BY_FLATS, FLATS, NEVER_TAKEN, QUANTITIES, SPOTS, model_of
+from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.crops.full_scale import FROM_FRAMES
+from spotcheck.dataset.instrument import BadPixels, Instrument
+from spotcheck.export.bad_pixels import find_bad_pixels
+from spotcheck.io import store
+from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.schema import read_schema
+from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.effects import vocabulary
+from spotcheck.model.light_shape import LIGHT, read_lights
+from spotcheck.sensor import SensorModel
+
+# Step of the numerical derivative of a key by a parameter of an effect, in standard errors of the parameter.
+DERIVATIVE_STEP = 1e-3
+# Parameters in electrons that are proportional to 1/K, as they are measured in DN.
+IN_ELECTRONS = ("read_noise_e", "dark_current_e_per_s")
+# Parameters that photon transfer derives from the light under the assumption of a linear response.
+OF_LINEAR_RESPONSE = ("quantum_efficiency",)
+
+
+@dataclass(frozen=True)
+class LearnedValue:
+    """Value of a key of instrument.yaml that follows from results."""
+
+    key: str  # section and name, such as sensor.gain_dn_per_e
+    value: Any  # number, `BadPixels`, or path of the light shape
+    stderr: float  # standard error; NaN if it is unknown
+    unit: str  # "1" or "" if it has none
+    source: str  # method and file, in words
+    overrules: bool = False  # whether it was found in contradiction to the data sheet
+    is_from_spots: bool = False  # whether spot frames alone give it
+
+
+class UnusedResult(NamedTuple):
+    """Result that no key of instrument.yaml can hold."""
+
+    name: str  # effect, key or "light"
+    text: str  # its numbers, in words
+    reason: str  # why no key holds it
+
+
+def collect_learned_values(results: Path, instrument: Instrument) -> tuple[list[LearnedValue], list[UnusedResult]]:
+    """Return the learned value of each key from its most accurate source, and the results that no key can hold.
+
+    Parameters
+    ----------
+    results : Path
+        Results folder of a dataset; files that do not exist are skipped.
+    instrument : Instrument
+        Data sheet of the dataset; its bad pixels are kept.
+    """
+    verdict, sensor = read_verdict(results), read_sensor(results)
+    # Later sources are more accurate.
+    sources = (*_read_full_scale(results), *_read_sensor_parameters(results), *_read_revised_sheet(verdict))
+    values = {value.key: value for value in sources}
+    from_effects, unused = _convert_effects(verdict, _update_sensor(sensor, values, verdict))
+    values |= {value.key: value for value in from_effects}
+    if verdict.get("levels") and (from_effects or unused):
+        gain, stderr = (_to_float(verdict["levels"]["gain_dn_per_e"][part]) for part in ("value", "stderr"))
+        if unused:
+            reason = f"it holds beside {' and '.join(result.name for result in unused)}, and no key holds that"
+            unused.append(UnusedResult("gain", format_number(gain, stderr, "DN/e-"), reason))
+        else:
+            values |= {value.key: value for value in _replace_gain(values, gain, stderr)}
+            keys = [f"sensor.{name}" for name in OF_LINEAR_RESPONSE]
+            unused += [_reject_linear(values.pop(key)) for key in keys if key in values]
+    for result in (_read_light(results, verdict), _collect_bad_pixels(results, instrument, sensor)):
+        if isinstance(result, LearnedValue):
+            values[result.key] = result
+        elif result is not None:
+            unused.append(result)
+    return list(values.values()), unused
+
+
+def read_verdict(results: Path) -> dict[str, Any]:
+    """Return the contents of verdict.json; an empty dict if there is none, for example after `spotcheck transfer`."""
+    path = results / "verdict.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
+
+def read_sensor(results: Path) -> SensorModel | None:
+    """Return the sensor of sensor.nc; None if there is no such file."""
+    if not (results / "sensor.nc").is_file():
+        return None
+    with store.read(results / "sensor.nc") as ds:
+        return model_of(ds)
+
+
+def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
+    """Yield the full scale if clipped frames show it."""
+    if (results / "frames.nc").is_file():
+        with store.read(results / "frames.nc") as table:
+            reading, source = int(table["full_scale"]), str(table["full_scale"].attrs["source"])
+        if source.startswith(FROM_FRAMES):
+            yield LearnedValue("sensor.full_scale_dn", reading, np.nan, "DN", f"{source} (frames.nc)")
+
+
+def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
+    """Yield the sensor parameters from spots, then those from flats and darks, which are more accurate."""
+    names = [name for name in BY_FLATS if name not in NEVER_TAKEN]
+    estimates, file = [], "sensor.nc"
+    if (results / "sensor.nc").is_file():
+        with store.read(results / "sensor.nc") as ds:
+            for source in (SPOTS, FLATS):
+                for name in names:
+                    value, stderr = (float(ds[f"{name}_{part}"].sel(source=source)) for part in ("by", "by_stderr"))
+                    estimates.append((name, value, stderr, source))
+    elif (results / "transfer.nc").is_file():
+        file = "transfer.nc"
+        with store.read(results / "transfer.nc") as ds:
+            quantities = quantities_of(ds)
+        for name in names:
+            quantity = quantities[BY_FLATS[name]]
+            estimates.append((name, quantity.value, quantity.stderr, FLATS))
+    for name, value, stderr, source in estimates:
+        if np.isfinite(value):
+            # Noise can make the estimate of a dark current negative.
+            value, unit, words = max(value, 0.0), QUANTITIES[name][0], f"{source} ({file})"
+            yield LearnedValue(f"sensor.{name}", value, stderr, unit, words, is_from_spots=source == SPOTS)
+
+
+def _read_revised_sheet(verdict: Mapping[str, Any]) -> Iterator[LearnedValue]:
+    """Yield the numbers of the data sheet that the verdict's fit of all frames has revised."""
+    source = "data sheet and all frames together (verdict.json)"
+    for entry in verdict.get("sheet") or ():
+        key, stderr = f"sensor.{entry['name']}", _to_float(entry["stderr"])
+        yield LearnedValue(key, entry["found"], stderr, entry["unit"], source, overrules=entry["contradicts"])
+
+
+def _update_sensor(
+    sensor: SensorModel | None, values: Mapping[str, LearnedValue], verdict: Mapping[str, Any]
+) -> SensorModel | None:
+    """Return the sensor with all learned values; None if its gain is unknown."""
+    if sensor is None:
+        gain = (verdict.get("levels") or {}).get("gain_dn_per_e", {}).get("value")
+        if gain is None:
+            return None
+        sensor = SensorModel(gain, 0.0)
+    names = [field.name for field in fields(SensorModel) if f"sensor.{field.name}" in values]
+    return replace(sensor, **{name: values[f"sensor.{name}"].value for name in names})
+
+
+def _convert_effects(
+    verdict: Mapping[str, Any], sensor: SensorModel | None
+) -> tuple[list[LearnedValue], list[UnusedResult]]:
+    """Return the keys that the detected effects set, and the effects without a key."""
+    learned, unused = list[LearnedValue](), list[UnusedResult]()
+    for entry in verdict.get("effects", ()):
+        effect = vocabulary().get(entry["name"])
+        if effect is None or not effect.stages:
+            continue
+        parameters, rivals, keys = entry["parameters"], entry["candidates"][1:], []
+        if sensor is not None and not rivals:
+            # The verdict may lack a constant of the effect's variant; no key then holds the effect.
+            with suppress(ValueError):
+                values = {name: _to_float(parameter["value"]) for name, parameter in parameters.items()}
+                errors = {name: _to_float(parameter["stderr"], 0.0) for name, parameter in parameters.items()}
+                keys = list(_derive_keys(effect.apply(values, entry["form"]), errors, sensor))
+        learned += keys
+        if not keys:
+            stated = {name: parameter for name, parameter in parameters.items() if parameter["value"] is not None}
+            numbers = ", ".join(f"{name} {_format_parameter(parameter)}" for name, parameter in stated.items())
+            text = f"{entry['form']}: {numbers}" if entry["form"] else numbers
+            reason = f"it may as well be {' or '.join(rivals)}" if rivals else "no key of an instrument file holds it"
+            unused.append(UnusedResult(entry["name"], text, reason))
+    return learned, unused
+
+
+def _derive_keys(applied: AppliedEffect, errors: Mapping[str, float], sensor: SensorModel) -> Iterator[LearnedValue]:
+    """Yield the keys that an effect sets, with standard errors propagated from those of its parameters."""
+    varied = [
+        applied.with_value(name, applied.parameters[name] + DERIVATIVE_STEP * error) for name, error in errors.items()
+    ]
+    for key, value in applied.instrument_keys(sensor).items():
+        changes = [(other.instrument_keys(sensor).get(key, np.nan) - value) / DERIVATIVE_STEP for other in varied]
+        stderr = float(np.hypot.reduce(changes)) or np.nan
+        # Full scale is an integer.
+        value = round(value) if key == "sensor.full_scale_dn" else value
+        source = f"{applied.effect.name} (verdict.json)"
+        yield LearnedValue(key, value, stderr, _read_unit(key), source, overrules=True)
+
+
+def _replace_gain(values: Mapping[str, LearnedValue], gain: float, stderr: float) -> Iterator[LearnedValue]:
+    """Yield the gain of flats [DN/e-] fitted together with the detected effects, and quantities in electrons by it."""
+    previous = values.get("sensor.gain_dn_per_e")
+    if previous is None:
+        return
+    source = f"{FLATS}, beside what else was found (verdict.json)"
+    yield replace(previous, value=gain, stderr=stderr, source=source, is_from_spots=False)
+    ratio = previous.value / gain
+    for name in IN_ELECTRONS:
+        if quantity := values.get(f"sensor.{name}"):
+            source = f"{quantity.source}, by that gain"
+            yield replace(quantity, value=quantity.value * ratio, stderr=quantity.stderr * ratio, source=source)
+
+
+def _reject_linear(quantity: LearnedValue) -> UnusedResult:
+    """Return a quantity that is wrong as the response is not linear."""
+    reason = "it assumes a linear response; run flats with the new instrument file to measure it"
+    return UnusedResult(quantity.key, format_number(quantity.value, quantity.stderr, quantity.unit), reason)
+
+
+def _read_unit(key: str) -> str:
+    """Return the unit of a key, which is in brackets in its description in the schema."""
+    section, _, name = key.partition(".")
+    description = read_schema("instrument")["properties"][section]["properties"][name]["description"]
+    unit = re.search(r"\[(.+?)\]", description)
+    return unit[1] if unit else "1"
+
+
+def _read_light(results: Path, verdict: Mapping[str, Any]) -> LearnedValue | UnusedResult | None:
+    """Return the file of the learned light shape; None if the verdict has none."""
+    if not verdict.get("light"):
+        return None
+    count = len(read_lights(results / LIGHT))
+    words = verdict["light"]["words"]
+    if count > 1:
+        return UnusedResult("light", words, f"it differs from pose to pose ({count} shapes), and an instrument has one")
+    return LearnedValue("light.profile", results / LIGHT, np.nan, "", f"{words} (light.nc)", overrules=True)
+
+
+def _collect_bad_pixels(results: Path, instrument: Instrument, sensor: SensorModel | None) -> LearnedValue | None:
+    """Return the declared bad pixels and those that many fits left out; None if the fits show none."""
+    if sensor is None or not all((results / name).is_file() for name in ("fits.nc", "crops.nc")):
+        return None
+    with store.read(results / "fits.nc") as fits, store.read(results / "crops.nc") as crops:
+        bad, count = find_bad_pixels(fits, crops, sensor)
+    if bad == BadPixels():
+        return None
+    declared = instrument.bad_pixels
+    merged = BadPixels(
+        declared.mask,
+        tuple(sorted({*declared.columns, *bad.columns})),
+        tuple(sorted({*declared.rows, *bad.rows})),
+        tuple(sorted({*declared.pixels, *bad.pixels})),
+    )
+    return LearnedValue("bad_pixels", merged, np.nan, "", f"left out of {count} fits (fits.nc)", overrules=True)
+
+
+def _format_parameter(parameter: Mapping[str, Any]) -> str:
+    """Return a parameter of an effect in verdict.json as text."""
+    return format_number(float(parameter["value"]), _to_float(parameter["stderr"]), parameter["unit"])
+
+
+def format_number(value: float, stderr: float, unit: str) -> str:
+    """Return a number with its error and unit as text; the unit "1" is omitted."""
+    return plus_minus(value, stderr, "" if unit == "1" else unit)
+
+
+def _to_float(value: float | None, missing: float = np.nan) -> float:
+    """Return a number of verdict.json, where a missing one is None."""
+    return missing if value is None else float(value)

@@ -1,0 +1,132 @@
+"""The metrics stage: compute the metrics of measured and simulated crops by the same functions (metrics.nc)."""
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.crops.cropping import is_usable, iterate_cells
+from spotcheck.errors import InputError
+from spotcheck.fitting.fits import preferred
+from spotcheck.io import progress, store
+from spotcheck.metrics.crop_metrics import CONTAINER_RANGE, PER_IMAGE, psnr, shift_image
+
+SOURCES = ("measured", "simulated")
+# Parameters that are copied from fits.nc, and their units.
+FIT_PARAMETERS = {"amplitude": "DN", "sigma_mean": "pixel"}
+# How the simulated crop is aligned with the measured one: both cut around the maximum, or shifted to the fitted centre.
+REGISTRATIONS = ("maximum", "fitted")
+DATA_RANGES = ("container", "sensor")
+
+
+def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scale: float) -> xr.Dataset:
+    """Return the metrics of measured and simulated crops, PSNR between them, and averages over repeats.
+
+    Parameters
+    ----------
+    crops, fits : dict
+        crops.nc and fits.nc of each of `SOURCES`, on one grid.
+    full_scale : float
+        Largest reading of the sensor [DN], one of the two data ranges of PSNR.
+
+    Returns
+    -------
+    Dataset
+        Contents of metrics.nc; standard deviations are those of the sample (n − 1).
+
+    Raises
+    ------
+    InputError
+        If a declared condition has the name of a metric.
+    """
+    measured = crops["measured"]
+    grid = store.grid_dims(measured)
+    if clashes := [metric.name for metric in PER_IMAGE if metric.name in grid]:
+        raise InputError(f"instrument.yaml: key conditions names {clashes[0]}, which is a metric; rename it")
+    dims = (*grid, "centring")
+    coords = {dim: measured[dim] for dim in dims if dim in measured.coords}
+    ds = xr.Dataset(coords=coords, attrs={name: measured.attrs[name] for name in ("title", "dataset", "not_recorded")})
+    for name, labels, long_name in (
+        ("source", SOURCES, "where the frames come from"),
+        ("registration", REGISTRATIONS, "how the two crops are laid over each other"),
+        ("data_range", DATA_RANGES, "range that PSNR is scaled to: 65535 of the container, or the sensor's own"),
+    ):
+        ds[name] = (name, np.array(labels, dtype=object), {"units": "1", "long_name": long_name})
+    values = np.stack([_measure_crops(crops[source], dims, source) for source in SOURCES])
+    for k, metric in enumerate(PER_IMAGE):
+        ds[metric.name] = (("source", *dims), values[..., k], {"units": metric.units, "long_name": metric.long_name})
+    ds["fit"] = fits["measured"]["fit"]
+    attributes = {
+        name: {"units": units, "long_name": str(fits["measured"][name].attrs["long_name"])}
+        for name, units in FIT_PARAMETERS.items()
+    }
+    for name, attrs in (attributes | {"status": store.status_attributes()}).items():
+        both = [fits[source][name].transpose(*dims, "fit").values for source in SOURCES]
+        ds[name] = (("source", *dims, "fit"), np.stack(both), attrs)
+    ds["psnr"] = (
+        (*grid, "registration", "data_range"),
+        _compute_psnr(crops, fits, grid, full_scale),
+        {
+            "units": "dB",
+            "long_name": "peak signal-to-noise ratio of measured against simulated",
+            "infinite": "both frames are alike to the last digit",
+        },
+    )
+    return _add_averages(ds).assign_attrs(preferred=fits["measured"].attrs["preferred"])
+
+
+def _measure_crops(crops: xr.Dataset, dims: tuple[str, ...], source: str) -> np.ndarray:
+    """Return the metrics [dims..., metric] of all usable crops of a source; NaN elsewhere."""
+    values = np.full((*(crops.sizes[dim] for dim in dims), len(PER_IMAGE)), np.nan)
+    status = crops["status"].transpose(*dims).values
+    for index in progress.track(list(iterate_cells(crops, dims)), f"metrics of {source} frames"):
+        cell = tuple(index.values())
+        if is_usable(status[cell]):
+            image = crops["image"].isel(index).values
+            values[cell] = [metric.function(image) for metric in PER_IMAGE]
+    return values
+
+
+def _compute_psnr(
+    crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], grid: tuple[str, ...], full_scale: float
+) -> np.ndarray:
+    """Return PSNR [grid..., registration, data range] in dB; NaN unless the crops of both sources are usable."""
+    pair = [crops[source] for source in SOURCES]
+    values = np.full((*(pair[0].sizes[dim] for dim in grid), len(REGISTRATIONS), len(DATA_RANGES)), np.nan)
+    for index in iterate_cells(pair[0], grid):
+        if not all(is_usable(status) for ds in pair for status in ds["status"].isel(index).values):
+            continue
+        at_maximum = [ds["image"].sel(centring="maximum").isel(index).values for ds in pair]
+        for k, images in enumerate((at_maximum, _align_centres(crops, fits, index))):
+            if images is not None:
+                measured, simulated = images
+                ratios = [psnr(simulated, measured, data_range) for data_range in (CONTAINER_RANGE, full_scale)]
+                values[(*index.values(), k)] = ratios
+    return values
+
+
+def _align_centres(
+    crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], index: dict[str, int]
+) -> list[np.ndarray] | None:
+    """Return the measured crop and the simulated one, shifted to the same fitted centre; None without a fit."""
+    images, rows, columns = [], [], []
+    for source in SOURCES:
+        crop, fit = crops[source].sel(centring="light").isel(index), preferred(fits[source]).isel(index)
+        images.append(crop["image"].values)
+        rows.append(float(fit["y_centre"]) - float(crop["top"]))
+        columns.append(float(fit["x_centre"]) - float(crop["left"]))
+    if not np.isfinite(rows + columns).all():
+        return None
+    return [images[0], shift_image(images[1], rows[0] - rows[1], columns[0] - columns[1])]
+
+
+def _add_averages(ds: xr.Dataset) -> xr.Dataset:
+    """Add mean and standard deviation over repeats of each metric and fit parameter; infinite PSNR is left out."""
+    for name in (*(metric.name for metric in PER_IMAGE), *FIT_PARAMETERS, "psnr"):
+        attrs = ds[name].attrs
+        finite = ds[name].where(np.isfinite(ds[name]))
+        for suffix, text, average in (
+            ("mean", "mean over repeats", finite.mean("repeat")),
+            ("sd", "standard deviation (n - 1) over repeats", finite.std("repeat", ddof=1)),
+        ):
+            long_name = f"{attrs['long_name']}, {text}"
+            ds[f"{name}_{suffix}"] = average.assign_attrs(units=attrs["units"], long_name=long_name)
+    return ds

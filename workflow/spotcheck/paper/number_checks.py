@@ -1,0 +1,96 @@
+"""Check each number of the paper against its counterpart from the results."""
+
+import csv
+import io
+from typing import NamedTuple
+
+from spotcheck.paper import derived, measured, simulated
+from spotcheck.paper.results import Results
+
+# Columns of paper_numbers.csv.
+COLUMNS = tuple("id kind section printed low high ours unit holds expected counted because remark".split())
+# Kinds of numbers that are counted, and how the summary calls them.
+KINDS = {"derived": "that follow from its inputs", "simulated": "of its simulation", "measured": "of its frames"}
+
+
+class NumberCheck(NamedTuple):
+    """Comparison of one number of the paper with its counterpart."""
+
+    entry: dict  # entry of paper_numbers.yaml
+    value: float  # counterpart from the results, in the unit of the entry
+    low: float  # smallest accepted value
+    high: float  # largest accepted value
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the value lies in the accepted interval, ends included."""
+        return self.low <= self.value <= self.high
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether the number is part of the share that must be met."""
+        return self.entry["kind"] in KINDS and self.entry.get("counted", True)
+
+    @property
+    def is_expected(self) -> bool:
+        """Whether the number was met when paper_numbers.yaml was last reviewed."""
+        return self.entry.get("holds", True)
+
+
+def accepted_interval(entry: dict) -> tuple[float, float]:
+    """Return the smallest and the largest accepted value of an entry."""
+    if "value" in entry:
+        return entry["value"] - entry["tolerance"], entry["value"] + entry["tolerance"]
+    return entry.get("at_least", -float("inf")), entry.get("at_most", float("inf"))
+
+
+def check_numbers(entries: list[dict], results: Results) -> list[NumberCheck]:
+    """Return the check of each entry of paper_numbers.yaml; its `id` names the function that computes its value."""
+    functions = vars(derived) | vars(simulated) | vars(measured)
+    return [NumberCheck(entry, float(functions[entry["id"]](results)), *accepted_interval(entry)) for entry in entries]
+
+
+def count_met(checks: list[NumberCheck]) -> dict[str, tuple[int, int]]:
+    """Return how many numbers of each kind are met, and how many are counted."""
+    counted = {kind: [c for c in checks if c.entry["kind"] == kind and c.is_counted] for kind in KINDS}
+    return {kind: (sum(check.is_met for check in group), len(group)) for kind, group in counted.items()}
+
+
+def summarise_checks(checks: list[NumberCheck]) -> str:
+    """Return a Markdown text with the counts of `count_met` and the numbers that are not met."""
+    parts = [f"{met} of {counted} {KINDS[kind]}" for kind, (met, counted) in count_met(checks).items()]
+    failed = [
+        f"{_name_of(check)} (printed: {check.entry['printed']}; ours: {check.value:.3g})"
+        for check in checks
+        if check.is_counted and not check.is_met
+    ]
+    uncounted = [_name_of(check) for check in checks if not check.is_counted and not check.is_met]
+    return (
+        f"Of the numbers that the paper prints, {', '.join(parts[:-1])} and {parts[-1]} hold.\n\n"
+        f"What does not hold: {'; '.join(failed) or 'nothing'}. Shown but not counted, and not holding either:"
+        f" {', '.join(uncounted) or 'nothing'}.\n\n"
+        "A printed range counts as two numbers, each met within half the range's width; other numbers count as met"
+        " within the printed ±.\n"
+    )
+
+
+def _name_of(check: NumberCheck) -> str:
+    """Return the name of a number in words."""
+    return check.entry["id"].replace("_", " ")
+
+
+def find_regressions(checks: list[NumberCheck]) -> list[NumberCheck]:
+    """Return the numbers that were met at the last review and no longer are."""
+    return [check for check in checks if check.is_expected and not check.is_met]
+
+
+def format_csv(checks: list[NumberCheck]) -> str:
+    """Return all checks as CSV, one row per number."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, COLUMNS, restval="", extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for check in checks:
+        numbers = {"low": f"{check.low:.7g}", "high": f"{check.high:.7g}", "ours": f"{check.value:.6g}"}
+        flags = {"holds": check.is_met, "expected": check.is_expected, "counted": check.is_counted}
+        writer.writerow(check.entry | numbers | flags)
+    return stream.getvalue()
