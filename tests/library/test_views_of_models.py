@@ -21,7 +21,7 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot
-from spotcheck.report.views import ViewedFrames, rms_left, view_declared, view_extended
+from spotcheck.report.views import ViewedFrames, rms_residual, view_declared, view_extended
 from tests.library import drawn_frames as drawing
 from tests.library.drawn_frames import DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
 from tests.library.models_of_frames import (
@@ -262,8 +262,8 @@ def test_the_rms_leaves_masked_pixels_out():
     """Of readings 2 DN off at a variance of 4 DN² the rms is 2 DN and 1 times the noise; without pixels it is NaN."""
     line = SimpleNamespace(variance=lambda mean: np.full(mean.shape, 4.0))
     measured = np.array([[12.0, 8.0], [np.nan, 12.0]])
-    assert rms_left(measured, np.full((2, 2), 10.0), line) == (2.0, 1.0)
-    assert np.isnan(rms_left(np.full((2, 2), np.nan), np.zeros((2, 2)), line)).all()
+    assert rms_residual(measured, np.full((2, 2), 10.0), line) == (2.0, 1.0)
+    assert np.isnan(rms_residual(np.full((2, 2), np.nan), np.zeros((2, 2)), line)).all()
 
 
 # Pictures.

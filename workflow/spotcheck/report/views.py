@@ -1,7 +1,8 @@
-"""The views stage: the mean reading of each measured crop by each model, pixel by pixel, and what is left of the frame.
+"""The views stage: the mean reading of each measured crop by each model, and the rms of the residual.
 
-The declared and the extended model have the brightness, width and centre that fit a frame best. Its deviations from the
-law that all frames share are kept as well. The simulated baseline is the law alone, at the fitted centre.
+The declared and the extended model are fitted to each frame with free brightness, width and centre. The deviations of
+these from the law that all frames share are stored as well. The simulated baseline follows the law alone, at the
+fitted centre.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,15 +31,14 @@ from spotcheck.model.model_file import ExtendedModel, Site, site_of
 from spotcheck.sensor import ReadingDistribution, SensorModel
 from spotcheck.sensor.model import NoiseLine, noise_line
 
-# Readings are kept in steps of a power of two [DN], of which full scale has no more than this: the last number of 16
-# bits stands for NaN.
-MOST_STEPS = 65_000
+# Largest number of steps up to full scale; readings are stored as 16-bit multiples of a step, the last code being NaN.
+MAX_STEPS = 65_000
 MODELS = {
     "simulated": "the baseline simulated at p1, p2 and peak",
     "declared": "the declared model with the frame's own brightness, width and centre",
     "extended": "the extended model with the frame's own brightness, width and centre",
 }
-# Deviations of a frame from what all frames share, with unit and meaning.
+# Deviations of a frame from the law of all frames and from its site: unit and meaning.
 DEVIATIONS = {
     "brighter": ("1", "brightness of the frame over that of the law of all frames, less 1"),
     "wider": ("1", "width of the frame over that of the law of all frames, less 1"),
@@ -85,7 +85,7 @@ class ModelledFrames:
         return log_spots_of(self.lights[0], frames, self.fitted.spots)
 
     def without(self, name: str, spots: FrameParameters) -> "ModelledFrames":
-        """Return the model without an effect, at other spots; without the effect of a learned light, the declared."""
+        """Return the model without an effect, at other spots."""
         lights = tuple(
             replace(light, effects=tuple(applied for applied in light.effects if applied.effect.name != name))
             for light in self.lights
@@ -99,7 +99,7 @@ class ExtendedViews:
 
     model: ModelledFrames  # with all effects
     without: tuple[ModelledFrames, ...]  # without each effect of the model
-    deviations: dict[str, np.ndarray]  # how far each frame is from what all share, by name of `DEVIATIONS` [frame]
+    deviations: dict[str, np.ndarray]  # deviations by name of `DEVIATIONS` [frame]
     stderr: dict[str, np.ndarray]  # their standard errors
 
 
@@ -118,9 +118,8 @@ def log_spots_of(forward: ForwardModel, frames: FrameSet, spots: FrameParameters
 def view_declared(viewed: ViewedFrames) -> ModelledFrames:
     """Return the declared model fitted to each frame."""
     forward = ForwardModel(replace(viewed.baseline, photon_budget="free"), viewed.sensor)
-    return ModelledFrames(
-        (forward,), np.zeros(len(viewed.frames), int), fit_spots(forward, viewed.frames, viewed.start)
-    )
+    fitted = fit_spots(forward, viewed.frames, viewed.start)
+    return ModelledFrames((forward,), np.zeros(len(viewed.frames), int), fitted)
 
 
 def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
@@ -160,11 +159,8 @@ def _fit_each_light(lights: Sequence[ForwardModel], light: np.ndarray, viewed: V
     for number, forward in enumerate(lights):
         at = np.flatnonzero(light == number)
         fitted = fit_spots(forward, viewed.frames.select(at), viewed.start.select(at))
-        rows[:, at], covariance[at], has_converged[at] = (
-            fitted.spots.as_rows(),
-            fitted.covariance,
-            fitted.has_converged,
-        )
+        rows[:, at], covariance[at] = fitted.spots.as_rows(), fitted.covariance
+        has_converged[at] = fitted.has_converged
     return FittedSpots(FrameParameters(*rows), covariance, has_converged)
 
 
@@ -176,7 +172,7 @@ def _law_model(viewed: ViewedFrames, extended: ExtendedModel, effects: Sequence[
 def _spots_without(
     viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, left_out: AppliedEffect
 ) -> FrameParameters:
-    """Return the spots of frames without an effect: its change of the law of brightness and width goes with it."""
+    """Return the spots of frames with the effect's change of the law of brightness and width undone."""
     spots = model.fitted.spots
     if extended.law is None:
         return spots
@@ -184,7 +180,7 @@ def _spots_without(
     by_law, complete = (
         log_spots_of(_law_model(viewed, extended, effects), viewed.frames) for effects in (remaining, extended.effects)
     )
-    # What the effect does to the frame's own brightness and width, the model without it takes away by itself.
+    # `model.without` already removes the effect's change of the fitted brightness and width.
     alone = log_spots_of(model.without(left_out.effect.name, spots).lights[0], viewed.frames, spots)
     change = by_law - complete - (alone - model.log_spots(viewed.frames))
     change = np.where(np.isfinite(change), change, 0.0)
@@ -194,7 +190,7 @@ def _spots_without(
 def _measure_deviations(
     viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, sites: Sequence[Site]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return how far frames are from what all share, and standard errors, by name of `DEVIATIONS`; NaN if unknown."""
+    """Return the deviations of frames from law and site, and standard errors, by name [frame]; NaN if unknown."""
     value = np.full((len(DEVIATIONS), len(viewed.frames)), np.nan)
     spots = model.fitted.spots
     if extended.law is not None:
@@ -209,11 +205,8 @@ def _measure_deviations(
     return dict(zip(DEVIATIONS, value, strict=True)), dict(zip(DEVIATIONS, stderr, strict=True))
 
 
-# The file.
-
-
-def variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str, store.Variable]:
-    """Return what the file holds of each frame; `has_effects`: whether the extended model has any."""
+def list_variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str, store.Variable]:
+    """Return the variables of the file; `has_effects` is whether the extended model has any effect."""
     out = {}
     for name in models:
         words = MODELS[name]
@@ -230,12 +223,12 @@ def variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str
     return out
 
 
-def step_of(full_scale: float) -> float:
-    """Return the step in which readings are kept [DN]."""
-    return float(2.0 ** np.ceil(np.log2(full_scale / MOST_STEPS)))
+def choose_step(full_scale: float) -> float:
+    """Return the step of stored readings [DN], a power of two."""
+    return float(2.0 ** np.ceil(np.log2(full_scale / MAX_STEPS)))
 
 
-def rms_left(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
+def rms_residual(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
     """Return the rms of measured less mean readings [row, column]: in DN, and over the noise; NaN without a pixel."""
     square = (measured - mean) ** 2
     if not np.isfinite(square).any():
@@ -243,14 +236,14 @@ def rms_left(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[f
     return float(np.sqrt(np.nanmean(square))), float(np.sqrt(np.nanmean(square / line.variance(mean))))
 
 
-def write(
+def write_views(
     dataset: Dataset,
     files: Mapping[str, xr.Dataset],
     viewed: ViewedFrames | None,
     model: ExtendedModel | None,
     path: Path,
     *,
-    why_not: str,
+    reason: str,
     code: str,
     inputs: Sequence[str | Path],
 ) -> None:
@@ -268,7 +261,7 @@ def write(
         The extended model; None if there is none.
     path : Path
         File to write.
-    why_not : str
+    reason : str
         Why there is no extended model; "" if there is one.
     code, inputs : str, sequence of path
         Provenance, as `store.frame_writer` takes it.
@@ -278,18 +271,18 @@ def write(
     line = noise_line(sensor)
     effects = [] if model is None else [applied.effect.name for applied in model.effects]
     models = [name for name in MODELS if name == "simulated" or (viewed and (name == "declared" or model is not None))]
-    contents = variables(step_of(full_scale), models, bool(effects))
+    contents = list_variables(choose_step(full_scale), models, bool(effects))
     measured, dims = files["crops"]["image"].sel(centring="light"), store.grid_dims(files["crops"])
-    extra = _coordinates(dataset, line, effects).assign_attrs(extended=why_not or "model.yaml")
+    extra = _coordinates(dataset, line, effects).assign_attrs(extended=reason or "model.yaml")
     with store.frame_writer(path, dataset, extra, contents, code=code, inputs=inputs) as writer:
-        for views in (
-            simulate(dataset, files, sensor),
-            *([] if viewed is None else [model_all(dataset, viewed, model)]),
-        ):
+        stages = [simulate_views(dataset, files, sensor)]
+        if viewed is not None:
+            stages.append(model_views(dataset, viewed, model))
+        for views in stages:
             for index, values in progress.over(views, "views of frames", len(dataset.spots)):
                 image = measured.isel(dict(zip(dims, index, strict=True))).values.astype(float)
                 for name in [name for name in MODELS if name in values]:
-                    rms, over_noise = rms_left(image, values[name], line)
+                    rms, over_noise = rms_residual(image, values[name], line)
                     values |= {f"{name}_rms": rms, f"{name}_left": over_noise}
                 clipped = {k: np.clip(v, 0.0, full_scale) if contents[k].step else v for k, v in values.items()}
                 writer.put(index, clipped)
@@ -309,7 +302,7 @@ def _coordinates(dataset: Dataset, line: NoiseLine, effects: Sequence[str]) -> x
     return out
 
 
-def simulate(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
+def simulate_views(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
     """Yield the simulated baseline at the fitted centre of each spot; a frame without a usable spot has no light."""
     crops, fits = files["crops"].sel(centring="light"), preferred(files["fits"])
     states = spot_states(dataset, files["calibration"], files["fits"])
@@ -330,7 +323,7 @@ def simulate(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorMo
         yield index, {"simulated": light}
 
 
-def model_all(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | None) -> FrameViews:
+def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | None) -> FrameViews:
     """Yield the declared and the extended model on each frame that a verdict can use."""
     declared = view_declared(viewed)
     extended = None

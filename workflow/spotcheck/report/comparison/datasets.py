@@ -93,6 +93,7 @@ def _list_units(datasets: Sequence[DatasetResults]) -> dict[QuantityName, dict[s
 
 
 def _read_dataset(folder: Path) -> DatasetResults:
+    """Return the results of one dataset. Raises `InputError` if the folder has no results."""
     if not (folder / "frames.nc").is_file():
         raise InputError(f"{folder}: holds no results of a dataset (no frames.nc); run the workflow on it first")
     files, verdict = {}, None

@@ -93,10 +93,12 @@ def build_dataset(comparison: Comparison) -> xr.Dataset:
 
 
 def _texts(dim: str, texts: Sequence[str], long_name: str) -> Variable:
+    """Return a variable of texts."""
     return dim, np.array(texts, object), {"units": "1", "long_name": long_name}
 
 
 def _flags(dims: str | tuple[str, ...], flags: np.ndarray, subject: str) -> Variable:
+    """Return a variable that is 1 if the `subject` is significant."""
     long_name = f"1 where the {subject} is {SIGNIFICANT}"
     return dims, flags.astype("i4"), {"units": "1", "long_name": long_name}
 

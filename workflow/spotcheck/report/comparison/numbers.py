@@ -119,6 +119,7 @@ def _measure(value: Any, stderr: Any, units: str, error: str, source: str, degre
 
 
 def _read_calibration(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield p1 and p2 by the estimator that the simulation uses."""
     calibration = ds.sel({"estimator": ds.attrs["used"]})
     for name in ("p1", "p2"):
         sites = int(calibration[name].notnull().sum())
@@ -129,6 +130,7 @@ def _read_calibration(ds: xr.Dataset) -> NamedMeasurements:
 
 
 def _read_sensor(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield the quantities of the sensor from each source."""
     errors = {
         sensor_choice.SHEET: "stated by the data sheet",
         sensor_choice.FLATS: "flats and darks",
@@ -141,6 +143,7 @@ def _read_sensor(ds: xr.Dataset) -> NamedMeasurements:
 
 
 def _read_transfer(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield the quantities of EMVA 1288 from flats and darks."""
     for quantity in quantities_of(ds).values():
         name = QuantityName(BY_FLATS, f"{photon_transfer.QUANTITIES[quantity.name][2]}, {quantity.symbol}")
         source = f"value: {quantity.name}"
@@ -148,6 +151,7 @@ def _read_transfer(ds: xr.Dataset) -> NamedMeasurements:
 
 
 def _read_caustic(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield the quantities of the beam along each axis."""
     for axis in caustic.AXES:
         beam = ds.sel({"axis": axis})
         axis_text = "mean of both axes" if axis == "mean" else f"{axis} axis"
@@ -158,6 +162,7 @@ def _read_caustic(ds: xr.Dataset) -> NamedMeasurements:
 
 
 def _read_fits(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield widths and amplitude of the spots at each condition."""
     fits = preferred(ds)
     is_good = (fits["status"] & store.UNTRUSTED) == 0
     # The standard error is inflated by √χ²_red if the residuals exceed the noise, after the Particle Data Group
@@ -169,6 +174,7 @@ def _read_fits(ds: xr.Dataset) -> NamedMeasurements:
 
 
 def _read_metrics(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield the quality metrics of measured frames at each condition."""
     measured = ds.sel(source="measured", centring="light")
     metrics = {metric.name.replace("_", " "): measured[metric.name] for metric in PER_IMAGE}
     metrics["PSNR of measured against simulated"] = ds["psnr"].sel(PSNR)
@@ -210,6 +216,7 @@ def _average_repeats(
 
 
 def _read_verdict(verdict: dict[str, Any]) -> NamedMeasurements:
+    """Yield the effects, p1 and p2, the unexplained part and the learned light of a verdict."""
     error = "fit to all frames"
     for effect in verdict["effects"]:
         for key, parameter in effect["parameters"].items():

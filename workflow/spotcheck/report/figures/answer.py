@@ -22,7 +22,7 @@ MEASURED = "measured"
 HALF_SIDE_WIDTHS = 3.0
 
 
-class Look(NamedTuple):
+class ProfileLook(NamedTuple):
     """Name of an image, and appearance of its profile."""
 
     name: str  # name in titles and in the legend
@@ -32,9 +32,9 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    MEASURED: Look("measured", style.MEASURED, "solid", 2.6),
-    BEFORE: Look("model", style.SIMULATED, (0, (4, 2)), 1.2),
-    AFTER: Look("extended model", "black", "solid", 0.8),
+    MEASURED: ProfileLook("measured", style.MEASURED, "solid", 2.6),
+    BEFORE: ProfileLook("model", style.SIMULATED, (0, (4, 2)), 1.2),
+    AFTER: ProfileLook("extended model", "black", "solid", 0.8),
 }
 
 
@@ -109,6 +109,7 @@ def choose_example(ds: xr.Dataset) -> Example:
 
 
 def _draw_image(ax: Axes, example: Example, image: np.ndarray, title: str, norm: Normalize, cmap: str) -> None:
+    """Draw an image of blocks, with pixels from the spot's centre on both axes."""
     x, y, step, half = example.x, example.y, example.side / 2, example.half
     extent = (x[0] - step, x[-1] + step, y[-1] + step, y[0] - step)
     style.show_image(ax, image, cmap, norm, extent, title=title, facecolor="0.85", xlabel="x / px", ylabel="y / px")

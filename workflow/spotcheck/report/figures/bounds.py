@@ -11,7 +11,7 @@ from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
 
-class Look(NamedTuple):
+class LawLook(NamedTuple):
     """Appearance of the bound under one noise model."""
 
     colour: str  # colour of the line
@@ -21,9 +21,9 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    "poisson_gauss": Look("#000000", (0, ()), "Solid", "electrons, with read noise"),
-    "poisson": Look("#0072B2", (0, (5, 2)), "dashed", "electrons, Poisson alone"),
-    "dn": Look("#D55E00", (0, (1.2, 1.6)), "dotted", "mean in DN as Poisson"),
+    "poisson_gauss": LawLook("#000000", (0, ()), "Solid", "electrons, with read noise"),
+    "poisson": LawLook("#0072B2", (0, (5, 2)), "dashed", "electrons, Poisson alone"),
+    "dn": LawLook("#D55E00", (0, (1.2, 1.6)), "dotted", "mean in DN as Poisson"),
 }
 
 

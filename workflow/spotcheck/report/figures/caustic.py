@@ -58,6 +58,7 @@ def draw_caustic(results: Results) -> style.Drawing:
 
 
 def _read_hyperbola(beam: xr.Dataset) -> Hyperbola:
+    """Return the fitted hyperbola of one axis of the beam."""
     return Hyperbola(
         float(beam["origin"]),
         beam["coefficient"].values,
@@ -69,6 +70,7 @@ def _read_hyperbola(beam: xr.Dataset) -> Hyperbola:
 
 
 def _caption(ds: xr.Dataset, z_factor: float, z_unit: str) -> str:
+    """Return the caption; `z_factor` converts m to the unit of the distance."""
     beams = beam_rows(ds)
     scatters = " and ".join(f"{100 * float(beam['scatter']):.2g} %" for beam in beams.values())
     azimuth = plus_minus(float(ds["azimuth"]), float(ds["azimuth_stderr"]))

@@ -245,8 +245,8 @@ def draw_chain(graph: Graph) -> style.Drawing:
     for node, text in graph.labels.items():
         (centre_x, centre_y), box = drawn.places[node], (drawn.widths[node], drawn.heights[node])
         corner = (centre_x - box[0] / 2, centre_y - box[1] / 2)
-        look = {"boxstyle": "round,pad=0,rounding_size=0.07", "edgecolor": EDGE_COLOUR, "zorder": 2}
-        ax.add_patch(FancyBboxPatch(corner, *box, facecolor=FACE if node in starts else FINAL_FACE, **look))
+        shape, face = "round,pad=0,rounding_size=0.07", FACE if node in starts else FINAL_FACE
+        ax.add_patch(FancyBboxPatch(corner, *box, shape, facecolor=face, edgecolor=EDGE_COLOUR, zorder=2))
         ax.text(centre_x, centre_y, text, ha="center", va="center", fontsize=FONT_SIZE * zoom, zorder=3)
     caption = (
         f"The chain of the workflow: {len(graph.labels)} stages, an arrow from each to those that read what it wrote,"

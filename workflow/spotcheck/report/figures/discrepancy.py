@@ -1,6 +1,7 @@
 """Residuals of the declared and of the extended model: maps, radial profiles, and the gap by condition."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -98,11 +99,13 @@ def draw_residuals(results: Results) -> style.Drawing:
 
 
 def _map_title(model: str, models: list[str]) -> str:
+    """Return the title of the maps of a model."""
     name = "declared" if model == BEFORE else "extended"
     return f"{f'{model}: ' if len(models) > 1 else ''}measured − {name} model"
 
 
 def _block_text(ds: xr.Dataset) -> str:
+    """Return the size of a block [px] as text."""
     y = ds["block_y"].values
     side = y[1] - y[0] if len(y) > 1 else 2 * y[0] + 1
     return f"{side:.0f} × {side:.0f}"
@@ -146,14 +149,12 @@ def _lay_out(figure: Figure, rows: int, columns: int, models: int) -> _Sheet:
 
     floor = height - TOP - maps_height
     start = LEFT + (style.WIDTH - LEFT - RIGHT - models * maps_width - model_gaps) / 2
-    maps = []
-    for k in range(models):
-        left = start + k * (maps_width + STAGE_GAP)
-        axes = np.empty((rows, columns), object)
-        for i, j in np.ndindex(rows, columns):
-            axes[i, j] = add_axes(left + j * pitch, floor + (rows - 1 - i) * pitch, side, side)
-            axes[i, j].tick_params(labelleft=j == 0 and k == 0, labelbottom=i == rows - 1)
-        maps.append(axes)
+    maps = [np.empty((rows, columns), object) for _ in range(models)]
+    for k, i, j in np.ndindex(models, rows, columns):
+        left = start + k * (maps_width + STAGE_GAP) + j * pitch
+        ax = add_axes(left, floor + (rows - 1 - i) * pitch, side, side)
+        ax.tick_params(labelleft=j == 0 and k == 0, labelbottom=i == rows - 1)
+        maps[k][i, j] = ax
     bar_height = min(maps_height, 2.8)
     bar_left = start + models * maps_width + model_gaps + 0.3
     bar = add_axes(bar_left, floor + (maps_height - bar_height) / 2, 0.1, bar_height)
@@ -212,7 +213,7 @@ def _draw_profiles(axes: list[Axes], ds: xr.Dataset, table: ConditionTable, mode
         mean = np.nansum(np.where(is_known, value, 0.0), axis=0) / count
         mean_stderr = np.sqrt(np.nansum(np.where(is_known, stderr, 0.0) ** 2, axis=0)) / count
         ax.axhline(0, color="0.3", linewidth=0.8)
-        look = {"markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9, "capsize": 2}
+        look: dict[str, Any] = {"markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9, "capsize": 2}
         handles = [
             ax.errorbar(radius, mean[j], yerr=mean_stderr[j], color=line.colour, marker=line.marker, **look)
             for j, line in zip(columns, style.line_styles(len(columns)), strict=True)

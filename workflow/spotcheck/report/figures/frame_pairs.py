@@ -33,20 +33,23 @@ class FittedSpot:
         return rotation @ np.diag([self.major**2, self.minor**2]) @ rotation.T
 
 
-def read_crop(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray | None:
-    """Return the light-centred crop [y, x] in DN at an index of the grid; None if it is not usable."""
-    crop = crops.sel(centring="light").isel(index)
-    return crop["image"].values.astype(float) if usable(int(crop["status"])) else None
+class FittedFrame(NamedTuple):
+    """A light-centred crop with its fitted spot."""
+
+    image: np.ndarray  # reading [y, x] in DN
+    spot: FittedSpot  # fitted spot
 
 
-def read_spot(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> FittedSpot | None:
-    """Return the fitted spot in the light-centred crop at an index of the grid; None without a trusted fit."""
+def read_frame(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> FittedFrame | None:
+    """Return the frame at an index of the grid; None without a usable crop or a trusted fit."""
     crop, fit = crops.sel(centring="light").isel(index), preferred(fits).isel(index)
     names = ("y_centre", "x_centre", "sigma_major", "sigma_minor", "orientation")
     row, column, major, minor, direction = (float(fit[name]) for name in names)
-    if not np.isfinite([row, column, major, minor, direction]).all() or int(fit["status"]) & store.UNTRUSTED:
+    has_fit = np.isfinite([row, column, major, minor, direction]).all() and not int(fit["status"]) & store.UNTRUSTED
+    if not has_fit or not usable(int(crop["status"])):
         return None
-    return FittedSpot(row - int(crop["top"]), column - int(crop["left"]), major, minor, np.radians(direction))
+    spot = FittedSpot(row - int(crop["top"]), column - int(crop["left"]), major, minor, np.radians(direction))
+    return FittedFrame(crop["image"].values.astype(float), spot)
 
 
 def predict_reading(results: Results, index: dict[str, int], spot: FittedSpot) -> np.ndarray:
@@ -59,8 +62,8 @@ def predict_reading(results: Results, index: dict[str, int], spot: FittedSpot) -
     return results.mean_reading(np.maximum(light, 0.0), exposure)
 
 
-def iterate_frames(results: Results, fixed: dict[str, int]) -> Iterator[tuple[np.ndarray, np.ndarray, FittedSpot]]:
-    """Yield measured crop [y, x], predicted reading [y, x] and spot of each usable frame.
+def iterate_frames(results: Results, fixed: dict[str, int]) -> Iterator[tuple[FittedFrame, np.ndarray]]:
+    """Yield each usable measured frame with its predicted reading [y, x] in DN.
 
     Parameters
     ----------
@@ -73,23 +76,15 @@ def iterate_frames(results: Results, fixed: dict[str, int]) -> Iterator[tuple[np
     free = [dim for dim in store.grid_dims(crops) if dim not in fixed]
     for at in np.ndindex(*(crops.sizes[dim] for dim in free)):
         index = fixed | dict(zip(free, at, strict=True))
-        image, spot = read_crop(crops, index), read_spot(crops, fits, index)
-        if image is not None and spot is not None:
-            yield image, predict_reading(results, index, spot), spot
-
-
-class Frame(NamedTuple):
-    """A crop with its fitted spot."""
-
-    image: np.ndarray  # reading [y, x] in DN
-    spot: FittedSpot  # fitted spot
+        if frame := read_frame(crops, fits, index):
+            yield frame, predict_reading(results, index, frame.spot)
 
 
 class FramePair(NamedTuple):
     """A measured and a simulated frame at the same conditions."""
 
-    measured: Frame  # measured frame
-    simulated: Frame  # random simulated frame
+    measured: FittedFrame  # measured frame
+    simulated: FittedFrame  # random simulated frame
     name: str  # conditions as text
 
 
@@ -105,10 +100,9 @@ def find_pair(results: Results) -> FramePair:
     for at in np.ndindex(*(measured_crops.sizes[dim] for dim in order)):
         index = dict(zip(order, at, strict=True))
         index["exposure"] = measured_crops.sizes["exposure"] - 1 - index["exposure"]
-        frames = [(read_crop(crops, index), read_spot(crops, fits, index)) for crops, fits in files]
-        usable_frames = [Frame(image, spot) for image, spot in frames if image is not None and spot is not None]
-        if len(usable_frames) == 2:
-            return FramePair(*usable_frames, _named_conditions(measured_crops, index))
+        measured, simulated = (read_frame(crops, fits, index) for crops, fits in files)
+        if measured and simulated:
+            return FramePair(measured, simulated, _named_conditions(measured_crops, index))
     raise Unavailable("no cell of the grid has a usable measured and simulated frame")
 
 

@@ -37,8 +37,8 @@ def draw_frame(results: Results, source: str) -> style.Drawing:
     figure = style.new_figure(3.0 if is_enlarged else 4.2)
     panels = list(figure.subplots(1, 2)) if is_enlarged else [figure.add_subplot()]
     for ax in panels:
-        labels = {"xlabel": "column of the crop / px", "ylabel": "row of the crop / px"}
-        shown = style.show_image(ax, image, style.IMAGE_MAP, norm, **labels)
+        shown = style.show_image(ax, image, style.IMAGE_MAP, norm)
+        ax.set(xlabel="column of the crop / px", ylabel="row of the crop / px")
     if is_enlarged:
         left, top = round(spot.column) - half - 0.5, round(spot.row) - half - 0.5
         side = 2 * half + 1

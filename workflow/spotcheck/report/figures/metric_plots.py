@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -91,8 +92,8 @@ def _draw_simulated(
     if weights is not None and weights.any():
         level = float(np.average(mean[weights > 0], weights=weights[weights > 0]))
         return ax.axhline(level, color=line.colour, linestyle=dashes)
-    look = {"marker": line.marker, "markerfacecolor": "none", "markersize": 8}
-    return ax.plot(x, mean, color=line.colour, linestyle=dashes, **look)[0]
+    face: dict[str, Any] = {"marker": line.marker, "markerfacecolor": "none", "markersize": 8}
+    return ax.plot(x, mean, color=line.colour, linestyle=dashes, **face)[0]
 
 
 def draw_psnr(results: Results) -> style.Drawing:
@@ -198,6 +199,7 @@ OTHERS = {
 
 
 def _entry(name: str, title: str, plot: MetricPlot, paper: str | None = None) -> Entry:
+    """Return the entry of a metric."""
     return Entry(name, title, Category.METRICS, METRICS, partial(draw_metric, plot=plot), paper)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -17,8 +18,8 @@ from spotcheck.report.figures.results import Results, Unavailable
 
 SIGNAL = "signal $\\mu_y - \\mu_{y.dark}$ / DN"
 # Levels that a fit uses, and other levels.
-USED = {"color": style.MEASURED, "markersize": 3}
-UNUSED = {"color": "0.6", "markersize": 3}
+USED: dict[str, Any] = {"color": style.MEASURED, "markersize": 3}
+UNUSED: dict[str, Any] = {"color": "0.6", "markersize": 3}
 # A level with this fraction of its pixels at full scale is not shown.
 MAX_CLIPPED = 0.5
 # Levels that a line needs: two always lie on one.
@@ -39,6 +40,7 @@ def _read_quantities(results: Results, *required: str) -> tuple[xr.Dataset, dict
 
 
 def _quantity_text(quantity: Quantity) -> str:
+    """Return a quantity ± its standard error with unit."""
     unit = "" if quantity.unit == "1" else quantity.unit
     return plus_minus(quantity.value, quantity.stderr, unit).replace("-", "−", 1)
 
@@ -243,6 +245,7 @@ def draw_patterns(results: Results) -> style.Drawing:
 
 
 def _entry(name: str, title: str, draw: Callable[[Results], style.Drawing]) -> Entry:
+    """Return the entry of a figure of transfer.nc."""
     return Entry(name, title, Category.SENSOR, ("transfer",), draw)
 
 

@@ -1,6 +1,6 @@
 """Precision of a spot fit: Cramér–Rao bound over the exposure, and scatter over repeats in units of the bound."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -22,17 +22,16 @@ LABELS = {
 }
 
 
-class Look(NamedTuple):
+class PointLook(NamedTuple):
     """Appearance of points."""
 
-    colour: str  # colour of the marker
     marker: str  # shape of the marker
-    face: str  # colour of its face
+    colours: dict[str, Any]  # colours of its edge and face
 
 
 LOOKS = {
-    "measured": Look(style.MEASURED, "o", style.MEASURED),
-    "simulated": Look(style.SIMULATED, "D", "white"),
+    "measured": PointLook("o", {"color": style.MEASURED, "markerfacecolor": style.MEASURED}),
+    "simulated": PointLook("D", {"color": style.SIMULATED, "markerfacecolor": "white"}),
 }
 
 
@@ -81,8 +80,7 @@ def _draw_bound(ax: Axes, results: Results, ds: xr.Dataset) -> dict:
         # Side by side, so that the conditions of one exposure do not hide each other.
         offset = 1.04 ** (np.arange(values.shape[1]) - (values.shape[1] - 1) / 2)
         x = (scatter["exposure"].values[:, None] * factor * offset).ravel()
-        face = {"color": look.colour, "markerfacecolor": look.face, "markersize": 4}
-        handles[source] = ax.plot(x, values.ravel(), look.marker, **face)[0]
+        handles[source] = ax.plot(x, values.ravel(), look.marker, markersize=4, **look.colours)[0]
     ax.set(xscale="log", yscale="log", xlabel=style.axis_label("exposure time $t$", unit))
     ax.set_ylabel("standard deviation of $\\bar{\\sigma}$ / px")
     return handles
@@ -96,9 +94,9 @@ def _draw_ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
     for k, source in enumerate(sources):
         look = LOOKS[source]
         ratio, stderr = np.array([pooled_ratio(ds, source, name) for name in SCATTERED]).T
-        offset = 0.12 * (k - (len(sources) - 1) / 2)
-        face = {"color": look.colour, "markerfacecolor": look.face, "markersize": 5}
-        handles[source] = ax.errorbar(ratio, y + offset, xerr=stderr, fmt=look.marker, capsize=2, **face)
+        y_source = y + 0.12 * (k - (len(sources) - 1) / 2)
+        errors: dict[str, Any] = {"xerr": stderr, "capsize": 2, "markersize": 5}
+        handles[source] = ax.errorbar(ratio, y_source, fmt=look.marker, **errors, **look.colours)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, 0.5), max(high, 2.0))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from spotcheck.io import store
 from spotcheck.report.figures import series, style
@@ -47,8 +48,8 @@ def average_profiles(results: Results) -> list[Profile]:
     for at in np.ndindex(*(crops.sizes[dim] for dim in dims)):
         fixed = dict(zip(dims, at, strict=True))
         rings = [
-            [average_rings(reading, spot, min(image.shape) // 2) for reading in (image, predicted)]
-            for image, predicted, spot in iterate_frames(results, fixed)
+            [average_rings(image, frame.spot, min(predicted.shape) // 2) for image in (frame.image, predicted)]
+            for frame, predicted in iterate_frames(results, fixed)
         ]
         if not rings:
             continue
@@ -83,35 +84,22 @@ def draw_profiles(results: Results) -> style.Drawing:
     deepest = max(float(np.nanmax(np.abs(p.residual) + np.nan_to_num(p.scatter))) for p in profiles)
     last_radius = _find_last_radius(profiles, highest)
     handles: list = []
-    for upper, lower, profile in zip(uppers, lowers, profiles, strict=False):
-        (measured,) = upper.plot(profile.radius, profile.measured, color=style.MEASURED)
-        (simulated,) = upper.plot(profile.radius, profile.simulated, color=style.SIMULATED, linestyle=style.DASHED)
-        (residual,) = lower.plot(profile.radius, profile.residual, color="0.1")
-        handles = [measured, simulated, residual]
-        if profile.frames > 1:
-            for ax, centre in ((upper, profile.measured), (lower, profile.residual)):
-                low, high = centre - profile.scatter, centre + profile.scatter
-                band = ax.fill_between(profile.radius, low, high, color="0.6", alpha=0.5, linewidth=0)
-            handles.append(band)
-        lower.axhline(0, color="0.4", linewidth=0.8)
-        upper.set(ylim=(-0.04 * highest, 1.06 * highest), xlim=(0, last_radius))
-        lower.set_ylim(-1.08 * deepest, 1.08 * deepest)
-        upper.set_title(profile.name, pad=3)
     for k, (upper, lower) in enumerate(zip(uppers, lowers, strict=True)):
         if k >= len(profiles):
             upper.set_axis_off()
             lower.set_axis_off()
             continue
-        upper.tick_params(labelbottom=False)
-        if k % columns:
-            upper.tick_params(labelleft=False)
-            lower.tick_params(labelleft=False)
-        else:
-            upper.set_ylabel("reading / DN")
-            lower.set_ylabel("residual / DN")
-        if k + columns >= len(profiles):
+        handles = _draw_profile(upper, lower, profiles[k])
+        upper.set(ylim=(-0.04 * highest, 1.06 * highest), xlim=(0, last_radius))
+        lower.set_ylim(-1.08 * deepest, 1.08 * deepest)
+        is_first, is_last = k % columns == 0, k + columns >= len(profiles)
+        upper.set_ylabel("reading / DN" if is_first else "")
+        lower.set_ylabel("residual / DN" if is_first else "")
+        lower.set_xlabel("radius / px" if is_last else "")
+        upper.tick_params(labelleft=is_first, labelbottom=False)
+        lower.tick_params(labelleft=is_first)
+        if is_last:
             lower.tick_params(labelbottom=True)
-            lower.set_xlabel("radius / px")
     labels = ["measured", "simulated", "measured − simulated", "± 1 sd over frames"][: len(handles)]
     style.add_legend(figure, handles, labels, len(handles))
     counts = [profile.frames for profile in profiles]
@@ -123,6 +111,22 @@ def draw_profiles(results: Results) -> style.Drawing:
     if max(counts) > 1:
         caption += " Grey: one standard deviation of the residual over frames, not its standard error."
     return style.Drawing(figure, caption)
+
+
+def _draw_profile(upper: Axes, lower: Axes, profile: Profile) -> list:
+    """Draw a profile above and its residual below, with the scatter over frames; return the handles."""
+    (measured,) = upper.plot(profile.radius, profile.measured, color=style.MEASURED)
+    (simulated,) = upper.plot(profile.radius, profile.simulated, color=style.SIMULATED, linestyle=style.DASHED)
+    (residual,) = lower.plot(profile.radius, profile.residual, color="0.1")
+    handles: list = [measured, simulated, residual]
+    if profile.frames > 1:
+        for ax, centre in ((upper, profile.measured), (lower, profile.residual)):
+            low, high = centre - profile.scatter, centre + profile.scatter
+            band = ax.fill_between(profile.radius, low, high, color="0.6", alpha=0.5, linewidth=0)
+        handles.append(band)
+    lower.axhline(0, color="0.4", linewidth=0.8)
+    upper.set_title(profile.name, pad=3)
+    return handles
 
 
 def _find_last_radius(profiles: list[Profile], highest: float) -> float:

@@ -57,12 +57,12 @@ def _average_residual(results: Results, fixed: dict[str, int]) -> Panel | None:
     crops = results.get("crops")
     shape = crops.sizes["y"], crops.sizes["x"]
     total, count, spots = np.zeros(shape), np.zeros(shape), []
-    for image, predicted, spot in iterate_frames(results, fixed):
-        residual = image - predicted
+    for frame, predicted in iterate_frames(results, fixed):
+        residual = frame.image - predicted
         is_finite = np.isfinite(residual)
         total += np.where(is_finite, residual, 0.0)
         count += is_finite
-        spots.append(spot)
+        spots.append(frame.spot)
     if not spots:
         return None
     names = tuple(filter(None, (series.value_text(crops, dim, k) for dim, k in fixed.items())))

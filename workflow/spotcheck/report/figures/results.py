@@ -94,8 +94,8 @@ class Results:
     def has_paper_design(self) -> bool:
         """Return whether the design is that of the paper, so that its printed numbers are comparable."""
         angles = next(axis.values for axis in self.dataset.axes if axis.name == "angle") or ()
-        designs = ((self.exposures(), PAPER_EXPOSURES), (np.array(angles), PAPER_ANGLES))
-        return all(len(own) == len(printed) and np.allclose(own, printed) for own, printed in designs)
+        designs = ((self.exposures(), PAPER_EXPOSURES), (angles, PAPER_ANGLES))
+        return all(len(values) == len(printed) and np.allclose(values, printed) for values, printed in designs)
 
     def paper_note(self, note: str) -> str:
         """Return a note on the numbers that the paper prints, with a leading space; "" for another design."""

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,7 +25,7 @@ LINE_HEIGHT = 0.22
 BEAM = "#C00000"
 DARK, GREY = "0.15", "0.3"
 # Style of thick lines: object plane, sensor and aperture stop.
-THICK = {"color": DARK, "solid_capstyle": "butt"}
+THICK: dict[str, Any] = {"color": DARK, "solid_capstyle": "butt"}
 
 
 @dataclass(frozen=True)

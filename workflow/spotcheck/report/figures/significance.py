@@ -1,6 +1,6 @@
 """Significance of residuals by place and test, and evidence for each named effect."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -23,7 +23,7 @@ MAX_MARKED_ROWS, MAX_NAMED_ROWS = 24, 12
 # Tests that are shown, the most significant first.
 MAX_TESTS = 16
 # Line at a threshold.
-THRESHOLD = {"color": "black", "linewidth": 0.9, "linestyle": (0, (5, 3))}
+THRESHOLD: dict[str, Any] = {"color": "black", "linewidth": 0.9, "linestyle": (0, (5, 3))}
 
 
 def draw_significance(results: Results) -> style.Drawing:

@@ -86,6 +86,7 @@ class Catalog:
         return next(name for name in (*entry.names(), entry.key) if self._is_name_of(name, entry))
 
     def _is_name_of(self, name: str, entry: CatalogEntry) -> bool:
+        """Return whether a name means an entry and no other."""
         try:
             return self.find_entry(name, ()) is entry
         except InputError:
@@ -93,6 +94,7 @@ class Catalog:
 
 
 def _list_names(names: list[str]) -> str:
+    """Return names as text; only the first ones if there are many."""
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     return ", ".join(names[:MAX_NAMES]) + more
 
@@ -152,6 +154,7 @@ def _add_numbers(catalog: Catalog, path: Path, name: str) -> None:
 
 
 def _read_text_file(path: Path) -> list[tuple[CatalogEntry, StoredNumber]]:
+    """Return entries and numbers of a text file; [] if it cannot be read."""
     try:
         return list(TEXT_READERS[path.name](path))
     except InputError:

@@ -134,6 +134,7 @@ def frame_hover_text(results: str | Path, table: str, frame: str) -> str:
 
 
 def _hover_text(source: Source, variable: str, name: str) -> str:
+    """Return file, variable, rule and inputs, and the command that explains the number `name`."""
     inputs = ", ".join(dict.fromkeys(item.name for item in source.inputs))
     made_by = f"by rule {source.rule}{f' from {inputs}' if inputs else ''}" if source.rule else "as given"
     # The folder of a user's file may reveal whose computer it is on.
