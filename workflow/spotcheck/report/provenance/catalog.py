@@ -1,6 +1,7 @@
 """Catalogue of a results folder: every number that can be looked up, by each of its names."""
 
 import difflib
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -14,6 +15,10 @@ from spotcheck.report.provenance import netcdf, text_files
 from spotcheck.report.provenance.records import CatalogEntry, Source, StoredNumber
 from spotcheck.report.provenance.rules import read_source
 
+# A name with labels of its dimensions: "fits.sigma_mean[angle=90, exposure=0.0009, repeat=3]".
+QUESTION = re.compile(r"\s*([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?\s*")
+# Comma between two labels. A label may contain one itself: "frames/stack.tif, page 2".
+LABEL_SEPARATOR = re.compile(r",(?=[^,=]+=)")
 # Names that an error message lists.
 MAX_NAMES = 6
 # Similarity above which a name is proposed for a misspelt one [ratio of difflib].
@@ -97,6 +102,15 @@ def _list_names(names: list[str]) -> str:
     """Return names as text; only the first ones if there are many."""
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     return ", ".join(names[:MAX_NAMES]) + more
+
+
+def parse_question(text: str) -> tuple[str, dict[str, str | int]]:
+    """Return the name in a question, and its labels by dimension. Raises `InputError` if it is malformed."""
+    match = QUESTION.fullmatch(text)
+    pairs = [item.split("=", 1) for item in LABEL_SEPARATOR.split(match[2] or "") if item.strip()] if match else []
+    if match is None or any(len(pair) != 2 for pair in pairs):
+        raise InputError(f"{text}: is no name of a number; write e.g. p1 or fits.sigma_mean[angle=0, repeat=1]")
+    return match[1], {dim.strip(): label.strip() for dim, label in pairs}
 
 
 def add_labels(name: str, entry: CatalogEntry, labels: Mapping[str, object]) -> str:

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from spotcheck.discrepancy.words import value_text
-from spotcheck.report.provenance.catalog import load_catalog
 from spotcheck.report.provenance.frames import find_frame
 from spotcheck.report.provenance.inputs import InputFile, trace_inputs
-from spotcheck.report.provenance.lookup import find_related, parse_question, spaced_variable
+from spotcheck.report.provenance.lookup import find_related, spaced_variable
 from spotcheck.report.provenance.records import Number, Source
 
 # Hex digits of a digest in a text.
@@ -33,13 +32,13 @@ def explanation_text(number: Number, results: Path, question: str, purpose: str)
     purpose : str
         Purpose of the subcommand that wrote the file.
     """
-    source = number.source
+    source, frame = number.source, find_frame(results, number)
     rule = f"rule {source.rule} (spotcheck {source.command}: {purpose})"
     rows = {
         "how": number.method,
         "key": number.key,
         "in": f"{results / source.file}: {spaced_variable(number.variable)}",
-        "frame": _frame_text(results, number),
+        "frame": f"{frame[0]}  {frame[1][:DIGEST_DIGITS]}" if frame else "",
         "by": rule if source.rule else "whoever gave the dataset",
         "made": _writing_text(source) if source.rule else "",
     }
@@ -50,13 +49,6 @@ def explanation_text(number: Number, results: Path, question: str, purpose: str)
     related = [f"    {other.key} = {number_text(other)}" for other in find_related(results, question, number)]
     lines += ["  see also", *related] if related else []
     return "\n".join(lines)
-
-
-def _frame_text(results: Path, number: Number) -> str:
-    """Return file and digest of the frame that a number belongs to; "" if it belongs to several."""
-    labels = parse_question(number.key)[1]
-    frame = find_frame(results, load_catalog(results), number.source.file, labels, number.key)
-    return f"{frame[0]}  {frame[1][:DIGEST_DIGITS]}" if frame else ""
 
 
 def number_text(number: Number) -> str:

@@ -9,7 +9,8 @@ from spotcheck.dataset.folder import Dataset, load
 from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.report.provenance import netcdf
-from spotcheck.report.provenance.catalog import Catalog
+from spotcheck.report.provenance.catalog import load_catalog, parse_question
+from spotcheck.report.provenance.records import Number
 
 # Similarity above which a frame is proposed for a misspelt name [ratio of difflib].
 MIN_SIMILARITY = 0.3
@@ -31,36 +32,19 @@ def load_dataset_of(results: Path, file: str) -> Dataset:
     return load(folder)
 
 
-def find_frame(
-    results: Path, catalog: Catalog, file: str, labels: dict[str, str | int], key: str
-) -> tuple[str, str] | None:
+def find_frame(results: Path, number: Number) -> tuple[str, str] | None:
     """Return the name and the SHA-256 of the frame that a number belongs to.
 
-    Parameters
-    ----------
-    results : Path
-        Results folder.
-    catalog : Catalog
-        Its catalogue.
-    file : str
-        Result file that stores the number.
-    labels : dict of str to str or int
-        Labels of the number by dimension.
-    key : str
-        Full name of the number.
-
-    Returns
-    -------
-    tuple of str, or None
-        None if the number belongs to several frames, or if the dataset is gone.
+    Returns None if the number belongs to several frames, or if the dataset is gone.
     """
-    path = Path(file)
-    frames, table = (catalog.tables.get(name.as_posix()) for name in (path.with_name("frames"), path.with_suffix("")))
+    labels, path, tables = parse_question(number.key)[1], Path(number.source.file), load_catalog(results).tables
+    frames, table = (tables.get(name.as_posix()) for name in (path.with_name("frames"), path.with_suffix("")))
     if frames is None or table is None or not labels:
         return None
-    index = {dim: netcdf.find_label(table, dim, str(label), key) for dim, label in labels.items() if dim in table.dims}
+    dims = [dim for dim in labels if dim in table.dims]
+    index = {dim: netcdf.find_label(table, dim, str(labels[dim]), number.key) for dim in dims}
     try:
-        dataset = load_dataset_of(results, file)
+        dataset = load_dataset_of(results, number.source.file)
     except InputError:
         return None
     if any(axis.size > 1 and axis.name not in index for axis in dataset.axes):

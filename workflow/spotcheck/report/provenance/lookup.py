@@ -1,6 +1,5 @@
 """Look up a number of the results by its name."""
 
-import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -9,14 +8,9 @@ import numpy as np
 
 from spotcheck.errors import InputError
 from spotcheck.report.provenance import netcdf
-from spotcheck.report.provenance.catalog import Catalog, add_labels, load_catalog
+from spotcheck.report.provenance.catalog import Catalog, add_labels, load_catalog, parse_question
 from spotcheck.report.provenance.frames import find_frame_index, find_frame_row
 from spotcheck.report.provenance.records import CatalogEntry, Number, Source, StoredNumber
-
-# A name with labels of its dimensions: "fits.sigma_mean[angle=90, exposure=0.0009, repeat=3]".
-QUESTION = re.compile(r"\s*([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?\s*")
-# Comma between two labels. A label may contain one itself: "frames/stack.tif, page 2".
-LABEL_SEPARATOR = re.compile(r",(?=[^,=]+=)")
 
 
 def find_number(results: str | Path, question: str) -> Number:
@@ -72,15 +66,6 @@ def _read_table(
         example = add_labels(entry.key, entry, proposed)
         raise InputError(f"{question}: is one number for each {' and '.join(missing)}; write e.g. {example}")
     return netcdf.read_number(table, entry, labels)
-
-
-def parse_question(text: str) -> tuple[str, dict[str, str | int]]:
-    """Return the name in a question, and its labels by dimension. Raises `InputError` if it is malformed."""
-    match = QUESTION.fullmatch(text)
-    pairs = [item.split("=", 1) for item in LABEL_SEPARATOR.split(match[2] or "") if item.strip()] if match else []
-    if match is None or any(len(pair) != 2 for pair in pairs):
-        raise InputError(f"{text}: is no name of a number; write e.g. p1 or fits.sigma_mean[angle=0, repeat=1]")
-    return match[1], {dim.strip(): label.strip() for dim, label in pairs}
 
 
 def list_numbers(results: str | Path) -> list[str]:
