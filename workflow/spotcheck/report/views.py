@@ -60,7 +60,7 @@ class ViewedFrames:
     baseline: Baseline  # declared light
     sensor: SensorModel  # stated sensor
 
-    def sites(self, conditions: Sequence[str], has_law: bool) -> list[Site]:
+    def list_sites(self, conditions: Sequence[str], has_law: bool) -> list[Site]:
         """Return the site of each frame; `conditions` are the declared ones."""
         return [site_of(row, conditions, has_law) for _, row in self.cells]
 
@@ -70,21 +70,21 @@ class ModelledFrames:
     """A model fitted to each of F frames; frames may have different learned lights."""
 
     lights: tuple[ForwardModel, ...]  # the model with each light; without a law, and with effects that act on the mean
-    light: np.ndarray  # number of the light of each frame [frame]
+    light_index: np.ndarray  # index of the light of each frame [frame]
     fitted: FittedSpots  # spots of the frames
 
-    def mean(self, frames: FrameSet, number: int) -> np.ndarray:
+    def predict_mean(self, frames: FrameSet, number: int) -> np.ndarray:
         """Return the mean reading [row, column] in DN of a frame."""
         at = np.array([number])
         frame = frames.select(at)
-        model = JointModel(self.lights[self.light[number]], self.fitted.spots.select(at), frame.design)
+        model = JointModel(self.lights[self.light_index[number]], self.fitted.spots.select(at), frame.design)
         return evaluate(model, whole_crops(frame), slice(0, 1), with_slopes=False).moments.mean[0]
 
-    def log_spots(self, frames: FrameSet) -> np.ndarray:
+    def compute_log_spots(self, frames: FrameSet) -> np.ndarray:
         """Return ln peak [DN] and ln σ_g [px] of the frames behind the effects, [2, frame]."""
-        return log_spots_of(self.lights[0], frames, self.fitted.spots)
+        return compute_log_spots(self.lights[0], frames, self.fitted.spots)
 
-    def without(self, name: str, spots: FrameParameters) -> "ModelledFrames":
+    def remove_effect(self, name: str, spots: FrameParameters) -> "ModelledFrames":
         """Return the model without an effect, at other spots."""
         lights = tuple(
             replace(light, effects=tuple(applied for applied in light.effects if applied.effect.name != name))
@@ -103,7 +103,7 @@ class ExtendedViews:
     stderr: dict[str, np.ndarray]  # their standard errors
 
 
-def log_spots_of(forward: ForwardModel, frames: FrameSet, spots: FrameParameters | None = None) -> np.ndarray:
+def compute_log_spots(forward: ForwardModel, frames: FrameSet, spots: FrameParameters | None = None) -> np.ndarray:
     """Return ln peak [DN] and ln σ_g [px] of frames by the law of a model, or without a law by `spots`; [2, frame]."""
     conditions = spot_conditions(frames.design)
     if spots is not None:
@@ -134,39 +134,33 @@ def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence
     sites : sequence of Site
         Site of each frame.
     """
-    known = [extended.spots.get(site) for site in sites]
-    light = np.array([(spot and spot.light) or 0 for spot in known], int)
+    light_index = np.array([(spot and spot.light) or 0 for spot in map(extended.spots.get, sites)], int)
     baseline = replace(viewed.baseline, photon_budget="free")
     learned = extended.lights or (baseline.learned,)
     effects = tuple(filter(acts_on_mean, extended.effects))
     lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in learned)
-    model = ModelledFrames(lights, light, _fit_each_light(lights, light, viewed))
+    model = ModelledFrames(lights, light_index, _fit_each_light(lights, light_index, viewed))
     without = []
     for applied in progress.over(extended.effects, "models without each effect"):
         spots = _spots_without(viewed, extended, model, applied)
-        other = model.without(applied.effect.name, spots)
+        other = model.remove_effect(applied.effect.name, spots)
+        # An effect without stages is the learned light; without it the declared light remains.
         if not applied.effect.stages:
-            plain = (replace(light, baseline=baseline) for light in other.lights)
-            other = replace(other, lights=tuple(plain))
+            other = replace(other, lights=tuple(replace(light, baseline=baseline) for light in other.lights))
         without.append(other)
     return ExtendedViews(model, tuple(without), *_measure_deviations(viewed, extended, model, sites))
 
 
-def _fit_each_light(lights: Sequence[ForwardModel], light: np.ndarray, viewed: ViewedFrames) -> FittedSpots:
-    """Fit the spots of frames, each under the model with its own light [frame]."""
-    rows, covariance = np.empty((4, len(light))), np.empty((len(light), 4, 4))
-    has_converged = np.empty(len(light), bool)
+def _fit_each_light(lights: Sequence[ForwardModel], light_index: np.ndarray, viewed: ViewedFrames) -> FittedSpots:
+    """Fit the spot of each frame with the model of its light."""
+    rows, covariance = np.empty((4, len(light_index))), np.empty((len(light_index), 4, 4))
+    has_converged = np.empty(len(light_index), bool)
     for number, forward in enumerate(lights):
-        at = np.flatnonzero(light == number)
+        at = np.flatnonzero(light_index == number)
         fitted = fit_spots(forward, viewed.frames.select(at), viewed.start.select(at))
         rows[:, at], covariance[at] = fitted.spots.as_rows(), fitted.covariance
         has_converged[at] = fitted.has_converged
     return FittedSpots(FrameParameters(*rows), covariance, has_converged)
-
-
-def _law_model(viewed: ViewedFrames, extended: ExtendedModel, effects: Sequence[AppliedEffect]) -> ForwardModel:
-    """Return the forward model with the law of the exposure and some effects."""
-    return ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(effects))
 
 
 def _spots_without(
@@ -178,11 +172,12 @@ def _spots_without(
         return spots
     remaining = [applied for applied in extended.effects if applied is not left_out]
     by_law, complete = (
-        log_spots_of(_law_model(viewed, extended, effects), viewed.frames) for effects in (remaining, extended.effects)
+        compute_log_spots(ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(effects)), viewed.frames)
+        for effects in (remaining, extended.effects)
     )
-    # `model.without` already removes the effect's change of the fitted brightness and width.
-    alone = log_spots_of(model.without(left_out.effect.name, spots).lights[0], viewed.frames, spots)
-    change = by_law - complete - (alone - model.log_spots(viewed.frames))
+    # `remove_effect` already removes the effect's change of the fitted brightness and width.
+    alone = compute_log_spots(model.remove_effect(left_out.effect.name, spots).lights[0], viewed.frames, spots)
+    change = by_law - complete - (alone - model.compute_log_spots(viewed.frames))
     change = np.where(np.isfinite(change), change, 0.0)
     return replace(spots, log_peak=spots.log_peak + change[0], log_sigma=spots.log_sigma + change[1])
 
@@ -194,8 +189,9 @@ def _measure_deviations(
     value = np.full((len(DEVIATIONS), len(viewed.frames)), np.nan)
     spots = model.fitted.spots
     if extended.law is not None:
-        by_law = log_spots_of(_law_model(viewed, extended, extended.effects), viewed.frames)
-        value[:2] = np.expm1(model.log_spots(viewed.frames) - by_law)
+        law_model = ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(extended.effects))
+        by_law = compute_log_spots(law_model, viewed.frames)
+        value[:2] = np.expm1(model.compute_log_spots(viewed.frames) - by_law)
     for k, site in enumerate(sites):
         if (spot := extended.spots.get(site)) is not None:
             value[2:, k] = spots.x[k] - spot.x_px, spots.y[k] - spot.y_px
@@ -275,10 +271,10 @@ def write_views(
     measured, dims = files["crops"]["image"].sel(centring="light"), store.grid_dims(files["crops"])
     extra = _coordinates(dataset, line, effects).assign_attrs(extended=reason or "model.yaml")
     with store.frame_writer(path, dataset, extra, contents, code=code, inputs=inputs) as writer:
-        stages = [simulate_views(dataset, files, sensor)]
+        iterators = [simulate_views(dataset, files, sensor)]
         if viewed is not None:
-            stages.append(model_views(dataset, viewed, model))
-        for views in stages:
+            iterators.append(model_views(dataset, viewed, model))
+        for views in iterators:
             for index, values in progress.over(views, "views of frames", len(dataset.spots)):
                 image = measured.isel(dict(zip(dims, index, strict=True))).values.astype(float)
                 for name in [name for name in MODELS if name in values]:
@@ -328,14 +324,15 @@ def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | N
     declared = view_declared(viewed)
     extended = None
     if model is not None:
-        sites = viewed.sites(dataset.instrument.conditions, model.law is not None)
+        sites = viewed.list_sites(dataset.instrument.conditions, model.law is not None)
         extended = view_extended(replace(viewed, start=declared.fitted.spots), model, sites)
     for k, (index, _) in enumerate(viewed.cells):
-        values: dict[str, Any] = {"declared": declared.mean(viewed.frames, k)}
+        values: dict[str, Any] = {"declared": declared.predict_mean(viewed.frames, k)}
         if extended is not None:
-            values["extended"] = extended.model.mean(viewed.frames, k)
+            values["extended"] = extended.model.predict_mean(viewed.frames, k)
             values |= {name: deviation[k] for name, deviation in extended.deviations.items()}
             values |= {f"{name}_stderr": stderr[k] for name, stderr in extended.stderr.items()}
             if extended.without:
-                values["extended_without"] = np.array([other.mean(viewed.frames, k) for other in extended.without])
+                readings = [other.predict_mean(viewed.frames, k) for other in extended.without]
+                values["extended_without"] = np.array(readings)
         yield index, values
