@@ -144,7 +144,7 @@ def _caption(example: Example, verdict: dict[str, Any], end: float) -> str:
         sentences.append(f"Added to the model: {'; '.join(_effect_text(effect) for effect in effects)}.")
     rivals = [rival["name"] for effect in effects for rival in effect["evidence"]["rivals"]]
     if rivals:
-        sentences.append(f"The frames do not tell it from {' or '.join(rivals)}.")
+        sentences.append(f"The frames do not distinguish it from {' or '.join(rivals)}.")
     if effects and gap["closed"] is not None:
         sentences.append(f"That closes {percent_text(min(gap['closed'], 1.0))} of the gap on {gap['on']}.")
     return " ".join(sentences)

@@ -77,7 +77,7 @@ def _caption(ds: xr.Dataset, z_factor: float, z_unit: str) -> str:
     direction = (
         f"The beam's axes lie at ({azimuth})° and across it, from +x towards +y, in all frames"
         if np.isfinite(float(ds["azimuth_stderr"]))
-        else "No frame tells an axis of the beam, so that its widths along x and y are shown"
+        else "The frames do not determine the axes of the beam, so that its widths along x and y are shown"
     )
     kind = (
         "the beam counts as round, since the widths along them differ by less than 13 % in every frame (ISO 11146-1)"
@@ -86,10 +86,10 @@ def _caption(ds: xr.Dataset, z_factor: float, z_unit: str) -> str:
     )
     text = (
         "1/e² radius of the beam, twice the fitted standard deviation, over the distance, with the hyperbola"
-        " w² = a + b z + c z² (ISO 11146-1, with Gaussian widths in the place of second moments; crops centred on the"
-        f" light). {direction}; {kind}. Beneath: points less hyperbola, set a little apart. Error bars: standard error"
-        f" of the fit and the scatter that brings χ² to 1 per degree of freedom ({scatters} of the radius). Grey: 68 %"
-        " interval of the hyperbola."
+        " w² = a + b z + c z² (ISO 11146-1, with Gaussian widths instead of second moments; crops centred on the"
+        f" light). {direction}; {kind}. Below: points less hyperbola, shifted apart for clarity. Error bars: standard"
+        f" error of the fit and the scatter that brings χ² to 1 per degree of freedom ({scatters} of the radius). Grey:"
+        " 68 % interval of the hyperbola."
     )
     sentences = [_beam_text(name, beam, z_factor, z_unit) for name, beam in beams.items()]
     end = "The standard asks for ten positions, half of them near the waist and half far."
@@ -100,10 +100,10 @@ def _beam_text(name: str, beam: xr.Dataset, z_factor: float, z_unit: str) -> str
     """Return the quantities of one hyperbola as a sentence."""
     name = name[0].upper() + name[1:]
     if not np.isfinite(float(beam["m2"])):
-        return f"{name}: the hyperbola has no waist, the points do not hold one."
+        return f"{name}: the fitted hyperbola has no waist; the points do not constrain one."
     near, far, total = (int(beam[key]) for key in ("positions_near", "positions_far", "positions"))
     warning = (
-        " No beam has M² below 1: the fitted Gaussians pass over light in the wings, or the scatter misleads."
+        " M² cannot be below 1: the fitted Gaussians ignore light in the wings, or the radii scatter too much."
         if float(beam["m2"] + 3 * beam["m2_stderr"]) < 1
         else ""
     )

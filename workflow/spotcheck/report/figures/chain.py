@@ -249,10 +249,9 @@ def draw_chain(graph: Graph) -> style.Drawing:
         ax.add_patch(FancyBboxPatch(corner, *box, shape, facecolor=face, edgecolor=EDGE_COLOUR, zorder=2))
         ax.text(centre_x, centre_y, text, ha="center", va="center", fontsize=FONT_SIZE * zoom, zorder=3)
     caption = (
-        f"The chain of the workflow: {len(graph.labels)} stages, an arrow from each to those that read what it wrote,"
-        " pale where a longer way leads there too. Shaded differently: what nothing else needs. The"
-        " paper's flow chart holds the simulation alone; here the simulated frames pass the very stages that the"
-        " measured ones do."
+        f"Flow chart of the workflow with {len(graph.labels)} stages. An arrow leads from each stage to those that read"
+        " its output; it is pale if a longer path connects them as well. Final stages have another colour. The paper's"
+        " flow chart contains only the simulation; here the simulated frames pass the same stages as the measured ones."
     )
     return style.Drawing(figure, caption)
 

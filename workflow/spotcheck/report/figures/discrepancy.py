@@ -90,7 +90,7 @@ def draw_residuals(results: Results) -> style.Drawing:
         "Measured less model, mean over the frames that were searched"
         f"{', some of the conditions' if has_left_out else ''}; blocks of {_block_text(ds)} px. Red: brighter than the"
         f" model. One scale for all panels, its colours ending at ±{two_digits(end)} DN. Circles: 1 σ_g and 2 σ_g."
-        " Beneath: mean over rings around the spot's centre and over all conditions of an exposure, with its standard"
+        " Below: mean over rings around the spot's centre and over all conditions of an exposure, with its standard"
         " error."
     )
     if len(models) == 1:
@@ -256,8 +256,8 @@ def draw_gap(results: Results) -> style.Drawing:
         bar.ax.axhline(noise, color=colour, linewidth=width)
     scatter = float(np.nanmedian(stderr)) / (2 * noise)
     caption = (
-        f"Root mean square of what is left of block means, over the declared model's noise, on {ds.attrs['gap_on']}."
-        f" Noise alone leaves {noise:.3g} ± {scatter:.2g} (line on the colour bar); bold: more than"
+        "Root mean square of the residual block means, relative to the declared model's noise, on"
+        f" {ds.attrs['gap_on']}. Noise alone leaves {noise:.3g} ± {scatter:.2g} (line on the colour bar); bold: more than"
         f" {BOLD_SIGMAS:.0f} standard deviations above. The gap of the verdict is that of larger blocks near the"
         " spot, on held-out data."
     )

@@ -72,15 +72,15 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
     caption = f"{plot.meaning}: crops centred on the light. {series.frames_text(measured, axes)};"
     caption += f" {int(measured.frames.sum())} measured frames."
     if is_constant:
-        caption += " Dashed level: the simulated frames by the same functions, averaged, since the model knows no"
+        caption += " Dashed level: the mean of the simulated frames, since the model does not depend on the"
         caption += f" {axes.abscissa}."
     else:
-        caption += " Dashed with open markers: the simulated frames by the same functions."
+        caption += " Dashed with open markers: the simulated frames, evaluated in the same way."
     if not has_law:
-        caption += " No law links the frames: each is simulated at its own fit, so that fitted amplitude and width"
-        caption += " agree by construction."
+        caption += " No law links the frames: each one is simulated with its own fitted parameters, so that"
+        caption += " fitted amplitude and width agree by construction."
     if left_out:
-        caption += f" {left_out} fits that did not converge or left the range of sound widths are not counted."
+        caption += f" {left_out} fits that did not converge or have an implausible width are not counted."
     return style.Drawing(figure, caption + (results.paper_note(plot.note) if plot.note else ""))
 
 

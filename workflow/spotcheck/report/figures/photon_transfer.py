@@ -174,7 +174,7 @@ def draw_signal_to_noise(results: Results) -> style.Drawing:
     if np.isfinite(full_well.value):
         caption += f", and the saturation capacity, {_quantity_text(full_well)}; between them lie"
         caption += f" {20 * np.log10(quantities['dynamic_range'].value):.1f} dB"
-    return style.Drawing(figure, caption + ". The ideal camera has shot noise alone and loses no photon.")
+    return style.Drawing(figure, caption + ". The ideal camera has only shot noise and detects every photon.")
 
 
 def draw_dark_signal(results: Results) -> style.Drawing:

@@ -53,14 +53,14 @@ def draw_precision(results: Results) -> style.Drawing:
     caption = sentence(ds)
     if has_bound:
         caption += (
-            " Left: the bound of one frame along the calibrated law, all five numbers of a round spot unknown, noise,"
-            " rounding and clips as the sensor has them; grey bars: the dataset's exposures; points: standard"
+            " Left: the bound of one frame along the calibrated law, with all five parameters of a round spot unknown,"
+            " and noise, rounding and clipping of the sensor; grey bars: the dataset's exposures; points: standard"
             " deviation over the repeats of a condition."
         )
     if sources:
         caption += (
             f" {'Right: s' if has_bound else 'S'}catter over repeats in units of the bound, all conditions together,"
-            " with its standard error. Where repeats are other sites, centres scatter with them."
+            " with its standard error. If repeats are different sites, the centres include their scatter."
         )
     return style.Drawing(figure, caption)
 

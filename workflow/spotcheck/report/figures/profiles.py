@@ -104,9 +104,9 @@ def draw_profiles(results: Results) -> style.Drawing:
     style.add_legend(figure, handles, labels, len(handles))
     counts = [profile.frames for profile in profiles]
     caption = (
-        "Mean reading in rings of 1 px around the fitted centre, measured and simulated (the mean image placed on the"
+        "Mean reading in rings of 1 px around the fitted centre, measured and simulated (the mean image centred on the"
         f" measured centre), light-centred crops, {series.range_text(counts)} frame{'s' if max(counts) > 1 else ''} a"
-        " panel; beneath, measured less simulated."
+        " panel; below, measured less simulated."
     )
     if max(counts) > 1:
         caption += " Grey: one standard deviation of the residual over frames, not its standard error."

@@ -43,11 +43,11 @@ def draw_parameters(results: Results) -> style.Drawing:
         "Beam propagation parameters p1 and p2 (Eq. 8) of every site, averaged at each"
         f" {style.axis_name(abscissa)}; crops centred on the light."
         f" {series.frames_text(sites, axes).replace('frames a point', 'sites a point')}"
-        " (a point being the fit over all exposures of a site). Legend: mean ± standard deviation over all"
+        " (each site has one fit over all its exposures). Legend: mean ± standard deviation over all"
         f" {int(sites.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
         f" Others: {'; '.join(_estimator_text(calibration, name) for name in others)}."
     )
-    note = "In print p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20; called metres there, they close only as pixels."
+    note = "The paper prints p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20 in metres; they are consistent only in pixels."
     return style.Drawing(figure, caption + results.paper_note(note))
 
 

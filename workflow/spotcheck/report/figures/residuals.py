@@ -111,7 +111,7 @@ def draw_residuals(results: Results) -> style.Drawing:
     )
     counts = [len(panel.spots) for panel in known]
     caption = (
-        "Measured less simulated frame: the simulated mean image placed on the measured fitted centre, light-centred"
+        "Measured less simulated frame: the simulated mean image centred on the measured fitted centre, light-centred"
         f" crops, averaged over {series.range_text(counts)} frame{'s' if max(counts) > 1 else ''} a panel"
         f" ({sum(counts)} in all). Red: brighter than the model; blue: fainter. One scale for all panels, its colours"
         f" ending at ±{two_digits(end)} DN. Ellipses: 1 σ (solid) and 2 σ (dashed) of the fitted Gaussian."

@@ -89,8 +89,8 @@ def draw_setup(results: Results) -> style.Drawing:
         " Lengths are to scale"
         + (f" along the axis, heights {stretch:.2g}-fold" if stretch != 1 else "")
         + (", the opening of the aperture included" if geometry.f_number else "")
-        + "; the laser's tilt is exaggerated, since it stands beside the camera. Numbers: thin lens far from its object"
-        " (Eq. 1), grain by Eq. 3, depth of focus by Eq. 4 for a blur of one pixel."
+        + "; the tilt of the laser, which is mounted beside the camera, is exaggerated. Numbers: thin lens far from its"
+        " object (Eq. 1), grain by Eq. 3, depth of focus by Eq. 4 for a blur of one pixel."
     )
     note = "The paper rounds M to 0.2 where it prints 10.296 µm for the grain and 1.872 px."
     return style.Drawing(figure, caption + results.paper_note(note))

@@ -57,8 +57,8 @@ def draw_significance(results: Results) -> style.Drawing:
     caption = (
         "Above: z of the mean residual by distance from the spot's centre, and below it of its strongest azimuthal"
         f" order (1 one-sided, 2 twofold, …); columns: exposure.{f' Rows: {row_names}.' if any(table.rows) else ''}"
-        f" Dots and orders stand where |z| > {limit:.2g}, which noise alone reaches anywhere in at most {percent} % of"
-        f" all data sets ({significant} of {known} cells do). Beneath: the {min(MAX_TESTS, ds.sizes['part'])} most"
+        f" Dots and orders mark |z| > {limit:.2g}; noise alone exceeds this anywhere in at most {percent} % of all"
+        f" data sets ({significant} of {known} cells do). Bottom: the {min(MAX_TESTS, ds.sizes['part'])} most"
         f" significant of {ds.sizes['part']} tests of all frames together ({test_count} exceed the threshold)."
     )
     return style.Drawing(figure, caption)
