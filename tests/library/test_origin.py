@@ -199,7 +199,7 @@ def test_what_the_data_sheet_states(results, tmp_path, capsys):
     assert (given.method, tacit.method) == ("", "the default: instrument.yaml does not give it")
     assert provenance.hover_text(given).startswith("instrument.yaml: sensor.read_noise_e, as given; explain: ")
     cli.run(["explain", given.short_key, "--results", str(results)])
-    assert "  by     whoever gave the dataset" in capsys.readouterr().out.splitlines()
+    assert "  by     the user, who provided the file" in capsys.readouterr().out.splitlines()
     own = shutil.copytree(results, tmp_path / "own")
     (own / ".dataset").write_text(str(tmp_path), encoding="utf-8")
     (tmp_path / "camera.yaml").write_text("{sensor: {read_noise_e: 7}, crop_px: 60}", encoding="utf-8")

@@ -257,8 +257,8 @@ def draw_gap(results: Results) -> style.Drawing:
     scatter = float(np.nanmedian(stderr)) / (2 * noise)
     caption = (
         "Root mean square of the residual block means, relative to the declared model's noise, on"
-        f" {ds.attrs['gap_on']}. Noise alone leaves {noise:.3g} ± {scatter:.2g} (line on the colour bar); bold: more than"
-        f" {BOLD_SIGMAS:.0f} standard deviations above. The gap of the verdict is that of larger blocks near the"
+        f" {ds.attrs['gap_on']}. Noise alone leaves {noise:.3g} ± {scatter:.2g} (line on the colour bar); bold: more"
+        f" than {BOLD_SIGMAS:.0f} standard deviations above. The gap of the verdict is that of larger blocks near the"
         " spot, on held-out data."
     )
     if len(models) == 1:

@@ -39,7 +39,7 @@ def explanation_text(number: Number, results: Path, question: str, purpose: str)
         "key": number.key,
         "in": f"{results / source.file}: {spaced_variable(number.variable)}",
         "frame": f"{frame[0]}  {frame[1][:DIGEST_DIGITS]}" if frame else "",
-        "by": rule if source.rule else "whoever gave the dataset",
+        "by": rule if source.rule else "the user, who provided the file",
         "made": _writing_text(source) if source.rule else "",
     }
     lines = [f"{question} = {number_text(number)}", f"  {number.description}", ""]
@@ -60,7 +60,7 @@ def number_text(number: Number) -> str:
 def _writing_text(source: Source) -> str:
     """Return when, and by which version of the code, a file was written."""
     if not source.written:
-        time = "no note says when"
+        time = "time not recorded"
     else:
         time = f"{datetime.fromisoformat(source.written):%Y-%m-%d %H:%M} UTC"
     return f"{time}{f', code {source.code}' if source.code else ''}"
