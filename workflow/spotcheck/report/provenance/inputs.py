@@ -46,15 +46,14 @@ def _trace_input(results: Path, folder: Path, item: Input, listed: set[str]) -> 
     path, remark = _find_input(results, folder, item)
     file = path.relative_to(results).as_posix() if path and path.is_relative_to(results) else ""
     source = _find_source(results, file) if file else None
-    name, location = file or item.name, str(path or "")
-    if source is None:
-        return InputFile(name, location, item.digest, "", remark)
-    if file in listed:
+    inputs: tuple[InputFile, ...] = ()
+    if source is not None and file in listed:
         remark = remark or ("as above" if source.inputs else "")
-        return InputFile(name, location, item.digest, source.rule, remark)
-    listed.add(file)
-    inputs = tuple(_list_inputs(results, source, listed))
-    return InputFile(name, location, item.digest, source.rule, remark, inputs)
+    elif source is not None:
+        listed.add(file)
+        inputs = tuple(_list_inputs(results, source, listed))
+    rule = source.rule if source else ""
+    return InputFile(file or item.name, str(path or ""), item.digest, rule, remark, inputs)
 
 
 def _find_source(results: Path, file: str) -> Source | None:
