@@ -270,6 +270,11 @@ def test_prefix_makes_the_smallest_value_at_least_one(values, unit, expected):
     assert all(v * factor >= 1 - 1e-9 for v in values if v)
 
 
+def test_a_rounding_error_of_zero_chooses_no_prefix():
+    """A distance of 1e-17 m beside others of 0.1 m does not lead to picometres."""
+    assert style.choose_unit([-0.1, 1e-17, 0.1], "m").symbol == "mm"
+
+
 def test_numbers_in_sentences():
     assert [two_digits(v) for v in (0, 360, 0.05, 2.5e-16, 2.65e14)] == [
         "0",

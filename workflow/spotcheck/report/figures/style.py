@@ -60,6 +60,8 @@ DASHES: tuple[tuple[float, ...], ...] = (
     (9, 2, 3, 2),
     (6, 1.5, 1, 1, 1, 1.5),
 )
+# Values below this fraction of the largest are rounding errors of zero, and choose no prefix.
+ZERO_FRACTION = 1e-9
 # SI prefixes by power of ten.
 PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 # Names of grid dimensions on an axis.
@@ -157,7 +159,8 @@ def choose_unit(values: Any, unit: str) -> DisplayUnit:
     if unit in ("degree", "1", "pixel", "K"):
         return DisplayUnit(1.0, {"degree": "°", "pixel": "px", "1": ""}.get(unit, unit))
     size = np.abs(np.asarray(values, float))
-    size = size[np.isfinite(size) & (size > 0)]
+    size = size[np.isfinite(size)]
+    size = size[size > ZERO_FRACTION * size.max(initial=0.0)]
     power = 0 if not size.size else int(np.clip(3 * np.floor(np.log10(size.min() * (1 + 1e-9)) / 3), -12, 6))
     return DisplayUnit(10.0**-power, PREFIXES[power] + unit)
 
