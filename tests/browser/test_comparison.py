@@ -2,7 +2,7 @@
 
 import pytest
 
-from spotcheck.report.comparison.table import compare
+from spotcheck.report.comparison.table import compare_datasets
 from spotcheck.report.pages import compared
 from tests.browser.opening import WINDOW, from_disk, look
 from tests.browser.test_page import LEAST_CONTRAST, SCHEMES, WIDTHS
@@ -14,7 +14,7 @@ __all__ = ["sets"]
 @pytest.fixture(scope="module")
 def found(sets):
     """Three datasets, the last of which differs."""
-    return compare([sets[name] for name in ("before", "again", "after")])
+    return compare_datasets([sets[name] for name in ("before", "again", "after")])
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_the_chosen_quantity_is_drawn(page, found):
     texts = page.locator("#quantity option").all_text_contents()
     page.select_option("#quantity", label=next(text for text in texts if text.endswith("amplitude, 90°, 300 µs")))
     drawn = page.evaluate("(([own]) => [own.x, own.y, own.error_y.array])(document.getElementById('over-plot').data)")
-    assert drawn[0] == found.places
+    assert drawn[0] == found.axis.places
     assert drawn[1] == pytest.approx([number.value for number in own.numbers])
     assert drawn[2] == pytest.approx([number.stderr for number in own.numbers])
     said = page.get_attribute("#over-plot", "aria-label")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from spotcheck.report import origin
+from spotcheck.report import provenance
 from tests.browser.opening import WINDOW, look
 
 # Widths [px] of a telephone, a notebook and a large screen.
@@ -87,7 +87,7 @@ def test_numbers_say_where_they_come_from(page, results):
         files.setdefault(key.split("[")[0], []).append(key)
     for own in files.values():
         for key in {own[0], own[-1]}:
-            assert origin.of(results, key).words, key
+            assert provenance.find_number(results, key).description, key
     for fold in ("fits", "sheet", "parameters", "table"):
         # Exposures of the manifest and the constant of Eq. 40 are in no file of numbers.
         rows = f"#{fold} tr:not(:has-text('manifest.csv')):not(:has-text('Eq. 40'))"

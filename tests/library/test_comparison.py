@@ -4,6 +4,7 @@ import io
 import json
 import re
 from contextlib import redirect_stdout
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -16,22 +17,22 @@ from spotcheck import cli
 from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.model.design import simulate_dataset
-from spotcheck.report.comparison.changes import FALSE_ALARMS, beyond_chance, difference, trend
-from spotcheck.report.comparison.numbers import ABSENT, Number
-from spotcheck.report.comparison.table import Comparison, Row, compare
-from spotcheck.report.comparison.written import dataset_of
+from spotcheck.report.comparison.changes import FALSE_ALARM_RATE, difference, fit_trend, select_significant
+from spotcheck.report.comparison.netcdf import build_dataset
+from spotcheck.report.comparison.numbers import ABSENT, Measurement
+from spotcheck.report.comparison.table import Comparison, Row, compare_datasets
 from spotcheck.sensor import SensorModel
 from tests.library.shelf import HEADER, LAW, design
 
 
-def measured(values: np.ndarray) -> Number:
+def measured(values: np.ndarray) -> Measurement:
     """A mean with the error of its values' scatter."""
-    return Number(values.mean(), stats.sem(values), len(values) - 1.0, "px", "scatter", "")
+    return Measurement(values.mean(), stats.sem(values), len(values) - 1.0, "px", "scatter", "")
 
 
-def fitted(value: float, stderr: float) -> Number:
+def fitted(value: float, stderr: float) -> Measurement:
     """A number with an error that is known."""
-    return Number(value, stderr, np.inf, "px", "fit", "")
+    return Measurement(value, stderr, np.inf, "px", "fit", "")
 
 
 # Differences, trends, and which of many count.
@@ -66,9 +67,9 @@ def test_without_an_error_nothing_is_tested():
 def test_steps_of_holm():
     """The example that Wikipedia works through (Holm–Bonferroni method) at 5 %, brought to our rate: of 0.01, 0.04,
     0.03 and 0.005 the last and the first count."""
-    p = np.array([0.01, 0.04, 0.03, 0.005]) * FALSE_ALARMS / 0.05
-    assert beyond_chance([*p, np.nan]).tolist() == [True, False, False, True, False]
-    assert not beyond_chance([np.nan, np.nan]).any() and not beyond_chance([]).any()
+    p = np.array([0.01, 0.04, 0.03, 0.005]) * FALSE_ALARM_RATE / 0.05
+    assert select_significant([*p, np.nan]).tolist() == [True, False, False, True, False]
+    assert not select_significant([np.nan, np.nan]).any() and not select_significant([]).any()
 
 
 def test_a_slope_with_scatter_is_that_of_a_regression():
@@ -76,7 +77,7 @@ def test_a_slope_with_scatter_is_that_of_a_regression():
     rng = np.random.default_rng(5)
     x = np.array([0.0, 1, 3, 4, 9, 11])
     y = 2 + 0.3 * x + rng.normal(0, 1, 6)
-    own, level = trend(x, [fitted(value, 1e-3) for value in y])
+    own, level = fit_trend(x, [fitted(value, 1e-3) for value in y])
     reference = stats.linregress(x, y)
     assert (own.value, own.stderr, own.p_value) == pytest.approx(
         (reference.slope, reference.stderr, reference.pvalue), rel=1e-9
@@ -86,10 +87,10 @@ def test_a_slope_with_scatter_is_that_of_a_regression():
 
 def test_a_slope_without_scatter_has_the_error_of_its_points():
     """On a line the slope's error is σ/√Σ(x − x̄)²: 0.1/√2 for three points; two points have no slope."""
-    own, level = trend([0, 1, 2], [fitted(value, 0.1) for value in (1.0, 1.5, 2.0)])
+    own, level = fit_trend([0, 1, 2], [fitted(value, 0.1) for value in (1.0, 1.5, 2.0)])
     assert (own.value, own.stderr, level) == pytest.approx((0.5, 0.1 / np.sqrt(2), 1.0))
     assert np.isinf(own.degrees) and own.z == pytest.approx(0.5 / own.stderr)
-    assert np.isnan(trend([0, 1], [fitted(1, 0.1)] * 2)[0].value)
+    assert np.isnan(fit_trend([0, 1], [fitted(1, 0.1)] * 2)[0].value)
 
 
 PAGES, QUANTITIES = 200, 15
@@ -110,9 +111,9 @@ def test_pages_of_equal_datasets_mark_nothing():
             else:
                 first, other = (measured(rng.normal(7, 1 + k, size)) for size in (3, 3 + k % 4))
             p.append(difference(first, other).p_value)
-        marked += beyond_chance(p).any()
-        one_by_one += min(p) < FALSE_ALARMS
-    most = stats.binom.isf(1e-6, PAGES, FALSE_ALARMS)
+        marked += select_significant(p).any()
+        one_by_one += min(p) < FALSE_ALARM_RATE
+    most = stats.binom.isf(1e-6, PAGES, FALSE_ALARM_RATE)
     assert marked <= most < one_by_one
 
 
@@ -152,44 +153,46 @@ def sets(tmp_path_factory) -> dict[str, Path]:
 
 def row(found: Comparison, what: str, *where: float) -> Row:
     """The row of a number, at the values of its conditions."""
-    return next(own for own in found.rows if own.name.what == what and [w[1] for w in own.name.where] == list(where))
+    return next(
+        own for own in found.rows if own.name.quantity == what and [w[1] for w in own.name.conditions] == list(where)
+    )
 
 
 def test_equal_datasets_differ_in_nothing(sets):
     """Drawn alike with other seeds; false alarm of this test: 1 %, with the seeds fixed."""
-    found = compare([sets["before"], sets["again"]])
-    assert found.tested > 15
-    assert not any(any(own.changed) for own in found.rows)
+    found = compare_datasets([sets["before"], sets["again"]])
+    assert found.tested_changes > 15
+    assert not any(any(own.is_changed) for own in found.rows)
 
 
 def test_a_change_of_p1_is_marked(sets):
     """By its size, within three errors; p2, which did not change, is not."""
-    found = compare([sets["before"], sets["after"]])
+    found = compare_datasets([sets["before"], sets["after"]])
     own = row(found, "p1")
-    assert own.changed == [False, True]
+    assert own.is_changed == [False, True]
     assert own.changes[1].value == pytest.approx(0.05, abs=3 * own.changes[1].stderr)
     assert own.numbers[0].error == "scatter of 6 sites" and own.numbers[0].degrees == 5
-    assert not any(row(found, "p2").changed)
+    assert not any(row(found, "p2").is_changed)
 
 
 def test_numbers_are_those_of_the_files(sets):
     """p1 of calibration.nc; the width at a condition as mean and standard error of its usable fits."""
-    found = compare([sets["before"], sets["again"]])
+    found = compare_datasets([sets["before"], sets["again"]])
     with store.read(sets["before"] / "calibration.nc") as ds:
         own = ds.sel(estimator=ds.attrs["used"])
-        assert row(found, "p1").numbers[0][:2] == (float(own["p1_mean"]), float(own["p1_stderr"]))
+        assert astuple(row(found, "p1").numbers[0])[:2] == (float(own["p1_mean"]), float(own["p1_stderr"]))
     with store.read(sets["before"] / "fits.nc") as ds:
         fits = ds["sigma_major"].sel(centring="light", fit="likelihood", angle=90, exposure=3e-4).values
     number = row(found, "width of the long axis", 90, 3e-4).numbers[0]
-    assert number[:3] == pytest.approx((fits.mean(), stats.sem(fits), 2))
+    assert astuple(number)[:3] == pytest.approx((fits.mean(), stats.sem(fits), 2))
 
 
 def test_conditions_that_were_read_back_are_one(sets):
     """3.0006e-4 s is 3e-4 s within the tolerance of conditions; what one lacks is not compared."""
-    found = compare([sets["before"], sets["part"]])
-    places = {own.name.where for own in found.rows if own.name.where}
+    found = compare_datasets([sets["before"], sets["part"]])
+    places = {own.name.conditions for own in found.rows if own.name.conditions}
     assert len(places) == 4 and {round(w[1][1], 5) for w in places} == {3e-4, 9e-4}
-    whole = compare([sets["before"], sets["again"], sets["part"]])
+    whole = compare_datasets([sets["before"], sets["again"], sets["part"]])
     lacking = row(whole, "amplitude", 0, 1e-4)
     assert lacking.numbers[2] == ABSENT and np.isfinite(lacking.changes[1].z) and np.isnan(lacking.changes[2].z)
 
@@ -228,11 +231,11 @@ def cameras(tmp_path_factory) -> dict[str, Path]:
 
 def test_a_change_of_gain_is_marked(cameras):
     """By flats and darks: of the other camera, not of the same one; the difference within three errors."""
-    found = compare([cameras["first"], cameras["same"], cameras["other"]])
+    found = compare_datasets([cameras["first"], cameras["same"], cameras["other"]])
     own = row(found, "overall gain, K")
-    assert own.changed == [False, False, True]
+    assert own.is_changed == [False, False, True]
     assert own.changes[2].value == pytest.approx(0.06, abs=3 * own.changes[2].stderr)
-    assert not any(other.changed[1] for other in found.rows)
+    assert not any(other.is_changed[1] for other in found.rows)
 
 
 # What cannot be compared, and in which order.
@@ -247,7 +250,7 @@ def test_what_cannot_be_compared_ends_in_a_sentence(sets, cameras, tmp_path):
         ([sets["before"], cameras["first"]], "before and first have no number in common"),
     ):
         with pytest.raises(InputError, match=said) as caught:
-            compare(folders)
+            compare_datasets(folders)
         assert "\n" not in str(caught.value)
 
 
@@ -272,7 +275,7 @@ def test_a_file_of_another_version_ends_in_a_sentence(sets, tmp_path):
     """A calibration that lacks what this version writes."""
     old = copied(sets["again"], tmp_path, lambda ds: ds.drop_vars("p1_stderr"), old="")
     with pytest.raises(InputError, match="is of another version; run the workflow on the dataset again"):
-        compare([sets["before"], old])
+        compare_datasets([sets["before"], old])
 
 
 def test_numbers_in_other_units_are_said(sets, tmp_path):
@@ -280,8 +283,8 @@ def test_numbers_in_other_units_are_said(sets, tmp_path):
         ds["p1_mean"].attrs["units"] = "m"
         return ds
 
-    found = compare([sets["before"], copied(sets["again"], tmp_path, in_metres, metric="")])
-    assert "p1" not in {own.name.what for own in found.rows} and "p2" in {own.name.what for own in found.rows}
+    found = compare_datasets([sets["before"], copied(sets["again"], tmp_path, in_metres, metric="")])
+    assert "p1" not in {own.name.quantity for own in found.rows} and "p2" in {own.name.quantity for own in found.rows}
     assert "p1 is not compared: it is in pixel in before, m in metric" in found.remarks
 
 
@@ -298,14 +301,14 @@ def test_trends_are_over_dates_where_all_have_them(sets, tmp_path):
         copied(sets["before"], tmp_path, later(day), **{name: date})
         for day, (name, date) in zip(days, dates.items(), strict=True)
     ]
-    found = compare(folders)
-    assert (found.along, found.per, found.places) == ("days since 2026-03-01", "day", list(days))
+    found = compare_datasets(folders)
+    assert (found.axis.name, found.axis.unit, found.axis.places) == ("days since 2026-03-01", "day", list(days))
     own = row(found, "p1")
-    assert own.rising and own.trend.value == pytest.approx(0.05)
-    assert not row(found, "p2").rising
+    assert own.has_trend and own.trend.value == pytest.approx(0.05)
+    assert not row(found, "p2").has_trend
 
-    found = compare([*folders, copied(sets["again"], tmp_path, four="4.3.2026")])
-    assert (found.along, found.places) == ("order of the datasets", [0, 1, 2, 3])
+    found = compare_datasets([*folders, copied(sets["again"], tmp_path, four="4.3.2026")])
+    assert (found.axis.name, found.axis.places) == ("order of the datasets", [0, 1, 2, 3])
     assert "column date of four is missing, incomplete or not ISO 8601" in found.remarks[0]
 
 
@@ -314,10 +317,10 @@ def test_trends_are_over_dates_where_all_have_them(sets, tmp_path):
 
 def test_the_file_keeps_the_contract(sets, tmp_path):
     """Read back it holds what was found, with provenance, units and the rate of false alarms."""
-    found = compare([sets["before"], sets["again"], sets["after"]])
-    store.write(dataset_of(found), tmp_path / "comparison.nc", code="c0de", inputs=[sets["before"] / "fits.nc"])
+    found = compare_datasets([sets["before"], sets["again"], sets["after"]])
+    store.write(build_dataset(found), tmp_path / "comparison.nc", code="c0de", inputs=[sets["before"] / "fits.nc"])
     with store.read(tmp_path / "comparison.nc") as ds:
-        assert ds.attrs["false_alarms"] == FALSE_ALARMS and ds.attrs["tested"] == found.tested
+        assert ds.attrs["false_alarms"] == FALSE_ALARM_RATE and ds.attrs["tested"] == found.tested_changes
         assert ds.attrs["inputs"].startswith("fits.nc ") and ds.attrs["code_version"] == "c0de"
         own = ds.sel(quantity="p1", dataset="after")
         assert (str(own["unit"].values), int(own["changed"])) == ("pixel", 1)

@@ -29,8 +29,8 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_writer import LightFile, write_light, write_no_light
 from spotcheck.report.dataset_page.tables import missing_of
-from spotcheck.report.figures import answer, every_figure, style
-from spotcheck.report.figures.discrepancy import chosen, plan_of
+from spotcheck.report.figures import answer, every_figure, series, style
+from spotcheck.report.figures.discrepancy import tabulate_conditions
 from spotcheck.report.figures.entry import Category
 from spotcheck.report.figures.results import Results, Unavailable
 from spotcheck.report.figures.write import write_all
@@ -226,7 +226,7 @@ def test_rings_stand_out_by_their_noise(ghostly):
 def draw_figures(made: Made) -> tuple[dict[str, str], dict[str, str]]:
     """Return the captions of the pictures of a verdict, and why others were not drawn; a warning is an error."""
     captions, skipped = {}, {}
-    with warnings.catch_warnings(), style.applied(), made.results as results:
+    with warnings.catch_warnings(), style.house_style(), made.results as results:
         warnings.simplefilter("error")
         for entry in ENTRIES:
             try:
@@ -272,7 +272,7 @@ def test_pictures_of_every_outcome_and_design(findings, light, design, tmp_path)
 
 def test_pictures_are_what_the_captions_say(ghostly):
     """Both sides share one scale; bold is what noise does not reach; as many marks stand as are counted."""
-    with ghostly.results as results, style.applied():
+    with ghostly.results as results, style.house_style():
         sheet = {entry.name: entry.draw(results).figure for entry in ENTRIES if entry.name != OF_LIGHT}
     maps = [image for ax in sheet["missing-residuals"].axes for image in ax.get_images()]
     maps = [image for image in maps if image.get_array().shape == (small.SIDE, small.SIDE)]
@@ -289,7 +289,7 @@ def test_evidence_shows_every_name_and_its_rivals(tmp_path):
     """A point stands at the gain of each, a rival's less by what it is behind; bars at the part that is closed."""
     made = make_files(tmp_path, disagree(effects=(replace(PAIR, gap_closed=0.98),), gap=closed(0.98)), **ONE)
     (entry,) = (entry for entry in ENTRIES if entry.name == "missing-evidence")
-    with made.results as results, style.applied():
+    with made.results as results, style.house_style():
         ax, right = entry.draw(results).figure.axes
     assert [text.get_text() for text in ax.get_yticklabels()] == ["ghost_reflection", "or scatter_halo"]
     points = [float(line.get_xdata()[0]) for line in ax.lines if line.get_marker() == "o"]
@@ -302,7 +302,7 @@ def test_the_answer_shows_the_condition_that_gains_most(ghostly):
     ds = ghostly.ds
     gain = (ds["residual_before"] ** 2 - ds["residual_after"] ** 2).sum(("block_y", "block_x"))
     best = gain.isel(gain.argmax(...))
-    shown = answer.example(ds)
+    shown = answer.choose_example(ds)
     angle, exposure = float(best["angle"]), float(best["exposure"])
     assert shown.name == f"{angle:g}°, {1e6 * exposure:g} µs"
     place = ds.sel(angle=angle, exposure=exposure)
@@ -312,8 +312,8 @@ def test_the_answer_shows_the_condition_that_gains_most(ghostly):
         np.testing.assert_allclose(shown.models[stage] + shown.residuals[stage], shown.measured, atol=1e-3)
     readings = [f.readings for f in ghostly.drawn if (f.angle_deg, f.exposure_s) == (angle, exposure)]
     np.testing.assert_allclose(shown.measured, np.mean(readings, axis=0), rtol=1e-6)
-    with ghostly.results as results, style.applied():
-        caption = answer.draw(results).caption
+    with ghostly.results as results, style.house_style():
+        caption = answer.draw_answer(results).caption
     fraction = ghostly.verdict["effects"][0]["parameters"]["fraction"]
     assert "Verdict: named." in caption and f"fraction {value_text(*fraction.values())}" in caption
 
@@ -323,7 +323,7 @@ def test_no_answer_without_a_verdict(ghostly, tmp_path):
     shutil.copyfile(ghostly.results.folder / "discrepancy.nc", tmp_path / "discrepancy.nc")
     with Results(tmp_path, ghostly.results.dataset) as results:
         with pytest.raises(Unavailable, match=r"verdict\.json is not among"):
-            answer.draw(results)
+            answer.draw_answer(results)
 
 
 def test_equal_inputs_give_equal_pictures(ghostly, tmp_path):
@@ -383,12 +383,12 @@ def test_tables_of_conditions():
                 "exposure": ("exposure", [1e-4, 9e-4], {"units": "s", "long_name": "t"}),
                 "z_m": ("z_m", [0.1, 0.2, 0.3], {"units": "m", "long_name": "z"})},
     )  # fmt: skip
-    plan = plan_of(ds)
-    assert plan.columns == ["100 µs", "900 µs"]
-    assert plan.rows[4] == "45°, 200 mm"
-    np.testing.assert_array_equal(plan.table(ds, "sigma")[4], values[1, :, 1])
-    np.testing.assert_array_equal(chosen(9, 3), [0, 4, 8])
-    np.testing.assert_array_equal(chosen(2, 4), [0, 1])
+    table = tabulate_conditions(ds)
+    assert table.columns == ["100 µs", "900 µs"]
+    assert table.rows[4] == "45°, 200 mm"
+    np.testing.assert_array_equal(table.read(ds, "sigma")[4], values[1, :, 1])
+    np.testing.assert_array_equal(series.pick_evenly(9, 3), [0, 4, 8])
+    np.testing.assert_array_equal(series.pick_evenly(2, 4), [0, 1])
 
 
 # The report.

@@ -207,7 +207,7 @@ def hollow(ds: xr.Dataset) -> xr.Dataset:
     ids=["missing-cells", "one-repeat", "one-angle", "one-frame"],
 )
 def test_figures_survive_every_shape_of_a_design(tiny, tmp_path, design):
-    with subset(tiny, tmp_path, **design) as results, style.applied():
+    with subset(tiny, tmp_path, **design) as results, style.house_style():
         for entry in every_figure():
             try:
                 drawing = entry.draw(results)
@@ -219,7 +219,7 @@ def test_figures_survive_every_shape_of_a_design(tiny, tmp_path, design):
 
 
 def test_no_error_bars_from_one_frame(tiny, tmp_path):
-    with subset(tiny, tmp_path, repeats=(0,)) as results, style.applied():
+    with subset(tiny, tmp_path, repeats=(0,)) as results, style.house_style():
         drawing = next(e for e in every_figure() if e.name == "fig11").draw(results)
     assert "One frame a point" in drawing.caption
     bars = [box for ax in drawing.figure.axes for box in ax.containers if box.has_yerr]
@@ -236,10 +236,19 @@ def test_a_figure_that_can_no_longer_be_drawn_disappears(tiny, tmp_path):
     assert not list(tmp_path.glob("fig11.*"))
 
 
+def test_images_lie_on_the_profiles_beside_them(tiny):
+    """In the overview the centre of a pixel is at the same distance from the fitted centre in image and profile."""
+    with Results(tiny[1], tiny[0]) as results, style.house_style():
+        figure = next(entry for entry in every_figure() if entry.name == "overview").draw(results).figure
+    left, right, _, _ = figure.axes[0].images[0].get_extent()
+    x = figure.axes[3].lines[0].get_xdata()
+    np.testing.assert_allclose(np.linspace(left + 0.5, right - 0.5, len(x)), x, atol=1e-9)
+
+
 def test_points_are_mean_and_deviation_of_the_finite_values():
     values = np.array([[[1.0, 3.0, np.nan], [5.0, np.nan, np.nan]], [[2.0, 4.0, 9.0], [np.nan] * 3]])
     array = xr.DataArray(values, dims=("exposure", "angle", "repeat"))
-    found = series.points(array, series.Design("angle", "exposure", ("repeat",)))
+    found = series.average_frames(array, series.PlotAxes("angle", "exposure", ("repeat",)))
     np.testing.assert_array_equal(found.frames, [[2, 1], [3, 0]])
     np.testing.assert_allclose(found.mean, [[2, 5], [5, np.nan]])
     np.testing.assert_allclose(found.sd, [[np.std([1, 3], ddof=1), np.nan], [np.std([2, 4, 9], ddof=1), np.nan]])
@@ -256,9 +265,14 @@ def test_points_are_mean_and_deviation_of_the_finite_values():
     ],
 )
 def test_prefix_makes_the_smallest_value_at_least_one(values, unit, expected):
-    factor, found = style.scale(values, unit)
+    factor, found = style.choose_unit(values, unit)
     assert found == expected
     assert all(v * factor >= 1 - 1e-9 for v in values if v)
+
+
+def test_a_rounding_error_of_zero_chooses_no_prefix():
+    """A distance of 1e-17 m beside others of 0.1 m does not lead to picometres."""
+    assert style.choose_unit([-0.1, 1e-17, 0.1], "m").symbol == "mm"
 
 
 def test_numbers_in_sentences():
@@ -280,9 +294,9 @@ def test_numbers_in_sentences():
 
 def test_shades_of_the_series_differ_in_grey():
     for count in range(2, 7):
-        grey = [np.dot(line.colour[:3], (0.299, 0.587, 0.114)) for line in style.lines(count)]
+        grey = [np.dot(line.colour[:3], (0.299, 0.587, 0.114)) for line in style.line_styles(count)]
         assert np.diff(grey).min() > 0.07
-        assert len({line.marker for line in style.lines(count)}) == count
+        assert len({line.marker for line in style.line_styles(count)}) == count
 
 
 DOT = """Building DAG of jobs...
@@ -305,9 +319,9 @@ digraph snakemake_dag {
 
 
 def test_layers_of_the_chain_respect_its_edges():
-    graph = chain.parse(DOT)
+    graph = chain.parse_graph(DOT)
     assert graph.labels == {"0": "all", "1": "report", "2": "fit", "3": "crop", "4": "metrics"}
-    depth = chain.depths(graph)
+    depth = chain.find_depths(graph)
     assert all(depth[a] < depth[b] for a, b in graph.edges)
     assert [graph.labels[n] for n in sorted(depth, key=depth.__getitem__)] == [
         "crop",
@@ -316,11 +330,11 @@ def test_layers_of_the_chain_respect_its_edges():
         "report",
         "all",
     ]
-    found = chain.layout(graph)
+    found = chain.find_layout(graph)
     where = {node: k for k, layer in enumerate(found.layers) for node in layer}
     for path in found.chains:
         assert [where[n] for n in path] == list(range(where[path[0]], where[path[-1]] + 1))
-    assert chain.implied(graph) == {("3", "4"), ("2", "0")}
+    assert chain.find_redundant_edges(graph) == {("3", "4"), ("2", "0")}
 
 
 def test_the_drawn_chain_does_not_follow_the_numbers_of_the_rules():
@@ -331,9 +345,9 @@ def test_the_drawn_chain_does_not_follow_the_numbers_of_the_rules():
     renumbered = [line[:4] + line[4].translate(swapped) + line[5:] for line in nodes]
     moved = [" -> ".join(end.strip().translate(swapped) for end in line.split("->")) for line in edges]
     other = "\n".join([*lines[:4], *renumbered[::-1], *moved[2:], *moved[:2], "}"])
-    found = [chain.parse(text) for text in (DOT, other)]
+    found = [chain.parse_graph(text) for text in (DOT, other)]
     assert found[0].labels != found[1].labels
-    named = [[[graph.labels.get(n) for n in layer] for layer in chain.layout(graph).layers] for graph in found]
+    named = [[[graph.labels.get(n) for n in layer] for layer in chain.find_layout(graph).layers] for graph in found]
     assert named[0] == named[1]
     edges_by_name = [[(graph.labels[a], graph.labels[b]) for a, b in graph.edges] for graph in found]
     assert edges_by_name[0] == edges_by_name[1]
@@ -341,21 +355,21 @@ def test_the_drawn_chain_does_not_follow_the_numbers_of_the_rules():
 
 def test_barycentres_undo_a_crossing_and_nothing_overlaps():
     graph = chain.Graph({n: n for n in "abcd"}, [("a", "d"), ("b", "c")])
-    found = chain.layout(graph)
+    found = chain.find_layout(graph)
     links = [pair for path in found.chains for pair in pairwise(path)]
-    assert chain.crossings([["a", "b"], ["c", "d"]], links) == 1
-    assert chain.crossings(found.layers, links) == 0
+    assert chain.count_crossings([["a", "b"], ["c", "d"]], links) == 1
+    assert chain.count_crossings(found.layers, links) == 0
     sizes = dict.fromkeys("abcd", 1.0)
-    at = chain.positions(graph, found, sizes)
+    at = chain.place_nodes(graph, found, sizes)
     for layer in found.layers:
         assert np.diff([at[n] for n in layer]).min() >= 1.0 + chain.GAP - 1e-9
 
 
 def test_a_circle_and_an_empty_graph_are_told_to_the_user():
     with pytest.raises(InputError, match="circle"):
-        chain.parse("a -> b\nb -> a")
+        chain.parse_graph("a -> b\nb -> a")
     with pytest.raises(InputError, match="names no rule"):
-        chain.parse("Building DAG of jobs...")
+        chain.parse_graph("Building DAG of jobs...")
 
 
 def test_chain_is_drawn_twice_alike(tmp_path):

@@ -3,6 +3,7 @@
 import json
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,9 @@ from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.io.provenance import file_digest
 from spotcheck.model.design import simulate_dataset
-from spotcheck.report import origin
-from spotcheck.report.origin.documents import of_verdict
-from spotcheck.report.origin.words import measured
+from spotcheck.report import provenance
+from spotcheck.report.provenance.explanation import number_text
+from spotcheck.report.provenance.text_files import read_verdict
 from tests.library.conftest import ROOT
 from tests.library.shelf import LAW, design, flats
 
@@ -83,19 +84,19 @@ def results(tmp_path_factory) -> Path:
 
 def test_p1_is_that_of_the_estimator_in_use(results):
     """Value, error, unit, words, file, variable, rule and inputs, beside the file itself."""
-    number = origin.of(results, "p1")
+    number = provenance.find_number(results, "p1")
     with store.read(results / "calibration.nc") as ds:
         own = ds.sel(estimator=ds.attrs["used"])
         assert (number.value, number.stderr) == (float(own["p1_mean"]), float(own["p1_stderr"]))
-        assert number.words == ds["p1_mean"].attrs["long_name"]
+        assert number.description == ds["p1_mean"].attrs["long_name"]
         assert number.source.code == ds.attrs["code_version"]
         assert number.method == ds.attrs[f"estimator_{ds.attrs['used']}"]
-    assert (number.key, number.short, number.unit) == ("calibration.p1_mean", "p1", "pixel")
-    assert (number.file, number.variable) == ("calibration.nc", "p1_mean[estimator=regression]")
-    assert number.rule == "calibrate"
+    assert (number.key, number.short_key, number.unit) == ("calibration.p1_mean", "p1", "pixel")
+    assert (number.source.file, number.variable) == ("calibration.nc", "p1_mean[estimator=regression]")
+    assert number.source.rule == "calibrate"
     names = ("crops.nc", "fits.nc", "sensor.nc")
-    assert number.inputs == tuple((name, file_digest(results / name)[:16]) for name in names)
-    assert origin.hover(number) == (
+    assert number.source.inputs == tuple((name, file_digest(results / name)[:16]) for name in names)
+    assert provenance.hover_text(number) == (
         "calibration.nc: p1_mean [estimator=regression], by rule calibrate from crops.nc, fits.nc, sensor.nc;"
         " explain: spotcheck explain p1"
     )
@@ -130,79 +131,84 @@ def test_p1_is_that_of_the_estimator_in_use(results):
 )
 def test_short_names(results, asked, key, value, stderr, unit):
     """Each has its own error and unit, or none, and words; the key gives the same again."""
-    number = origin.of(results, asked)
+    number = provenance.find_number(results, asked)
     assert (number.key, number.value, number.stderr, number.unit) == (key, value, stderr, unit)
-    assert number.words and origin.of(results, number.key) == number == origin.of(results, number.short)
+    assert number.description and provenance.find_number(results, number.key) == number == provenance.find_number(
+        results, number.short_key
+    )
 
 
 def test_every_key_is_answered(results):
     """Each number has words, a rule and inputs unless it was given, and a short name that means it; tables are asked
     with the labels that the refusal proposes."""
-    keys, tables = origin.keys(results), origin.tables(results)
+    keys, tables = provenance.list_numbers(results), provenance.list_tables(results)
     assert len(keys) == len(set(keys)) > 40
     for key in keys:
-        number = origin.of(results, key)
-        assert number.key == key and number.words and number.unit
-        assert (bool(number.rule) and bool(number.inputs)) != (Path(number.file).name == "instrument.yaml")
-        assert origin.of(results, number.short) == number
+        number = provenance.find_number(results, key)
+        assert number.key == key and number.description and number.unit
+        assert (bool(number.source.rule) and bool(number.source.inputs)) != (
+            Path(number.source.file).name == "instrument.yaml"
+        )
+        assert provenance.find_number(results, number.short_key) == number
     for table in tables:
         name = table.split("[")[0]
         with pytest.raises(InputError, match=r"is one number for each .*; write e\.g\. ") as refused:
-            origin.of(results, name)
+            provenance.find_number(results, name)
         proposed = str(refused.value).split("write e.g. ")[1]
-        assert origin.of(results, proposed).key == proposed
+        assert provenance.find_number(results, proposed).key == proposed
 
 
 def test_numbers_of_a_frame(results):
     """By its conditions as by its file; the numbers are those of the preferred fit of the crop around the light."""
     frames = dataset.load(results.parents[1] / "drawn").spots
     row = next(k for k, f in enumerate(frames) if (f.angle_deg, f.exposure_s, f.repeat) == (90, 3e-4, 1))
-    by_file = origin.of(results, f"fits.sigma_mean[frame={frames[row].label}]")
-    assert by_file == origin.of(results, "fits.sigma_mean[angle=90, exposure=3e-4, repeat=1]")
+    by_file = provenance.find_number(results, f"fits.sigma_mean[frame={frames[row].label}]")
+    assert by_file == provenance.find_number(results, "fits.sigma_mean[angle=90, exposure=3e-4, repeat=1]")
     with store.read(results / "fits.nc") as ds:
         own = ds.sel(angle=90, exposure=3e-4, repeat=1, centring="light", fit=ds.attrs["preferred"])
         assert by_file.value == float(own["sigma_mean"])
         assert by_file.stderr == float(own["sigma_mean_stderr"])
         other = float(ds["sigma_mean"].sel(angle=90, exposure=3e-4, repeat=1, centring="light", fit="least_squares"))
-    assert origin.of(results, f"{by_file.key[:-1]},fit=least_squares]").value == other != by_file.value
+    assert provenance.find_number(results, f"{by_file.key[:-1]},fit=least_squares]").value == other != by_file.value
     with store.read(results / "frames.nc") as ds:
         for name in (row, frames[row].label):
-            assert origin.of(results, f"frames.maximum[frame={name}]").value == ds["maximum"].values[row]
+            assert provenance.find_number(results, f"frames.maximum[frame={name}]").value == ds["maximum"].values[row]
 
 
 def test_a_number_of_a_frame_is_named_on_hover(results):
     """File, variable, rule, inputs, and a name that explains the same number; a table that is not there is refused."""
     frame = dataset.load(results.parents[1] / "drawn").spots[4].label
     for table, file, rule in (("fits.sigma_mean", "fits", "fit"), ("frames.maximum", "frames", "ingest")):
-        said = origin.hover_of_frame(results, table, frame)
+        said = provenance.frame_hover_text(results, table, frame)
         assert said.startswith(f"{file}.nc: {table.split('.')[1]}, by rule {rule}")
         asked = shlex.split(said.split("explain: ")[1])[2]
-        assert asked == f"{table}[frame={frame}]" and origin.of(results, asked).file == f"{file}.nc"
+        assert asked == f"{table}[frame={frame}]" and provenance.find_number(results, asked).source.file == f"{file}.nc"
     with pytest.raises(InputError):
-        origin.hover_of_frame(results, "views.nothing", frame)
+        provenance.frame_hover_text(results, "views.nothing", frame)
 
 
 def test_what_the_data_sheet_states(results, tmp_path, capsys):
     """Value, unit and words of a key, whoever gave it, and whether that is a default; a sheet that was spoilt since is
     passed over."""
     given, tacit = (
-        origin.of(results, f"instrument.{key}") for key in ("sensor.read_noise_e", "sensor.value_shift_bits")
+        provenance.find_number(results, f"instrument.{key}")
+        for key in ("sensor.read_noise_e", "sensor.value_shift_bits")
     )
     sheet = dataset.load(results.parents[1] / "drawn").instrument
-    assert (given.value, given.unit, given.words) == (sheet.sensor.read_noise_e, "e-", "read noise, rms")
+    assert (given.value, given.unit, given.description) == (sheet.sensor.read_noise_e, "e-", "read noise, rms")
     assert (given.method, tacit.method) == ("", "the default: instrument.yaml does not give it")
-    assert origin.hover(given).startswith("instrument.yaml: sensor.read_noise_e, as given; explain: ")
-    cli.run(["explain", given.short, "--results", str(results)])
-    assert "  by     whoever gave the dataset" in capsys.readouterr().out.splitlines()
+    assert provenance.hover_text(given).startswith("instrument.yaml: sensor.read_noise_e, as given; explain: ")
+    cli.run(["explain", given.short_key, "--results", str(results)])
+    assert "  by     the user, who provided the file" in capsys.readouterr().out.splitlines()
     own = shutil.copytree(results, tmp_path / "own")
     (own / ".dataset").write_text(str(tmp_path), encoding="utf-8")
     (tmp_path / "camera.yaml").write_text("{sensor: {read_noise_e: 7}, crop_px: 60}", encoding="utf-8")
     (tmp_path / "instrument.yaml").write_text("{based_on: camera.yaml, crop_px: 50}", encoding="utf-8")
-    shared, kept = (origin.of(own, f"instrument.{key}") for key in ("sensor.read_noise_e", "crop_px"))
+    shared, kept = (provenance.find_number(own, f"instrument.{key}") for key in ("sensor.read_noise_e", "crop_px"))
     assert (shared.value, kept.value, kept.method) == (7, 50, "")
     assert shared.method == f"given by {tmp_path / 'camera.yaml'}, on which instrument.yaml is based"
     (tmp_path / "instrument.yaml").write_text("crop_px: many", encoding="utf-8")
-    assert origin.of(own, "p1") and "instrument.crop_px" not in origin.keys(own)
+    assert provenance.find_number(own, "p1") and "instrument.crop_px" not in provenance.list_numbers(own)
 
 
 @pytest.mark.parametrize(
@@ -224,19 +230,19 @@ def test_what_the_data_sheet_states(results, tmp_path, capsys):
 def test_a_wrong_name_is_refused_in_a_sentence(results, asked, said):
     """It lists what could be meant."""
     with pytest.raises(InputError, match=said) as refused:
-        origin.of(results, asked)
+        provenance.find_number(results, asked)
     assert "\n" not in str(refused.value)
 
 
 def test_the_newest_files_answer(results, tmp_path):
     """A page may be written, and a stage run again, in one process."""
     own = shutil.copytree(results, tmp_path / "own")
-    assert origin.of(own, "gap.closed").value == 0.9
+    assert provenance.find_number(own, "gap.closed").value == 0.9
     changed = VERDICT | {"gap": {"closed": 0.5}}
     store.write_text(own / "verdict.json", json.dumps(changed), code="abc124", inputs=[own / "crops.nc"])
-    number = origin.of(own, "gap.closed")
+    number = provenance.find_number(own, "gap.closed")
     assert (number.value, number.source.code) == (0.5, "abc124")
-    assert [made.name for made in number.inputs] == ["crops.nc"]
+    assert [made.name for made in number.source.inputs] == ["crops.nc"]
 
 
 def test_explained_to_a_person(results, capsys):
@@ -244,7 +250,7 @@ def test_explained_to_a_person(results, capsys):
     that the verdict has a p1 of its own."""
     cli.run(["explain", "p1", "--results", str(results)])
     said = capsys.readouterr().out
-    number = origin.of(results, "p1")
+    number = provenance.find_number(results, "p1")
     lines = said.splitlines()
     assert lines[0] == f"p1 = {value_text(number.value, number.stderr, 'px')}"
     assert lines[1].strip() == "mean of p1 over all sites"
@@ -270,9 +276,9 @@ def test_a_number_of_a_frame_names_it(results, capsys):
 
 def test_a_part_that_is_nearly_all(results):
     """0.99997 of a gap is not said to be all of it."""
-    number = origin.of(results, "gap.closed")
-    assert measured(number._replace(value=0.99997)) == "0.99997"
-    assert measured(number._replace(value=1.0)) == "1"
+    number = provenance.find_number(results, "gap.closed")
+    assert number_text(replace(number, value=0.99997)) == "0.99997"
+    assert number_text(replace(number, value=1.0)) == "1"
 
 
 def test_explained_to_a_program(results, capsys):
@@ -280,7 +286,7 @@ def test_explained_to_a_program(results, capsys):
     cli.run(["explain", "p1", "--results", str(results), "--json"])
     told = json.loads(capsys.readouterr().out)
     assert (told["key"], told["rule"], told["code"]) == ("calibration.p1_mean", "calibrate", told["code"])
-    assert told["value"] == origin.of(results, "p1").value
+    assert told["value"] == provenance.find_number(results, "p1").value
     assert [own["name"] for own in told["inputs"]] == ["crops.nc", "fits.nc", "sensor.nc"]
     assert [own["name"] for own in told["inputs"][0]["inputs"]] == ["frames.nc"]
 
@@ -314,13 +320,17 @@ def test_a_sensor_by_flats(tmp_path):
     with store.read(out / "transfer.nc") as ds:
         quantities = quantities_of(ds)
     for name, own in quantities.items():
-        number = origin.of(out, f"transfer.{name}")
-        assert number.unit == own.unit and number.rule == "transfer"
+        number = provenance.find_number(out, f"transfer.{name}")
+        assert number.unit == own.unit and number.source.rule == "transfer"
         assert number.value == (own.value if np.isfinite(own.value) else None)
-    gain = origin.of(out, "gain")
+    gain = provenance.find_number(out, "gain")
     assert gain.stderr == quantities["gain"].stderr and gain.variable == "value[quantity=gain]"
-    level = origin.of(out, "levels.gain_dn_per_e")
-    assert (level.rule, level.unit, [own.name for own in level.inputs]) == ("flats", "DN/e-", ["frames.nc"])
+    level = provenance.find_number(out, "levels.gain_dn_per_e")
+    assert (level.source.rule, level.unit, [item.name for item in level.source.inputs]) == (
+        "flats",
+        "DN/e-",
+        ["frames.nc"],
+    )
     assert (level.value, level.stderr) == (0.3, 0.01)
 
 
@@ -363,9 +373,9 @@ def test_the_folder_of_results_is_found(results, monkeypatch, tmp_path, capsys):
 @pytest.mark.skipif(not (DEFAULT / "verdict.json").exists(), reason="the default dataset was not run here")
 def test_the_default_dataset():
     """Every number of its results is answered, each number of its verdict among them."""
-    keys = origin.keys(DEFAULT)
-    assert {entry.key for entry, _ in of_verdict(DEFAULT / "verdict.json")} <= set(keys)
+    keys = provenance.list_numbers(DEFAULT)
+    assert {entry.key for entry, _ in read_verdict(DEFAULT / "verdict.json")} <= set(keys)
     for key in keys:
-        number = origin.of(DEFAULT, key)
-        assert number.words and (number.rule or key.startswith("instrument.")), key
+        number = provenance.find_number(DEFAULT, key)
+        assert number.description and (number.source.rule or key.startswith("instrument.")), key
         assert number.value is None or np.isfinite(number.value), key

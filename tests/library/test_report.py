@@ -14,7 +14,7 @@ from spotcheck.report.dataset_page.spoken import numbers_in, spoken
 from spotcheck.report.figures import style
 from spotcheck.report.pages import TEMPLATES
 from spotcheck.report.pages.cited import Cited
-from spotcheck.report.views import rms_left
+from spotcheck.report.views import rms_residual
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import noise_line
 from tests.library.conftest import ROOT
@@ -189,7 +189,7 @@ def test_what_is_left_is_in_units_of_the_noise():
     variance = 0.11 * (400 - 12) + (0.11 * 13) ** 2 + 1 / 12
     np.testing.assert_allclose(line.variance(mean)[0, 0], variance, rtol=1e-6)
     measured = mean + np.sqrt(variance) * np.random.default_rng(1).standard_normal(mean.shape)
-    rms, over = rms_left(measured, mean, line)
+    rms, over = rms_residual(measured, mean, line)
     # Of 40,000 pixels: 0.35 % is one standard deviation.
     assert rms == pytest.approx(np.sqrt(variance), rel=0.02) and over == pytest.approx(1, rel=0.02)
 

@@ -21,7 +21,7 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot
-from spotcheck.report.views import ViewedFrames, rms_left, view_declared, view_extended
+from spotcheck.report.views import ViewedFrames, rms_residual, view_declared, view_extended
 from tests.library import drawn_frames as drawing
 from tests.library.drawn_frames import DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
 from tests.library.models_of_frames import (
@@ -143,7 +143,7 @@ def test_starts_are_trusted_fits():
 
 def left_over_noise(view, frames, number: int) -> float:
     """Return the rms of what a model leaves of a frame over the noise of shot, reading and rounding."""
-    mean = view.mean(frames, number)
+    mean = view.predict_mean(frames, number)
     noise = drawing.GAIN * np.maximum(mean - drawing.BLACK, 0) + (drawing.GAIN * drawing.READ_NOISE_E) ** 2 + 1 / 12
     return float(np.sqrt(np.mean((frames.readings[number] - mean) ** 2 / noise)))
 
@@ -196,12 +196,16 @@ def test_without_a_law_effect_frames_lose_its_brightness():
     ready = viewed(plain())
     with_law = view_extended(ready, extended(plain(), law), sites_of(plain()))
     without = view_extended(ready, extended(plain()), sites_of(plain()))
-    factor = np.exp(with_law.without[0].log_spots(ready.frames)[0] - with_law.model.log_spots(ready.frames)[0])
+    factor = np.exp(
+        with_law.without[0].compute_log_spots(ready.frames)[0] - with_law.model.compute_log_spots(ready.frames)[0]
+    )
     # The law multiplies the peaks by a factor of the angle, which is known from how the deviations differ.
     by_law = (1 + without.deviations["brighter"]) / (1 + with_law.deviations["brighter"])
     np.testing.assert_allclose(factor, 1 / by_law, rtol=1e-9)
     assert np.ptp(factor) > 0.05
-    np.testing.assert_allclose(with_law.model.mean(ready.frames, 0), without.model.mean(ready.frames, 0), rtol=1e-9)
+    np.testing.assert_allclose(
+        with_law.model.predict_mean(ready.frames, 0), without.model.predict_mean(ready.frames, 0), rtol=1e-9
+    )
 
 
 def test_without_a_law_there_is_no_law_to_deviate_from():
@@ -226,12 +230,14 @@ def test_each_frame_has_its_own_light():
         left = left_over_noise(views.model, ready.frames, number)
         if light == 0:
             np.testing.assert_allclose(
-                views.model.mean(ready.frames, number), declared.mean(ready.frames, number), atol=0.01
+                views.model.predict_mean(ready.frames, number), declared.predict_mean(ready.frames, number), atol=0.01
             )
         elif drawn_at_longest(number):
             assert left > 1.2
         np.testing.assert_allclose(
-            views.without[0].mean(ready.frames, number), round_light(ready, views.model.fitted.spots, number), atol=0.02
+            views.without[0].predict_mean(ready.frames, number),
+            round_light(ready, views.model.fitted.spots, number),
+            atol=0.02,
         )
 
 
@@ -253,17 +259,17 @@ def test_scatter_leaves_the_mean():
     effect = apply_effect("power_fluctuation", rms=0.02)
     ready = viewed(plain())
     views = view_extended(ready, extended(plain(), effect), sites_of(plain()))
-    mean = view_extended(ready, extended(plain()), sites_of(plain())).model.mean(ready.frames, 3)
-    np.testing.assert_array_equal(views.model.mean(ready.frames, 3), mean)
-    np.testing.assert_array_equal(views.without[0].mean(ready.frames, 3), mean)
+    mean = view_extended(ready, extended(plain()), sites_of(plain())).model.predict_mean(ready.frames, 3)
+    np.testing.assert_array_equal(views.model.predict_mean(ready.frames, 3), mean)
+    np.testing.assert_array_equal(views.without[0].predict_mean(ready.frames, 3), mean)
 
 
 def test_the_rms_leaves_masked_pixels_out():
     """Of readings 2 DN off at a variance of 4 DN² the rms is 2 DN and 1 times the noise; without pixels it is NaN."""
     line = SimpleNamespace(variance=lambda mean: np.full(mean.shape, 4.0))
     measured = np.array([[12.0, 8.0], [np.nan, 12.0]])
-    assert rms_left(measured, np.full((2, 2), 10.0), line) == (2.0, 1.0)
-    assert np.isnan(rms_left(np.full((2, 2), np.nan), np.zeros((2, 2)), line)).all()
+    assert rms_residual(measured, np.full((2, 2), 10.0), line) == (2.0, 1.0)
+    assert np.isnan(rms_residual(np.full((2, 2), np.nan), np.zeros((2, 2)), line)).all()
 
 
 # Pictures.

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from spotcheck.report.origin.rules import maker_of, written_by
+from spotcheck.report.provenance.rules import find_rule, list_outputs
 from tests.conftest import ROOT, snakemake
 from tests.rules.test_datasets import SAMPLE, flats
 
@@ -26,13 +26,13 @@ def test_rules_are_those_of_the_snakefile(flats, tmp_path):
     told = {}
     for path in own:
         folder = results / path.relative_to(results).parts[0]
-        if maker := maker_of(folder, path.relative_to(folder).as_posix()):
-            told[path] = maker.rule
+        if rule := find_rule(folder, path.relative_to(folder).as_posix()):
+            told[path] = rule.name
     assert told == {path: own[path] for path in told}
     # Each rule whose numbers can be asked for was among them.
     rules = {"ingest", "crop", "transfer", "sensor", "fit", "calibrate", "simulate", "metrics", "bounds", "caustic"}
     rules |= {"precision", "judge", "flats", "paper", "ingest_simulated", "fit_simulated", "simulate_extended"}
     assert rules <= set(told.values())
     assert {path.name for path in own if path.suffix == ".nc"} <= {
-        name for options in written_by().values() for names in options for name in names
+        name for options in list_outputs().values() for names in options for name in names
     }

@@ -119,9 +119,9 @@ def draw(points: Sequence[Point], folder: Path) -> None:
     if not panels:
         return
     heights = [{"fit": 4.4, "frame": 2.4}[name] for name, _ in panels]
-    with style.applied():
-        figure = style.new(sum(heights))
+    with style.house_style():
+        figure = style.new_figure(sum(heights))
         axes = figure.subplots(len(panels), 1, height_ratios=heights, squeeze=False)[:, 0]
         for (name, fill), each in zip(panels, axes, strict=True):
             fill(each, [p for p in points if p.panel == name and np.isfinite(p.middle)])
-        style.save(style.Drawing(figure, ""), folder, "peers")
+        style.save_drawing(style.Drawing(figure, ""), folder, "peers")

@@ -29,8 +29,8 @@ def run(args: argparse.Namespace) -> None:
             text = Path(args.dot).read_text(encoding="utf-8")
         except FileNotFoundError:
             raise InputError(f"{args.dot}: not there; write it with `snakemake --rulegraph > {args.dot}`") from None
-    graph = chain.parse(text)
+    graph = chain.parse_graph(text)
     base = Path(args.output)
-    with style.applied():
-        style.save(chain.draw(graph), base.parent, base.name)
+    with style.house_style():
+        style.save_drawing(chain.draw_chain(graph), base.parent, base.name)
     print(f"{len(graph.labels)} stages drawn")

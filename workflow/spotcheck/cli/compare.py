@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 
 from spotcheck.io import provenance, store
-from spotcheck.report.comparison.sets import sources_of
-from spotcheck.report.comparison.table import compare
-from spotcheck.report.comparison.written import dataset_of
+from spotcheck.report.comparison.datasets import list_sources
+from spotcheck.report.comparison.netcdf import build_dataset
+from spotcheck.report.comparison.table import compare_datasets
 from spotcheck.report.pages import compared
 
 EXAMPLE = """Example:
@@ -26,9 +26,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Set the datasets side by side, and write the page and the numbers."""
-    found = compare(args.results)
+    found = compare_datasets(args.results)
     code = provenance.code_digest(__name__)
-    store.write(dataset_of(found), args.output, code=code, inputs=sources_of(args.results))
+    store.write(build_dataset(found), args.output, code=code, inputs=list_sources(args.results))
     compared.write(found, args.page, code)
-    changed = sum(any(row.changed) for row in found.rows)
+    changed = sum(any(row.is_changed) for row in found.rows)
     print(f"{args.page}: {changed} of {len(found.rows)} quantities changed beyond their errors")

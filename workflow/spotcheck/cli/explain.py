@@ -6,8 +6,8 @@ from pathlib import Path
 
 from spotcheck.cli import COMMANDS
 from spotcheck.errors import InputError
-from spotcheck.report import origin
-from spotcheck.report.origin import words
+from spotcheck.report import provenance
+from spotcheck.report.provenance import explanation
 
 EXAMPLES = """Examples:
   spotcheck explain p1 --results out/my-frames
@@ -29,14 +29,14 @@ def run(args: argparse.Namespace) -> None:
     """Explain a number, or list what can be explained."""
     results = args.results or only_one(Path("results"))
     if args.number is None:
-        listed = {"numbers": origin.keys(results), "tables": origin.tables(results)}
-        print(json.dumps(listed, indent=1) if args.json else words.listed(**listed))
+        listed = {"numbers": provenance.list_numbers(results), "tables": provenance.list_tables(results)}
+        print(json.dumps(listed, indent=1) if args.json else explanation.listing_text(**listed))
         return
-    number = origin.of(results, args.number)
+    number = provenance.find_number(results, args.number)
     if args.json:
-        print(json.dumps(words.plain(number, results), indent=1, ensure_ascii=False))
+        print(json.dumps(explanation.explanation_record(number, results), indent=1, ensure_ascii=False))
     else:
-        print(words.explained(number, results, args.number, COMMANDS.get(number.source.command, "")))
+        print(explanation.explanation_text(number, results, args.number, COMMANDS.get(number.source.command, "")))
 
 
 def only_one(base: Path) -> Path:

@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> None:
             check_model(found, model, baseline, sensor, args.model.name)
             inputs += [args.model.with_name(LIGHT)] if model.lights else []
     code = provenance.code_digest(__name__)
-    views.write(found, files, viewed, model, args.output, why_not=why_not, code=code, inputs=inputs)
+    views.write_views(found, files, viewed, model, args.output, reason=why_not, code=code, inputs=inputs)
     for ds in files.values():
         ds.close()
     print(f"{found.name}: views of {len(found.spots)} frames")

@@ -63,6 +63,6 @@ def write(look: "Look", folder: Path) -> Path:
 def _shown(drawing: style.Drawing, title: str = "", rows: list[tuple[str, str]] | None = None) -> Shown:
     """A drawing as the page shows it."""
     stream = io.BytesIO()
-    with style.applied():
+    with style.house_style():
         drawing.figure.savefig(stream, format="png", metadata={"Software": None})
     return Shown(title, stream.getvalue(), drawing.caption, rows or [])

@@ -21,7 +21,7 @@ LOOKS = (("o", "solid"), ("s", (0, (5, 2))))
 def spot(one: Seen) -> style.Drawing:
     """The spot with both ellipses, and its profiles along both axes of the fit."""
     assert one.picture is not None and one.fit is not None
-    figure = style.new(2.55, 8.6)
+    figure = style.new_figure(2.55, 8.6)
     image, *sides = figure.subplots(1, 3, width_ratios=(1.1, 1, 1))
     fit, own, picture = one.fit, one.moments, one.picture
     extent = picture.extent
@@ -47,7 +47,7 @@ def spot(one: Seen) -> style.Drawing:
         handles, labels = _profile(ax, profile, one)
         ax.set_xlabel(f"along the {words} / px")
     sides[0].set_ylabel("reading / DN")
-    style.legend_above(figure, handles, labels, len(handles))
+    style.add_legend(figure, handles, labels, len(handles))
     caption = (
         f"{one.name}. Left: root of the readings, contour at 1/e² of the fitted Gaussian (white, dashed)"
         + (", ellipse of D4σ (green) and the area that its moments are summed over (dotted)" if own.measured else "")
@@ -79,7 +79,7 @@ def _profile(ax: Axes, profile: Profile, one: Seen) -> tuple[list, list[str]]:
 def caustic(beams: Sequence[Beam]) -> style.Drawing:
     """1/e² radii along z with their hyperbolas, a panel a method."""
     told = [own for own in beams if not own.why_not]
-    figure = style.new(3.3, 8.6)
+    figure = style.new_figure(3.3, 8.6)
     panels = figure.subplots(1, len(told), sharey=True, sharex=True, squeeze=False)[0]
     for ax, own in zip(panels, told, strict=True):
         reach = np.linspace(own.z.min() - 0.06 * np.ptp(own.z), own.z.max() + 0.06 * np.ptp(own.z), 200)

@@ -1,7 +1,8 @@
-"""The views stage: the mean reading of each measured crop by each model, pixel by pixel, and what is left of the frame.
+"""The views stage: the mean reading of each measured crop by each model, and the rms of the residual.
 
-The declared and the extended model have the brightness, width and centre that fit a frame best. Its deviations from the
-law that all frames share are kept as well. The simulated baseline is the law alone, at the fitted centre.
+The declared and the extended model are fitted to each frame with free brightness, width and centre. The deviations of
+these from the law that all frames share are stored as well. The simulated baseline follows the law alone, at the
+fitted centre.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,15 +31,14 @@ from spotcheck.model.model_file import ExtendedModel, Site, site_of
 from spotcheck.sensor import ReadingDistribution, SensorModel
 from spotcheck.sensor.model import NoiseLine, noise_line
 
-# Readings are kept in steps of a power of two [DN], of which full scale has no more than this: the last number of 16
-# bits stands for NaN.
-MOST_STEPS = 65_000
+# Largest number of steps up to full scale; readings are stored as 16-bit multiples of a step, the last code being NaN.
+MAX_STEPS = 65_000
 MODELS = {
     "simulated": "the baseline simulated at p1, p2 and peak",
     "declared": "the declared model with the frame's own brightness, width and centre",
     "extended": "the extended model with the frame's own brightness, width and centre",
 }
-# Deviations of a frame from what all frames share, with unit and meaning.
+# Deviations of a frame from the law of all frames and from its site: unit and meaning.
 DEVIATIONS = {
     "brighter": ("1", "brightness of the frame over that of the law of all frames, less 1"),
     "wider": ("1", "width of the frame over that of the law of all frames, less 1"),
@@ -60,7 +60,7 @@ class ViewedFrames:
     baseline: Baseline  # declared light
     sensor: SensorModel  # stated sensor
 
-    def sites(self, conditions: Sequence[str], has_law: bool) -> list[Site]:
+    def list_sites(self, conditions: Sequence[str], has_law: bool) -> list[Site]:
         """Return the site of each frame; `conditions` are the declared ones."""
         return [site_of(row, conditions, has_law) for _, row in self.cells]
 
@@ -70,22 +70,22 @@ class ModelledFrames:
     """A model fitted to each of F frames; frames may have different learned lights."""
 
     lights: tuple[ForwardModel, ...]  # the model with each light; without a law, and with effects that act on the mean
-    light: np.ndarray  # number of the light of each frame [frame]
+    light_index: np.ndarray  # index of the light of each frame [frame]
     fitted: FittedSpots  # spots of the frames
 
-    def mean(self, frames: FrameSet, number: int) -> np.ndarray:
+    def predict_mean(self, frames: FrameSet, number: int) -> np.ndarray:
         """Return the mean reading [row, column] in DN of a frame."""
         at = np.array([number])
         frame = frames.select(at)
-        model = JointModel(self.lights[self.light[number]], self.fitted.spots.select(at), frame.design)
+        model = JointModel(self.lights[self.light_index[number]], self.fitted.spots.select(at), frame.design)
         return evaluate(model, whole_crops(frame), slice(0, 1), with_slopes=False).moments.mean[0]
 
-    def log_spots(self, frames: FrameSet) -> np.ndarray:
+    def compute_log_spots(self, frames: FrameSet) -> np.ndarray:
         """Return ln peak [DN] and ln σ_g [px] of the frames behind the effects, [2, frame]."""
-        return log_spots_of(self.lights[0], frames, self.fitted.spots)
+        return compute_log_spots(self.lights[0], frames, self.fitted.spots)
 
-    def without(self, name: str, spots: FrameParameters) -> "ModelledFrames":
-        """Return the model without an effect, at other spots; without the effect of a learned light, the declared."""
+    def remove_effect(self, name: str, spots: FrameParameters) -> "ModelledFrames":
+        """Return the model without an effect, at other spots."""
         lights = tuple(
             replace(light, effects=tuple(applied for applied in light.effects if applied.effect.name != name))
             for light in self.lights
@@ -99,11 +99,11 @@ class ExtendedViews:
 
     model: ModelledFrames  # with all effects
     without: tuple[ModelledFrames, ...]  # without each effect of the model
-    deviations: dict[str, np.ndarray]  # how far each frame is from what all share, by name of `DEVIATIONS` [frame]
+    deviations: dict[str, np.ndarray]  # deviations by name of `DEVIATIONS` [frame]
     stderr: dict[str, np.ndarray]  # their standard errors
 
 
-def log_spots_of(forward: ForwardModel, frames: FrameSet, spots: FrameParameters | None = None) -> np.ndarray:
+def compute_log_spots(forward: ForwardModel, frames: FrameSet, spots: FrameParameters | None = None) -> np.ndarray:
     """Return ln peak [DN] and ln σ_g [px] of frames by the law of a model, or without a law by `spots`; [2, frame]."""
     conditions = spot_conditions(frames.design)
     if spots is not None:
@@ -118,9 +118,8 @@ def log_spots_of(forward: ForwardModel, frames: FrameSet, spots: FrameParameters
 def view_declared(viewed: ViewedFrames) -> ModelledFrames:
     """Return the declared model fitted to each frame."""
     forward = ForwardModel(replace(viewed.baseline, photon_budget="free"), viewed.sensor)
-    return ModelledFrames(
-        (forward,), np.zeros(len(viewed.frames), int), fit_spots(forward, viewed.frames, viewed.start)
-    )
+    fitted = fit_spots(forward, viewed.frames, viewed.start)
+    return ModelledFrames((forward,), np.zeros(len(viewed.frames), int), fitted)
 
 
 def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
@@ -135,58 +134,50 @@ def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence
     sites : sequence of Site
         Site of each frame.
     """
-    known = [extended.spots.get(site) for site in sites]
-    light = np.array([(spot and spot.light) or 0 for spot in known], int)
+    light_index = np.array([(spot and spot.light) or 0 for spot in map(extended.spots.get, sites)], int)
     baseline = replace(viewed.baseline, photon_budget="free")
     learned = extended.lights or (baseline.learned,)
     effects = tuple(filter(acts_on_mean, extended.effects))
     lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in learned)
-    model = ModelledFrames(lights, light, _fit_each_light(lights, light, viewed))
+    model = ModelledFrames(lights, light_index, _fit_each_light(lights, light_index, viewed))
     without = []
     for applied in progress.track(extended.effects, "models without each effect"):
         spots = _spots_without(viewed, extended, model, applied)
-        other = model.without(applied.effect.name, spots)
+        other = model.remove_effect(applied.effect.name, spots)
+        # An effect without stages is the learned light; without it the declared light remains.
         if not applied.effect.stages:
-            plain = (replace(light, baseline=baseline) for light in other.lights)
-            other = replace(other, lights=tuple(plain))
+            other = replace(other, lights=tuple(replace(light, baseline=baseline) for light in other.lights))
         without.append(other)
     return ExtendedViews(model, tuple(without), *_measure_deviations(viewed, extended, model, sites))
 
 
-def _fit_each_light(lights: Sequence[ForwardModel], light: np.ndarray, viewed: ViewedFrames) -> FittedSpots:
-    """Fit the spots of frames, each under the model with its own light [frame]."""
-    rows, covariance = np.empty((4, len(light))), np.empty((len(light), 4, 4))
-    has_converged = np.empty(len(light), bool)
+def _fit_each_light(lights: Sequence[ForwardModel], light_index: np.ndarray, viewed: ViewedFrames) -> FittedSpots:
+    """Fit the spot of each frame with the model of its light."""
+    rows, covariance = np.empty((4, len(light_index))), np.empty((len(light_index), 4, 4))
+    has_converged = np.empty(len(light_index), bool)
     for number, forward in enumerate(lights):
-        at = np.flatnonzero(light == number)
+        at = np.flatnonzero(light_index == number)
         fitted = fit_spots(forward, viewed.frames.select(at), viewed.start.select(at))
-        rows[:, at], covariance[at], has_converged[at] = (
-            fitted.spots.as_rows(),
-            fitted.covariance,
-            fitted.has_converged,
-        )
+        rows[:, at], covariance[at] = fitted.spots.as_rows(), fitted.covariance
+        has_converged[at] = fitted.has_converged
     return FittedSpots(FrameParameters(*rows), covariance, has_converged)
-
-
-def _law_model(viewed: ViewedFrames, extended: ExtendedModel, effects: Sequence[AppliedEffect]) -> ForwardModel:
-    """Return the forward model with the law of the exposure and some effects."""
-    return ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(effects))
 
 
 def _spots_without(
     viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, left_out: AppliedEffect
 ) -> FrameParameters:
-    """Return the spots of frames without an effect: its change of the law of brightness and width goes with it."""
+    """Return the spots of frames with the effect's change of the law of brightness and width undone."""
     spots = model.fitted.spots
     if extended.law is None:
         return spots
     remaining = [applied for applied in extended.effects if applied is not left_out]
     by_law, complete = (
-        log_spots_of(_law_model(viewed, extended, effects), viewed.frames) for effects in (remaining, extended.effects)
+        compute_log_spots(ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(effects)), viewed.frames)
+        for effects in (remaining, extended.effects)
     )
-    # What the effect does to the frame's own brightness and width, the model without it takes away by itself.
-    alone = log_spots_of(model.without(left_out.effect.name, spots).lights[0], viewed.frames, spots)
-    change = by_law - complete - (alone - model.log_spots(viewed.frames))
+    # `remove_effect` already removes the effect's change of the fitted brightness and width.
+    alone = compute_log_spots(model.remove_effect(left_out.effect.name, spots).lights[0], viewed.frames, spots)
+    change = by_law - complete - (alone - model.compute_log_spots(viewed.frames))
     change = np.where(np.isfinite(change), change, 0.0)
     return replace(spots, log_peak=spots.log_peak + change[0], log_sigma=spots.log_sigma + change[1])
 
@@ -194,12 +185,13 @@ def _spots_without(
 def _measure_deviations(
     viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, sites: Sequence[Site]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return how far frames are from what all share, and standard errors, by name of `DEVIATIONS`; NaN if unknown."""
+    """Return the deviations of frames from law and site, and standard errors, by name [frame]; NaN if unknown."""
     value = np.full((len(DEVIATIONS), len(viewed.frames)), np.nan)
     spots = model.fitted.spots
     if extended.law is not None:
-        by_law = log_spots_of(_law_model(viewed, extended, extended.effects), viewed.frames)
-        value[:2] = np.expm1(model.log_spots(viewed.frames) - by_law)
+        law_model = ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(extended.effects))
+        by_law = compute_log_spots(law_model, viewed.frames)
+        value[:2] = np.expm1(model.compute_log_spots(viewed.frames) - by_law)
     for k, site in enumerate(sites):
         if (spot := extended.spots.get(site)) is not None:
             value[2:, k] = spots.x[k] - spot.x_px, spots.y[k] - spot.y_px
@@ -209,11 +201,8 @@ def _measure_deviations(
     return dict(zip(DEVIATIONS, value, strict=True)), dict(zip(DEVIATIONS, stderr, strict=True))
 
 
-# The file.
-
-
-def variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str, store.Variable]:
-    """Return what the file holds of each frame; `has_effects`: whether the extended model has any."""
+def list_variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str, store.Variable]:
+    """Return the variables of the file; `has_effects` is whether the extended model has any effect."""
     out = {}
     for name in models:
         words = MODELS[name]
@@ -230,12 +219,12 @@ def variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str
     return out
 
 
-def step_of(full_scale: float) -> float:
-    """Return the step in which readings are kept [DN]."""
-    return float(2.0 ** np.ceil(np.log2(full_scale / MOST_STEPS)))
+def choose_step(full_scale: float) -> float:
+    """Return the step of stored readings [DN], a power of two."""
+    return float(2.0 ** np.ceil(np.log2(full_scale / MAX_STEPS)))
 
 
-def rms_left(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
+def rms_residual(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
     """Return the rms of measured less mean readings [row, column]: in DN, and over the noise; NaN without a pixel."""
     square = (measured - mean) ** 2
     if not np.isfinite(square).any():
@@ -243,14 +232,14 @@ def rms_left(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[f
     return float(np.sqrt(np.nanmean(square))), float(np.sqrt(np.nanmean(square / line.variance(mean))))
 
 
-def write(
+def write_views(
     dataset: Dataset,
     files: Mapping[str, xr.Dataset],
     viewed: ViewedFrames | None,
     model: ExtendedModel | None,
     path: Path,
     *,
-    why_not: str,
+    reason: str,
     code: str,
     inputs: Sequence[str | Path],
 ) -> None:
@@ -268,7 +257,7 @@ def write(
         The extended model; None if there is none.
     path : Path
         File to write.
-    why_not : str
+    reason : str
         Why there is no extended model; "" if there is one.
     code, inputs : str, sequence of path
         Provenance, as `store.frame_writer` takes it.
@@ -278,18 +267,18 @@ def write(
     line = noise_line(sensor)
     effects = [] if model is None else [applied.effect.name for applied in model.effects]
     models = [name for name in MODELS if name == "simulated" or (viewed and (name == "declared" or model is not None))]
-    contents = variables(step_of(full_scale), models, bool(effects))
+    contents = list_variables(choose_step(full_scale), models, bool(effects))
     measured, dims = files["crops"]["image"].sel(centring="light"), store.grid_dims(files["crops"])
-    extra = _coordinates(dataset, line, effects).assign_attrs(extended=why_not or "model.yaml")
+    extra = _coordinates(dataset, line, effects).assign_attrs(extended=reason or "model.yaml")
     with store.frame_writer(path, dataset, extra, contents, code=code, inputs=inputs) as writer:
-        for views in (
-            simulate(dataset, files, sensor),
-            *([] if viewed is None else [model_all(dataset, viewed, model)]),
-        ):
+        iterators = [simulate_views(dataset, files, sensor)]
+        if viewed is not None:
+            iterators.append(model_views(dataset, viewed, model))
+        for views in iterators:
             for index, values in progress.track(views, "views of frames", len(dataset.spots)):
                 image = measured.isel(dict(zip(dims, index, strict=True))).values.astype(float)
                 for name in [name for name in MODELS if name in values]:
-                    rms, over_noise = rms_left(image, values[name], line)
+                    rms, over_noise = rms_residual(image, values[name], line)
                     values |= {f"{name}_rms": rms, f"{name}_left": over_noise}
                 clipped = {k: np.clip(v, 0.0, full_scale) if contents[k].step else v for k, v in values.items()}
                 writer.put(index, clipped)
@@ -309,7 +298,7 @@ def _coordinates(dataset: Dataset, line: NoiseLine, effects: Sequence[str]) -> x
     return out
 
 
-def simulate(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
+def simulate_views(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
     """Yield the simulated baseline at the fitted centre of each spot; a frame without a usable spot has no light."""
     crops, fits = files["crops"].sel(centring="light"), preferred(files["fits"])
     states = spot_states(dataset, files["calibration"], files["fits"])
@@ -330,19 +319,20 @@ def simulate(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorMo
         yield index, {"simulated": light}
 
 
-def model_all(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | None) -> FrameViews:
+def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | None) -> FrameViews:
     """Yield the declared and the extended model on each frame that a verdict can use."""
     declared = view_declared(viewed)
     extended = None
     if model is not None:
-        sites = viewed.sites(dataset.instrument.conditions, model.law is not None)
+        sites = viewed.list_sites(dataset.instrument.conditions, model.law is not None)
         extended = view_extended(replace(viewed, start=declared.fitted.spots), model, sites)
     for k, (index, _) in enumerate(viewed.cells):
-        values: dict[str, Any] = {"declared": declared.mean(viewed.frames, k)}
+        values: dict[str, Any] = {"declared": declared.predict_mean(viewed.frames, k)}
         if extended is not None:
-            values["extended"] = extended.model.mean(viewed.frames, k)
+            values["extended"] = extended.model.predict_mean(viewed.frames, k)
             values |= {name: deviation[k] for name, deviation in extended.deviations.items()}
             values |= {f"{name}_stderr": stderr[k] for name, stderr in extended.stderr.items()}
             if extended.without:
-                values["extended_without"] = np.array([other.mean(viewed.frames, k) for other in extended.without])
+                readings = [other.predict_mean(viewed.frames, k) for other in extended.without]
+                values["extended_without"] = np.array(readings)
         yield index, values

@@ -1,81 +1,108 @@
-"""The numbers of a dataset that can be set beside those of another, each with its error and what that is the error of,
-from the files of its results folder."""
+"""Numbers of a results folder that can be compared with those of other datasets."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.photon_transfer import QUANTITIES as MEASURED
-from spotcheck.characterization.sensor_choice import FLATS, QUANTITIES, SHEET, SPOTS
+from spotcheck.characterization import photon_transfer, sensor_choice
 from spotcheck.characterization.transfer_data import quantities_of
 from spotcheck.errors import InputError
-from spotcheck.fitting.caustic import AXES
-from spotcheck.fitting.caustic import QUANTITIES as OF_BEAM
+from spotcheck.fitting import caustic
 from spotcheck.fitting.fits import preferred
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 
-# Columns of the spots' fits that are compared, and what a reader calls them.
-OF_SPOTS = {
+# Variables of the spot fits that are compared, with their meaning.
+SPOT_VARIABLES = {
     "sigma_major": "width of the long axis",
     "sigma_minor": "width of the short axis",
     "amplitude": "amplitude",
 }
-# PSNR of crops laid over each other by their fitted centres, in the sensor's own range.
+# PSNR of crops registered on their fitted centres, relative to the range of the sensor.
 PSNR = {"registration": "fitted", "data_range": "sensor"}
-# A fit with one of these flags has no error to be believed.
+# A fit with one of these flags has no usable standard error.
 NO_ERROR = store.flag("misfit") | store.flag("no_error")
-
-# A condition: name of the axis, value, unit.
-Condition = tuple[str, float, str]
-
-
-class Name(NamedTuple):
-    """What a number is of: its group, what it is, and under which conditions."""
-
-    group: str
-    what: str
-    where: tuple[Condition, ...] = ()
+UNKNOWN_ERROR = "no error known"
+# Groups of quantities, in the order in which they are shown.
+LAW, SENSOR, BY_FLATS, FOUND = "p1 and p2", "Sensor", "Flats and darks", "What was added to the model"
+BEAM, SPOT, METRICS = "Beam", "Spots", "Metrics"
+GROUPS = (LAW, SENSOR, BY_FLATS, FOUND, BEAM, SPOT, METRICS)
 
 
-class Number(NamedTuple):
-    """A number with its standard error (NaN: none known), the degrees of freedom of that error (infinite: not from
-    scatter), the unit, what the error is of, and the variable it was read from."""
+class Condition(NamedTuple):
+    """Value of a design axis."""
 
-    value: float
-    stderr: float
-    degrees: float
-    units: str
-    error: str
-    source: str
+    axis: str  # name of the axis
+    value: float  # value on the axis [unit]
+    unit: str  # unit of the axis
 
 
-# What a dataset has where it lacks a number that others have.
-ABSENT = Number(np.nan, np.nan, np.nan, "", "", "")
-Named = Iterator[tuple[Name, Number]]
-NO_ERROR_KNOWN = "no error known"
+class QuantityName(NamedTuple):
+    """Identity of a number: numbers of datasets with equal names are compared."""
+
+    group: str  # one of `GROUPS`
+    quantity: str  # meaning of the number
+    conditions: tuple[Condition, ...] = ()  # conditions of the frames; empty if the number is for all frames
 
 
-def numbers_of(files: dict[str, xr.Dataset], verdict: dict[str, Any] | None) -> dict[Name, Number]:
-    """Every number of a dataset, in the order in which they are told; `files` by their name without suffix. Raises
-    `InputError` for a file that lacks what this version writes."""
-    known = {name: ds for name, ds in files.items() if "skipped" not in ds.attrs}
-    out: dict[Name, Number] = {}
+@dataclass(frozen=True)
+class Measurement:
+    """A number with its standard error."""
+
+    value: float = np.nan  # value [units]; NaN if the dataset lacks the number
+    stderr: float = np.nan  # standard error [units]; NaN if unknown
+    degrees: float = np.nan  # degrees of freedom of the standard error; infinite if it is not from scatter
+    units: str = ""  # unit
+    error: str = ""  # source of the standard error, such as "scatter of 6 sites"
+    source: str = ""  # variable of the result file
+
+
+# Number of a dataset that lacks it.
+ABSENT = Measurement()
+NamedMeasurements = Iterator[tuple[QuantityName, Measurement]]
+
+
+def collect_numbers(files: dict[str, xr.Dataset], verdict: dict[str, Any] | None) -> dict[QuantityName, Measurement]:
+    """Return every finite number of a dataset.
+
+    Parameters
+    ----------
+    files : dict of str to Dataset
+        netCDF results by name without suffix.
+    verdict : dict or None
+        Content of verdict.json; None if there is none.
+
+    Returns
+    -------
+    dict of QuantityName to Measurement
+        In the order in which numbers are shown.
+
+    Raises
+    ------
+    InputError
+        If a file lacks a variable because another version wrote it.
+    """
+    numbers: dict[QuantityName, Measurement] = {}
     for name, read in READERS.items():
-        if name in known:
-            out |= _read(f"{name}.nc", read, known[name])
-    if "transfer" in known:
-        # The sensor's file repeats what flats and darks say.
-        out = {name: own for name, own in out.items() if not (name.group == SENSOR and FLATS in name.what)}
+        if name in files and "skipped" not in files[name].attrs:
+            numbers |= _read_or_refuse(f"{name}.nc", read, files[name])
+    if "transfer" in files and "skipped" not in files["transfer"].attrs:
+        # sensor.nc repeats the results of flats and darks.
+        by_flats = f", by {sensor_choice.FLATS}"
+        numbers = {k: v for k, v in numbers.items() if not (k.group == SENSOR and k.quantity.endswith(by_flats))}
     if verdict is not None:
-        out |= _read("verdict.json", _verdict, verdict)
-    return {name: own for name, own in out.items() if np.isfinite(own.value)}
+        numbers |= _read_or_refuse("verdict.json", _read_verdict, verdict)
+    return {name: number for name, number in numbers.items() if np.isfinite(number.value)}
 
 
-def _read(file: str, read: Callable[[Any], Named], content: Any) -> dict[Name, Number]:
+def _read_or_refuse(
+    file: str, read: Callable[[Any], NamedMeasurements], content: Any
+) -> dict[QuantityName, Measurement]:
+    """Return the numbers of a file. Raises `InputError` if it lacks one of them."""
     try:
         return dict(read(content))
     except KeyError:
@@ -83,124 +110,148 @@ def _read(file: str, read: Callable[[Any], Named], content: Any) -> dict[Name, N
         raise InputError(f"{file} of {dataset}: is of another version; run the workflow on the dataset again") from None
 
 
-def _number(value: Any, stderr: Any, units: str, error: str, source: str, degrees: float = np.inf) -> Number:
-    """A number as it is stored; an error of 0 is none, as nothing measures without."""
-    error_size = np.nan if stderr is None else float(stderr)
-    known = np.isfinite(error_size) and error_size > 0
-    own = (error_size, degrees) if known else (np.nan, np.nan)
-    return Number(np.nan if value is None else float(value), *own, units, error if known else NO_ERROR_KNOWN, source)
+def _measure(value: Any, stderr: Any, units: str, error: str, source: str, degrees: float = np.inf) -> Measurement:
+    """Return a number; a standard error of 0 counts as unknown, since no measurement is exact."""
+    value, stderr = (np.nan if number is None else float(number) for number in (value, stderr))
+    if not (np.isfinite(stderr) and stderr > 0):
+        stderr, degrees, error = np.nan, np.nan, UNKNOWN_ERROR
+    return Measurement(value, stderr, degrees, units, error, source)
 
 
-LAW, SENSOR, BY_FLATS, FOUND = "p1 and p2", "Sensor", "Flats and darks", "What was added to the model"
-BEAM, SPOT, METRICS = "Beam", "Spots", "Metrics"
-GROUPS = (LAW, SENSOR, BY_FLATS, FOUND, BEAM, SPOT, METRICS)
-
-
-def _calibration(ds: xr.Dataset) -> Named:
-    own = ds.sel({"estimator": ds.attrs["used"]})
+def _read_calibration(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield p1 and p2 by the estimator that the simulation uses."""
+    calibration = ds.sel({"estimator": ds.attrs["used"]})
     for name in ("p1", "p2"):
-        sites = int(own[name].notnull().sum())
-        error = f"scatter of {sites} sites"
-        mean = f"{name}_mean"
-        units = str(ds[mean].attrs["units"])
-        yield Name(LAW, name), _number(own[mean], own[f"{name}_stderr"], units, error, mean, sites - 1)
+        sites = int(calibration[name].notnull().sum())
+        mean = calibration[f"{name}_mean"]
+        stderr, units = calibration[f"{name}_stderr"], str(mean.attrs["units"])
+        number = _measure(mean, stderr, units, f"scatter of {sites} sites", f"{name}_mean", sites - 1)
+        yield QuantityName(LAW, name), number
 
 
-def _sensor(ds: xr.Dataset) -> Named:
-    errors = {SHEET: "stated by the data sheet", FLATS: "flats and darks", SPOTS: "noise of the spots"}
-    for name, (units, long_name) in QUANTITIES.items():
+def _read_sensor(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield the quantities of the sensor from each source."""
+    errors = {
+        sensor_choice.SHEET: "stated by the data sheet",
+        sensor_choice.FLATS: "flats and darks",
+        sensor_choice.SPOTS: "noise of the spots",
+    }
+    for name, (units, long_name) in sensor_choice.QUANTITIES.items():
         for source, error in errors.items():
-            at = {"source": source}
-            value, stderr = ds[f"{name}_by"].sel(at), ds[f"{name}_by_stderr"].sel(at)
-            yield Name(SENSOR, f"{long_name}, by {source}"), _number(value, stderr, units, error, f"{name}_by")
+            value, stderr = (ds[variable].sel({"source": source}) for variable in (f"{name}_by", f"{name}_by_stderr"))
+            yield QuantityName(SENSOR, f"{long_name}, by {source}"), _measure(value, stderr, units, error, f"{name}_by")
 
 
-def _transfer(ds: xr.Dataset) -> Named:
-    for own in quantities_of(ds).values():
-        name = Name(BY_FLATS, f"{MEASURED[own.name][2]}, {own.symbol}")
-        yield name, _number(own.value, own.stderr, own.unit, "fit to the levels", f"value: {own.name}")
+def _read_transfer(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield the quantities of EMVA 1288 from flats and darks."""
+    for quantity in quantities_of(ds).values():
+        name = QuantityName(BY_FLATS, f"{photon_transfer.QUANTITIES[quantity.name][2]}, {quantity.symbol}")
+        source = f"value: {quantity.name}"
+        yield name, _measure(quantity.value, quantity.stderr, quantity.unit, "fit to the levels", source)
 
 
-def _caustic(ds: xr.Dataset) -> Named:
-    for axis in AXES:
-        own = ds.sel({"axis": axis})
-        degrees = float(own["degrees_of_freedom"])
-        for name, (units, long_name) in OF_BEAM.items():
-            error = "fit to the widths, with their scatter"
-            found = _number(own[name], own[f"{name}_stderr"], units, error, name, degrees)
-            yield Name(BEAM, f"{long_name}, {'mean of both axes' if axis == 'mean' else axis + ' axis'}"), found
+def _read_caustic(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield the quantities of the beam along each axis."""
+    for axis in caustic.AXES:
+        beam = ds.sel({"axis": axis})
+        axis_text = "mean of both axes" if axis == "mean" else f"{axis} axis"
+        for name, (units, long_name) in caustic.QUANTITIES.items():
+            error, degrees = "fit to the widths, with their scatter", float(beam["degrees_of_freedom"])
+            number = _measure(beam[name], beam[f"{name}_stderr"], units, error, name, degrees)
+            yield QuantityName(BEAM, f"{long_name}, {axis_text}"), number
 
 
-def _fits(ds: xr.Dataset) -> Named:
+def _read_fits(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield widths and amplitude of the spots at each condition."""
     fits = preferred(ds)
-    good = (fits["status"] & store.UNTRUSTED) == 0
-    # Where a fit's residuals are above the noise, its error grows with them, after the Particle Data Group (Review of
-    # Particle Physics, Introduction 5.2.2).
-    scale = (fits["chi2_reduced"].clip(min=1) ** 0.5).where((fits["status"] & NO_ERROR) == 0)
-    for name, text in OF_SPOTS.items():
-        single = (fits[f"{name}_stderr"] * scale).where(good)
-        yield from _over_repeats(fits[name].where(good), single, Name(SPOT, text), "the fit")
+    is_good = (fits["status"] & store.UNTRUSTED) == 0
+    # The standard error is inflated by √χ²_red if the residuals exceed the noise, after the Particle Data Group
+    # (Review of Particle Physics, Introduction 5.2.2).
+    inflation = (fits["chi2_reduced"].clip(min=1) ** 0.5).where((fits["status"] & NO_ERROR) == 0)
+    for variable, text in SPOT_VARIABLES.items():
+        stderr = (fits[f"{variable}_stderr"] * inflation).where(is_good)
+        yield from _average_repeats(fits[variable].where(is_good), QuantityName(SPOT, text), stderr)
 
 
-def _metrics(ds: xr.Dataset) -> Named:
+def _read_metrics(ds: xr.Dataset) -> NamedMeasurements:
+    """Yield the quality metrics of measured frames at each condition."""
     measured = ds.sel(source="measured", centring="light")
-    every = {own.name.replace("_", " "): measured[own.name] for own in PER_IMAGE}
-    every["PSNR of measured against simulated"] = ds["psnr"].sel(PSNR)
-    for text, values in every.items():
-        yield from _over_repeats(values.where(np.isfinite(values)), None, Name(METRICS, text), "")
+    metrics = {metric.name.replace("_", " "): measured[metric.name] for metric in PER_IMAGE}
+    metrics["PSNR of measured against simulated"] = ds["psnr"].sel(PSNR)
+    for text, values in metrics.items():
+        yield from _average_repeats(values.where(np.isfinite(values)), QuantityName(METRICS, text))
 
 
-def _over_repeats(values: xr.DataArray, single: xr.DataArray | None, name: Name, error: str) -> Named:
-    """The mean over the repeats of every condition. Its error is that of their scatter, or of two and more: of a single
-    frame its own (`single`), where there is one."""
-    count, mean = values.notnull().sum("repeat"), values.mean("repeat")
-    scatter = (values.std("repeat", ddof=1) / np.sqrt(count)).values
-    alone = np.full(mean.shape, np.nan) if single is None else single.mean("repeat").values
-    units, dims = str(values.attrs["units"]), [str(d) for d in mean.dims]
-    axes = {d: (mean[d].values, str(values[d].attrs["units"])) for d in dims if d in mean.coords}
+def _average_repeats(
+    values: xr.DataArray, name: QuantityName, frame_stderr: xr.DataArray | None = None
+) -> NamedMeasurements:
+    """Yield the mean over the repeats of each condition.
+
+    Parameters
+    ----------
+    values : DataArray
+        Values of frames; NaN if unusable. One dimension is `repeat`.
+    name : QuantityName
+        Name of the quantity, without conditions.
+    frame_stderr : DataArray or None
+        Standard error of each frame's fit, used for conditions with one frame. Conditions with more frames have the
+        standard error of their scatter.
+    """
+    mean, count = values.mean("repeat"), values.notnull().sum("repeat").values.astype(int)
+    scatter = values.std("repeat", ddof=1).values / np.sqrt(count)
+    single = np.full(mean.shape, np.nan) if frame_stderr is None else frame_stderr.mean("repeat").values
+    units, source, dims = str(values.attrs["units"]), str(values.name), [str(dim) for dim in mean.dims]
     for at in np.ndindex(*mean.shape):
-        number = int(count.values[at])
-        where = tuple((d, float(axes[d][0][k]), axes[d][1]) for d, k in zip(dims, at, strict=True) if d in axes)
-        many = number > 1
-        own = (scatter[at], f"scatter of {number} repeats", number - 1) if many else (alone[at], error, np.inf)
-        found = _number(mean.values[at], own[0], units, own[1], str(values.name), own[2])
-        yield name._replace(where=where), found
+        conditions = tuple(
+            Condition(dim, float(mean[dim].values[k]), str(values[dim].attrs["units"]))
+            for dim, k in zip(dims, at, strict=True)
+            if dim in mean.coords
+        )
+        if count[at] > 1:
+            error = f"scatter of {count[at]} repeats"
+            number = _measure(mean.values[at], scatter[at], units, error, source, float(count[at] - 1))
+        else:
+            number = _measure(mean.values[at], single[at], units, "the fit", source)
+        yield name._replace(conditions=conditions), number
 
 
-def _verdict(verdict: dict[str, Any]) -> Named:
+def _read_verdict(verdict: dict[str, Any]) -> NamedMeasurements:
+    """Yield the effects, p1 and p2, the unexplained part and the learned light of a verdict."""
+    error = "fit to all frames"
     for effect in verdict["effects"]:
-        for key, own in effect["parameters"].items():
-            name = Name(FOUND, f"{form_text(effect)}: {key}")
-            yield name, _number(own["value"], own["stderr"], own["unit"], "fit to all frames", "effects")
-    # What p1 and p2 are depends on what else is in the model: they are compared beside the same effects only.
-    beside = ", ".join(sorted(form_text(effect) for effect in verdict["effects"]))
-    for key, own in verdict["baseline_shift"].items() if beside else ():
-        name = Name(FOUND, f"{key} beside {beside}")
-        yield name, _number(own["after"], own["stderr"], own["unit"], "fit to all frames", "baseline_shift")
-    left = verdict["unexplained"]
-    yield Name(FOUND, "unexplained part of the peak"), _number(left["size"], left["error"], "1", "noise", "unexplained")
+        for key, parameter in effect["parameters"].items():
+            name = QuantityName(FOUND, f"{_effect_text(effect)}: {key}")
+            yield name, _measure(parameter["value"], parameter["stderr"], parameter["unit"], error, "effects")
+    # p1 and p2 depend on the other effects of the model, so that they are compared for equal sets of effects only.
+    others = ", ".join(sorted(_effect_text(effect) for effect in verdict["effects"]))
+    for key, shift in verdict["baseline_shift"].items() if others else ():
+        name = QuantityName(FOUND, f"{key} beside {others}")
+        yield name, _measure(shift["after"], shift["stderr"], shift["unit"], error, "baseline_shift")
+    rest = verdict["unexplained"]
+    name = QuantityName(FOUND, "unexplained part of the peak")
+    yield name, _measure(rest["size"], rest["error"], "1", "noise", "unexplained")
     if light := verdict["light"]:
-        name = Name(FOUND, "light that is not where it is declared, as a part of all")
-        yield name, _number(light["power"], light["stderr"], "1", "fit to all frames", "light")
+        name = QuantityName(FOUND, "light that is not where it is declared, as a part of all")
+        yield name, _measure(light["power"], light["stderr"], "1", error, "light")
 
 
-def form_text(effect: dict[str, Any]) -> str:
-    """An effect of a verdict with its form: numbers of two forms mean different things."""
+def _effect_text(effect: dict[str, Any]) -> str:
+    """Return an effect of a verdict with its form, since parameters of two forms have different meanings."""
     return f"{effect['name']} ({effect['form']})" if effect["form"] else str(effect["name"])
 
 
-# Results that hold numbers to compare, in the order of `GROUPS`.
-READERS = {
-    "calibration": _calibration,
-    "sensor": _sensor,
-    "transfer": _transfer,
-    "caustic": _caustic,
-    "fits": _fits,
-    "metrics": _metrics,
+# Readers of the netCDF results, in the order of `GROUPS`.
+READERS: dict[str, Callable[[xr.Dataset], NamedMeasurements]] = {
+    "calibration": _read_calibration,
+    "sensor": _read_sensor,
+    "transfer": _read_transfer,
+    "caustic": _read_caustic,
+    "fits": _read_fits,
+    "metrics": _read_metrics,
 }
 
 
-def files_in(folder: Path) -> list[Path]:
-    """The files of a results folder that are compared, as far as they are there."""
+def list_files(folder: Path) -> list[Path]:
+    """Return the files of a results folder that are compared and exist."""
     names = ("frames.nc", *(f"{name}.nc" for name in READERS), "verdict.json")
     return [folder / name for name in names if (folder / name).is_file()]

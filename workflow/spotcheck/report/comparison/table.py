@@ -1,6 +1,7 @@
-"""The comparison of several datasets: every number they share, what differs from the first, and trends."""
+"""Comparison of several datasets: shared numbers, differences from the first dataset, and trends."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,33 +9,31 @@ import numpy as np
 
 from spotcheck.dataset.manifest import DATE
 from spotcheck.discrepancy.words import value_text
-from spotcheck.report.comparison.changes import Change, beyond_chance, difference, trend
-from spotcheck.report.comparison.numbers import ABSENT, Condition, Name, Number
-from spotcheck.report.comparison.sets import Set, common, in_other_units, read_sets
+from spotcheck.report.comparison.changes import Change, difference, fit_trend, select_significant
+from spotcheck.report.comparison.datasets import DatasetResults, list_shared, list_unit_conflicts, read_datasets
+from spotcheck.report.comparison.numbers import ABSENT, Condition, Measurement, QuantityName
 
-DAY_S = 86400.0
-# Axes of the grid that a person tells by their unit alone.
-PLAIN_AXES = ("angle", "exposure")
-UNKNOWN = Change(*[np.nan] * 5)
+SECONDS_PER_DAY = 86400.0
+# Axes that a reader recognizes by their unit.
+AXES_KNOWN_BY_UNIT = ("angle", "exposure")
 
 
-class Row(NamedTuple):
-    """A number that datasets share: by dataset its value (`ABSENT` where one has none), its difference from the first
-    dataset that has it and whether that is beyond chance; its trend, its line's value at place 0, and whether the trend
-    is beyond chance."""
+@dataclass(frozen=True)
+class Row:
+    """A number that at least two datasets share; lists have one element per dataset."""
 
-    name: Name
-    numbers: list[Number]
-    changes: list[Change]
-    changed: list[bool]
-    trend: Change
-    level: float
-    rising: bool
+    name: QuantityName  # what is compared
+    numbers: list[Measurement]  # the numbers; `ABSENT` if a dataset lacks it
+    changes: list[Change]  # differences from the first dataset that has the number
+    is_changed: list[bool]  # whether the difference is significant
+    trend: Change  # slope over the datasets
+    intercept: float  # value of the trend line at place 0
+    has_trend: bool  # whether the slope is significant
 
     @property
     def first(self) -> int:
-        """Place of the first dataset that has the number."""
-        return next(k for k, own in enumerate(self.numbers) if np.isfinite(own.value))
+        """Index of the first dataset that has the number."""
+        return _find_first(self.numbers)
 
     @property
     def units(self) -> str:
@@ -42,82 +41,92 @@ class Row(NamedTuple):
         return self.numbers[self.first].units
 
 
-class Comparison(NamedTuple):
-    """The datasets, the rows, where each dataset lies on the axis of trends with that axis in words and its unit, and
-    remarks on what could not be compared."""
+class TrendAxis(NamedTuple):
+    """Abscissa of the trends."""
 
-    sets: list[Set]
-    rows: list[Row]
-    places: list[float]
-    along: str
-    per: str
-    remarks: list[str]
+    places: list[float]  # place of each dataset
+    name: str  # meaning of the axis
+    unit: str  # unit of the axis: "day", or "dataset" if the places are numbers
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of datasets with the first of them."""
+
+    datasets: list[DatasetResults]  # the datasets
+    rows: list[Row]  # the shared numbers
+    axis: TrendAxis  # abscissa of the trends
+    remarks: list[str]  # what could not be compared, and why
 
     @property
-    def tested(self) -> int:
-        """Differences that have an error, among which those beyond chance were looked for."""
-        return sum(np.isfinite(own.p_value) for row in self.rows for own in row.changes)
+    def tested_changes(self) -> int:
+        """Number of differences that were tested."""
+        return sum(np.isfinite(change.p_value) for row in self.rows for change in row.changes)
 
     @property
-    def trends(self) -> int:
-        """The same of trends."""
+    def tested_trends(self) -> int:
+        """Number of trends that were tested."""
         return sum(np.isfinite(row.trend.p_value) for row in self.rows)
 
 
-def compare(folders: Sequence[Path]) -> Comparison:
-    """Compare the datasets of results folders with the first of them. Raises `InputError` as `read_sets` does."""
-    sets = read_sets(folders)
-    places, along, per, remarks = _places(sets)
-    names = common(sets)
-    numbers = [[own.numbers.get(name, ABSENT) for own in sets] for name in names]
-    changes = [_changes(own) for own in numbers]
-    lines = [_trend(places, own) for own in numbers]
-    changed = beyond_chance([own.p_value for row in changes for own in row]).reshape(len(names), len(sets))
-    rising = beyond_chance([own.p_value for own, _ in lines])
+def compare_datasets(folders: Sequence[Path]) -> Comparison:
+    """Return the comparison of the datasets of results folders; raises `InputError` as `read_datasets` does."""
+    datasets = read_datasets(folders)
+    axis, remarks = _choose_trend_axis(datasets)
+    names = list_shared(datasets)
+    numbers = [[dataset.numbers.get(name, ABSENT) for dataset in datasets] for name in names]
+    changes = [_compare_with_first(row) for row in numbers]
+    trends = [_fit_known(axis.places, row) for row in numbers]
+    p_values = [change.p_value for row in changes for change in row]
+    is_changed = select_significant(p_values).reshape(len(names), len(datasets)).tolist()
+    has_trend = select_significant([slope.p_value for slope, _ in trends]).tolist()
     rows = [
-        Row(name, own, change, beyond.tolist(), line[0], line[1], bool(rises))
-        for name, own, change, beyond, line, rises in zip(names, numbers, changes, changed, lines, rising, strict=True)
+        Row(name, row_numbers, row_changes, row_changed, slope, intercept, row_trend)
+        for name, row_numbers, row_changes, row_changed, (slope, intercept), row_trend in zip(
+            names, numbers, changes, is_changed, trends, has_trend, strict=True
+        )
     ]
-    return Comparison(sets, rows, places, along, per, [*in_other_units(sets), *remarks])
+    return Comparison(datasets, rows, axis, [*list_unit_conflicts(datasets), *remarks])
 
 
-def _changes(numbers: Sequence[Number]) -> list[Change]:
-    """Differences from the first dataset that has the number."""
-    first = next(k for k, own in enumerate(numbers) if np.isfinite(own.value))
-    return [UNKNOWN if k == first else difference(numbers[first], own) for k, own in enumerate(numbers)]
+def _find_first(numbers: Sequence[Measurement]) -> int:
+    """Return the index of the first dataset that has the number."""
+    return next(k for k, number in enumerate(numbers) if np.isfinite(number.value))
 
 
-def _trend(places: Sequence[float], numbers: Sequence[Number]) -> tuple[Change, float]:
-    """Slope over the datasets that have the number."""
-    known = [(place, own) for place, own in zip(places, numbers, strict=True) if np.isfinite(own.value)]
-    return trend([place for place, _ in known], [own for _, own in known])
+def _compare_with_first(numbers: Sequence[Measurement]) -> list[Change]:
+    """Return the differences from the first dataset that has the number."""
+    first = _find_first(numbers)
+    return [Change() if k == first else difference(numbers[first], number) for k, number in enumerate(numbers)]
 
 
-def _places(sets: Sequence[Set]) -> tuple[list[float], str, str, list[str]]:
-    """Places of the datasets on the axis of trends: days since the first where all have dates that differ, else the
-    order in which they were given; the axis in words, its unit, and remarks."""
-    order = [float(k) for k in range(len(sets))], "order of the datasets", "dataset"
-    times = [own.taken for own in sets]
-    dated = [own for own in times if own is not None]
-    if not dated:
-        return *order, []
-    if len(dated) < len(sets):
-        without = ", ".join(own.label for own in sets if own.taken is None)
-        why = f"column {DATE} of {without} is missing, incomplete or not ISO 8601"
-        return *order, [f"Trends follow the order of the datasets: {why}"]
-    days = [(own - min(dated)).total_seconds() / DAY_S for own in dated]
-    if np.ptp(days) == 0:
-        return *order, []
-    return days, f"days since {min(dated):%Y-%m-%d}", "day", []
+def _fit_known(places: Sequence[float], numbers: Sequence[Measurement]) -> tuple[Change, float]:
+    """Fit a trend through the datasets that have the number."""
+    known = [k for k, number in enumerate(numbers) if np.isfinite(number.value)]
+    return fit_trend([places[k] for k in known], [numbers[k] for k in known])
 
 
-def where_text(where: Sequence[Condition]) -> str:
-    """A condition in words: `45°, 100 µs, z_m 200 mm`."""
-    return ", ".join(
-        f"{'' if axis in PLAIN_AXES else axis} {value_text(value, None, unit)}".strip() for axis, value, unit in where
-    )
+def _choose_trend_axis(datasets: Sequence[DatasetResults]) -> tuple[TrendAxis, list[str]]:
+    """Return the axis of trends and remarks: days if all datasets have dates that differ, else their order."""
+    order = TrendAxis([float(k) for k in range(len(datasets))], "order of the datasets", "dataset")
+    times = [dataset.mean_time for dataset in datasets if dataset.mean_time is not None]
+    if not times:
+        return order, []
+    if len(times) < len(datasets):
+        undated = ", ".join(dataset.label for dataset in datasets if dataset.mean_time is None)
+        reason = f"column {DATE} of {undated} is missing, incomplete or not ISO 8601"
+        return order, [f"Trends follow the order of the datasets: {reason}"]
+    days = [(time - min(times)).total_seconds() / SECONDS_PER_DAY for time in times]
+    return (TrendAxis(days, f"days since {min(times):%Y-%m-%d}", "day") if np.ptp(days) > 0 else order), []
 
 
-def full_text(name: Name) -> str:
-    """What a number is of, with its condition."""
-    return ", ".join(filter(None, (name.what, where_text(name.where))))
+def conditions_text(conditions: Sequence[Condition]) -> str:
+    """Return conditions as text: `45°, 100 µs, z_m 200 mm`."""
+    names = ("" if condition.axis in AXES_KNOWN_BY_UNIT else condition.axis for condition in conditions)
+    values = (value_text(condition.value, None, condition.unit) for condition in conditions)
+    return ", ".join(f"{name} {value}".strip() for name, value in zip(names, values, strict=True))
+
+
+def quantity_text(name: QuantityName) -> str:
+    """Return a quantity with its conditions as text."""
+    return ", ".join(filter(None, (name.quantity, conditions_text(name.conditions))))

@@ -11,7 +11,7 @@ from spotcheck.fitting.precision import sentence
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.model.propagation import beam_propagation
 from spotcheck.report.figures import series, style
-from spotcheck.report.figures.photon_transfer import response_line
+from spotcheck.report.figures.photon_transfer import fit_response_line
 from spotcheck.report.pages.plots import figure
 
 # Points of a law that is drawn as a line.
@@ -69,11 +69,11 @@ def width(files: Mapping[str, xr.Dataset]) -> Curve | None:
     if "fits" not in files or "exposure" not in files["fits"].coords or files["fits"].sizes["exposure"] < 2:
         return None
     fits = files["fits"].sel(centring="light", fit=files["fits"].attrs["preferred"])
-    times, unit, label = series.coordinate(fits, "exposure")
+    times, unit, label = series.axis_values(fits, "exposure")
     others = [d for d in fits["sigma_mean"].dims if d != "exposure"]
     data = []
-    lines = series.design_of(fits, tuple(str(d) for d in fits["sigma_mean"].dims))
-    dim = lines.across if lines.across != "exposure" else None
+    lines = series.choose_axes(fits, tuple(str(d) for d in fits["sigma_mean"].dims))
+    dim = lines.abscissa if lines.abscissa != "exposure" else None
     for k in range(fits.sizes[dim] if dim else 1):
         own = fits.isel({dim: k}) if dim else fits
         rest = [d for d in others if d != dim]
@@ -109,24 +109,26 @@ def metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
         return []
     ds = files["metrics"].sel(centring="light")
     grid = tuple(str(d) for d in ds["psnr"].dims if d not in ("registration", "data_range"))
-    design, out = series.design_of(ds, grid), []
+    design, out = series.choose_axes(ds, grid), []
     for metric in PER_IMAGE:
-        found = {source: series.points(ds[metric.name].sel(source=source), design) for source in COLOURS}
+        found = {source: series.average_frames(ds[metric.name].sel(source=source), design) for source in COLOURS}
         if any(own.frames.any() for own in found.values()):
             unit, name = "" if metric.units == "1" else metric.units, metric.name.replace("_", " ").capitalize()
             caption = (
                 f"{metric.long_name[0].upper()}{metric.long_name[1:]}. {series.frames_text(found['measured'], design)}."
             )
-            own = _by_design(ds, design, found, style.label(name.lower(), unit), unit)
+            own = _by_design(ds, design, found, style.axis_label(name.lower(), unit), unit)
             picture = PICTURES.get(metric.name, f"metric-{metric.name.replace('_', '-')}")
             out.append(Curve(f"curve-{metric.name}", name, own, caption, picture))
     return out
 
 
-def _by_design(ds: xr.Dataset, design: series.Design, found: Mapping[str, series.Points], title: str, unit: str) -> str:
+def _by_design(
+    ds: xr.Dataset, design: series.PlotAxes, found: Mapping[str, series.LineStatistics], title: str, unit: str
+) -> str:
     """A line for each source and each value of the design's lines."""
-    x, _, label = series.coordinate(ds, design.across)
-    names, data = series.line_names(ds, design), []
+    x, _, label = series.axis_values(ds, design.abscissa)
+    names, data = series.list_line_names(ds, design), []
     for source, own in found.items():
         for k, name in enumerate(names):
             words = f"{name} {source}".strip()
@@ -144,7 +146,7 @@ def precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
     ds = files.get("precision")
     if ds is None or "fine_exposure" not in ds:
         return None
-    fine, unit, _ = series.coordinate(ds, "fine_exposure")
+    fine, unit, _ = series.axis_values(ds, "fine_exposure")
     factor = fine[0] / float(ds["fine_exposure"][0])
     data = [line("bound of one frame", fine, ds["sigma_bound_over_fine_exposure"].values)]
     for source in COLOURS:
@@ -160,7 +162,7 @@ def precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
                 )
             )
     layout = {
-        "xaxis": axis(style.label(style.NAMES["exposure"], unit), type="log", dtick=1),
+        "xaxis": axis(style.axis_label(style.NAMES["exposure"], unit), type="log", dtick=1),
         "yaxis": axis("standard deviation of σ̄ / px", type="log"),
     }
     return Curve("curve-precision", "How precisely a frame measures", figure(data, layout), sentence(ds), "precision")
@@ -235,10 +237,10 @@ def levels(transfer: xr.Dataset | None) -> Curve | None:
     if np.isfinite(gain) and used.any():
         reach = np.array([0.0, signal[used].max()])
         data.append(line("straight line of the gain K", reach, gain * reach, "var(--simulated)", "dash"))
-    own = response_line(transfer)
-    off = 100 * (signal / own.of(own.light) - 1)
+    own = fit_response_line(transfer)
+    off = 100 * (signal / own.predict(own.light) - 1)
     error = 100 * transfer["flat_mean_stderr"].values / np.abs(signal)
-    most = 1.6 * float(np.nanmax(np.abs(off[own.used]), initial=0.1))
+    most = 1.6 * float(np.nanmax(np.abs(off[own.is_used]), initial=0.1))
     second = {"xaxis": "x2", "yaxis": "y2", "showlegend": False}
     data.append(points("off the straight line", signal, off, error, hovertemplate=hover + "%<extra></extra>") | second)
     data.append(line("straight line", [0.0, float(np.nanmax(signal))], [0.0, 0.0], "var(--simulated)", "dash") | second)

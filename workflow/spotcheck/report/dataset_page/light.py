@@ -7,7 +7,7 @@ import xarray as xr
 
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.words import percent_text
-from spotcheck.report.figures.light import LEAST, compare_shapes
+from spotcheck.report.figures.light import MIN_LIGHT, compare_shapes
 from spotcheck.report.pages.plots import colour_scales, figure
 
 
@@ -66,11 +66,11 @@ def _lines(u: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
     looks = {"learned": ("var(--measured)", "solid", after), "declared": ("var(--simulated)", "dash", before)}
     for name, (colour, dash, image) in looks.items():
         for number, values in (("", image[middle]), ("2", image[:, middle])):
-            data.append({"type": "scatter", "mode": "lines", "name": name, "x": u, "y": np.maximum(values, LEAST),
+            data.append({"type": "scatter", "mode": "lines", "name": name, "x": u, "y": np.maximum(values, MIN_LIGHT),
                          "line": {"color": colour, "dash": dash}, "xaxis": f"x{number}", "yaxis": f"y{number}",
                          "legendgroup": name, "showlegend": number == "",
                          "hovertemplate": f"{name}: %{{y:.3~g}} of the peak<extra></extra>"})  # fmt: skip
-    log = {"type": "log", "range": [float(np.log10(LEAST)), 0.1]}
+    log = {"type": "log", "range": [float(np.log10(MIN_LIGHT)), 0.1]}
     layout = {
         "xaxis": {"domain": [0, 0.47], "title": {"text": "u / σ_g, along the row through the centre"}},
         "yaxis": {"title": {"text": "light / peak"}} | log,

@@ -1,5 +1,6 @@
-"""The verdict in one picture: a measured spot, the model without and with what was missing, and what each leaves."""
+"""Verdict in one picture: a measured spot, the declared and the extended model, and their residuals."""
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,128 +9,154 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
+from spotcheck.discrepancy.pictures import AFTER, BEFORE
 from spotcheck.discrepancy.words import percent_text, value_text
 from spotcheck.io.plus_minus import two_digits
 from spotcheck.report.figures import style
-from spotcheck.report.figures.discrepancy import COLOUR_ENDS, plan_of, stages_in
+from spotcheck.report.figures.discrepancy import COLOUR_PERCENTILE, list_models, tabulate_conditions
 from spotcheck.report.figures.entry import VERDICT, Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
-MEASURED, BEFORE, AFTER = "measured", "before", "after"
-# Colour, dashes and width of each line of the profile.
+MEASURED = "measured"
+# Half the side of the shown part, in widths σ_g of the model.
+HALF_SIDE_WIDTHS = 3.0
+
+
+class ProfileLook(NamedTuple):
+    """Name of an image, and appearance of its profile."""
+
+    name: str  # name in titles and in the legend
+    colour: str  # colour of the line
+    dashes: str | tuple  # line style
+    width: float  # line width [pt]
+
+
 LOOKS = {
-    MEASURED: (style.MEASURED, "solid", 2.6),
-    BEFORE: (style.SIMULATED, (0, (4, 2)), 1.2),
-    AFTER: ("black", "solid", 0.8),
+    MEASURED: ProfileLook("measured", style.MEASURED, "solid", 2.6),
+    BEFORE: ProfileLook("model", style.SIMULATED, (0, (4, 2)), 1.2),
+    AFTER: ProfileLook("extended model", "black", "solid", 0.8),
 }
-# Half the side that is shown, in widths of the model.
-ENLARGED = 3.0
-NAMES = {MEASURED: "measured", BEFORE: "model", AFTER: "extended model"}
 
 
-class Example(NamedTuple):
-    """One condition: what it is called; measured reading, that of the models, and what these leave [DN], each [block
-    row, block column]; where the blocks lie from the spot's centre, and their side [px]; half the side that is shown
-    [px]."""
+@dataclass(frozen=True)
+class Example:
+    """A condition with its models; images are [block row, block column] in DN."""
 
-    name: str
-    measured: np.ndarray
-    models: dict[str, np.ndarray]
-    residuals: dict[str, np.ndarray]
-    x: np.ndarray
-    y: np.ndarray
-    side: float
-    half: float
+    name: str  # condition as text
+    measured: np.ndarray  # mean measured reading
+    models: dict[str, np.ndarray]  # mean reading of each model
+    residuals: dict[str, np.ndarray]  # measured less model
+    x: np.ndarray  # columns of the blocks from the spot's centre [px]
+    y: np.ndarray  # rows of the blocks from the spot's centre [px]
+    side: float  # side of a block [px]
+    half: float  # half the side of the shown part [px]
+
+    @property
+    def images(self) -> dict[str, np.ndarray]:
+        """Measured reading and models."""
+        return {MEASURED: self.measured, **self.models}
 
 
-def draw(results: Results) -> style.Drawing:
-    """The condition in which the model gains most from what was added; where nothing was, that of the largest
-    residual."""
-    found, verdict = example(results.get("discrepancy")), results.verdict()
-    top = max(float(np.nanmax(image)) for image in (found.measured, *found.models.values()))
-    end = max(float(np.nanpercentile(np.abs(image), COLOUR_ENDS)) for image in found.residuals.values())
-    rows = len(found.models)
-    figure = style.new(2.5 * rows if rows > 1 else 2.3, 1.15 * style.WIDTH)
+def draw_answer(results: Results) -> style.Drawing:
+    """Draw the condition in which the effects reduce the residual most, or else that of the largest residual."""
+    example, verdict = choose_example(results.get("discrepancy")), results.verdict()
+    highest = max(float(np.nanmax(image)) for image in example.images.values())
+    end = max(float(np.nanpercentile(np.abs(image), COLOUR_PERCENTILE)) for image in example.residuals.values())
+    light, difference = Normalize(0.0, highest), Normalize(-end, end)
+    rows = len(example.models)
+    figure = style.new_figure(2.5 * rows if rows > 1 else 2.3, 1.15 * style.WIDTH)
     panels = figure.subplots(rows, 3, squeeze=False)
-    light, left = Normalize(0.0, top), Normalize(-end, end)
-    _image(panels[0, 0], found, found.measured, NAMES[MEASURED], light, style.IMAGE_MAP)
-    for k, (stage, image) in enumerate(found.models.items()):
-        _image(panels[0, 1 + k], found, image, NAMES[stage], light, style.IMAGE_MAP)
-    # Beneath each model what it leaves; beside a single one.
-    below = panels[1, 1:] if rows > 1 else panels[0, 2:]
-    for ax, (stage, image) in zip(below, found.residuals.items(), strict=True):
-        _image(ax, found, image, f"measured − {NAMES[stage]}", left, style.DIVERGING_MAP)
+    for ax, (key, image) in zip(panels[0], example.images.items(), strict=False):
+        _draw_image(ax, example, image, LOOKS[key].name, light, style.IMAGE_MAP)
+    # Residuals are below their models, or beside a single model.
+    residual_panels = panels[1, 1:] if rows > 1 else panels[0, 2:]
+    for ax, (key, image) in zip(residual_panels, example.residuals.items(), strict=True):
+        _draw_image(ax, example, image, f"measured − {LOOKS[key].name}", difference, style.DIVERGING_MAP)
     if rows > 1:
-        _profile(panels[1, 0], found)
-        text = "\n".join(f"+ {own['name']}" for own in verdict["effects"])
+        _draw_profile(panels[1, 0], example)
+        text = "\n".join(f"+ {effect['name']}" for effect in verdict["effects"])
         panels[0, 2].text(0.04, 0.04, text, transform=panels[0, 2].transAxes, color="white", fontsize=8)
         figure.colorbar(ScalarMappable(light, style.IMAGE_MAP), ax=list(panels[0]), label="reading / DN", pad=0.01)
-    figure.colorbar(
-        ScalarMappable(left, style.DIVERGING_MAP), ax=list(panels[-1]), label="residual / DN", extend="both", pad=0.01
-    )
-    return style.Drawing(figure, _caption(found, verdict, end))
+    mapped = ScalarMappable(difference, style.DIVERGING_MAP)
+    figure.colorbar(mapped, ax=list(panels[-1]), label="residual / DN", extend="both", pad=0.01)
+    return style.Drawing(figure, _caption(example, verdict, end))
 
 
-def example(ds: xr.Dataset) -> Example:
-    """The condition that shows most."""
-    plan, stages = plan_of(ds), stages_in(ds)
-    left = {stage: plan.table(ds, f"residual_{stage}") for stage in stages}
-    known = {stage: np.nansum(image**2, axis=(2, 3)) for stage, image in left.items()}
-    gain = known[BEFORE] - known.get(AFTER, 0.0)
+def choose_example(ds: xr.Dataset) -> Example:
+    """Return the condition to show. Raises `Unavailable` if no condition has a residual."""
+    table, models = tabulate_conditions(ds), list_models(ds)
+    residuals = {model: table.read(ds, f"residual_{model}") for model in models}
+    squares = {model: np.nansum(image**2, axis=(2, 3)) for model, image in residuals.items()}
+    gain = squares[BEFORE] - squares.get(AFTER, 0.0)
     at = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    residuals = {stage: image[at] for stage, image in left.items()}
-    if not all(np.isfinite(image).any() for image in residuals.values()):
+    shown = {model: image[at] for model, image in residuals.items()}
+    if not all(np.isfinite(image).any() for image in shown.values()):
         raise Unavailable("no condition has a residual")
-    measured = plan.table(ds, "reading")[at]
-    x0, y0, sigma = (float(plan.table(ds, name)[at]) for name in ("spot_x", "spot_y", "sigma"))
+    measured = table.read(ds, "reading")[at]
+    x0, y0, sigma = (float(table.read(ds, name)[at]) for name in ("spot_x", "spot_y", "sigma"))
     x, y = ds["block_x"].values - x0, ds["block_y"].values - y0
-    half = min(ENLARGED * sigma, float(np.abs([x[[0, -1]], y[[0, -1]]]).min()))
-    side = float(x[1] - x[0]) if len(x) > 1 else 2 * half
-    name = ", ".join(filter(None, (plan.rows[at[0]], plan.columns[at[1]])))
-    return Example(name, measured, {k: measured - own for k, own in residuals.items()}, residuals, x, y, side, half)
+    half = min(HALF_SIDE_WIDTHS * sigma, float(np.abs([x[[0, -1]], y[[0, -1]]]).min()))
+    return Example(
+        name=", ".join(filter(None, (table.rows[at[0]], table.columns[at[1]]))),
+        measured=measured,
+        models={model: measured - residual for model, residual in shown.items()},
+        residuals=shown,
+        x=x,
+        y=y,
+        side=float(x[1] - x[0]) if len(x) > 1 else 2 * half,
+        half=half,
+    )
 
 
-def _image(ax: Axes, found: Example, image: np.ndarray, title: str, norm: Normalize, colours: str) -> None:
-    step = found.side / 2
-    extent = (found.x[0] - step, found.x[-1] + step, found.y[-1] + step, found.y[0] - step)
-    ax.imshow(image, cmap=colours, norm=norm, extent=extent)
-    ax.set(title=title, xlim=(-found.half, found.half), ylim=(found.half, -found.half), facecolor="0.85")
-    ax.set(xlabel="x / px", ylabel="y / px")
+def _draw_image(ax: Axes, example: Example, image: np.ndarray, title: str, norm: Normalize, cmap: str) -> None:
+    """Draw an image of blocks, with pixels from the spot's centre on both axes."""
+    x, y, step, half = example.x, example.y, example.side / 2, example.half
+    extent = (x[0] - step, x[-1] + step, y[-1] + step, y[0] - step)
+    style.show_image(ax, image, cmap, norm, extent, title=title, facecolor="0.85", xlabel="x / px", ylabel="y / px")
+    ax.set(xlim=(-half, half), ylim=(half, -half))
     ax.label_outer()
-    ax.grid(False)
 
 
-def _profile(ax: Axes, found: Example) -> None:
-    row = int(np.argmin(np.abs(found.y)))
-    for name, image in {MEASURED: found.measured, **found.models}.items():
-        colour, dashes, width = LOOKS[name]
-        ax.plot(found.x, image[row], color=colour, linestyle=dashes, linewidth=width, label=NAMES[name])
+def _draw_profile(ax: Axes, example: Example) -> None:
+    """Draw the row of blocks through the centre."""
+    row, half = int(np.argmin(np.abs(example.y))), example.half
+    for key, image in example.images.items():
+        name, colour, dashes, width = LOOKS[key]
+        ax.plot(example.x, image[row], color=colour, linestyle=dashes, linewidth=width, label=name)
     ax.legend(loc="upper left", fontsize=7, handlelength=1.4, borderaxespad=0.1)
     ax.set_box_aspect(1)
-    # Room for the legend.
-    highest = max(float(np.nanmax(image[row])) for image in (found.measured, *found.models.values()))
-    ax.set(title="the row through the centre", xlim=(-found.half, found.half), ylim=(0, 1.4 * highest))
+    # The ordinate leaves space for the legend.
+    highest = max(float(np.nanmax(image[row])) for image in example.images.values())
+    ax.set(title="the row through the centre", xlim=(-half, half), ylim=(0, 1.4 * highest))
     ax.set(xlabel="x / px", ylabel="reading / DN")
 
 
-def _caption(found: Example, verdict: dict[str, Any], end: float) -> str:
-    out = [f"Spot{f' at {found.name}' if found.name else ''}: mean over its frames, in blocks of {found.side:g} px."]
-    out.append(f"Residuals are on one scale, which ends at ±{two_digits(end)} DN.")
-    out.append(f"Verdict: {verdict['status'].replace('_', ' ')}.")
-    effects, gap = [_effect(own) for own in verdict["effects"]], verdict["gap"]
+def _caption(example: Example, verdict: dict[str, Any], end: float) -> str:
+    """Return the caption; `end` is the residual [DN] at which the colours end."""
+    condition = f" at {example.name}" if example.name else ""
+    sentences = [
+        f"Spot{condition}: mean over its frames, in blocks of {example.side:g} px.",
+        f"Residuals are on one scale, which ends at ±{two_digits(end)} DN.",
+        f"Verdict: {verdict['status'].replace('_', ' ')}.",
+    ]
+    effects, gap = verdict["effects"], verdict["gap"]
     if effects:
-        out.append(f"Added to the model: {'; '.join(effects)}.")
-    rivals = [own["name"] for effect in verdict["effects"] for own in effect["evidence"]["rivals"]]
+        sentences.append(f"Added to the model: {'; '.join(_effect_text(effect) for effect in effects)}.")
+    rivals = [rival["name"] for effect in effects for rival in effect["evidence"]["rivals"]]
     if rivals:
-        out.append(f"The frames do not tell it from {' or '.join(rivals)}.")
+        sentences.append(f"The frames do not distinguish it from {' or '.join(rivals)}.")
     if effects and gap["closed"] is not None:
-        out.append(f"That closes {percent_text(min(gap['closed'], 1.0))} of the gap on {gap['on']}.")
-    return " ".join(out)
+        sentences.append(f"That closes {percent_text(min(gap['closed'], 1.0))} of the gap on {gap['on']}.")
+    return " ".join(sentences)
 
 
-def _effect(own: dict[str, Any]) -> str:
-    values = [f"{key} {value_text(p['value'], p['stderr'], p['unit'])}" for key, p in own["parameters"].items()]
-    return f"{own['name']} ({', '.join(values)})" if values else str(own["name"])
+def _effect_text(effect: dict[str, Any]) -> str:
+    """Return the name of an effect with its parameters."""
+    parameters = ", ".join(
+        f"{key} {value_text(parameter['value'], parameter['stderr'], parameter['unit'])}"
+        for key, parameter in effect["parameters"].items()
+    )
+    return f"{effect['name']} ({parameters})" if parameters else str(effect["name"])
 
 
-FIGURES = (Entry("missing-answer", "What the model is missing", Category.MISSING, VERDICT, draw),)
+FIGURES = (Entry("missing-answer", "What the model is missing", Category.MISSING, VERDICT, draw_answer),)

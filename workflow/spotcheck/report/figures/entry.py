@@ -1,8 +1,8 @@
-"""What a figure of the report is: name and title, where it stands, what it needs, and the function that draws it."""
+"""Entry of a figure in the report."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 from spotcheck.report.figures.results import Results
 from spotcheck.report.figures.style import Drawing
@@ -18,24 +18,24 @@ class Category(Enum):
     METRICS = "Metrics"
     BOUNDS = "Bounds"
     RESIDUALS = "Residuals"
-    MISSING = "What is missing"  # beside the verdict, above all others
+    MISSING = "What is missing"  # shown beside the verdict
     SENSOR = "Sensor"
     BEAM = "Beam"
 
 
-class Entry(NamedTuple):
-    """A figure: file name, title, category, results that it needs (by name without suffix), drawing function, and the
-    figure of the paper that it stands for, such as "Fig. 7"."""
+@dataclass(frozen=True)
+class Entry:
+    """A figure of the report."""
 
-    name: str
-    title: str
-    category: Category
-    needs: tuple[str, ...]
-    draw: Callable[[Results], Drawing]
-    paper: str | None = None
+    name: str  # file name without suffix
+    title: str  # heading
+    category: Category  # group in the report
+    needs: tuple[str, ...]  # results that the figure reads, by name without suffix
+    draw: Callable[[Results], Drawing]  # drawing function
+    paper: str | None = None  # corresponding figure of the paper, such as "Fig. 7"; None if there is none
 
 
-# What several families need: measured and simulated frames, their metrics, the data of a verdict.
+# Results that several families need: measured and simulated frames, their metrics, the data of a verdict.
 PAIR = ("crops", "fits", "simulated/crops", "simulated/fits")
 METRICS = ("metrics", "simulated")
 VERDICT = ("discrepancy",)

@@ -1,4 +1,4 @@
-"""The light's shape: declared, learned, and the difference."""
+"""Shape of the light: declared, learned, and their difference."""
 
 from dataclasses import dataclass, replace
 
@@ -13,15 +13,15 @@ from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
 
-# Half the side that is shown [σ_g]: beyond it even a Gaussian with wings has no light to see.
-SHOWN = 4.0
-# The least light that is drawn [peak].
-LEAST = 1e-4
+# Half the side of the shown part [σ_g]; outside of it even a Gaussian with wings has no visible light.
+HALF_SIDE = 4.0
+# Smallest light on the logarithmic ordinate [peak].
+MIN_LIGHT = 1e-4
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Declared and learned shape of a light on a grid, the peak of the declared one being 1."""
+    """Declared and learned shape of a light on a grid, relative to the peak of the declared shape."""
 
     places: np.ndarray  # u of the columns and v of the rows [σ_g]
     declared: np.ndarray  # declared shape [row, column]
@@ -29,8 +29,8 @@ class Shapes:
 
 
 def compare_shapes(ds: xr.Dataset, dataset: Dataset) -> Shapes:
-    """Return the shapes of light.nc and of the instrument; of several lights, the one that is least as declared."""
-    is_shown = np.abs(ds["u"].values) <= SHOWN
+    """Return the shapes of light.nc and of the instrument; of several lights, the one that differs most."""
+    is_shown = np.abs(ds["u"].values) <= HALF_SIDE
     places = ds["u"].values[is_shown]
     lights = ds["s"].values[:, is_shown][:, :, is_shown]
     u, v = places[None, :], places[:, None]
@@ -41,44 +41,44 @@ def compare_shapes(ds: xr.Dataset, dataset: Dataset) -> Shapes:
     return Shapes(places, declared, declared + differences[int(np.abs(differences).sum(axis=(1, 2)).argmax())])
 
 
-def draw(results: Results) -> style.Drawing:
-    """Draw both shapes, their difference, and the lines through the centre."""
+def draw_shapes(results: Results) -> style.Drawing:
+    """Draw both shapes, their difference, and profiles through the centre."""
     ds = results.get("light")
     shapes = compare_shapes(ds, results.dataset)
-    u, before, after = shapes.places, shapes.declared, shapes.learned
-    difference = 100 * (after - before)
+    u, declared, learned = shapes.places, shapes.declared, shapes.learned
+    difference = 100 * (learned - declared)
     end = float(np.abs(difference).max())
-    figure = style.new(4.6, 1.05 * style.WIDTH)
-    upper, lower = (part[0] for part in figure.subfigures(2, 1, squeeze=False, height_ratios=(1.25, 1.0)))
+    light_norm = Normalize(0.0, float(max(declared.max(), learned.max())))
+    difference_norm = Normalize(-end, end)
+    figure = style.new_figure(4.6, 1.05 * style.WIDTH)
+    upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.25, 1.0))[:, 0]
     panels = upper.subplots(1, 3, sharey=True)
-    light, left = Normalize(0.0, float(max(before.max(), after.max()))), Normalize(-end, end)
-    extent = (-SHOWN, SHOWN, SHOWN, -SHOWN)
-    for ax, image, norm, colours, title in (
-        (panels[0], before, light, style.IMAGE_MAP, "declared"),
-        (panels[1], after, light, style.IMAGE_MAP, "learned"),
-        (panels[2], difference, left, style.DIVERGING_MAP, "learned − declared"),
+    extent = (-HALF_SIDE, HALF_SIDE, HALF_SIDE, -HALF_SIDE)
+    for ax, image, norm, cmap, title in (
+        (panels[0], declared, light_norm, style.IMAGE_MAP, "declared"),
+        (panels[1], learned, light_norm, style.IMAGE_MAP, "learned"),
+        (panels[2], difference, difference_norm, style.DIVERGING_MAP, "learned − declared"),
     ):
-        ax.imshow(image, cmap=colours, norm=norm, extent=extent)
-        ax.set(title=title, xlabel="u / $\\sigma_g$")
-        ax.grid(False)
+        style.show_image(ax, image, cmap, norm, extent, title=title, xlabel="u / $\\sigma_g$")
     panels[0].set_ylabel("v / $\\sigma_g$")
-    upper.colorbar(ScalarMappable(left, style.DIVERGING_MAP), ax=list(panels), label="% of the peak", aspect=18)
+    mapped = ScalarMappable(difference_norm, style.DIVERGING_MAP)
+    upper.colorbar(mapped, ax=list(panels), label="% of the peak", aspect=18)
     middle = len(u) // 2
-    lines = {"u": (after[middle], before[middle]), "v": (after[:, middle], before[:, middle])}
-    for ax, (place, (learned, declared)) in zip(lower.subplots(1, 2, sharey=True), lines.items(), strict=True):
-        ax.semilogy(u, np.maximum(learned, LEAST), color=style.MEASURED, label="learned")
-        ax.semilogy(u, np.maximum(declared, LEAST), color=style.SIMULATED, linestyle=(0, (4, 2)), label="declared")
-        ax.set(xlabel=f"{place} / $\\sigma_g$", ylim=(LEAST, 2.0))
-        if place == "u":
-            ax.set_ylabel("light / peak")
-            ax.legend(loc="upper right")
-    lights = ds.sizes["light"]
-    whose = "the same in every frame" if lights == 1 else f"that of {lights} poses which is least as declared"
+    left, right = lower.subplots(1, 2, sharey=True)
+    for ax, name, at in ((left, "u", (middle, slice(None))), (right, "v", (slice(None), middle))):
+        ax.semilogy(u, np.maximum(learned[at], MIN_LIGHT), color=style.MEASURED, label="learned")
+        dashed = {"color": style.SIMULATED, "linestyle": (0, (4, 2))}
+        ax.semilogy(u, np.maximum(declared[at], MIN_LIGHT), label="declared", **dashed)
+        ax.set(xlabel=f"{name} / $\\sigma_g$", ylim=(MIN_LIGHT, 2.0))
+    left.set_ylabel("light / peak")
+    left.legend(loc="upper right")
+    count = ds.sizes["light"]
+    frames = "the same in every frame" if count == 1 else f"that of the pose, of {count}, which differs most"
     caption = (
-        f"The light's shape in widths σ_g of the declared one, {whose}: {ds.attrs['described']}. Below: along the row"
+        f"The light's shape in widths σ_g of the declared one, {frames}: {ds.attrs['described']}. Below: along the row"
         " and along the column through the centre."
     )
     return style.Drawing(figure, caption)
 
 
-FIGURES = (Entry("missing-light", "The light's shape", Category.MISSING, ("light",), draw),)
+FIGURES = (Entry("missing-light", "The light's shape", Category.MISSING, ("light",), draw_shapes),)

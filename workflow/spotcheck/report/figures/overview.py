@@ -1,46 +1,45 @@
-"""One measured spot, its simulation, and what is left: the picture that says what this is about."""
+"""Overview: one measured spot, its simulation, and their difference."""
 
 import numpy as np
+from matplotlib.colors import Normalize
 
 from spotcheck.metrics.crop_metrics import shift_image
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import PAIR, Category, Entry
-from spotcheck.report.figures.frames_of import example
-from spotcheck.report.figures.images import describe, half_side
+from spotcheck.report.figures.frame_pairs import find_pair
+from spotcheck.report.figures.images import half_side
 from spotcheck.report.figures.results import Results
 
 
-def draw(results: Results) -> style.Drawing:
-    """Measured and simulated frame of the longest exposure, their difference, and the profiles along a row."""
-    found = example(results, describe)
-    half = half_side(found)
-    at, other = found.measured_spot, found.simulated_spot
-    moved = shift_image(found.simulated, at.row - other.row, at.column - other.column)
-    difference = found.measured - moved
-    highest = float(max(np.nanmax(found.measured), np.nanmax(moved)))
-    figure = style.new(2.5, 1.45 * style.WIDTH)
+def draw_overview(results: Results) -> style.Drawing:
+    """Draw measured and simulated frame of the longest exposure, their difference, and profiles along a row."""
+    pair = find_pair(results)
+    (measured, spot), (simulated, simulated_spot) = pair.measured, pair.simulated
+    registered = shift_image(simulated, spot.row - simulated_spot.row, spot.column - simulated_spot.column)
+    half = half_side(pair)
+    highest = float(max(np.nanmax(measured), np.nanmax(registered)))
+    light, difference = Normalize(0.0, highest), Normalize(-highest, highest)
+    figure = style.new_figure(2.5, 1.45 * style.WIDTH)
     panels = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.15))
-    reach = (-at.column, found.measured.shape[1] - at.column, found.measured.shape[0] - at.row, -at.row)
-    for ax, image, title, low, colours in (
-        (panels[0], found.measured, "measured", 0.0, style.IMAGE_MAP),
-        (panels[1], moved, "simulated", 0.0, style.IMAGE_MAP),
-        (panels[2], difference, "measured − simulated", -highest, style.DIVERGING_MAP),
+    extent = style.centred_extent(measured.shape, spot.row, spot.column)
+    for ax, image, title, norm, cmap in (
+        (panels[0], measured, "measured", light, style.IMAGE_MAP),
+        (panels[1], registered, "simulated", light, style.IMAGE_MAP),
+        (panels[2], measured - registered, "measured − simulated", difference, style.DIVERGING_MAP),
     ):
-        ax.imshow(image, cmap=colours, vmin=low, vmax=highest, extent=reach)
-        ax.set(title=title, xlim=(-half, half), ylim=(half, -half), xlabel="x / px")
-        ax.grid(False)
+        limits = {"xlim": (-half, half), "ylim": (half, -half)}
+        style.show_image(ax, image, cmap, norm, extent, title=title, xlabel="x / px", **limits)
     panels[0].set_ylabel("y / px")
-    row = round(at.row)
-    x = np.arange(found.measured.shape[1]) - at.column
-    panels[3].plot(x, found.measured[row], color=style.MEASURED, label="measured")
-    panels[3].plot(x, moved[row], color=style.SIMULATED, linestyle=(0, (5, 2)), label="simulated")
+    row, x = round(spot.row), np.arange(measured.shape[1]) - spot.column
+    panels[3].plot(x, measured[row], color=style.MEASURED, label="measured")
+    panels[3].plot(x, registered[row], color=style.SIMULATED, linestyle=style.DASHED, label="simulated")
     panels[3].set(title="the row through the centre", xlim=(-half, half), xlabel="x / px", ylabel="reading / DN")
     return style.Drawing(
         figure,
-        f"One frame ({found.name}), one random frame of the simulation laid on its fitted centre, and their difference;"
+        f"One frame ({pair.name}), one random simulated frame registered on its fitted centre, and their difference;"
         f" readings on one scale up to {highest:.0f} DN, the difference on ± {highest:.0f} DN. Right: the row through"
         " the fitted centre, blue and solid as measured, orange and dashed as simulated.",
     )
 
 
-FIGURES = (Entry("overview", "At a glance", Category.GLANCE, PAIR, draw),)
+FIGURES = (Entry("overview", "At a glance", Category.GLANCE, PAIR, draw_overview),)

@@ -1,10 +1,12 @@
-"""The sensor by its flats and darks: photon transfer, response, signal-to-noise ratio, and what darks read."""
+"""Sensor by flats and darks (EMVA 1288): photon transfer, linearity, signal-to-noise ratio, dark signal, patterns."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.ticker import ScalarFormatter
 
 from spotcheck.characterization.photon_transfer import LINEAR, Quantity
@@ -14,235 +16,243 @@ from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
+SIGNAL = "signal $\\mu_y - \\mu_{y.dark}$ / DN"
+# Levels that a fit uses, and other levels.
+USED: dict[str, Any] = {"color": style.MEASURED, "markersize": 3}
+UNUSED: dict[str, Any] = {"color": "0.6", "markersize": 3}
+# A level with this fraction of its pixels at full scale is not shown.
+MAX_CLIPPED = 0.5
+# Levels that a line needs: two always lie on one.
+MIN_LEVELS = 3
+# Quantiles of a pattern at which its colours end.
+COLOUR_QUANTILES = (0.01, 0.99)
+DASHED = (0, (4, 2))
 
-def _open(results: Results, *needed: str) -> tuple[xr.Dataset, dict[str, Quantity]]:
-    """Levels and quantities; `Unavailable` where one that a figure lives on is unknown."""
+
+def _read_quantities(results: Results, *required: str) -> tuple[xr.Dataset, dict[str, Quantity]]:
+    """Return the levels and the quantities. Raises `Unavailable` if a required quantity is unknown."""
     ds = results.get("transfer")
-    found = quantities_of(ds)
-    for name in needed:
-        if not np.isfinite(found[name].value):
-            raise Unavailable(f"{found[name].symbol} is unknown: {found[name].why}")
-    return ds, found
+    quantities = quantities_of(ds)
+    for name in required:
+        if not np.isfinite(quantities[name].value):
+            raise Unavailable(f"{quantities[name].symbol} is unknown: {quantities[name].why}")
+    return ds, quantities
 
 
-def _light(ds: xr.Dataset) -> tuple[np.ndarray, str]:
-    """Light of every flat and what it is called: photons where all are given, else exposure."""
+def _quantity_text(quantity: Quantity) -> str:
+    """Return a quantity ± its standard error with unit."""
+    unit = "" if quantity.unit == "1" else quantity.unit
+    return plus_minus(quantity.value, quantity.stderr, unit).replace("-", "−", 1)
+
+
+def _read_light(ds: xr.Dataset) -> tuple[np.ndarray, str]:
+    """Return the light of every flat and its label: photons if all are known, else exposure."""
     photons = ds["flat_photons"].values
     if np.isfinite(photons).all() and (photons > 0).all():
         return photons, "photons per pixel $\\mu_p$"
-    factor, unit = style.scale(ds["flat_exposure"].values, "s")
-    return ds["flat_exposure"].values * factor, style.label("exposure time $t$", unit)
+    exposure = ds["flat_exposure"].values
+    factor, unit = style.choose_unit(exposure, "s")
+    return exposure * factor, style.axis_label("exposure time $t$", unit)
 
 
-class Response(NamedTuple):
-    """Light of every flat, which levels the straight line of the response is fitted to, its slope and offset [DN]."""
+@dataclass(frozen=True)
+class ResponseLine:
+    """Straight line through the response of the sensor."""
 
-    light: np.ndarray
-    used: np.ndarray
-    slope: float
-    offset: float
+    light: np.ndarray  # light of every flat [photons, or exposure in the displayed unit]
+    is_used: np.ndarray  # whether the line is fitted to the level
+    slope: float  # slope [DN per unit of light]; NaN below `MIN_LEVELS` levels
+    offset: float  # signal without light [DN]
 
-    def of(self, light: np.ndarray) -> np.ndarray:
-        """Signal [DN] of the straight line."""
+    def predict(self, light: np.ndarray) -> np.ndarray:
+        """Return the signal [DN] at some light."""
         return self.slope * light + self.offset
 
 
-def response_line(ds: xr.Dataset) -> Response:
-    """The line of least relative squares through the levels that EMVA 1288 takes for linearity."""
-    light, signal, top = _light(ds)[0], ds["signal"].values, int(ds["saturation"])
-    end = signal[top] if top >= 0 else signal.max()
-    use = (signal >= LINEAR[0] * end) & (signal <= LINEAR[1] * end)
-    # Two levels lie on any straight line.
-    known = use.sum() > 2
-    slope, intercept = np.polyfit(light[use], signal[use], 1, w=1 / signal[use]) if known else (np.nan, np.nan)
-    return Response(light, use, float(slope), float(intercept))
+def fit_response_line(ds: xr.Dataset) -> ResponseLine:
+    """Fit a line by least relative squares to the levels that EMVA 1288 uses for linearity."""
+    light, signal, saturated = _read_light(ds)[0], ds["signal"].values, int(ds["saturation"])
+    saturation = signal[saturated] if saturated >= 0 else signal.max()
+    is_used = (signal >= LINEAR[0] * saturation) & (signal <= LINEAR[1] * saturation)
+    slope, offset = np.nan, np.nan
+    if is_used.sum() >= MIN_LEVELS:
+        slope, offset = np.polyfit(light[is_used], signal[is_used], 1, w=1 / signal[is_used])
+    return ResponseLine(light, is_used, float(slope), float(offset))
 
 
-def transfer(results: Results) -> style.Drawing:
-    """Variance against signal, with the line of the gain; and noise against signal by regime."""
-    ds, found = _open(results, "gain")
-    signal, excess, error = (ds[name].values for name in ("signal", "excess", "excess_stderr"))
-    used = ds["fitted"].values > 0
-    gain, dark = found["gain"].value, found["dark_noise_dn"].value
-    figure = style.new(3.3)
+def draw_photon_transfer(results: Results) -> style.Drawing:
+    """Draw variance against signal with the line of the gain, and noise against signal with its regimes."""
+    ds, quantities = _read_quantities(results, "gain")
+    signal, variance, stderr = (ds[name].values for name in ("signal", "excess", "excess_stderr"))
+    is_used, is_positive = ds["fitted"].values > 0, signal > 0
+    gain, dark_noise = quantities["gain"].value, quantities["dark_noise_dn"].value
+    figure = style.new_figure(3.3)
     left, right = figure.subplots(1, 2)
-    bars = left.errorbar(signal, excess, error, fmt="o", color="0.6", markersize=3, capsize=0, zorder=2)
-    own = left.plot(signal[used], excess[used], "o", color=style.MEASURED, markersize=3, zorder=3)[0]
-    reach = np.array([0.0, signal[used].max()])
-    law = left.plot(reach, gain * reach, color=style.SIMULATED, zorder=4)[0]
-    left.set_xlabel("signal $\\mu_y - \\mu_{y.dark}$ / DN")
-    left.set_ylabel("variance $\\sigma_y^2 - \\sigma_{y.dark}^2$ / DN²")
-    positive = signal > 0
-    noise = np.sqrt(np.maximum(excess + dark**2, 0.0))
-    right.plot(signal[positive], noise[positive], "o", color="0.6", markersize=3)
-    right.plot(signal[used], noise[used], "o", color=style.MEASURED, markersize=3)
-    x = np.geomspace(max(signal[positive].min() / 3, 1e-2), signal.max(), 200)
-    right.plot(x, np.sqrt(dark**2 + gain * x), color=style.SIMULATED)
-    floor = right.axhline(dark, color=style.ACCENT, linestyle=(0, (4, 2)))
-    shot = right.plot(x, np.sqrt(gain * x), color=style.ACCENT, linestyle=(0, (1, 1.5)))[0]
-    right.set_xscale("log")
-    right.set_yscale("log")
-    right.set_ylim(max(0.3 * dark, 1e-2), None)
-    right.set_xlabel("signal $\\mu_y - \\mu_{y.dark}$ / DN")
-    right.set_ylabel("noise $\\sigma_y$ / DN")
-    handles = [own, bars, law, floor, shot]
+    others = left.errorbar(signal, variance, stderr, fmt="o", capsize=0, zorder=2, **UNUSED)
+    levels = left.plot(signal[is_used], variance[is_used], "o", zorder=3, **USED)[0]
+    ends = np.array([0.0, signal[is_used].max()])
+    model = left.plot(ends, gain * ends, color=style.SIMULATED, zorder=4)[0]
+    left.set(xlabel=SIGNAL, ylabel="variance $\\sigma_y^2 - \\sigma_{y.dark}^2$ / DN²")
+    noise = np.sqrt(np.maximum(variance + dark_noise**2, 0.0))
+    right.plot(signal[is_positive], noise[is_positive], "o", **UNUSED)
+    right.plot(signal[is_used], noise[is_used], "o", **USED)
+    x = np.geomspace(max(signal[is_positive].min() / 3, 1e-2), signal.max(), 200)
+    right.plot(x, np.sqrt(dark_noise**2 + gain * x), color=style.SIMULATED)
+    dark_line = right.axhline(dark_noise, color=style.ACCENT, linestyle=DASHED)
+    shot_line = right.plot(x, np.sqrt(gain * x), color=style.ACCENT, linestyle=(0, (1, 1.5)))[0]
+    right.set(xscale="log", yscale="log", xlabel=SIGNAL, ylabel="noise $\\sigma_y$ / DN")
+    right.set_ylim(max(0.3 * dark_noise, 1e-2), None)
+    handles = [levels, others, model, dark_line, shot_line]
     names = ["levels fitted", "other levels", "$K$ and noise of the dark", "dark noise alone", "shot noise alone"]
-    style.legend_above(figure, handles, names, 3)
-    text = (
-        f"Photon transfer: K = {_said(found['gain'])}, from {int(used.sum())} levels up to {signal[used].max():.4g} DN"
-        f" (70 % of saturation); noise without light {_said(found['dark_noise'])}. Variances are those of differences"
-        " of two frames. Left: their rise with the signal, whose slope is K, until the well is full or the converter"
-        " at its end. Right: the same as noise, with its two regimes."
+    style.add_legend(figure, handles, names, 3)
+    caption = (
+        f"Photon transfer: K = {_quantity_text(quantities['gain'])}, from {int(is_used.sum())} levels up to"
+        f" {signal[is_used].max():.4g} DN (70 % of saturation); noise without light"
+        f" {_quantity_text(quantities['dark_noise'])}. Variances are those of differences of two frames. Left: their"
+        " rise with the signal, whose slope is K, until the well is full or the converter at its end. Right: the same"
+        " as noise, with its two regimes."
     )
-    return style.Drawing(figure, text)
+    return style.Drawing(figure, caption)
 
 
-def response(results: Results) -> style.Drawing:
-    """Signal against light, and its deviation from the line of the linearity error."""
-    ds, found = _open(results, "linearity_error")
-    name, line = _light(ds)[1], response_line(ds)
-    signal, error, light, use = ds["signal"].values, ds["flat_mean_stderr"].values, line.light, line.used
-    figure = style.new(3.0)
+def draw_response(results: Results) -> style.Drawing:
+    """Draw signal against light, and its deviation from the line of the linearity error."""
+    ds, quantities = _read_quantities(results, "linearity_error")
+    line, signal, stderr = fit_response_line(ds), ds["signal"].values, ds["flat_mean_stderr"].values
+    light, is_used = line.light, line.is_used
+    deviation = 100 * (signal / line.predict(light) - 1)
+    figure = style.new_figure(3.0)
     left, right = figure.subplots(1, 2)
-    for ax, values, bars in (
-        (left, signal, error),
-        (right, 100 * (signal / line.of(light) - 1), 100 * error / np.abs(signal)),
-    ):
-        ax.errorbar(light[~use], values[~use], bars[~use], fmt="o", color="0.6", markersize=3, capsize=0)
-        ax.errorbar(light[use], values[use], bars[use], fmt="o", color=style.MEASURED, markersize=3, capsize=0)
-        ax.set_xlabel(name)
-    reach = np.array([0.0, light[use].max()])
-    left.plot(reach, line.of(reach), color=style.SIMULATED)
+    for ax, values, errors in ((left, signal, stderr), (right, deviation, 100 * stderr / np.abs(signal))):
+        for at, look in ((~is_used, UNUSED), (is_used, USED)):
+            ax.errorbar(light[at], values[at], errors[at], fmt="o", capsize=0, **look)
+        ax.set_xlabel(_read_light(ds)[1])
+    ends = np.array([0.0, light[is_used].max()])
+    left.plot(ends, line.predict(ends), color=style.SIMULATED)
     right.axhline(0, color=style.SIMULATED)
-    most = 1.6 * max(abs(found["linearity_lowest"].value), abs(found["linearity_highest"].value))
-    right.set_ylim(-most, most)
-    left.set_ylabel("signal $\\mu_y - \\mu_{y.dark}$ / DN")
-    right.set_ylabel("deviation from the line / %")
-    text = (
-        f"Response and linearity: LE = {_said(found['linearity_error'])} on average, from"
-        f" {_said(found['linearity_lowest'])} to {_said(found['linearity_highest'])}, about the line of least relative"
-        " squares through the levels between 5 and 95 % of saturation (blue). Levels whose deviation lies beyond the"
-        " right panel are not shown."
+    lowest, highest = quantities["linearity_lowest"], quantities["linearity_highest"]
+    limit = 1.6 * max(abs(lowest.value), abs(highest.value))
+    right.set(ylim=(-limit, limit), ylabel="deviation from the line / %")
+    left.set_ylabel(SIGNAL)
+    caption = (
+        f"Response and linearity: LE = {_quantity_text(quantities['linearity_error'])} on average, from"
+        f" {_quantity_text(lowest)} to {_quantity_text(highest)}, about the line of least relative squares through the"
+        " levels between 5 and 95 % of saturation (blue). Levels whose deviation lies beyond the right panel are not"
+        " shown."
     )
-    return style.Drawing(figure, text)
+    return style.Drawing(figure, caption)
 
 
-def ratio(results: Results) -> style.Drawing:
-    """Signal-to-noise ratio against light, beside the sensor's model and the ideal camera."""
-    ds, found = _open(results, "gain")
-    signal = ds["signal"].values
-    total = ds["excess"].values + found["dark_noise_dn"].value ** 2
-    good = (signal > 0) & (total > 0) & (ds["flat_at_full"].values < 0.5)
-    gain, dark = found["gain"].value, found["dark_noise_dn"].value
-    eta = found["quantum_efficiency"].value
-    known = np.isfinite(eta)
-    # Without photons the abscissa is electrons, of which the ideal camera loses none either.
-    scale = gain * eta if known else gain
-    figure = style.new(3.4)
+def draw_signal_to_noise(results: Results) -> style.Drawing:
+    """Draw the signal-to-noise ratio against light, with the model of the sensor and the ideal camera."""
+    ds, quantities = _read_quantities(results, "gain")
+    signal, variance = ds["signal"].values, ds["excess"].values + quantities["dark_noise_dn"].value ** 2
+    is_shown = (signal > 0) & (variance > 0) & (ds["flat_at_full"].values < MAX_CLIPPED)
+    signal, variance = signal[is_shown], variance[is_shown]
+    gain, dark_noise = quantities["gain"].value, quantities["dark_noise_dn"].value
+    efficiency, full_well = quantities["quantum_efficiency"].value, quantities["full_well"]
+    has_photons = np.isfinite(efficiency)
+    # Signal per photon; per electron if the photons are unknown.
+    scale = gain * efficiency if has_photons else gain
+    figure = style.new_figure(3.4)
     ax = figure.subplots()
-    own = ax.plot(signal[good] / scale, signal[good] / np.sqrt(total[good]), "o", color=style.MEASURED, markersize=3)[0]
-    x = np.geomspace(0.5, 1.3 * signal[good].max() / scale, 300)
-    model = ax.plot(x, scale * x / np.sqrt(dark**2 + gain * scale * x), color=style.SIMULATED)[0]
-    ideal = ax.plot(x, np.sqrt(x), color="black", linestyle=(0, (4, 2)))[0]
-    least = found["threshold_photons" if known else "threshold"].value
-    ax.axvline(least, color=style.ACCENT, linewidth=1)
-    handles, names = [own, model, ideal], ["levels", "model of the sensor", "ideal camera"]
-    if np.isfinite(found["full_well"].value):
-        ax.axvline(found["full_well"].value / (eta if known else 1), color=style.ACCENT, linewidth=1)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlabel("photons per pixel $\\mu_p$" if known else "electrons $\\mu_e$")
-    ax.set_ylabel("signal-to-noise ratio")
-    style.legend_above(figure, handles, names, 3)
-    text = f"Signal-to-noise ratio. Green lines: the sensitivity threshold, {_said(found['threshold'])}"
-    if np.isfinite(found["full_well"].value):
-        text += f", and the saturation capacity, {_said(found['full_well'])}; between them lie"
-        text += f" {20 * np.log10(found['dynamic_range'].value):.1f} dB"
-    return style.Drawing(figure, text + ". The ideal camera has shot noise alone and loses no photon.")
-
-
-def dark(results: Results) -> style.Drawing:
-    """Mean and variance without light against exposure."""
-    ds, found = _open(results, "dark_current")
-    factor, unit = style.scale(ds["dark_exposure"].values, "s")
-    x = ds["dark_exposure"].values
-    gain, offset = found["gain"].value, found["dark_offset"].value
-    current = found["dark_current"].value
-    figure = style.new(2.8)
-    panels = figure.subplots(1, 2)
-    noise = found["dark_noise_dn"].value ** 2
-    by_noise = found["dark_current_by_variance"].value
-    for ax, name, label, line in (
-        (panels[0], "mean", "mean $\\mu_{y.dark}$ / DN", offset + gain * current * x),
-        (panels[1], "variance", "variance $\\sigma_{y.dark}^2$ / DN²", noise + gain**2 * by_noise * x),
-    ):
-        values, error = ds[f"dark_{name}"].values, ds[f"dark_{name}_stderr"].values
-        ax.errorbar(x * factor, values, error, fmt="o", color=style.MEASURED, markersize=3, capsize=0)
-        ax.plot(x * factor, line, color=style.SIMULATED)
-        _plain(ax)
-        ax.set_xlabel(style.label("exposure time $t$", unit))
-        ax.set_ylabel(label)
-    text = (
-        f"Without light: offset {_said(found['dark_offset'])}, dark current {_said(found['dark_current'])} by the mean"
-        f" and {_said(found['dark_current_by_variance'])} by the noise."
+    levels = ax.plot(signal / scale, signal / np.sqrt(variance), "o", **USED)[0]
+    x = np.geomspace(0.5, 1.3 * signal.max() / scale, 300)
+    model = ax.plot(x, scale * x / np.sqrt(dark_noise**2 + gain * scale * x), color=style.SIMULATED)[0]
+    ideal = ax.plot(x, np.sqrt(x), color="black", linestyle=DASHED)[0]
+    limits = [quantities["threshold_photons" if has_photons else "threshold"].value]
+    if np.isfinite(full_well.value):
+        limits.append(full_well.value / (efficiency if has_photons else 1))
+    for limit in limits:
+        ax.axvline(limit, color=style.ACCENT, linewidth=1)
+    ax.set(xscale="log", yscale="log", ylabel="signal-to-noise ratio")
+    ax.set_xlabel("photons per pixel $\\mu_p$" if has_photons else "electrons $\\mu_e$")
+    style.add_legend(figure, [levels, model, ideal], ["levels", "model of the sensor", "ideal camera"], 3)
+    caption = (
+        f"Signal-to-noise ratio. Green lines: the sensitivity threshold, {_quantity_text(quantities['threshold'])}"
     )
-    return style.Drawing(figure, text)
+    if np.isfinite(full_well.value):
+        caption += f", and the saturation capacity, {_quantity_text(full_well)}; between them lie"
+        caption += f" {20 * np.log10(quantities['dynamic_range'].value):.1f} dB"
+    return style.Drawing(figure, caption + ". The ideal camera has only shot noise and detects every photon.")
 
 
-def _plain(ax: Axes) -> None:
-    """Ticks in full: small steps upon a large offset."""
-    ax.ticklabel_format(axis="y", useOffset=False)
+def draw_dark_signal(results: Results) -> style.Drawing:
+    """Draw mean and variance without light against exposure."""
+    ds, quantities = _read_quantities(results, "dark_current")
+    x = ds["dark_exposure"].values
+    factor, unit = style.choose_unit(x, "s")
+    gain, offset, by_mean, noise, by_variance = (
+        quantities[name].value
+        for name in ("gain", "dark_offset", "dark_current", "dark_noise_dn", "dark_current_by_variance")
+    )
+    figure = style.new_figure(2.8)
+    for ax, name, label, line in zip(
+        figure.subplots(1, 2),
+        ("mean", "variance"),
+        ("mean $\\mu_{y.dark}$ / DN", "variance $\\sigma_{y.dark}^2$ / DN²"),
+        (offset + gain * by_mean * x, noise**2 + gain**2 * by_variance * x),
+        strict=True,
+    ):
+        values, stderr = ds[f"dark_{name}"].values, ds[f"dark_{name}_stderr"].values
+        ax.errorbar(x * factor, values, stderr, fmt="o", capsize=0, **USED)
+        ax.plot(x * factor, line, color=style.SIMULATED)
+        # Full numbers at the ticks, since the steps are small beside the offset.
+        ax.ticklabel_format(axis="y", useOffset=False)
+        ax.set(xlabel=style.axis_label("exposure time $t$", unit), ylabel=label)
+    caption = (
+        f"Without light: offset {_quantity_text(quantities['dark_offset'])}, dark current"
+        f" {_quantity_text(quantities['dark_current'])} by the mean and"
+        f" {_quantity_text(quantities['dark_current_by_variance'])} by the noise."
+    )
+    return style.Drawing(figure, caption)
 
 
-def _said(own: Quantity) -> str:
-    return plus_minus(own.value, own.stderr, "" if own.unit == "1" else own.unit).replace("-", "−", 1)
-
-
-def pattern(results: Results) -> style.Drawing:
-    """Pictures of the pattern without light and at half of saturation, and their spectra."""
-    ds, found = _open(results)
-    kinds = [kind for kind in ("dark", "flat") if f"{kind}_picture" in ds]
+def draw_patterns(results: Results) -> style.Drawing:
+    """Draw the fixed pattern without light and at half of saturation, and their spectra."""
+    ds, quantities = _read_quantities(results)
+    titles = {"dark": "without light", "flat": "at half of saturation"}
+    kinds = [kind for kind in titles if f"{kind}_picture" in ds]
     if not kinds:
         raise Unavailable("no level has a pattern to show")
-    figure = style.new(2.6 * len(kinds))
+    figure = style.new_figure(2.6 * len(kinds))
     axes = figure.subplots(len(kinds), 2, squeeze=False, width_ratios=(1, 1.25))
-    titles = {"dark": "without light", "flat": "at half of saturation"}
     for (left, right), kind in zip(axes, kinds, strict=True):
         picture, side = ds[f"{kind}_picture"].values, int(ds[f"{kind}_shown_side"])
-        low, high = np.quantile(picture, (0.01, 0.99))
-        rows, columns = (n * side for n in picture.shape)
-        shown = left.imshow(picture, cmap=style.IMAGE_MAP, vmin=low, vmax=high, extent=(0, columns, rows, 0))
-        left.grid(False)
-        left.set_title(titles[kind])
-        left.set_xlabel("column / px")
-        left.set_ylabel("row / px")
+        norm = Normalize(*np.quantile(picture, COLOUR_QUANTILES))
+        rows, columns = (count * side for count in picture.shape)
+        labels = {"title": titles[kind], "xlabel": "column / px", "ylabel": "row / px"}
+        shown = style.show_image(left, picture, style.IMAGE_MAP, norm, (0, columns, rows, 0), **labels)
         figure.colorbar(shown, ax=left, shrink=0.85, label="off the mean / DN")
         for axis, colour in (("rows", style.MEASURED), ("columns", style.SIMULATED)):
-            frequency = ds[f"{kind}_{axis}_frequency"].values[1:]
-            right.plot(
-                frequency, ds[f"{kind}_along_{axis}"].values[1:], color=colour, linewidth=0.9, label=f"along {axis}"
-            )
-        right.axhline(float(ds[f"{kind}_shown_noise"]), color="black", linestyle=(0, (4, 2)), label="noise in time")
+            frequency, spectrum = (ds[f"{kind}_{name}"].values[1:] for name in (f"{axis}_frequency", f"along_{axis}"))
+            right.plot(frequency, spectrum, color=colour, linewidth=0.9, label=f"along {axis}")
+        right.axhline(float(ds[f"{kind}_shown_noise"]), color="black", linestyle=DASHED, label="noise in time")
         right.set_yscale("log")
-        # Plain numbers: an axis of less than a decade has no power of ten of its own.
+        # Plain numbers, since an axis of less than a decade contains no power of ten.
         right.yaxis.set_major_formatter(ScalarFormatter())
         right.yaxis.set_minor_formatter(ScalarFormatter())
-        right.set_xlabel("spatial frequency / cycles per px")
-        right.set_ylabel("rms spectrum / DN")
+        right.set(xlabel="spatial frequency / cycles per px", ylabel="rms spectrum / DN")
     handles, names = axes[0][1].get_legend_handles_labels()
-    style.legend_above(figure, handles, names, 3)
-    text = (
-        f"What stays from frame to frame: DSNU {_said(found['dsnu'])}, PRNU {_said(found['prnu'])}. Left: mean images"
-        " less their means, cut at the first and last hundredth. Right: their spectra; white non-uniformity lies flat"
-        " above the dashed line of the noise that is left in the mean, stripes and hum stand out as peaks."
+    style.add_legend(figure, handles, names, 3)
+    caption = (
+        f"Fixed pattern: DSNU {_quantity_text(quantities['dsnu'])}, PRNU {_quantity_text(quantities['prnu'])}. Left:"
+        " mean images less their means, cut at the first and last hundredth. Right: their spectra; white"
+        " non-uniformity lies flat above the dashed line of the noise that is left in the mean, stripes and hum stand"
+        " out as peaks."
     )
-    return style.Drawing(figure, text)
+    return style.Drawing(figure, caption)
+
+
+def _entry(name: str, title: str, draw: Callable[[Results], style.Drawing]) -> Entry:
+    """Return the entry of a figure of transfer.nc."""
+    return Entry(name, title, Category.SENSOR, ("transfer",), draw)
 
 
 FIGURES = (
-    Entry("photon-transfer", "Photon transfer", Category.SENSOR, ("transfer",), transfer),
-    Entry("response", "Response and linearity", Category.SENSOR, ("transfer",), response),
-    Entry("signal-to-noise", "Signal-to-noise ratio", Category.SENSOR, ("transfer",), ratio),
-    Entry("dark", "Without light", Category.SENSOR, ("transfer",), dark),
-    Entry("pattern", "Pattern of the sensor", Category.SENSOR, ("transfer",), pattern),
+    _entry("photon-transfer", "Photon transfer", draw_photon_transfer),
+    _entry("response", "Response and linearity", draw_response),
+    _entry("signal-to-noise", "Signal-to-noise ratio", draw_signal_to_noise),
+    _entry("dark", "Dark signal", draw_dark_signal),
+    _entry("pattern", "Fixed pattern of the sensor", draw_patterns),
 )

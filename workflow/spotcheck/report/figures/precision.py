@@ -1,4 +1,6 @@
-"""How precisely the rig measures: the bound over exposure, and scatter over repeats in units of the bound."""
+"""Precision of a spot fit: Cramér–Rao bound over the exposure, and scatter over repeats in units of the bound."""
+
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -18,86 +20,83 @@ LABELS = {
     "offset": "offset",
     "sigma_mean": "mean width $\\bar{\\sigma}$",
 }
-LOOKS = {"measured": (style.MEASURED, "o", True), "simulated": (style.SIMULATED, "D", False)}
 
 
-def draw(results: Results) -> style.Drawing:
-    """Left: standard deviation of the width from one frame, bound and scatter; right: scatter over bound."""
+class PointLook(NamedTuple):
+    """Appearance of points."""
+
+    marker: str  # shape of the marker
+    colours: dict[str, Any]  # colours of its edge and face
+
+
+LOOKS = {
+    "measured": PointLook("o", {"color": style.MEASURED, "markerfacecolor": style.MEASURED}),
+    "simulated": PointLook("D", {"color": style.SIMULATED, "markerfacecolor": "white"}),
+}
+
+
+def draw_precision(results: Results) -> style.Drawing:
+    """Draw the standard deviation of the width over the exposure (left), and scatter over bound (right)."""
     ds = results.get("precision")
-    scattered = [s for s in LOOKS if np.isfinite(pooled_ratio(ds, s, "sigma_mean")[0])]
-    design = "fine_exposure" in ds
-    if not design and not scattered:
+    sources = [source for source in LOOKS if np.isfinite(pooled_ratio(ds, source, "sigma_mean")[0])]
+    has_bound = "fine_exposure" in ds
+    if not has_bound and not sources:
         raise Unavailable(f"{ds.attrs['no_design']}; and no condition has two usable repeats")
-    figure = style.new(3.6)
-    panels = figure.subplots(1, 2 if design and scattered else 1, squeeze=False)[0]
+    figure = style.new_figure(3.6)
+    panels = figure.subplots(1, 2 if has_bound and sources else 1, squeeze=False)[0]
     handles: dict = {}
-    if design:
-        handles |= _over_exposure(panels[0], results, ds)
-    if scattered:
-        handles |= _ratios(panels[-1], ds, scattered)
-    style.legend_above(figure, list(handles.values()), list(handles), 4)
+    if has_bound:
+        handles |= _draw_bound(panels[0], results, ds)
+    if sources:
+        handles |= _draw_ratios(panels[-1], ds, sources)
+    style.add_legend(figure, list(handles.values()), list(handles), 4)
     caption = sentence(ds)
-    if design:
-        caption += " Left: the bound of one frame along the calibrated law, all five numbers of a round spot unknown,"
-        caption += " noise, rounding and clips as the sensor has them; grey bars: the dataset's exposures; points:"
-        caption += " standard deviation over the repeats of a condition."
-    if scattered:
+    if has_bound:
         caption += (
-            f" {'Right: s' if design else 'S'}catter over repeats in units of the bound, all conditions together,"
+            " Left: the bound of one frame along the calibrated law, with all five parameters of a round spot unknown,"
+            " and noise, rounding and clipping of the sensor; grey bars: the dataset's exposures; points: standard"
+            " deviation over the repeats of a condition."
         )
-        caption += " with its standard error. Where repeats are other sites, centres scatter with them."
+    if sources:
+        caption += (
+            f" {'Right: s' if has_bound else 'S'}catter over repeats in units of the bound, all conditions together,"
+            " with its standard error. If repeats are different sites, the centres include their scatter."
+        )
     return style.Drawing(figure, caption)
 
 
-def _over_exposure(ax: Axes, results: Results, ds: xr.Dataset) -> dict:
-    factor, unit = style.scale(results.exposures(), "s")
-    for t in ds["design_exposure"].values * factor:
-        ax.axvline(t, color="0.85", linewidth=3.0, zorder=0)
-    handles = {
-        "bound of one frame": ax.plot(
-            ds["fine_exposure"].values * factor, ds["sigma_bound_over_fine_exposure"].values, color="black"
-        )[0]
-    }
-    for source, (colour, marker, filled) in LOOKS.items():
+def _draw_bound(ax: Axes, results: Results, ds: xr.Dataset) -> dict:
+    """Draw the bound of the mean width over the exposure, and the scatter of each condition; return the handles."""
+    factor, unit = style.choose_unit(results.exposures(), "s")
+    for exposure in ds["design_exposure"].values * factor:
+        ax.axvline(exposure, color="0.85", linewidth=3.0, zorder=0)
+    bound = ds["sigma_bound_over_fine_exposure"].values
+    handles = {"bound of one frame": ax.plot(ds["fine_exposure"].values * factor, bound, color="black")[0]}
+    for source, look in LOOKS.items():
         scatter = ds[f"scatter_{source}"].sel(parameter="sigma_mean")
         if "exposure" not in scatter.coords or not np.isfinite(scatter).any():
             continue
         values = scatter.transpose("exposure", ...).values.reshape(scatter.sizes["exposure"], -1)
         # Side by side, so that the conditions of one exposure do not hide each other.
-        shift = 1.04 ** (np.arange(values.shape[1]) - (values.shape[1] - 1) / 2)
-        x = scatter["exposure"].values[:, None] * factor * shift
-        handles[source] = ax.plot(
-            x.ravel(),
-            values.ravel(),
-            marker,
-            color=colour,
-            markerfacecolor=colour if filled else "white",
-            markersize=4,
-        )[0]
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlabel(style.label("exposure time $t$", unit))
+        offset = 1.04 ** (np.arange(values.shape[1]) - (values.shape[1] - 1) / 2)
+        x = (scatter["exposure"].values[:, None] * factor * offset).ravel()
+        handles[source] = ax.plot(x, values.ravel(), look.marker, markersize=4, **look.colours)[0]
+    ax.set(xscale="log", yscale="log", xlabel=style.axis_label("exposure time $t$", unit))
     ax.set_ylabel("standard deviation of $\\bar{\\sigma}$ / px")
     return handles
 
 
-def _ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
+def _draw_ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
+    """Draw scatter over bound of every parameter; return the handles."""
     handles = {}
     y = np.arange(len(SCATTERED))[::-1]
     ax.axvline(1.0, color="black", linewidth=0.9)
     for k, source in enumerate(sources):
-        colour, marker, filled = LOOKS[source]
-        ratio, error = np.array([pooled_ratio(ds, source, name) for name in SCATTERED]).T
-        handles[source] = ax.errorbar(
-            ratio,
-            y + 0.12 * (k - (len(sources) - 1) / 2),
-            xerr=error,
-            fmt=marker,
-            color=colour,
-            markerfacecolor=colour if filled else "white",
-            markersize=5,
-            capsize=2,
-        )
+        look = LOOKS[source]
+        ratio, stderr = np.array([pooled_ratio(ds, source, name) for name in SCATTERED]).T
+        y_source = y + 0.12 * (k - (len(sources) - 1) / 2)
+        errors: dict[str, Any] = {"xerr": stderr, "capsize": 2, "markersize": 5}
+        handles[source] = ax.errorbar(ratio, y_source, fmt=look.marker, **errors, **look.colours)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, 0.5), max(high, 2.0))
@@ -106,4 +105,4 @@ def _ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
     return handles
 
 
-FIGURES = (Entry("precision", "How precisely a frame measures", Category.BOUNDS, ("precision",), draw),)
+FIGURES = (Entry("precision", "How precisely a frame measures", Category.BOUNDS, ("precision",), draw_precision),)

@@ -1,129 +1,142 @@
-"""Radial profiles of measured and simulated frames, and what is left between them."""
+"""Radial profiles of measured and simulated frames, and their difference."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from spotcheck.io import store
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
-from spotcheck.report.figures.frames_of import Spot, residual_frames
+from spotcheck.report.figures.frame_pairs import FittedSpot, iterate_frames
 from spotcheck.report.figures.results import Results, Unavailable
 
-VIEW = 4.5  # radius shown, in fitted widths
-MOST_PANELS = 12
+MAX_PANELS = 12
+# Light below this fraction of the highest reading is not shown.
+MIN_FRACTION = 0.01
+# Smallest radius that is shown [px].
+MIN_RADIUS = 4.0
 
 
-class Profile(NamedTuple):
-    """Mean of rings one pixel wide [radius] in DN: mean and scatter over frames, measured, simulated, residual."""
+@dataclass(frozen=True)
+class Profile:
+    """Means over rings one pixel wide, averaged over the frames of one condition; arrays are [ring]."""
 
-    radius: np.ndarray
-    measured: np.ndarray
-    simulated: np.ndarray
-    residual: np.ndarray
-    scatter: np.ndarray
-    frames: int
-    name: str
+    radius: np.ndarray  # middle of the ring [px]
+    measured: np.ndarray  # measured reading [DN]
+    simulated: np.ndarray  # simulated reading [DN]
+    residual: np.ndarray  # measured less simulated reading [DN]
+    scatter: np.ndarray  # standard deviation of the residual over frames [DN]; NaN for one frame
+    frames: int  # number of frames
+    name: str  # condition as text
 
 
-def rings(image: np.ndarray, at: Spot, count: int) -> np.ndarray:
-    """Mean [DN] of the pixels in rings of 1 px around a centre, `count` of them; NaN where a ring is empty."""
+def average_rings(image: np.ndarray, spot: FittedSpot, count: int) -> np.ndarray:
+    """Return the mean [DN] of the pixels in each of `count` rings of 1 px around a spot; NaN if a ring is empty."""
     y, x = np.indices(image.shape)
-    ring = np.hypot(y - at.row, x - at.column).astype(int)
-    good = np.isfinite(image) & (ring < count)
-    number = np.bincount(ring[good], minlength=count)
-    return np.bincount(ring[good], image[good], minlength=count) / np.where(number, number, np.nan)
+    ring = np.hypot(y - spot.row, x - spot.column).astype(int)
+    is_used = np.isfinite(image) & (ring < count)
+    number = np.bincount(ring[is_used], minlength=count)
+    return np.bincount(ring[is_used], image[is_used], minlength=count) / np.where(number, number, np.nan)
 
 
-def profiles(results: Results) -> list[Profile]:
-    """One profile an exposure (and a declared condition, where there is one), over all its frames."""
+def average_profiles(results: Results) -> list[Profile]:
+    """Return the profile of each exposure and declared condition. Raises `Unavailable` if no frame is usable."""
     crops = results.get("crops")
-    kept = [d for d in store.grid_dims(crops) if d == "exposure" or d not in series.UNITS]
-    out = []
-    for at in np.ndindex(*(crops.sizes[d] for d in kept)):
-        fixed = dict(zip(kept, at, strict=True))
-        rows = []
-        for image, model, found in residual_frames(results, fixed):
-            count = min(image.shape) // 2
-            rows.append([rings(image, found, count), rings(model, found, count)])
-        if not rows:
+    dims = [dim for dim in store.grid_dims(crops) if dim == "exposure" or dim not in series.UNITS]
+    profiles = []
+    for at in np.ndindex(*(crops.sizes[dim] for dim in dims)):
+        fixed = dict(zip(dims, at, strict=True))
+        rings = [
+            [average_rings(image, frame.spot, min(predicted.shape) // 2) for image in (frame.image, predicted)]
+            for frame, predicted in iterate_frames(results, fixed)
+        ]
+        if not rings:
             continue
-        stack = np.array(rows)
-        difference = stack[:, 0] - stack[:, 1]
-        words = filter(None, (series.value_text(crops, dim, k) for dim, k in fixed.items()))
-        scatter = difference.std(axis=0, ddof=1) if len(rows) > 1 else np.full(stack.shape[2], np.nan)
-        mean = stack.mean(axis=0)
-        radius = np.arange(stack.shape[2]) + 0.5
-        out.append(Profile(radius, mean[0], mean[1], difference.mean(axis=0), scatter, len(rows), ", ".join(words)))
-    if not out:
+        measured, simulated = np.array(rings).transpose(1, 0, 2)
+        residual = measured - simulated
+        profiles.append(
+            Profile(
+                radius=np.arange(residual.shape[1]) + 0.5,
+                measured=measured.mean(axis=0),
+                simulated=simulated.mean(axis=0),
+                residual=residual.mean(axis=0),
+                scatter=residual.std(axis=0, ddof=1) if len(rings) > 1 else np.full(residual.shape[1], np.nan),
+                frames=len(rings),
+                name=series.condition_text(crops, fixed),
+            )
+        )
+    if not profiles:
         raise Unavailable("no frame has a fitted spot")
-    return out
+    return profiles
 
 
-def draw(results: Results) -> style.Drawing:
-    """Profiles above, residual with its scatter beneath, one column a condition."""
-    found = profiles(results)
-    if len(found) > MOST_PANELS:
-        found = [found[k] for k in np.unique(np.linspace(0, len(found) - 1, MOST_PANELS).round().astype(int))]
-    columns = min(3, len(found))
-    rows = -(-len(found) // columns)
-    figure = style.new(0.5 + 2.6 * rows)
+def draw_profiles(results: Results) -> style.Drawing:
+    """Draw the profiles of each condition, and below them the residual with its scatter."""
+    profiles = average_profiles(results)
+    profiles = [profiles[k] for k in series.pick_evenly(len(profiles), MAX_PANELS)]
+    columns = min(3, len(profiles))
+    rows = -(-len(profiles) // columns)
+    figure = style.new_figure(0.5 + 2.6 * rows)
     axes = figure.subplots(2 * rows, columns, sharex=True, sharey=False, squeeze=False, height_ratios=(1.6, 1) * rows)
-    tops, bottoms = axes[0::2].ravel(), axes[1::2].ravel()
-    highest = max(float(np.nanmax(np.maximum(p.measured, p.simulated))) for p in found)
-    deepest = max(float(np.nanmax(np.abs(p.residual) + np.nan_to_num(p.scatter))) for p in found)
-    reach = _reach(found, highest)
+    uppers, lowers = axes[0::2].ravel(), axes[1::2].ravel()
+    highest = max(float(np.nanmax([profile.measured, profile.simulated])) for profile in profiles)
+    deepest = max(float(np.nanmax(np.abs(p.residual) + np.nan_to_num(p.scatter))) for p in profiles)
+    last_radius = _find_last_radius(profiles, highest)
     handles: list = []
-    for top, bottom, own in zip(tops, bottoms, found, strict=False):
-        (line,) = top.plot(own.radius, own.measured, color=style.MEASURED)
-        (dashed,) = top.plot(own.radius, own.simulated, color=style.SIMULATED, linestyle=(0, (5, 2)))
-        (left,) = bottom.plot(own.radius, own.residual, color="0.1")
-        handles = [line, dashed, left]
-        if own.frames > 1:
-            for ax, centre in ((top, own.measured), (bottom, own.residual)):
-                band = ax.fill_between(
-                    own.radius, centre - own.scatter, centre + own.scatter, color="0.6", alpha=0.5, linewidth=0
-                )
-            handles.append(band)
-        bottom.axhline(0, color="0.4", linewidth=0.8)
-        top.set(ylim=(-0.04 * highest, 1.06 * highest), xlim=(0, reach))
-        bottom.set_ylim(-1.08 * deepest, 1.08 * deepest)
-        top.set_title(own.name, pad=3)
-    for ax in (*tops[len(found) :], *bottoms[len(found) :]):
-        ax.set_axis_off()
-    for k in range(len(found)):
-        tops[k].tick_params(labelbottom=False)
-        if k % columns:
-            tops[k].tick_params(labelleft=False)
-            bottoms[k].tick_params(labelleft=False)
-        else:
-            tops[k].set_ylabel("reading / DN")
-            bottoms[k].set_ylabel("residual / DN")
-        if k + columns >= len(found):
-            bottoms[k].tick_params(labelbottom=True)
-            bottoms[k].set_xlabel("radius / px")
+    for k, (upper, lower) in enumerate(zip(uppers, lowers, strict=True)):
+        if k >= len(profiles):
+            upper.set_axis_off()
+            lower.set_axis_off()
+            continue
+        handles = _draw_profile(upper, lower, profiles[k])
+        upper.set(ylim=(-0.04 * highest, 1.06 * highest), xlim=(0, last_radius))
+        lower.set_ylim(-1.08 * deepest, 1.08 * deepest)
+        is_first, is_last = k % columns == 0, k + columns >= len(profiles)
+        upper.set_ylabel("reading / DN" if is_first else "")
+        lower.set_ylabel("residual / DN" if is_first else "")
+        lower.set_xlabel("radius / px" if is_last else "")
+        upper.tick_params(labelleft=is_first, labelbottom=False)
+        lower.tick_params(labelleft=is_first)
+        if is_last:
+            lower.tick_params(labelbottom=True)
     labels = ["measured", "simulated", "measured − simulated", "± 1 sd over frames"][: len(handles)]
-    style.legend_above(figure, handles, labels, len(handles))
-    counts = [p.frames for p in found]
-    frames = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+    style.add_legend(figure, handles, labels, len(handles))
+    counts = [profile.frames for profile in profiles]
     caption = (
-        "Mean reading in rings of 1 px around the fitted centre, measured and simulated (the mean image placed on the"
-        f" measured centre), light-centred crops, {frames} frame{'s' if max(counts) > 1 else ''} a panel; beneath,"
-        " measured less simulated."
+        "Mean reading in rings of 1 px around the fitted centre, measured and simulated (the mean image centred on the"
+        f" measured centre), light-centred crops, {series.range_text(counts)} frame{'s' if max(counts) > 1 else ''} a"
+        " panel; below, measured less simulated."
     )
     if max(counts) > 1:
         caption += " Grey: one standard deviation of the residual over frames, not its standard error."
     return style.Drawing(figure, caption)
 
 
-def _reach(found: list[Profile], highest: float) -> float:
-    """Radius [px] beyond which no profile holds a hundredth of the highest reading above its own border."""
-    last = 4.0
-    for own in found:
-        for curve in (own.measured, own.simulated):
-            bright = np.flatnonzero(curve - np.nanmin(curve) > 0.01 * highest)
-            last = max(last, own.radius[bright[-1]] if bright.size else 0.0)
-    return min(1.25 * last, float(found[0].radius[-1]))
+def _draw_profile(upper: Axes, lower: Axes, profile: Profile) -> list:
+    """Draw a profile above and its residual below, with the scatter over frames; return the handles."""
+    (measured,) = upper.plot(profile.radius, profile.measured, color=style.MEASURED)
+    (simulated,) = upper.plot(profile.radius, profile.simulated, color=style.SIMULATED, linestyle=style.DASHED)
+    (residual,) = lower.plot(profile.radius, profile.residual, color="0.1")
+    handles: list = [measured, simulated, residual]
+    if profile.frames > 1:
+        for ax, centre in ((upper, profile.measured), (lower, profile.residual)):
+            low, high = centre - profile.scatter, centre + profile.scatter
+            band = ax.fill_between(profile.radius, low, high, color="0.6", alpha=0.5, linewidth=0)
+        handles.append(band)
+    lower.axhline(0, color="0.4", linewidth=0.8)
+    upper.set_title(profile.name, pad=3)
+    return handles
+
+
+def _find_last_radius(profiles: list[Profile], highest: float) -> float:
+    """Return the radius [px] up to which profiles are shown; outside of it the light is negligible."""
+    last = MIN_RADIUS
+    for profile in profiles:
+        for curve in (profile.measured, profile.simulated):
+            bright = np.flatnonzero(curve - np.nanmin(curve) > MIN_FRACTION * highest)
+            last = max(last, profile.radius[bright[-1]] if bright.size else 0.0)
+    return min(1.25 * last, float(profiles[0].radius[-1]))
 
 
 FIGURES = (
@@ -132,6 +145,6 @@ FIGURES = (
         "Radial profiles and their residual",
         Category.RESIDUALS,
         ("crops", "fits", "simulated"),
-        draw,
+        draw_profiles,
     ),
 )

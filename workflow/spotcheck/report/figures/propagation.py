@@ -9,53 +9,55 @@ from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
 
 
-def draw(results: Results) -> style.Drawing:
-    """p1 (left ordinate) and p2 (right ordinate) over the angle, by the estimator that the simulation runs on."""
+def draw_parameters(results: Results) -> style.Drawing:
+    """Draw p1 (left ordinate) and p2 (right ordinate) over the angle, by the estimator that the simulation uses."""
     calibration = results.get("calibration")
     used = str(calibration.attrs["used"])
-    own = calibration.sel(estimator=used)
-    site_dims = tuple(str(d) for d in own["p1"].dims)
-    # Exposure is what p1 and p2 are regressed on: the axes left are the sites'.
-    across = next((d for d in ("angle", *site_dims) if own.sizes[d] > 1), "repeat")
-    design = series.Design(across, None, tuple(d for d in site_dims if d != across))
-    figure = style.new(3.4)
+    ds = calibration.sel(estimator=used)
+    # p1 and p2 result from a regression over the exposure: the remaining axes are those of the sites.
+    dims = tuple(map(str, ds["p1"].dims))
+    abscissa = next((dim for dim in ("angle", *dims) if ds.sizes[dim] > 1), "repeat")
+    axes = series.PlotAxes(abscissa, None, tuple(dim for dim in dims if dim != abscissa))
+    figure = style.new_figure(3.4)
     left = figure.add_subplot()
     right = left.twinx()
     right.grid(False)
     right.spines["right"].set_visible(True)
-    looks = (style.Line(style.MEASURED, "o", ()), style.Line(style.SIMULATED, "s", ()))
-    handles, labels, counted = [], [], None
-    for k, (name, ax, look) in enumerate(zip(("p1", "p2"), (left, right), looks, strict=True)):
-        found = series.need_values(series.points(own[name], design), name)
-        counted = counted or found
-        x = series.abscissa(left, own, design)
-        shift = series.offsets(x, 2)[k]
-        handles.append(series.bars(ax, x + shift, found.mean[0], found.sd[0], look, filled=k == 0))
-        mean, sd = float(own[f"{name}_mean"]), float(own[f"{name}_sd_all"])
+    handles, labels = [], []
+    lines = (style.LineStyle(style.MEASURED, "o", ()), style.LineStyle(style.SIMULATED, "s", ()))
+    statistics = {name: series.require_values(series.average_frames(ds[name], axes), name) for name in ("p1", "p2")}
+    for k, (name, ax, line) in enumerate(zip(statistics, (left, right), lines, strict=True)):
+        x = series.set_abscissa(left, ds, axes)
+        mean, sd = statistics[name].mean[0], statistics[name].sd[0]
+        offset = series.offset_lines(x, 2)[k]
+        handles.append(series.draw_error_bars(ax, x + offset, mean, sd, line, is_filled=k == 0))
         symbol = f"$p_{name[1]}$"
-        labels.append(f"{symbol} = {plus_minus(mean, sd)} px")
-        ax.set_ylabel(f"{symbol} / px", color=look.colour)
-        ax.tick_params(axis="y", colors=look.colour)
-    assert counted is not None
-    style.legend_above(figure, handles, labels, 2)
+        labels.append(f"{symbol} = {plus_minus(float(ds[f'{name}_mean']), float(ds[f'{name}_sd_all']))} px")
+        ax.set_ylabel(f"{symbol} / px", color=line.colour)
+        ax.tick_params(axis="y", colors=line.colour)
+    style.add_legend(figure, handles, labels, 2)
     others = [str(name) for name in calibration["estimator"].values if name != used]
     others = [name for name in others if np.isfinite(calibration["p1_mean"].sel(estimator=name))]
-    rest = "; ".join(_other(calibration, name) for name in others)
+    sites = statistics["p1"]
     caption = (
         "Beam propagation parameters p1 and p2 (Eq. 8) of every site, averaged at each"
-        f" {style.axis_name(across)}; crops centred on the light. {series.frames_text(counted, design)}"
-        f" (a point being the fit over all exposures of a site). Legend: mean ± standard deviation over all"
-        f" {int(counted.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
-        f" Others: {rest}."
+        f" {style.axis_name(abscissa)}; crops centred on the light."
+        f" {series.frames_text(sites, axes).replace('frames a point', 'sites a point')}"
+        " (each site has one fit over all its exposures). Legend: mean ± standard deviation over all"
+        f" {int(sites.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
+        f" Others: {'; '.join(_estimator_text(calibration, name) for name in others)}."
     )
-    clause = "In print p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20; called metres there, they close only as pixels."
-    return style.Drawing(figure, caption.replace("frames a point", "sites a point") + results.beside_paper(clause))
+    note = "The paper prints p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20 in metres; they are consistent only in pixels."
+    return style.Drawing(figure, caption + results.paper_note(note))
 
 
-def _other(calibration: xr.Dataset, name: str) -> str:
-    own = calibration.sel(estimator=name)
-    values = (f"{p} = {float(own[f'{p}_mean']):.2f} px" for p in ("p1", "p2"))
+def _estimator_text(calibration: xr.Dataset, name: str) -> str:
+    """Return the means of p1 and p2 by an estimator as text."""
+    ds = calibration.sel(estimator=name)
+    values = (f"{symbol} = {float(ds[f'{symbol}_mean']):.2f} px" for symbol in ("p1", "p2"))
     return f"{calibration.attrs[f'estimator_{name}']}: {', '.join(values)}"
 
 
-FIGURES = (Entry("fig07", "Beam propagation parameters", Category.CALIBRATION, ("calibration",), draw, "Fig. 7"),)
+FIGURES = (
+    Entry("fig07", "Beam propagation parameters", Category.CALIBRATION, ("calibration",), draw_parameters, "Fig. 7"),
+)

@@ -1,4 +1,4 @@
-"""What is left when the registered simulation is taken from the measured frames: as images and as radial profiles."""
+"""Residual images: measured frame less registered simulation, averaged over the frames of each condition."""
 
 from typing import NamedTuple
 
@@ -12,132 +12,135 @@ from spotcheck.io import store
 from spotcheck.io.plus_minus import two_digits
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
-from spotcheck.report.figures.frames_of import Spot, residual_frames
+from spotcheck.report.figures.frame_pairs import FittedSpot, iterate_frames
 from spotcheck.report.figures.results import Results, Unavailable
 
-MOST_PANELS = 48
-VIEW = 3.0  # half the side of a panel, in fitted widths
-COLOUR_ENDS = 99.8  # percentile of the absolute residual at which the colours end
+MAX_PANELS = 48
+# Half the side of a panel, in fitted widths.
+HALF_SIDE_WIDTHS = 3.0
+# Percentile of the absolute residual at which the colours end.
+COLOUR_PERCENTILE = 99.8
+SMALL = 8.5  # font size of the names of rows and columns
 
 
 class Panel(NamedTuple):
-    """Mean residual [y, x] in DN of one condition, the spots that it was averaged over, and the condition in words."""
+    """Mean residual of one condition."""
 
-    residual: np.ndarray
-    spots: list[Spot]
-    words: tuple[str, ...]
+    residual: np.ndarray  # measured less simulated reading [y, x] in DN
+    spots: list[FittedSpot]  # spots of the averaged frames
+    names: tuple[str, ...]  # values of the abscissa and of the exposure as text
 
 
-def panels(results: Results) -> list[list[Panel | None]]:
-    """Panels [row over the abscissa's dimension][column over the exposure], None where no frame is usable."""
+def average_residuals(results: Results) -> list[list[Panel | None]]:
+    """Return one panel per condition [value of the abscissa][exposure]; None if the condition has no usable frame.
+
+    Raises `Unavailable` if no condition has a usable frame.
+    """
     crops = results.get("crops")
-    design = series.design_of(crops, store.grid_dims(crops))
-    if design.across == "repeat":  # what is averaged over anyway
-        return _some([[_panel_of(results, {})]])
-    columns = crops.sizes[design.lines] if design.lines else 1
-    count, most = crops.sizes[design.across], max(1, MOST_PANELS // columns)
-    rows = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
-    out = []
-    for i in rows:
-        places = [{design.across: int(i)} | ({design.lines: j} if design.lines else {}) for j in range(columns)]
-        out.append([_panel_of(results, fixed) for fixed in places])
-    return _some(out)
-
-
-def _some(found: list[list[Panel | None]]) -> list[list[Panel | None]]:
-    """The panels, or `Unavailable` where none has a frame."""
-    if not any(panel for line in found for panel in line):
+    axes = series.choose_axes(crops, store.grid_dims(crops))
+    if axes.abscissa == "repeat":
+        # Panels are averages over the repeats.
+        panels = [[_average_residual(results, {})]]
+    else:
+        columns = [{axes.lines: k} for k in range(crops.sizes[axes.lines])] if axes.lines else [{}]
+        rows = series.pick_evenly(crops.sizes[axes.abscissa], max(1, MAX_PANELS // len(columns)))
+        panels = [
+            [_average_residual(results, {axes.abscissa: int(row)} | column) for column in columns] for row in rows
+        ]
+    if not any(panel for row in panels for panel in row):
         raise Unavailable("no frame has a fitted spot")
-    return found
+    return panels
 
 
-def _panel_of(results: Results, fixed: dict[str, int]) -> Panel | None:
-    """Mean residual over every usable frame under the fixed indices."""
+def _average_residual(results: Results, fixed: dict[str, int]) -> Panel | None:
+    """Return the mean residual over every usable frame at the fixed indices; None if there is none."""
     crops = results.get("crops")
     shape = crops.sizes["y"], crops.sizes["x"]
-    total, number, spots = np.zeros(shape), np.zeros(shape), []
-    for image, model, found in residual_frames(results, fixed):
-        difference = image - model
-        good = np.isfinite(difference)
-        total += np.where(good, difference, 0.0)
-        number += good
-        spots.append(found)
+    total, count, spots = np.zeros(shape), np.zeros(shape), []
+    for frame, predicted in iterate_frames(results, fixed):
+        residual = frame.image - predicted
+        is_finite = np.isfinite(residual)
+        total += np.where(is_finite, residual, 0.0)
+        count += is_finite
+        spots.append(frame.spot)
     if not spots:
         return None
-    words = tuple(filter(None, (series.value_text(crops, dim, k) for dim, k in fixed.items())))
-    return Panel(total / np.where(number, number, np.nan), spots, words)
+    names = tuple(filter(None, (series.value_text(crops, dim, k) for dim, k in fixed.items())))
+    return Panel(total / np.where(count, count, np.nan), spots, names)
 
 
-def images(results: Results) -> style.Drawing:
-    """Mean residual image of every condition on one diverging scale, with the spot's ellipses."""
-    found = panels(results)
-    flat = [panel for line in found for panel in line]
-    columns = len(found[0]) if len(found[0]) > 1 else min(3, len(flat))
-    rows = -(-len(flat) // columns)
-    known = [panel for panel in flat if panel]
-    end = max(float(np.nanpercentile(np.abs(p.residual), COLOUR_ENDS)) for p in known)
-    widest = max(float(np.mean([s.major for s in p.spots])) for p in known)
-    half = min(VIEW * widest, min(known[0].residual.shape) / 2)
+def draw_residuals(results: Results) -> style.Drawing:
+    """Draw the mean residual image of every condition on one diverging scale, with the ellipses of the spots."""
+    table = average_residuals(results)
+    panels = [panel for row in table for panel in row]
+    is_table = len(table[0]) > 1
+    columns = len(table[0]) if is_table else min(3, len(panels))
+    rows = -(-len(panels) // columns)
+    known = [panel for panel in panels if panel]
+    end = max(float(np.nanpercentile(np.abs(panel.residual), COLOUR_PERCENTILE)) for panel in known)
+    largest_width = max(float(np.mean([spot.major for spot in panel.spots])) for panel in known)
+    half = min(HALF_SIDE_WIDTHS * largest_width, min(known[0].residual.shape) / 2)
+    norm = Normalize(-end, end)
     side = (style.WIDTH - 1.1) / columns
-    figure = style.new_tight(min(side, 1.75 if rows > 1 else 3.0) * rows + 0.7)
+    figure = style.new_image_grid(min(side, 1.75 if rows > 1 else 3.0) * rows + 0.7)
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for ax, panel in zip(axes.ravel(), [*flat, *[None] * (rows * columns - len(flat))], strict=True):
-        ax.grid(False)
+    for k, ax in enumerate(axes.ravel()):
+        panel = panels[k] if k < len(panels) else None
         if panel is None:
             ax.set_axis_off()
+            ax.grid(False)
         else:
-            _draw(ax, panel, end, half)
-            if len(found[0]) == 1:
-                ax.set_title(", ".join(panel.words), fontsize=8.5, pad=3)
-    if len(found[0]) > 1:
-        _head(axes, found)
-    mapped = ScalarMappable(Normalize(-end, end), style.DIVERGING_MAP)
-    shown = np.array([[ax.axison for ax in row] for row in axes])
-    for ax in axes[-1][shown[-1]][shown[-1].sum() // 2 :][:1]:
-        ax.set_xlabel("x from the fitted centre / px")
-    for ax in axes[:, 0][shown[:, 0]][shown[:, 0].sum() // 2 :][:1]:
-        ax.set_ylabel("y from the fitted centre / px")
+            _draw_panel(ax, panel, norm, half)
+            if not is_table:
+                ax.set_title(", ".join(panel.names), fontsize=SMALL, pad=3)
+    if is_table:
+        _name_rows_and_columns(axes, table)
+    # One label in the middle of each edge.
+    for edge, label in ((axes[-1], {"xlabel": "x from the fitted centre / px"}),
+                        (axes[:, 0], {"ylabel": "y from the fitted centre / px"})):  # fmt: skip
+        visible = [ax for ax in edge if ax.axison]
+        if visible:
+            visible[len(visible) // 2].set(**label)
     figure.colorbar(
-        mapped, ax=list(axes.ravel()), label="measured − simulated / DN", extend="both", shrink=0.7, aspect=30
+        ScalarMappable(norm, style.DIVERGING_MAP),
+        ax=list(axes.ravel()),
+        label="measured − simulated / DN",
+        extend="both",
+        shrink=0.7,
+        aspect=30,
     )
-    counts = [len(p.spots) for p in known]
-    frames = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+    counts = [len(panel.spots) for panel in known]
     caption = (
-        "Measured less simulated frame: the simulated mean image placed on the measured fitted centre, light-centred"
-        f" crops, averaged over {frames} frame{'s' if max(counts) > 1 else ''} a panel ({sum(counts)} in all). Red:"
-        " brighter than the model; blue: fainter. One scale for all"
-        f" panels, its colours ending at ±{two_digits(end)} DN. Ellipses: 1 σ (solid) and 2 σ (dashed) of the fitted"
-        " Gaussian."
+        "Measured less simulated frame: the simulated mean image centred on the measured fitted centre, light-centred"
+        f" crops, averaged over {series.range_text(counts)} frame{'s' if max(counts) > 1 else ''} a panel"
+        f" ({sum(counts)} in all). Red: brighter than the model; blue: fainter. One scale for all panels, its colours"
+        f" ending at ±{two_digits(end)} DN. Ellipses: 1 σ (solid) and 2 σ (dashed) of the fitted Gaussian."
     )
     return style.Drawing(figure, caption)
 
 
-def _head(axes: np.ndarray, found: list[list[Panel | None]]) -> None:
-    """Name the columns above the first row and the rows right of the last column."""
-    for k, column in enumerate(zip(*found, strict=True)):
-        words = next((p.words for p in column if p), ("",))
-        place = {"transform": axes[0, k].transAxes, "ha": "center", "va": "bottom", "fontsize": 8.5}
-        axes[0, k].text(0.5, 1.03, words[-1], **place)
-    for k, row in enumerate(found):
-        words = next((p.words for p in row if p), ("",))
-        place = {"transform": axes[k, -1].transAxes, "rotation": -90, "ha": "left", "va": "center", "fontsize": 8.5}
-        axes[k, -1].text(1.03, 0.5, words[0], **place)
+def _name_rows_and_columns(axes: np.ndarray, table: list[list[Panel | None]]) -> None:
+    """Write the names of the columns above the first row, and those of the rows beside the last column."""
+    for ax, column in zip(axes[0], zip(*table, strict=True), strict=True):
+        name = next((panel.names[-1] for panel in column if panel and panel.names), "")
+        ax.text(0.5, 1.03, name, transform=ax.transAxes, ha="center", va="bottom", fontsize=SMALL)
+    for ax, row in zip(axes[:, -1], table, strict=True):
+        name = next((panel.names[0] for panel in row if panel and panel.names), "")
+        ax.text(1.03, 0.5, name, transform=ax.transAxes, rotation=-90, ha="left", va="center", fontsize=SMALL)
 
 
-def _draw(ax: Axes, panel: Panel, end: float, half: float) -> None:
-    """One panel: the residual, and the ellipses of the mean covariance of its spots."""
-    row = float(np.mean([s.row for s in panel.spots]))
-    column = float(np.mean([s.column for s in panel.spots]))
-    high, wide = panel.residual.shape
-    extent = (-0.5 - column, wide - 0.5 - column, high - 0.5 - row, -0.5 - row)
-    ax.imshow(panel.residual, cmap=style.DIVERGING_MAP, vmin=-end, vmax=end, extent=extent)
-    power, turn = np.linalg.eigh(np.mean([s.covariance for s in panel.spots], axis=0))
-    direction = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
-    for n, dashes in ((1, (0, (1, 0))), (2, (0, (4, 2)))):
-        size = 2 * n * np.sqrt(power)
-        looks = {"fill": False, "edgecolor": "0.1", "linewidth": 0.8, "linestyle": dashes}
-        ax.add_patch(Ellipse((0, 0), size[1], size[0], angle=direction, **looks))
+def _draw_panel(ax: Axes, panel: Panel, norm: Normalize, half: float) -> None:
+    """Draw the residual, and the 1 σ and 2 σ ellipses of the mean covariance of the spots."""
+    row, column = (float(np.mean([getattr(spot, name) for spot in panel.spots])) for name in ("row", "column"))
+    extent = style.centred_extent(panel.residual.shape, row, column)
+    style.show_image(ax, panel.residual, style.DIVERGING_MAP, norm, extent)
+    variances, directions = np.linalg.eigh(np.mean([spot.covariance for spot in panel.spots], axis=0))
+    angle = np.degrees(np.arctan2(directions[1, 1], directions[0, 1]))
+    for factor, dashes in ((1, (0, (1, 0))), (2, (0, (4, 2)))):
+        short, long = 2 * factor * np.sqrt(variances)
+        look = {"fill": False, "edgecolor": "0.1", "linewidth": 0.8, "linestyle": dashes}
+        ax.add_patch(Ellipse((0, 0), long, short, angle=angle, **look))
     ax.set(xlim=(-half, half), ylim=(half, -half))
 
 
-FIGURES = (Entry("residuals", "Residual images", Category.RESIDUALS, ("crops", "fits", "simulated"), images),)
+FIGURES = (Entry("residuals", "Residual images", Category.RESIDUALS, ("crops", "fits", "simulated"), draw_residuals),)

@@ -1,4 +1,4 @@
-"""The results of a dataset, opened when a figure first asks for them."""
+"""Results of a dataset, opened when a figure first reads them."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from spotcheck.fitting.caustic import CONDITION as CAUSTIC_AXIS
 from spotcheck.io import store
 from spotcheck.sensor import ReadingDistribution, SensorModel
 
-# Exposures [s] and fibre orientations [degree] of the paper: beside these its printed numbers can be set.
+# Design of the paper: exposures [s] and fibre orientations [degree].
 PAPER_EXPOSURES, PAPER_ANGLES = (1e-4, 5e-4, 9e-4), (0.0, 45.0, 90.0, 135.0)
 
 
@@ -23,9 +23,14 @@ class Unavailable(Exception):
 
 
 class Results:
-    """The netCDF files below `folder`, by name without suffix ("metrics", "simulated/crops"), and their dataset.
+    """Results folder of a dataset, a context manager that closes its files.
 
-    Use as a context manager, or call `close`.
+    Parameters
+    ----------
+    folder : str or Path
+        Results folder.
+    dataset : str, Path or Dataset
+        The dataset, or its folder.
     """
 
     def __init__(self, folder: str | Path, dataset: str | Path | Dataset):
@@ -51,11 +56,14 @@ class Results:
         return self.dataset.instrument
 
     def get(self, name: str) -> xr.Dataset:
-        """A result, opened lazily; `Unavailable` when it is not there or its stage was skipped."""
+        """Return a netCDF result by its path without suffix, such as "simulated/crops".
+
+        Raises `Unavailable` if the file does not exist or its stage was skipped.
+        """
         if name not in self._open:
             path = self.folder / f"{name}.nc"
             if not path.is_file():
-                raise Unavailable(self._absent(name))
+                raise Unavailable(self._absence_reason(name))
             self._open[name] = store.read(path)
         ds = self._open[name]
         if "skipped" in ds.attrs:
@@ -63,13 +71,14 @@ class Results:
         return ds
 
     def verdict(self) -> dict[str, Any]:
-        """verdict.json; `Unavailable` when it is not there."""
+        """Return the content of verdict.json. Raises `Unavailable` if it does not exist."""
         path = self.folder / "verdict.json"
         if not path.is_file():
             raise Unavailable("verdict.json is not among the results")
         return json.loads(path.read_text(encoding="utf-8"))
 
-    def _absent(self, name: str) -> str:
+    def _absence_reason(self, name: str) -> str:
+        """Return why a result does not exist."""
         if name == "transfer":
             return "the manifest names no frame of kind flat or dark"
         if not self.dataset.spots:
@@ -78,35 +87,31 @@ class Results:
             return f"the distance is no axis of this dataset: no column {CAUSTIC_AXIS} among the conditions"
         return f"{name}.nc is not among the results"
 
-    def sensor_model(self) -> SensorModel | None:
-        """The sensor that the chain ran on; None where gain or read noise is unknown or sensor.nc is missing."""
-        try:
-            return model_of(self.get("sensor"))
-        except Unavailable:
-            return None
-
     def exposures(self) -> np.ndarray:
-        """Exposure times of the spots [s], ascending; empty when they were not recorded."""
+        """Return the exposure times of the spots [s], ascending; empty if they were not recorded."""
         return np.array(self.dataset.exposures, float)
 
-    def like_paper(self) -> bool:
-        """Whether the design is the paper's, so that its printed numbers can be named beside a figure."""
+    def has_paper_design(self) -> bool:
+        """Return whether the design is that of the paper, so that its printed numbers are comparable."""
         angles = next(axis.values for axis in self.dataset.axes if axis.name == "angle") or ()
-        return _equal(self.exposures(), PAPER_EXPOSURES) and _equal(np.array(angles), PAPER_ANGLES)
+        designs = ((self.exposures(), PAPER_EXPOSURES), (angles, PAPER_ANGLES))
+        return all(len(values) == len(printed) and np.allclose(values, printed) for values, printed in designs)
 
-    def beside_paper(self, clause: str) -> str:
-        """The clause that names what the paper prints, with a space before it; empty for another design."""
-        return f" {clause}" if self.like_paper() else ""
+    def paper_note(self, note: str) -> str:
+        """Return a note on the numbers that the paper prints, with a leading space; "" for another design."""
+        return f" {note}" if self.has_paper_design() else ""
 
     def mean_reading(self, light_dn: np.ndarray, exposure_s: float | None) -> np.ndarray:
-        """Mean reading [DN] of simulated light [DN]: dark signal, black level and clipping where the sensor is
-        known."""
-        sensor = self.sensor_model()
+        """Return the mean reading [DN] of simulated light [DN]; the light itself if the sensor is unknown."""
+        sensor = self._sensor_model()
         if sensor is None:
             return light_dn
         distribution = ReadingDistribution(sensor, exposure_s=exposure_s or 0.0)
         return distribution.tabulate(float(np.max(light_dn))).mean(light_dn)
 
-
-def _equal(own: np.ndarray, other: tuple[float, ...]) -> bool:
-    return own.shape == (len(other),) and bool(np.allclose(own, other))
+    def _sensor_model(self) -> SensorModel | None:
+        """Return the sensor of sensor.nc; None if its gain or read noise is unknown, or if there is no file."""
+        try:
+            return model_of(self.get("sensor"))
+        except Unavailable:
+            return None

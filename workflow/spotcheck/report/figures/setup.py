@@ -1,7 +1,8 @@
-"""Fig. 5: the optical set-up to scale, with the numbers that follow from the instrument file."""
+"""Fig. 5: the optical set-up to scale, and numbers that follow from the instrument file."""
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,171 +14,176 @@ from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
 MM = 1e3
-# Height over width of the drawing; an instrument beyond it has its heights stretched, and the caption says so.
-FLATTEST, STEEPEST = 0.28, 0.62
-# Width and height of the drawing in units of d_w + f and of the field of view.
-ROOM = (1.24, 1.36)
+# Limits of height / width of the drawing; beyond them its heights are stretched.
+MIN_ASPECT, MAX_ASPECT = 0.28, 0.62
+# Size of the drawing: width / (d_w + f), and height / height of the field of view.
+RELATIVE_WIDTH, RELATIVE_HEIGHT = 1.24, 1.36
+# Height of the lens / height of the field of view.
+RELATIVE_LENS = 0.15
+# Height of a line of the table [inch].
+LINE_HEIGHT = 0.22
 BEAM = "#C00000"
+DARK, GREY = "0.15", "0.3"
+# Style of thick lines: object plane, sensor and aperture stop.
+THICK: dict[str, Any] = {"color": DARK, "solid_capstyle": "butt"}
 
 
-class Geometry(NamedTuple):
-    """What the drawing needs, in mm: working distance, focal length, field and sensor (height, width), opening."""
+@dataclass(frozen=True)
+class Geometry:
+    """Dimensions of the set-up; pairs are (height, width)."""
 
-    distance: float
-    focal: float
-    field: tuple[float, float]
-    sensor: tuple[float, float]
-    opening: float | None
+    distance: float  # working distance [mm]
+    focal: float  # focal length [mm]
+    pitch: float  # pixel pitch [mm]
+    pixels: tuple[int, int]  # size of a frame [px]
+    sensor: tuple[float, float]  # size of the sensor [mm]
+    field: tuple[float, float]  # field of view [mm]
+    f_number: float | None  # f-number; None if unknown
+
+    @property
+    def width(self) -> float:
+        """Width of the drawing [mm]."""
+        return RELATIVE_WIDTH * (self.distance + self.focal)
+
+    @property
+    def stretch(self) -> float:
+        """Factor on heights that keeps the aspect ratio of the drawing within its limits."""
+        aspect = RELATIVE_HEIGHT * self.field[0] / self.width
+        return float(np.clip(aspect, MIN_ASPECT, MAX_ASPECT) / aspect)
 
 
-def draw(results: Results) -> style.Drawing:
-    """Object plane, lens and sensor with the chief rays of the field of view, and a table of derived numbers."""
+def read_geometry(results: Results) -> Geometry:
+    """Return the geometry of the instrument. Raises `Unavailable` if the instrument file lacks one of its keys."""
     lens, pitch = results.instrument.optics, results.instrument.sensor.pixel_pitch_m
     focal, distance = lens.focal_length_m, lens.working_distance_m
-    given = {
-        "optics.focal_length_m": focal,
-        "optics.working_distance_m": distance,
-        "sensor.pixel_pitch_m": pitch,
-    }
-    missing = [key for key, value in given.items() if value is None]
-    if missing or focal is None or distance is None or pitch is None:
-        raise Unavailable(f"instrument.yaml does not give {', '.join(missing)}")
+    if focal is None or distance is None or pitch is None:
+        keys = {
+            "optics.focal_length_m": focal, "optics.working_distance_m": distance, "sensor.pixel_pitch_m": pitch,
+        }  # fmt: skip
+        missing = ", ".join(key for key, value in keys.items() if value is None)
+        raise Unavailable(f"instrument.yaml does not give {missing}")
     frames = results.get("frames")
     pixels = int(frames["rows"]), int(frames["columns"])
-    sensor = pixels[0] * pitch, pixels[1] * pitch
-    field = optics.field_of_view(sensor[0], focal, distance), optics.field_of_view(sensor[1], focal, distance)
-    opening = focal / lens.f_number * MM if lens.f_number else None
-    drawn = Geometry(
-        distance * MM, focal * MM, (field[0] * MM, field[1] * MM), (sensor[0] * MM, sensor[1] * MM), opening
+    height, width = (side * pitch for side in pixels)
+    field = tuple(optics.field_of_view(side, focal, distance) * MM for side in (height, width))
+    return Geometry(
+        distance * MM, focal * MM, pitch * MM, pixels, (height * MM, width * MM), (field[0], field[1]), lens.f_number
     )
-    rows = numbers(results, pixels)
-    stretch = enlargement(drawn)
-    heights = style.WIDTH * ROOM[1] * drawn.field[0] * stretch / _wide(drawn), 0.22 * -(-len(rows) // 2)
-    figure = style.new(sum(heights) + 0.15)
-    top, bottom = figure.subplots(2, 1, height_ratios=heights)
-    top.set_aspect(stretch)
-    _scene(top, drawn, bool(results.instrument.laser.wavelength_m))
-    _table(bottom, rows)
+
+
+def draw_setup(results: Results) -> style.Drawing:
+    """Draw object plane, lens and sensor with the chief rays of the field of view, and a table of numbers."""
+    geometry = read_geometry(results)
+    rows = list_numbers(results, geometry)
+    stretch = geometry.stretch
+    scene_height = style.WIDTH * RELATIVE_HEIGHT * geometry.field[0] * stretch / geometry.width
+    heights = scene_height, LINE_HEIGHT * math.ceil(len(rows) / 2)
+    figure = style.new_figure(sum(heights) + 0.15)
+    upper, lower = figure.subplots(2, 1, height_ratios=heights)
+    upper.set_aspect(stretch)
+    _draw_scene(upper, geometry, bool(results.instrument.laser.wavelength_m))
+    _draw_labels(upper, geometry)
+    _draw_table(lower, rows)
     caption = (
         "The set-up seen from the side, with the rays through the middle of the lens that bound the field of view."
         " Lengths are to scale"
         + (f" along the axis, heights {stretch:.2g}-fold" if stretch != 1 else "")
-        + (", the opening of the aperture included" if opening else "")
-        + "; the laser's tilt is exaggerated, since it stands beside the camera. Numbers: thin lens far from its object"
-        " (Eq. 1), grain by Eq. 3, depth of focus by Eq. 4 for a blur of one pixel."
+        + (", the opening of the aperture included" if geometry.f_number else "")
+        + "; the tilt of the laser, which is mounted beside the camera, is exaggerated. Numbers: thin lens far from its"
+        " object (Eq. 1), grain by Eq. 3, depth of focus by Eq. 4 for a blur of one pixel."
     )
-    clause = "The paper rounds M to 0.2 where it prints 10.296 µm for the grain and 1.872 px."
-    return style.Drawing(figure, caption + results.beside_paper(clause))
+    note = "The paper rounds M to 0.2 where it prints 10.296 µm for the grain and 1.872 px."
+    return style.Drawing(figure, caption + results.paper_note(note))
 
 
-def numbers(results: Results, pixels: tuple[int, int]) -> list[tuple[str, str]]:
-    """Rows of the table: what, and its value with unit; a row whose inputs are missing is left out."""
-    lens, laser = results.instrument.optics, results.instrument.laser
-    focal, distance, pitch = lens.focal_length_m, lens.working_distance_m, results.instrument.sensor.pixel_pitch_m
-    assert focal is not None and distance is not None and pitch is not None
-    scale = optics.magnification(focal, distance)
-    sensor = [n * pitch for n in pixels]
-    field = [optics.field_of_view(side, focal, distance) for side in sensor]
-    angle = [math.degrees(optics.viewing_angle(side, distance)) for side in field]
+def list_numbers(results: Results, geometry: Geometry) -> list[tuple[str, str]]:
+    """Return the rows of the table, name and value with unit; rows of unknown values are left out."""
+    laser, f_number, pixels = results.instrument.laser, geometry.f_number, geometry.pixels
+    sensor, field, pitch = geometry.sensor, geometry.field, geometry.pitch / MM
+    scale = optics.magnification(geometry.focal, geometry.distance)
+    angles = [math.degrees(optics.viewing_angle(side, geometry.distance)) for side in field]
     rows = [
-        ("focal length $f$", f"{focal * MM:.4g} mm"),
-        ("working distance $d_w$", f"{distance * MM:.4g} mm"),
+        ("focal length $f$", f"{geometry.focal:.4g} mm"),
+        ("working distance $d_w$", f"{geometry.distance:.4g} mm"),
         ("magnification $M = f/d_w$", f"{scale:.4f}"),
-        ("sensor (h × w)", f"{sensor[0] * MM:.3f} × {sensor[1] * MM:.3f} mm"),
+        ("sensor (h × w)", f"{sensor[0]:.3f} × {sensor[1]:.3f} mm"),
         ("", f"{pixels[0]} × {pixels[1]} px of {pitch * 1e6:.4g} µm"),
-        ("field of view (h × w)", f"{field[0] * MM:.2f} × {field[1] * MM:.2f} mm"),
-        ("viewing angle δ (h × w)", f"{angle[0]:.1f}° × {angle[1]:.2f}°"),
+        ("field of view (h × w)", f"{field[0]:.2f} × {field[1]:.2f} mm"),
+        ("viewing angle δ (h × w)", f"{angles[0]:.1f}° × {angles[1]:.2f}°"),
     ]
-    if lens.f_number:
-        rows.append(("aperture $f_a$", f"{lens.f_number:.4g}"))
-        depth = optics.depth_of_focus(pitch, lens.f_number, scale)
-        rows.append(("depth of focus", f"{depth * MM:.2f} mm"))
+    if f_number:
+        rows.append(("aperture $f_a$", f"{f_number:.4g}"))
+        rows.append(("depth of focus", f"{optics.depth_of_focus(pitch, f_number, scale) * MM:.2f} mm"))
         if laser.wavelength_m:
-            grain = optics.speckle_grain(scale, laser.wavelength_m, lens.f_number)
+            grain = optics.speckle_grain(scale, laser.wavelength_m, f_number)
             rows.append(("speckle grain $\\bar{d}_s$", f"{grain * 1e6:.2f} µm = {grain / pitch:.3f} px"))
     if laser.wavelength_m:
         rows.append(("wavelength $\\lambda_{la}$", f"{laser.wavelength_m * 1e9:.4g} nm"))
-    if results.instrument.laser_sigma_m:
-        width = results.instrument.laser_sigma_m
+    if width := results.instrument.laser_sigma_m:
         rows.append(("laser width $\\sigma_{la}$", f"{width * 1e6:.1f} µm = {scale * width / pitch:.2f} px imaged"))
     return rows
 
 
-def _wide(own: Geometry) -> float:
-    """Width of the drawing in mm."""
-    return ROOM[0] * (own.distance + own.focal)
-
-
-def enlargement(own: Geometry) -> float:
-    """By how much heights are enlarged so that the drawing is neither a line nor a tower; mostly 1."""
-    shape = ROOM[1] * own.field[0] / _wide(own)
-    return 1.0 if FLATTEST <= shape <= STEEPEST else float(np.clip(shape, FLATTEST, STEEPEST) / shape)
-
-
-def _scene(ax: Axes, own: Geometry, laser: bool) -> None:
-    """Draw the side view."""
-    half_field, half_sensor = own.field[0] / 2, own.sensor[0] / 2
-    width = _wide(own)
+def _draw_scene(ax: Axes, geometry: Geometry, has_laser: bool) -> None:
+    """Draw the side view: x is the distance behind the lens, y the height above the optical axis [mm]."""
+    distance, focal, width = geometry.distance, geometry.focal, geometry.width
+    half_field, half_sensor = geometry.field[0] / 2, geometry.sensor[0] / 2
     ax.set_axis_off()
-    ax.plot([-1.04 * own.distance, 1.15 * own.focal], [0, 0], color="0.6", linewidth=0.8, linestyle=(0, (9, 3, 2, 3)))
+    ax.plot([-1.04 * distance, 1.15 * focal], [0, 0], color="0.6", linewidth=0.8, linestyle=(0, (9, 3, 2, 3)))
     for sign in (-1, 1):
-        ax.plot(
-            [-own.distance, 0, own.focal],
-            [sign * half_field, 0, -sign * half_sensor],
-            color=style.MEASURED,
-            linewidth=1.0,
-        )
-    ax.plot([-own.distance] * 2, [-half_field, half_field], color="0.15", linewidth=4, solid_capstyle="butt")
-    ax.plot([own.focal] * 2, [-half_sensor, half_sensor], color="0.15", linewidth=4, solid_capstyle="butt")
-    stop = 0.30 * half_field
-    ax.add_patch(Ellipse((0, 0), 0.035 * width, 2.4 * stop, facecolor="#cfe3f2", edgecolor=style.MEASURED, zorder=1))
-    if own.opening:
+        heights = [sign * half_field, 0, -sign * half_sensor]
+        ax.plot([-distance, 0, focal], heights, color=style.MEASURED, linewidth=1.0)
+    ax.plot([-distance] * 2, [-half_field, half_field], linewidth=4, **THICK)
+    ax.plot([focal] * 2, [-half_sensor, half_sensor], linewidth=4, **THICK)
+    lens = RELATIVE_LENS * geometry.field[0]
+    ax.add_patch(Ellipse((0, 0), 0.035 * width, 2.4 * lens, facecolor="#cfe3f2", edgecolor=style.MEASURED, zorder=1))
+    if geometry.f_number:
+        opening = focal / geometry.f_number
         for sign in (-1, 1):
-            ends = [sign * own.opening / 2, sign * 1.35 * stop]
-            ax.plot([0, 0], ends, color="0.15", linewidth=2, solid_capstyle="butt", zorder=4)
-    if laser:
-        start = (-0.2 * own.distance, 0.42 * own.field[0])
-        ax.plot([start[0], -own.distance], [start[1], 0], color=BEAM, linewidth=1.4)
-        ax.plot(-own.distance, 0, "o", color=BEAM, markersize=6, zorder=5)
-        ax.plot(own.focal, 0, "o", color=BEAM, markersize=4, zorder=5)
-        ax.text(start[0] + 0.01 * width, start[1], "laser", color=BEAM, va="center")
-    _names(ax, own, width, stop)
-    spare = width - own.distance - own.focal
-    ax.set_xlim(-own.distance - 0.55 * spare, own.focal + 0.45 * spare)
-    ax.set_ylim(-0.76 * own.field[0], (ROOM[1] - 0.76) * own.field[0])
+            ax.plot([0, 0], [sign * opening / 2, sign * 1.35 * lens], linewidth=2, zorder=4, **THICK)
+    if has_laser:
+        laser = (-0.2 * distance, 0.42 * geometry.field[0])
+        ax.plot([laser[0], -distance], [laser[1], 0], color=BEAM, linewidth=1.4)
+        ax.plot(-distance, 0, "o", color=BEAM, markersize=6, zorder=5)
+        ax.plot(focal, 0, "o", color=BEAM, markersize=4, zorder=5)
+        ax.text(laser[0] + 0.01 * width, laser[1], "laser", color=BEAM, va="center")
+    spare = width - distance - focal
+    ax.set_xlim(-distance - 0.55 * spare, focal + 0.45 * spare)
+    ax.set_ylim(-0.76 * geometry.field[0], (RELATIVE_HEIGHT - 0.76) * geometry.field[0])
 
 
-def _names(ax: Axes, own: Geometry, width: float, stop: float) -> None:
-    """Names of the parts, and the measures."""
-    half_field, half_sensor = own.field[0] / 2, own.sensor[0] / 2
-    measure = {"arrowstyle": "<->", "color": "0.3", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0}
-    below = -1.22 * half_field
-    for start, end, text in ((-own.distance, 0.0, "$d_w$"), (0.0, own.focal, "$f$")):
-        ax.annotate("", (start, below), (end, below), arrowprops=measure)
-        ax.text((start + end) / 2, below - 0.05 * half_field, text, ha="center", va="top")
-    side = -own.distance - 0.035 * width
-    ax.annotate("", (side, -half_field), (side, half_field), arrowprops=measure)
-    ax.text(side - 0.008 * width, 0, "field of view", rotation=90, ha="right", va="center")
-    side = own.focal + 0.025 * width
-    ax.annotate("", (side, -half_sensor), (side, half_sensor), arrowprops=measure)
-    ax.text(side + 0.01 * width, 0, "sensor", rotation=90, ha="left", va="center")
-    ax.text(-own.distance, 1.06 * half_field, "sample", ha="center", va="bottom")
-    ax.text(0, 1.45 * stop, "lens, aperture", ha="center", va="bottom")
-    angle = math.degrees(math.atan(half_field / own.distance))
-    size = 1.1 * own.distance
-    ax.add_patch(Arc((0, 0), size, size, theta1=180, theta2=180 + angle, color="0.3", linewidth=0.9))
-    ax.text(-0.575 * own.distance, -0.24 * half_field, "δ/2", ha="right", va="center")
+def _draw_labels(ax: Axes, geometry: Geometry) -> None:
+    """Draw the names of the parts, dimension lines and the viewing angle."""
+    distance, focal, width = geometry.distance, geometry.focal, geometry.width
+    half_field, half_sensor = geometry.field[0] / 2, geometry.sensor[0] / 2
+    arrow = {"arrowstyle": "<->", "color": GREY, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0}
+    y = -1.22 * half_field
+    for start, end, text in ((-distance, 0.0, "$d_w$"), (0.0, focal, "$f$")):
+        ax.annotate("", (start, y), (end, y), arrowprops=arrow)
+        ax.text((start + end) / 2, y - 0.05 * half_field, text, ha="center", va="top")
+    for x, half, gap, text, align in (
+        (-distance - 0.035 * width, half_field, -0.008 * width, "field of view", "right"),
+        (focal + 0.025 * width, half_sensor, 0.01 * width, "sensor", "left"),
+    ):
+        ax.annotate("", (x, -half), (x, half), arrowprops=arrow)
+        ax.text(x + gap, 0, text, rotation=90, ha=align, va="center")
+    ax.text(-distance, 1.06 * half_field, "sample", ha="center", va="bottom")
+    ax.text(0, 1.45 * RELATIVE_LENS * geometry.field[0], "lens, aperture", ha="center", va="bottom")
+    angle, size = math.degrees(math.atan(half_field / distance)), 1.1 * distance
+    ax.add_patch(Arc((0, 0), size, size, theta1=180, theta2=180 + angle, color=GREY, linewidth=0.9))
+    ax.text(-0.575 * distance, -0.24 * half_field, "δ/2", ha="right", va="center")
 
 
-def _table(ax: Axes, rows: list[tuple[str, str]]) -> None:
+def _draw_table(ax: Axes, rows: list[tuple[str, str]]) -> None:
+    """Draw the numbers in two columns."""
     ax.set_axis_off()
     ax.set(xlim=(0, 1), ylim=(0, 1))
-    each = -(-len(rows) // 2)
-    for k, (what, value) in enumerate(rows):
-        column, line = divmod(k, each)
-        y = 1 - (line + 0.5) / each
-        ax.text(0.52 * column, y, what, va="center", fontsize=8.5)
+    lines = math.ceil(len(rows) / 2)
+    for k, (name, value) in enumerate(rows):
+        column, line = divmod(k, lines)
+        y = 1 - (line + 0.5) / lines
+        ax.text(0.52 * column, y, name, va="center", fontsize=8.5)
         ax.text(0.52 * column + 0.235, y, value, va="center", fontsize=8.5)
 
 
-FIGURES = (Entry("fig05", "Optical set-up", Category.SET_UP, ("frames",), draw, "Fig. 5"),)
+FIGURES = (Entry("fig05", "Optical set-up", Category.SET_UP, ("frames",), draw_setup, "Fig. 5"),)

@@ -1,4 +1,4 @@
-"""House style of the figures: sizes, colours, units on axes, and files that are equal byte for byte."""
+"""House style of the figures: sizes, colours, units on axes, and reproducible files."""
 
 import io
 from collections.abc import Iterator
@@ -8,7 +8,10 @@ from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
 from spotcheck.io import store
 
@@ -41,11 +44,13 @@ RC: dict[Any, Any] = {
     "savefig.dpi": DPI,
     "savefig.facecolor": "white",
 }
-# Luminance grows along both maps, so that they survive grey printing and every colour blindness.
+# Readable in grey print and with colour blindness: luminance is monotonic along the first map, and along each half of
+# the second.
 IMAGE_MAP, DIVERGING_MAP = "magma", "RdBu_r"
-# Two colours apart in hue and in lightness (Okabe and Ito): measured and simulated where only these two meet.
+# Colours that differ in hue and in lightness (Okabe and Ito).
 MEASURED, SIMULATED, ACCENT = "#0072B2", "#D55E00", "#009E73"
-LUMA = np.array([0.299, 0.587, 0.114])  # what a grey printer makes of red, green and blue
+LUMA = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in luma (ITU-R BT.601)
+DASHED = (0, (5, 2))  # line style of simulated curves
 MARKERS = "osD^vPX*"
 DASHES: tuple[tuple[float, ...], ...] = (
     (6, 2),
@@ -55,103 +60,144 @@ DASHES: tuple[tuple[float, ...], ...] = (
     (9, 2, 3, 2),
     (6, 1.5, 1, 1, 1, 1.5),
 )
+# Values below this fraction of the largest are rounding errors of zero, and choose no prefix.
+ZERO_FRACTION = 1e-9
+# SI prefixes by power of ten.
 PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
+# Names of grid dimensions on an axis.
 NAMES = {"angle": "fibre orientation γ", "exposure": "exposure time $t$", "repeat": "repeat"}
 
 
 class Drawing(NamedTuple):
-    """A figure and what stands under it."""
+    """A figure with its caption."""
 
-    figure: Figure
-    caption: str
-
-
-class Line(NamedTuple):
-    """How one series looks: colour, marker, and the dashes of its simulated counterpart."""
-
-    colour: Any
-    marker: str
-    dashes: tuple[float, ...]
+    figure: Figure  # the figure
+    caption: str  # text below the figure
 
 
-class Scale(NamedTuple):
-    """Factor from SI to the printed unit, and that unit."""
+class LineStyle(NamedTuple):
+    """Appearance of a series of measured values and of its simulated counterpart."""
 
-    factor: float
-    unit: str
+    colour: Any  # colour of both
+    marker: str  # marker of both
+    dashes: tuple[float, ...]  # dashes of the simulated counterpart
+
+
+class DisplayUnit(NamedTuple):
+    """A unit with SI prefix."""
+
+    factor: float  # displayed value / value in the SI unit
+    symbol: str  # symbol of the unit
 
 
 @contextmanager
-def applied() -> Iterator[None]:
-    """The house style, whatever the user's matplotlibrc says."""
+def house_style() -> Iterator[None]:
+    """Apply the house style, independent of the user's matplotlibrc."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(RC)
         yield
 
 
-def new(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure [inch] whose parts make room for each other."""
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """Return an empty figure of a height and width [inch] with constrained layout."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def new_tight(height: float) -> Figure:
-    """An empty figure [inch] for images in a grid: their fixed shape leaves no gaps between them."""
+def new_image_grid(height: float) -> Figure:
+    """Return an empty figure of a height [inch] for a grid of images, without gaps due to their fixed aspect ratio."""
     return Figure(figsize=(WIDTH, height), layout="compressed")
 
 
-def lines(count: int) -> list[Line]:
-    """Looks of `count` ordered series: from dark to light in equal steps of grey, each with its marker and dashes."""
+def show_image(
+    ax: Axes,
+    image: np.ndarray,
+    cmap: str,
+    norm: Normalize,
+    extent: tuple[float, float, float, float] | None = None,
+    **properties: Any,
+) -> AxesImage:
+    """Draw an image [row, column] without grid lines.
+
+    Parameters
+    ----------
+    ax : Axes
+        Axes to draw on.
+    image : ndarray
+        Image; NaN is transparent.
+    cmap : str
+        Name of the colour map.
+    norm : Normalize
+        Scale of the colours.
+    extent : tuple of float, optional
+        Left, right, bottom and top edge; by default pixel centres are at integers.
+    **properties
+        Properties of the axes, such as `title`.
+    """
+    shown = ax.imshow(image, cmap=cmap, norm=norm, extent=extent)
+    ax.grid(False)
+    ax.set(**properties)
+    return shown
+
+
+def centred_extent(shape: tuple[int, ...], row: float, column: float) -> tuple[float, float, float, float]:
+    """Return the extent of an image [row, column] in px relative to a centre; pixel centres are at integers."""
+    return -0.5 - column, shape[1] - 0.5 - column, shape[0] - 0.5 - row, -0.5 - row
+
+
+def line_styles(count: int) -> list[LineStyle]:
+    """Return styles for `count` ordered series, from dark to light in equal steps of luma."""
     shades = matplotlib.colormaps["viridis"](np.linspace(0.02, 0.80, 200))
-    grey = shades[:, :3] @ LUMA
-    steps = np.linspace(grey[0], grey[-1], count) if count > 1 else np.array([0.36])
-    colours = shades[np.searchsorted(grey, steps).clip(0, len(shades) - 1)]
-    return [Line(c, MARKERS[k % len(MARKERS)], DASHES[k % len(DASHES)]) for k, c in enumerate(colours)]
+    luma = shades[:, :3] @ LUMA
+    steps = np.linspace(luma[0], luma[-1], count) if count > 1 else np.array([0.36])
+    colours = shades[np.searchsorted(luma, steps).clip(0, len(shades) - 1)]
+    return [LineStyle(colour, MARKERS[k % len(MARKERS)], DASHES[k % len(DASHES)]) for k, colour in enumerate(colours)]
 
 
-def scale(values: Any, unit: str) -> Scale:
-    """Prefix of an SI unit under which the smallest value is at least 1; degrees and pure numbers keep theirs."""
+def choose_unit(values: Any, unit: str) -> DisplayUnit:
+    """Return the unit with the prefix that makes the smallest value at least 1; degrees and px have no prefix."""
     if unit in ("degree", "1", "pixel", "K"):
-        return Scale(1.0, {"degree": "°", "pixel": "px", "1": ""}.get(unit, unit))
+        return DisplayUnit(1.0, {"degree": "°", "pixel": "px", "1": ""}.get(unit, unit))
     size = np.abs(np.asarray(values, float))
-    size = size[np.isfinite(size) & (size > 0)]
+    size = size[np.isfinite(size)]
+    size = size[size > ZERO_FRACTION * size.max(initial=0.0)]
     power = 0 if not size.size else int(np.clip(3 * np.floor(np.log10(size.min() * (1 + 1e-9)) / 3), -12, 6))
-    return Scale(10.0**-power, PREFIXES[power] + unit)
+    return DisplayUnit(10.0**-power, PREFIXES[power] + unit)
 
 
-def label(name: str, unit: str) -> str:
-    """Text of an axis: quantity / unit."""
+def axis_label(name: str, unit: str) -> str:
+    """Return the label of an axis: quantity / unit."""
     return f"{name} / {unit}" if unit else name
 
 
 def axis_name(dim: str) -> str:
-    """What a dimension of the grid is called on an axis: a condition loses its unit's suffix."""
+    """Return the name of a grid dimension on an axis; a declared condition loses the suffix of its unit."""
     return NAMES.get(dim, dim.rsplit("_", 1)[0].replace("_", " ") if "_" in dim else dim)
 
 
-def number(value: float, unit: str) -> str:
-    """A value with its unit, without trailing zeros: `500 µs`, `45°`."""
+def format_value(value: float, unit: str) -> str:
+    """Return a value with its unit: `500 µs`, `45°`."""
     return f"{value:.4g}{'' if unit in ('', '°') else ' '}{unit}"
 
 
-def tens(largest: float) -> tuple[float, str]:
-    """Divisor and text for large plain numbers: (1e6, "10⁶ ") for millions, (1, "") below 10 000."""
+def choose_power_of_ten(largest: float) -> tuple[float, str]:
+    """Return the divisor for large values and its text: (1e6, "10⁶ ") for millions, (1, "") below 10 000."""
     if not np.isfinite(largest) or abs(largest) < 1e4:
         return 1.0, ""
     power = int(3 * np.floor(np.log10(abs(largest) * 1.5) / 3))
     return 10.0**power, f"$10^{{{power}}}$ "
 
 
-def legend_above(figure: Figure, handles: list, labels: list[str], columns: int) -> None:
-    """A legend over the axes, where it cannot cover data."""
+def add_legend(figure: Figure, handles: list, labels: list[str], columns: int) -> None:
+    """Add a legend above the axes, where it cannot cover data."""
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, handlelength=3.2, columnspacing=1.6)
 
 
-def save(drawing: Drawing, folder: Path, name: str) -> None:
-    """Write `<name>.svg` and `<name>.png`, each whole or not at all, without date or version inside."""
-    for kind in FORMATS:
+def save_drawing(drawing: Drawing, folder: Path, name: str) -> None:
+    """Write `<name>.svg` and `<name>.png`, whole or not at all, without date and version of the software."""
+    for suffix in FORMATS:
         stream = io.BytesIO()
-        metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
-        drawing.figure.savefig(stream, format=kind, metadata=metadata)
-        with store.write_with_sidecar(folder / f"{name}.{kind}") as scratch:
+        metadata = {"Date": None, "Creator": None} if suffix == "svg" else {"Software": None}
+        drawing.figure.savefig(stream, format=suffix, metadata=metadata)
+        with store.write_with_sidecar(folder / f"{name}.{suffix}") as scratch:
             scratch.write_bytes(stream.getvalue())

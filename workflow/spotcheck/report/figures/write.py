@@ -1,4 +1,4 @@
-"""Draw every figure that the results support, and say in index.json what was drawn and what was not, and why."""
+"""Write every figure that the results support, and index.json with captions and reasons."""
 
 import json
 from pathlib import Path
@@ -10,25 +10,36 @@ from spotcheck.report.figures.results import Results, Unavailable
 
 
 def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] | None = None) -> dict[str, list]:
-    """Write `<name>.svg`, `<name>.png` of some figures (by default of all) and index.json into `folder`; return the
-    index.
+    """Write figures as SVG and PNG with index.json.
 
-    A figure that an earlier run drew and this one cannot is removed.
+    Parameters
+    ----------
+    results : Results
+        Results of a dataset.
+    folder : Path
+        Folder to write to. The files of figures that cannot be drawn are removed from it.
+    entries : tuple of Entry, optional
+        The figures; by default all.
+
+    Returns
+    -------
+    dict of str to list
+        Content of index.json: `figures` that were drawn, and `skipped` ones with the reason.
     """
     drawn: list[dict[str, str | None]] = []
     skipped: list[dict[str, str | None]] = []
     for entry in progress.track(every_figure() if entries is None else entries, "drawing figures"):
         record: dict[str, str | None] = {"name": entry.name, "title": entry.title}
         try:
-            for need in entry.needs:
-                results.get(need)
-            with style.applied():
+            for name in entry.needs:
+                results.get(name)
+            with style.house_style():
                 drawing = entry.draw(results)
-                style.save(drawing, folder, entry.name)
+                style.save_drawing(drawing, folder, entry.name)
         except Unavailable as reason:
             skipped.append(record | {"why": str(reason)})
-            for kind in style.FORMATS:
-                (folder / f"{entry.name}.{kind}").unlink(missing_ok=True)
+            for suffix in style.FORMATS:
+                (folder / f"{entry.name}.{suffix}").unlink(missing_ok=True)
         else:
             drawn.append(record | {"caption": drawing.caption, "category": entry.category.value, "paper": entry.paper})
     index = {"figures": drawn, "skipped": skipped}

@@ -7,7 +7,7 @@ from pathlib import Path
 from markupsafe import Markup, escape
 
 from spotcheck.errors import InputError
-from spotcheck.report import origin
+from spotcheck.report import provenance
 
 
 class Cited:
@@ -42,13 +42,13 @@ class Cited:
 
     def _hover_of_frame(self, table: str, frame: str) -> str:
         try:
-            return origin.hover_of_frame(self.results, table, frame)
+            return provenance.frame_hover_text(self.results, table, frame)
         except InputError:
             return ""
 
     def _hover(self, key: str) -> str:
         """Where a number comes from, in a line; "" for what no result holds."""
         try:
-            return origin.hover(origin.of(self.results, key))
+            return provenance.hover_text(provenance.find_number(self.results, key))
         except InputError:
             return ""

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from spotcheck.discrepancy.words import UNITS, list_text, percent_text, probability_text, value_text
-from spotcheck.report.comparison.changes import FALSE_ALARMS, FEWEST, Change
-from spotcheck.report.comparison.numbers import GROUPS, Number
-from spotcheck.report.comparison.sets import Set
-from spotcheck.report.comparison.table import Comparison, Row, full_text, where_text
+from spotcheck.report.comparison.changes import FALSE_ALARM_RATE, MIN_TREND_POINTS, Change
+from spotcheck.report.comparison.datasets import DatasetResults
+from spotcheck.report.comparison.numbers import GROUPS, Measurement
+from spotcheck.report.comparison.table import Comparison, Row, conditions_text, quantity_text
 from spotcheck.report.pages import plots, write_page
 
 # Rows of the table of what changed, and of the picture, which should fit on a screen; all of them are in comparison.nc.
@@ -29,22 +29,22 @@ def write(found: Comparison, path: Path, code: str) -> None:
     """Write comparison.html; links lead from it to the datasets' own reports. `code` is the digest of what made it."""
     marked = _marked(found)
     content: dict[str, Any] = {
-        "title": f"Comparison of {list_text([own.label for own in found.sets])}",
-        "sets": [_set(found, k, path) for k in range(len(found.sets))],
+        "title": f"Comparison of {list_text([own.label for own in found.datasets])}",
+        "sets": [_set(found, k, path) for k in range(len(found.datasets))],
         "lead": _lead(found, marked),
-        "named": _named_differently(found.sets),
-        "false_alarms": f"{100 * FALSE_ALARMS:g} %",
-        "tested": found.tested,
+        "named": _named_differently(found.datasets),
+        "false_alarms": f"{100 * FALSE_ALARM_RATE:g} %",
+        "tested": found.tested_changes,
         "marked": [_changed_row(found, row, k) for row, k in marked[:MOST_CHANGED]],
         "more_marked": max(len(marked) - MOST_CHANGED, 0),
         "picture": _picture(found),
-        "effects": _effects(found.sets),
+        "effects": _effects(found.datasets),
         "groups": list(_groups(found)),
         "over": _over(found),
-        "many": len(found.sets) >= FEWEST,
-        "tested_trends": found.trends,
-        "along": found.along,
-        "per": found.per,
+        "many": len(found.datasets) >= MIN_TREND_POINTS,
+        "tested_trends": found.tested_trends,
+        "along": found.axis.name,
+        "per": found.axis.unit,
         "alone": list(_alone(found)),
         "remarks": found.remarks,
         "code": code,
@@ -55,19 +55,21 @@ def write(found: Comparison, path: Path, code: str) -> None:
 
 def _marked(found: Comparison) -> list[tuple[Row, int]]:
     """Rows and places of all differences beyond chance, parameters before the frames' numbers."""
-    return [(row, k) for row in found.rows for k, changed in enumerate(row.changed) if changed]
+    return [(row, k) for row in found.rows for k, changed in enumerate(row.is_changed) if changed]
 
 
 def _lead(found: Comparison, marked: Sequence[tuple[Row, int]]) -> str:
     """What a person would say aloud: the first thing that changed, and how much else did."""
-    first = found.sets[0].label
+    first = found.datasets[0].label
     if not marked:
-        them = list_text([own.label for own in found.sets[1:MOST_NAMED]])
-        more = f" and {len(found.sets) - MOST_NAMED} more" if len(found.sets) > MOST_NAMED else ""
-        return f"{them}{more} differ{'s' if len(found.sets) == 2 else ''} from {first} in nothing beyond the errors."
+        them = list_text([own.label for own in found.datasets[1:MOST_NAMED]])
+        more = f" and {len(found.datasets) - MOST_NAMED} more" if len(found.datasets) > MOST_NAMED else ""
+        return (
+            f"{them}{more} differ{'s' if len(found.datasets) == 2 else ''} from {first} in nothing beyond the errors."
+        )
     (row, k), since = marked[0], marked[0][0].first
-    change = f"{full_text(row.name)} went from {number_text(row.numbers[since])} to {number_text(row.numbers[k])}"
-    said = f"From {found.sets[since].label} to {found.sets[k].label} {change}."
+    change = f"{quantity_text(row.name)} went from {number_text(row.numbers[since])} to {number_text(row.numbers[k])}"
+    said = f"From {found.datasets[since].label} to {found.datasets[k].label} {change}."
     others = len({own.name for own, _ in marked}) - 1
     if not others:
         return f"{said} Nothing else changed beyond its errors."
@@ -75,7 +77,7 @@ def _lead(found: Comparison, marked: Sequence[tuple[Row, int]]) -> str:
     return f"{said} Of {len(found.rows)} quantities {others} more changed beyond {whose} errors."
 
 
-def _named_differently(sets: Sequence[Set]) -> str:
+def _named_differently(sets: Sequence[DatasetResults]) -> str:
     """A sentence on effects that only one of the first verdict and another one names; "" where there are none."""
     judged = [(own.label, {e["name"] for e in own.verdict["effects"]}) for own in sets if own.verdict]
     parts = []
@@ -88,7 +90,7 @@ def _named_differently(sets: Sequence[Set]) -> str:
     return f"The verdicts name other effects than that on {judged[0][0]}: {told}." if parts else ""
 
 
-def number_text(own: Number) -> str:
+def number_text(own: Measurement) -> str:
     """A number with its error and unit; a dash where there is none."""
     return "–" if np.isnan(own.value) else value_text(own.value, own.stderr, own.units)
 
@@ -113,9 +115,9 @@ def z_text(z: float) -> str:
 
 
 def _set(found: Comparison, k: int, path: Path) -> dict[str, Any]:
-    own = found.sets[k]
+    own = found.datasets[k]
     report = own.folder / "report.html"
-    differ = [row for row in found.rows if row.changed[k]]
+    differ = [row for row in found.rows if row.is_changed[k]]
     tested = sum(np.isfinite(row.changes[k].p_value) for row in found.rows)
     verdict = own.verdict
     # Where nothing was added there is no gap that could have closed.
@@ -125,7 +127,7 @@ def _set(found: Comparison, k: int, path: Path) -> dict[str, Any]:
         "title": own.title if own.title != own.label else "",
         "link": Path(os.path.relpath(report, path.parent)).as_posix() if report.is_file() else "",
         "frames": ", ".join(f"{count} {kind}" for kind, count in own.frames.items()),
-        "taken": f"{own.taken:%Y-%m-%d}" if own.taken else "",
+        "taken": f"{own.mean_time:%Y-%m-%d}" if own.mean_time else "",
         "status": verdict["status"].replace("_", " ") if verdict else "no verdict",
         "sentence": verdict["sentence"].splitlines()[0] if verdict else "",
         "closed": "–" if closed is None else percent_text(min(closed, 1.0)),
@@ -136,8 +138,8 @@ def _set(found: Comparison, k: int, path: Path) -> dict[str, Any]:
 def _changed_row(found: Comparison, row: Row, k: int) -> dict[str, str]:
     change = row.changes[k]
     return {
-        "what": full_text(row.name),
-        "dataset": found.sets[k].label,
+        "what": quantity_text(row.name),
+        "dataset": found.datasets[k].label,
         "before": number_text(row.numbers[row.first]),
         "after": number_text(row.numbers[k]),
         "difference": f"{SIGNS[change.value > 0]} {change_text(change, row.units)}",
@@ -157,11 +159,11 @@ def _picture(found: Comparison) -> dict[str, Any] | None:
     for row in rows:
         for k, own in enumerate(row.changes):
             if np.isfinite(own.z):
-                into = points[row.changed[k]]
+                into = points[row.is_changed[k]]
                 into["x"].append(round(own.z, 3))
-                into["y"].append(full_text(row.name))
+                into["y"].append(quantity_text(row.name))
                 said = f"{number_text(row.numbers[k])}, {change_text(own, row.units)}, z = {z_text(own.z)}"
-                into["text"].append(f"{found.sets[k].label}: {said}")
+                into["text"].append(f"{found.datasets[k].label}: {said}")
     look = {
         True: {"symbol": "circle", "size": 11, "color": "var(--simulated)"},
         False: {"symbol": "circle-open", "size": 9, "color": "var(--measured)", "line": {"width": 2}},
@@ -175,7 +177,7 @@ def _picture(found: Comparison) -> dict[str, Any] | None:
         for mark, own in points.items()
         if own["x"]
     ]  # fmt: skip
-    order = [full_text(row.name) for row in rows][::-1]
+    order = [quantity_text(row.name) for row in rows][::-1]
     layout = {
         "xaxis": {
             "title": {"text": "difference over its error, z"},
@@ -209,10 +211,10 @@ def _picture(found: Comparison) -> dict[str, Any] | None:
         "hovermode": "closest",
         "showlegend": True,
     }
-    strongest = ", ".join(full_text(row.name) for row in rows if any(row.changed)) or "none"
+    strongest = ", ".join(quantity_text(row.name) for row in rows if any(row.is_changed)) or "none"
     return {
         "figure": plots.figure(data, layout),
-        "alt": f"Differences from {found.sets[0].label} over their errors. Beyond chance: {strongest}.",
+        "alt": f"Differences from {found.datasets[0].label} over their errors. Beyond chance: {strongest}.",
         "height": f"{FRAME_REM + ROW_REM * len(rows):g}rem",
         "left": len(found.rows) - len(rows),
     }
@@ -225,7 +227,7 @@ def _span(values: Sequence[float]) -> list[float]:
     return [low - margin, high + margin]
 
 
-def _effects(sets: Sequence[Set]) -> list[tuple[str, list[str]]]:
+def _effects(sets: Sequence[DatasetResults]) -> list[tuple[str, list[str]]]:
     """Effects that any verdict names, and what each verdict says of them."""
     verdicts = [own.verdict for own in sets]
     names = dict.fromkeys(effect["name"] for own in verdicts if own for effect in own["effects"])
@@ -258,7 +260,7 @@ def _groups(found: Comparison) -> Iterator[dict[str, Any]]:
             yield {
                 "name": group,
                 "count": len(rows),
-                "changed": sum(any(row.changed) for row in rows),
+                "changed": sum(any(row.is_changed) for row in rows),
                 "left": max(len(rows) - MOST_ROWS, 0),
                 "errors": sorted({own.error for row in rows for own in row.numbers if own.error}),
                 "rows": [_row(found, row) for row in shown[:MOST_ROWS]],
@@ -267,7 +269,7 @@ def _groups(found: Comparison) -> Iterator[dict[str, Any]]:
 
 def _row(found: Comparison, row: Row) -> dict[str, Any]:
     cells = []
-    for own, change, changed in zip(row.numbers, row.changes, row.changed, strict=True):
+    for own, change, changed in zip(row.numbers, row.changes, row.is_changed, strict=True):
         tested = np.isfinite(change.z)
         cells.append(
             {
@@ -281,36 +283,41 @@ def _row(found: Comparison, row: Row) -> dict[str, Any]:
         )
     slope = row.trend
     return {
-        "what": row.name.what,
-        "where": where_text(row.name.where),
+        "what": row.name.quantity,
+        "where": conditions_text(row.name.conditions),
         "cells": cells,
         "slope": change_text(slope, row.units) if np.isfinite(slope.z) else "–",
         "slope_z": z_text(slope.z) if np.isfinite(slope.z) else "",
-        "rising": row.rising,
-        "slope_sign": SIGNS[slope.value > 0] if row.rising else "",
+        "rising": row.has_trend,
+        "slope_sign": SIGNS[slope.value > 0] if row.has_trend else "",
     }
 
 
 def _over(found: Comparison) -> str:
     """What the picture over the datasets shows of every quantity, as JSON: first those with a trend beyond chance, then
     those that changed."""
-    rows = sorted(found.rows, key=lambda row: (not row.rising, not any(row.changed)))
+    rows = sorted(found.rows, key=lambda row: (not row.has_trend, not any(row.is_changed)))
     quantities = [
         {
-            "name": full_text(row.name),
+            "name": quantity_text(row.name),
             "group": row.name.group,
-            "mark": "trend: " if row.rising else "changed: " if any(row.changed) else "",
+            "mark": "trend: " if row.has_trend else "changed: " if any(row.is_changed) else "",
             "unit": UNITS.get(row.units, row.units),
             "y": [own.value for own in row.numbers],
             "e": [own.stderr for own in row.numbers],
             "text": [number_text(own) for own in row.numbers],
-            "line": [row.level, row.trend.value] if np.isfinite(row.trend.value) else None,
+            "line": [row.intercept, row.trend.value] if np.isfinite(row.trend.value) else None,
             "said": _trend_text(found, row),
         }
         for row in rows
     ]
-    labels = [own.label for own in found.sets]
-    content = {"along": found.along, "places": found.places, "labels": labels, "named": found.per == "dataset"}
+    labels = [own.label for own in found.datasets]
+    content = {
+        "along": found.axis.name,
+        "places": found.axis.places,
+        "labels": labels,
+        "named": found.axis.unit == "dataset",
+    }
     return plots.as_json(content | {"quantities": quantities})
 
 
@@ -318,19 +325,19 @@ def _trend_text(found: Comparison, row: Row) -> str:
     own = row.trend
     if not np.isfinite(own.value):
         return ""
-    slope = f"{change_text(own, row.units)} per {found.per}"
+    slope = f"{change_text(own, row.units)} per {found.axis.unit}"
     if not np.isfinite(own.z):
         return f"slope {slope}, without an error"
-    return f"slope {slope}, z = {z_text(own.z)}: {'beyond' if row.rising else 'within'} its error"
+    return f"slope {slope}, z = {z_text(own.z)}: {'beyond' if row.has_trend else 'within'} its error"
 
 
 def _alone(found: Comparison) -> Iterator[str]:
     """Sentences on what is in one dataset alone, or was skipped in one."""
     shared = {row.name for row in found.rows}
-    for own in found.sets:
+    for own in found.datasets:
         names = [name for name in own.numbers if name not in shared]
-        whats = list(dict.fromkeys(name.what for name in names if not name.where))
-        places = list(dict.fromkeys(where_text(name.where) for name in names if name.where))
+        whats = list(dict.fromkeys(name.quantity for name in names if not name.conditions))
+        places = list(dict.fromkeys(conditions_text(name.conditions) for name in names if name.conditions))
         if whats:
             yield f"{own.label} alone has {list_text(whats)}"
         if places:
@@ -338,5 +345,5 @@ def _alone(found: Comparison) -> Iterator[str]:
                 f", and {len(places) - 5} conditions more" if len(places) > 5 else ""
             )
         for stage, why in own.skipped.items():
-            if any(stage not in other.skipped for other in found.sets):
+            if any(stage not in other.skipped for other in found.datasets):
                 yield f"{own.label} has no {stage}: {why}"

@@ -1,0 +1,160 @@
+"""Results of several datasets, read for comparison."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.dataset.conditions import merge_values
+from spotcheck.dataset.manifest import DATE
+from spotcheck.errors import InputError
+from spotcheck.io import store
+from spotcheck.report.comparison.numbers import GROUPS, Measurement, QuantityName, collect_numbers, list_files
+
+# Columns of the manifest whose tolerances apply to an axis.
+COLUMNS = {"angle": "angle_deg", "exposure": "exposure_s"}
+# Datasets that a comparison needs.
+MIN_DATASETS = 2
+
+
+@dataclass(frozen=True)
+class DatasetResults:
+    """Results of one dataset."""
+
+    folder: Path  # results folder
+    label: str  # name among the compared datasets
+    title: str  # title of the dataset
+    frames: dict[str, int]  # number of frames by kind
+    mean_time: datetime | None  # mean time of exposure of the frames; None if unknown
+    verdict: dict[str, Any] | None  # content of verdict.json; None if there is none
+    numbers: dict[QuantityName, Measurement]  # numbers that can be compared
+    skipped: dict[str, str]  # reason for each skipped stage
+
+
+def read_datasets(folders: Sequence[Path]) -> list[DatasetResults]:
+    """Return the results of several datasets, with conditions that agree within their tolerances made equal.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Results folders.
+
+    Raises
+    ------
+    InputError
+        With fewer than two folders, if a folder has no results or is named twice, or if no two datasets share a
+        number.
+    """
+    if len(folders) < MIN_DATASETS:
+        raise InputError(f"{len(folders)} dataset to compare; name two or more")
+    for folder, count in Counter(folder.resolve() for folder in folders).items():
+        if count > 1:
+            raise InputError(f"{folder}: named twice; a dataset is compared with others")
+    datasets = _align_conditions([_read_dataset(folder) for folder in folders])
+    counts = Counter(dataset.label for dataset in datasets)
+    datasets = [replace(d, label=str(d.folder)) if counts[d.label] > 1 else d for d in datasets]
+    if not list_shared(datasets):
+        raise InputError(
+            f"{' and '.join(dataset.label for dataset in datasets)} have no number in common; compare datasets of one"
+            " kind, at conditions that they share"
+        )
+    return datasets
+
+
+def list_shared(datasets: Sequence[DatasetResults]) -> list[QuantityName]:
+    """Return the numbers that at least two datasets have in the same unit, in the order of their groups."""
+    shared = [name for name, units in _list_units(datasets).items() if len(units) > 1 and len(set(units.values())) == 1]
+    return sorted(shared, key=lambda name: GROUPS.index(name.group))
+
+
+def list_unit_conflicts(datasets: Sequence[DatasetResults]) -> list[str]:
+    """Return one sentence for each number that is not compared because its units differ."""
+    remarks = []
+    for name, units in _list_units(datasets).items():
+        if len(set(units.values())) > 1:
+            listed = ", ".join(f"{unit} in {label}" for label, unit in units.items())
+            remarks.append(f"{name.quantity} is not compared: it is in {listed}")
+    return remarks
+
+
+def _list_units(datasets: Sequence[DatasetResults]) -> dict[QuantityName, dict[str, str]]:
+    """Return the units of each number by the label of the dataset."""
+    units: dict[QuantityName, dict[str, str]] = {}
+    for dataset in datasets:
+        for name, number in dataset.numbers.items():
+            units.setdefault(name, {})[dataset.label] = number.units
+    return units
+
+
+def _read_dataset(folder: Path) -> DatasetResults:
+    """Return the results of one dataset. Raises `InputError` if the folder has no results."""
+    if not (folder / "frames.nc").is_file():
+        raise InputError(f"{folder}: holds no results of a dataset (no frames.nc); run the workflow on it first")
+    files, verdict = {}, None
+    for path in list_files(folder):
+        if path.suffix == ".json":
+            verdict = json.loads(path.read_text(encoding="utf-8"))
+        else:
+            with store.read(path) as ds:
+                # Images are large, and no number is read from them.
+                small = [str(name) for name in ds.data_vars if not {"x", "y"} & set(ds[name].dims)]
+                files[path.stem] = ds[small].load()
+    table = files["frames"]
+    return DatasetResults(
+        folder=folder,
+        label=folder.name or str(folder),
+        title=str(table.attrs["title"]),
+        frames=dict(Counter(table["kind"].values.astype(str).tolist())),
+        mean_time=_average_dates(table),
+        verdict=verdict,
+        numbers=collect_numbers(files, verdict),
+        skipped={name: str(ds.attrs["skipped"]) for name, ds in files.items() if "skipped" in ds.attrs},
+    )
+
+
+def _average_dates(table: xr.Dataset) -> datetime | None:
+    """Return the mean date of the frames; None if a date is missing or not ISO 8601."""
+    if DATE not in table.variables:
+        return None
+    try:
+        dates = [datetime.fromisoformat(text) for text in table[DATE].values.astype(str)]
+    except ValueError:
+        return None
+    # A time without a zone counts as UTC: an error of hours does not matter to a trend over days.
+    stamps = [date.replace(tzinfo=date.tzinfo or UTC).timestamp() for date in dates]
+    return datetime.fromtimestamp(float(np.mean(stamps)), UTC)
+
+
+def _align_conditions(datasets: Sequence[DatasetResults]) -> list[DatasetResults]:
+    """Return the datasets with values of one condition replaced by their mean."""
+    values: dict[str, set[float]] = {}
+    for condition in (item for dataset in datasets for name in dataset.numbers for item in name.conditions):
+        values.setdefault(condition.axis, set()).add(condition.value)
+    aligned: dict[str, dict[float, float | None]] = {}
+    for axis, distinct in values.items():
+        ordered = sorted(distinct)
+        aligned[axis] = dict(zip(ordered, merge_values(COLUMNS.get(axis, axis), ordered).values, strict=True))
+    return [
+        replace(dataset, numbers={_align_name(name, aligned): number for name, number in dataset.numbers.items()})
+        for dataset in datasets
+    ]
+
+
+def _align_name(name: QuantityName, aligned: Mapping[str, Mapping[float, float | None]]) -> QuantityName:
+    """Return a name with the common values of its conditions."""
+    conditions = []
+    for condition in name.conditions:
+        value = aligned[condition.axis][condition.value]
+        conditions.append(condition if value is None else condition._replace(value=value))
+    return name._replace(conditions=tuple(conditions))
+
+
+def list_sources(folders: Sequence[Path]) -> list[Path]:
+    """Return every file that `read_datasets` reads."""
+    return [path for folder in folders for path in list_files(folder)]

@@ -1,0 +1,110 @@
+"""Comparison as an xarray dataset over `dataset` and `quantity`, the content of comparison.nc."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.report.comparison.changes import FALSE_ALARM_RATE, MIN_TREND_POINTS
+from spotcheck.report.comparison.table import Comparison, conditions_text, quantity_text
+
+# Variables: name, attribute of `Measurement` or `Change`, meaning.
+NUMBERS = (
+    ("value", "value", "value"),
+    ("stderr", "stderr", "standard error; missing where none is known"),
+    ("degrees", "degrees", "degrees of freedom of the standard error"),
+)
+DIFFERENCES = (
+    ("difference", "value", "value less that of the first dataset that has one"),
+    ("difference_stderr", "stderr", "standard error of the difference"),
+    ("difference_degrees", "degrees", "degrees of freedom of that (Welch and Satterthwaite)"),
+    ("z", "z", "deviate of a normal law that is as odd as the difference over its error"),
+    ("p_value", "p_value", "p-value of no difference, two-sided"),
+)
+SLOPES = (
+    ("slope", "value", "slope"),
+    ("slope_stderr", "stderr", "standard error of the slope"),
+    ("slope_degrees", "degrees", "degrees of freedom of that"),
+    ("slope_z", "z", "deviate of a normal law that is as odd as the slope over its error"),
+    ("slope_p_value", "p_value", "p-value of no slope, two-sided"),
+)
+TEXTS = (
+    ("error_of", "error", "what the standard error is the error of"),
+    ("variable", "source", "variable of the results that the value is from"),
+)
+DIMS = ("dataset", "quantity")
+SIGNIFICANT = "beyond chance, by Holm at the rate `false_alarms` among all that were tested"
+
+Variable = tuple[str | tuple[str, ...], np.ndarray, dict[str, str]]
+
+
+def build_dataset(comparison: Comparison) -> xr.Dataset:
+    """Return the numbers, differences and trends of a comparison, and which of them are significant.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        The comparison.
+
+    Returns
+    -------
+    Dataset
+        Over `dataset` and `quantity`. `changed` and `slope_beyond` are 1 if a difference or a slope is significant.
+        Slopes are missing with fewer than `MIN_TREND_POINTS` datasets.
+    """
+    datasets, rows, axis = comparison.datasets, comparison.rows, comparison.axis
+    labels = [dataset.label for dataset in datasets]
+    statuses = [dataset.verdict["status"] if dataset.verdict else "" for dataset in datasets]
+    ds = xr.Dataset(
+        {
+            "dataset": _texts("dataset", labels, "dataset; the first is the reference"),
+            "quantity": _texts("quantity", [quantity_text(row.name) for row in rows], "what is compared"),
+            "group": _texts("quantity", [row.name.group for row in rows], "group of the quantity"),
+            "unit": _texts("quantity", [row.units for row in rows], "unit of the quantity"),
+            "conditions": _texts("quantity", [conditions_text(row.name.conditions) for row in rows], "conditions"),
+            "results": _texts("dataset", [str(dataset.folder) for dataset in datasets], "results folder"),
+            "status": _texts("dataset", statuses, "status of the verdict"),
+        },
+        attrs={
+            "title": f"Comparison of {', '.join(labels)}",
+            "dataset": ", ".join(labels),
+            "false_alarms": FALSE_ALARM_RATE,
+            "tested": comparison.tested_changes,
+            "tested_trends": comparison.tested_trends,
+            "remarks": "\n".join(comparison.remarks),
+        },
+    )
+    for name, attribute, long_name in TEXTS:
+        texts = [[getattr(number, attribute) for number in row.numbers] for row in rows]
+        ds[name] = (DIMS, np.array(texts, object).T, {"units": "1", "long_name": long_name})
+    for variables, records in ((NUMBERS, [row.numbers for row in rows]), (DIFFERENCES, [row.changes for row in rows])):
+        for name, attribute, long_name in variables:
+            values = np.array([[getattr(record, attribute) for record in row] for row in records], float)
+            ds[name] = (DIMS, values.T, _attributes(attribute, long_name))
+    ds["changed"] = _flags(DIMS, np.array([row.is_changed for row in rows]).T, "difference")
+    unit = "day" if axis.unit == "day" else "1"
+    ds["place"] = ("dataset", np.array(axis.places), {"units": unit, "long_name": axis.name})
+    if len(datasets) >= MIN_TREND_POINTS:
+        for name, attribute, long_name in SLOPES:
+            values = np.array([getattr(row.trend, attribute) for row in rows], float)
+            ds[name] = ("quantity", values, _attributes(attribute, long_name, f" per {axis.unit}"))
+        ds["slope_beyond"] = _flags("quantity", np.array([row.has_trend for row in rows]), "slope")
+    return ds
+
+
+def _texts(dim: str, texts: Sequence[str], long_name: str) -> Variable:
+    """Return a variable of texts."""
+    return dim, np.array(texts, object), {"units": "1", "long_name": long_name}
+
+
+def _flags(dims: str | tuple[str, ...], flags: np.ndarray, subject: str) -> Variable:
+    """Return a variable that is 1 if the `subject` is significant."""
+    long_name = f"1 where the {subject} is {SIGNIFICANT}"
+    return dims, flags.astype("i4"), {"units": "1", "long_name": long_name}
+
+
+def _attributes(attribute: str, long_name: str, per: str = "") -> dict[str, str]:
+    """Return the attributes of a variable; `per` is the unit of the trend axis."""
+    units = f"of the quantity{per}" if attribute in ("value", "stderr") else "1"
+    infinite = {"infinite": "the error is not from scatter"} if attribute == "degrees" else {}
+    return {"units": units, "long_name": long_name} | infinite

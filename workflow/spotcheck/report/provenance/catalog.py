@@ -1,0 +1,176 @@
+"""Catalogue of a results folder: every number that can be looked up, by each of its names."""
+
+import difflib
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import xarray as xr
+
+from spotcheck.errors import InputError
+from spotcheck.io import store
+from spotcheck.report.provenance import netcdf, text_files
+from spotcheck.report.provenance.records import CatalogEntry, Source, StoredNumber
+from spotcheck.report.provenance.rules import read_source
+
+# A name with labels of its dimensions: "fits.sigma_mean[angle=90, exposure=0.0009, repeat=3]".
+QUESTION = re.compile(r"\s*([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?\s*")
+# Comma between two labels. A label may contain one itself: "frames/stack.tif, page 2".
+LABEL_SEPARATOR = re.compile(r",(?=[^,=]+=)")
+# Names that an error message lists.
+MAX_NAMES = 6
+# Similarity above which a name is proposed for a misspelt one [ratio of difflib].
+MIN_SIMILARITY = 0.6
+# Larger variables are images [byte]: a variable of 10,000 frames is smaller, and one image is not.
+MAX_BYTES = 2**20
+INSTRUMENT_FILE = "instrument.yaml"
+TEXT_READERS = {
+    "verdict.json": text_files.read_verdict,
+    "paper_numbers.csv": text_files.read_paper_numbers,
+    INSTRUMENT_FILE: text_files.read_instrument_numbers,
+}
+
+
+@dataclass(frozen=True)
+class Catalog:
+    """Numbers and files of a results folder; files are named by their path without suffix."""
+
+    entries: dict[str, CatalogEntry] = field(default_factory=dict)  # entries by full name
+    entries_by_name: dict[str, list[CatalogEntry]] = field(default_factory=dict)  # entries by every name
+    tables: dict[str, xr.Dataset] = field(default_factory=dict)  # netCDF files without images, by file
+    stored: dict[str, StoredNumber] = field(default_factory=dict)  # numbers of text files, by full name
+    sources: dict[str, Source] = field(default_factory=dict)  # provenance, by file
+
+    def add_entry(self, entry: CatalogEntry) -> None:
+        """Add an entry under all its names."""
+        self.entries[entry.key] = entry
+        for name in entry.names():
+            self.entries_by_name.setdefault(name, []).append(entry)
+
+    def find_entry(self, name: str, dims: Collection[str]) -> CatalogEntry:
+        """Return the entry that a name means.
+
+        Parameters
+        ----------
+        name : str
+            Full or short name.
+        dims : collection of str
+            Dimensions for which the question gives a label; "frame" stands for all dimensions of the grid.
+
+        Raises
+        ------
+        InputError
+            If no entry, or more than one, has the name, or if the entry lacks a dimension.
+        """
+        if name in self.entries:
+            return self.entries[name]
+        candidates = self.entries_by_name.get(name, [])
+        candidates = [entry for entry in candidates if not entry.is_secondary] or candidates
+        labelled = set(dims) - {"frame"}
+        matches = [entry for entry in candidates if labelled <= set(entry.dims)]
+        # Entries that need no further label come first.
+        complete = [entry for entry in matches if "frame" in dims or set(entry.required_dims) <= labelled]
+        matches = complete or matches
+        if len(matches) == 1:
+            return matches[0]
+        if matches:
+            names = _list_names([entry.key for entry in matches])
+            raise InputError(f"{name}: is the name of several numbers; write one of {names}")
+        if candidates:
+            known = ", ".join(candidates[0].dims)
+            having = f"its dimensions are {known}" if known else "it is one number"
+            raise InputError(f"{name}: has no {' and '.join(sorted(labelled))}; {having}")
+        similar = difflib.get_close_matches(name, self.entries_by_name, MAX_NAMES, MIN_SIMILARITY)
+        hint = f"; nearest are {_list_names(similar)}" if similar else ""
+        raise InputError(f"{name}: no number of these results has this name{hint}; `spotcheck explain` lists all")
+
+    def find_short_name(self, entry: CatalogEntry) -> str:
+        """Return the shortest name that means only this entry."""
+        return next(name for name in (*entry.names(), entry.key) if self._is_name_of(name, entry))
+
+    def _is_name_of(self, name: str, entry: CatalogEntry) -> bool:
+        """Return whether a name means an entry and no other."""
+        try:
+            return self.find_entry(name, ()) is entry
+        except InputError:
+            return False
+
+
+def _list_names(names: list[str]) -> str:
+    """Return names as text; only the first ones if there are many."""
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return ", ".join(names[:MAX_NAMES]) + more
+
+
+def parse_question(text: str) -> tuple[str, dict[str, str | int]]:
+    """Return the name in a question, and its labels by dimension. Raises `InputError` if it is malformed."""
+    match = QUESTION.fullmatch(text)
+    pairs = [item.split("=", 1) for item in LABEL_SEPARATOR.split(match[2] or "") if item.strip()] if match else []
+    if match is None or any(len(pair) != 2 for pair in pairs):
+        raise InputError(f"{text}: is no name of a number; write e.g. p1 or fits.sigma_mean[angle=0, repeat=1]")
+    return match[1], {dim.strip(): label.strip() for dim, label in pairs}
+
+
+def add_labels(name: str, entry: CatalogEntry, labels: Mapping[str, object]) -> str:
+    """Return a name with labels of the entry's dimensions: "fits.sigma_mean[angle=90,repeat=3]"."""
+    selection = ",".join(f"{dim}={labels[dim]}" for dim in entry.dims if dim in labels)
+    return f"{name}[{selection}]" if selection else name
+
+
+def load_catalog(results: Path) -> Catalog:
+    """Return the catalogue of a results folder, cached until one of its files changes.
+
+    Raises `InputError` if the folder does not exist or has no results.
+    """
+    if not results.is_dir():
+        raise InputError(f"{results}: no such folder; name the results of a dataset, such as results/virtual-rig")
+    files = [*sorted(results.glob("*.nc")), *sorted(results.glob("*/*.nc")), *(results / name for name in TEXT_READERS)]
+    if dataset := store.read_owner(results):
+        files.append(Path(dataset, INSTRUMENT_FILE))
+    state = tuple((str(path), path.stat().st_mtime_ns) for path in files if path.is_file())
+    return _load_catalog(results, state)
+
+
+@lru_cache(maxsize=4)
+def _load_catalog(results: Path, state: tuple[tuple[str, int], ...]) -> Catalog:
+    """Read the files named in `state`, pairs of path and time of modification [ns]."""
+    catalog = Catalog()
+    for path in (Path(name) for name, _ in state):
+        is_instrument = path.name == INSTRUMENT_FILE
+        file = str(path) if is_instrument else path.relative_to(results).as_posix()
+        name = path.stem if is_instrument else file.removesuffix(path.suffix)
+        attributes: Mapping = {}
+        if path.suffix == ".nc":
+            with store.read(path) as ds:
+                small = [key for key, variable in ds.variables.items() if variable.nbytes <= MAX_BYTES]
+                catalog.tables[name] = ds[small].load()
+            attributes = catalog.tables[name].attrs
+        # A file that no rule writes was left behind by another version.
+        if source := Source(file, "", "") if is_instrument else read_source(results, file, attributes):
+            catalog.sources[name] = source
+            _add_numbers(catalog, path, name)
+    if not any(catalog.sources[entry.path[0]].rule for entry in catalog.entries.values()):
+        raise InputError(f"{results}: holds no results; name the results of a dataset, such as results/virtual-rig")
+    return catalog
+
+
+def _add_numbers(catalog: Catalog, path: Path, name: str) -> None:
+    """Add the numbers of a file to the catalogue."""
+    if path.name in TEXT_READERS:
+        for entry, number in _read_text_file(path):
+            catalog.stored[entry.key] = number
+            catalog.add_entry(entry)
+    elif "skipped" not in catalog.tables[name].attrs:
+        for entry in netcdf.list_entries(name, catalog.tables[name]):
+            catalog.add_entry(entry)
+
+
+def _read_text_file(path: Path) -> list[tuple[CatalogEntry, StoredNumber]]:
+    """Return entries and numbers of a text file; [] if it cannot be read."""
+    try:
+        return list(TEXT_READERS[path.name](path))
+    except InputError:
+        # The user may have broken the instrument file since; the results remain valid.
+        return []

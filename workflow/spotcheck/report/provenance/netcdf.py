@@ -1,0 +1,157 @@
+"""Numbers in netCDF result files: catalogue entries and values."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.characterization.photon_transfer import QUANTITIES
+from spotcheck.errors import InputError
+from spotcheck.report.provenance.records import CatalogEntry, StoredNumber
+
+# Attributes that name the label of a dimension that the workflow itself uses.
+DEFAULT_ATTRIBUTES = {"estimator": "used", "fit": "preferred"}
+# Crops that `fits.preferred` uses.
+DEFAULT_CENTRING = "light"
+# Relative tolerance of a typed coordinate: values of one condition differ by less.
+COORDINATE_TOLERANCE = 1e-3
+# Labels that an error message lists.
+MAX_LABELS = 12
+
+
+def list_entries(name: str, ds: xr.Dataset) -> Iterator[CatalogEntry]:
+    """Yield an entry for each numeric variable of a file, except standard errors; `name` is without suffix."""
+    has_default = default_labels(ds)
+    for variable in map(str, ds.data_vars):
+        values = ds[variable]
+        if values.dtype.kind not in "fiu" or is_stderr(variable):
+            continue
+        if _is_long_table(ds, variable):
+            for quantity, unit in zip(ds["quantity"].values, ds["unit"].values, strict=True):
+                yield CatalogEntry((name, str(quantity)), _short_names(ds, str(quantity), str(unit)))
+            continue
+        dims = tuple(map(str, values.dims))
+        yield CatalogEntry(
+            (name, variable),
+            _short_names(ds, variable, str(values.attrs["units"])),
+            dims=dims,
+            required_dims=tuple(dim for dim in dims if dim not in has_default and values.sizes[dim] > 1),
+            # A name without folder means the measured frames, not the simulated ones in a subfolder.
+            is_secondary="/" in name,
+        )
+
+
+def default_labels(ds: xr.Dataset) -> dict[str, str]:
+    """Return the label that applies to a dimension if a question does not give one."""
+    defaults = {dim: str(ds.attrs[name]) for dim, name in DEFAULT_ATTRIBUTES.items() if name in ds.attrs}
+    return defaults | {"centring": DEFAULT_CENTRING}
+
+
+def is_stderr(variable: str) -> bool:
+    """Return whether a variable is the standard error of another one."""
+    return variable.endswith(("_error", "_stderr")) or "_stderr_" in variable or variable == "stderr"
+
+
+def _short_names(ds: xr.Dataset, name: str, unit: str) -> frozenset[str]:
+    """Return the name without its unit, and the name without `_mean` if the averaged variable is in the file."""
+    suffix = "_" + unit.lower().replace("/", "_per_").replace("-", "")
+    averaged = name.removesuffix("_mean")
+    return frozenset({name.removesuffix(suffix), averaged if averaged in ds else name} - {name})
+
+
+def _is_long_table(ds: xr.Dataset, variable: str) -> bool:
+    """Return whether a variable holds one number per named quantity, each in its own unit."""
+    return variable == "value" and "quantity" in ds[variable].dims and "unit" in ds
+
+
+def read_number(ds: xr.Dataset, entry: CatalogEntry, labels: Mapping[str, str | int]) -> StoredNumber:
+    """Return the number of an entry.
+
+    Parameters
+    ----------
+    ds : Dataset
+        The file.
+    entry : CatalogEntry
+        Entry of a variable or of a quantity.
+    labels : mapping of str to str or int
+        Label, or index, of each selected dimension.
+
+    Raises
+    ------
+    InputError
+        If a dimension does not have the label.
+    """
+    variable = entry.path[-1]
+    if variable not in ds:
+        return _read_quantity(ds, variable)
+    values, defaults = ds.variables[variable], default_labels(ds)
+    index: dict[str, int] = {}
+    for dim in map(str, values.dims):
+        label = labels.get(dim, defaults.get(dim, 0))
+        index[dim] = label if isinstance(label, int) else find_label(ds, dim, label, f"{entry.key}[{dim}={label}]")
+    at = tuple(index.values())
+    value, stderr = float(values[at]), _find_stderr(ds, variable)
+    chosen = {dim: dim_labels(ds, dim)[k] for dim, k in index.items()}
+    listed = {dim: label for dim, label in chosen.items() if ds.sizes[dim] > 1}
+    remarks = [str(values.attrs["source"])] if "source" in values.attrs else []
+    remarks += [f"infinite: {values.attrs['infinite']}"] if np.isinf(value) and "infinite" in values.attrs else []
+    remarks += [str(ds.attrs[f"{dim}_{label}"]) for dim, label in chosen.items() if f"{dim}_{label}" in ds.attrs]
+    selection = ", ".join(f"{dim}={label}" for dim, label in listed.items())
+    return StoredNumber(
+        value=value,
+        stderr=None if stderr is None else float(ds.variables[stderr][at]),
+        unit=str(values.attrs["units"]),
+        description=str(values.attrs["long_name"]),
+        variable=f"{variable}[{selection}]" if selection else variable,
+        method="; ".join(remarks),
+        labels={dim: label for dim, label in listed.items() if label != defaults.get(dim)},
+    )
+
+
+def _read_quantity(ds: xr.Dataset, name: str) -> StoredNumber:
+    """Return a quantity of EMVA 1288 from a table with one row per quantity."""
+    row = ds.isel(quantity=ds["quantity"].values.tolist().index(name))
+    return StoredNumber(
+        value=float(row["value"]),
+        stderr=float(row["stderr"]),
+        unit=str(row["unit"].item()),
+        description=f"{QUANTITIES[name][2]} ({row['symbol'].item()} of EMVA 1288)",
+        variable=f"value[quantity={name}]",
+        method=str(row["why"].item()),
+    )
+
+
+def _find_stderr(ds: xr.Dataset, variable: str) -> str | None:
+    """Return the variable with the standard error of another one, which has the same name and dimensions."""
+    for name in (variable, variable.removesuffix("_mean")):
+        for other in map(str, ds.data_vars):
+            bare_name = other.replace("_stderr", "").replace("_error", "")
+            if other != variable and is_stderr(other) and bare_name == name and ds[other].dims == ds[variable].dims:
+                return other
+    return None
+
+
+def dim_labels(ds: xr.Dataset, dim: str) -> list[str]:
+    """Return the labels of a dimension: its coordinate, or indices if there is none."""
+    if dim not in ds.coords:
+        return [str(k) for k in range(ds.sizes[dim])]
+    return [f"{value:g}" if isinstance(value, float) else str(value) for value in ds.variables[dim].values.tolist()]
+
+
+def find_label(ds: xr.Dataset, dim: str, label: str, question: str) -> int:
+    """Return the index of a label on a dimension.
+
+    Raises `InputError`, which starts with the `question`, if there is no such label.
+    """
+    labels = dim_labels(ds, dim)
+    if label in labels:
+        return labels.index(label)
+    try:
+        number, values = float(label), ds[dim].values.astype(float)
+        nearest = int(np.argmin(np.abs(values - number)))
+        if np.isclose(values[nearest], number, rtol=COORDINATE_TOLERANCE, atol=0):
+            return nearest
+    except (ValueError, KeyError):
+        pass
+    known = ", ".join(labels[:MAX_LABELS]) + (", …" if len(labels) > MAX_LABELS else "")
+    raise InputError(f"{question}: no such {dim}; there are {known}")
