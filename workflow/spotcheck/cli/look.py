@@ -7,8 +7,8 @@ from pathlib import Path
 
 from spotcheck.dataset.labels import units
 from spotcheck.errors import InputError
-from spotcheck.quicklook.images import folder_of
-from spotcheck.quicklook.looking import look
+from spotcheck.quicklook.first_look import look
+from spotcheck.quicklook.images import find_folder
 
 EXAMPLES = """Examples:
   spotcheck look my-frames/frames                # all images of a folder
@@ -69,7 +69,7 @@ def length(unit: str) -> Callable[[str], float]:
 def run(args: argparse.Namespace) -> None:
     """Look, print, and write the page."""
     folder = args.output or (None if args.json else Path(OUTPUT))
-    if args.output is None and folder is not None and folder.resolve() in map(folder_of, map(Path, args.images)):
+    if args.output is None and folder is not None and folder.resolve() in map(find_folder, map(Path, args.images)):
         raise InputError(f"{OUTPUT}: holds the images; name another folder for the page with --output")
     found = look(
         args.images,
