@@ -321,7 +321,7 @@ def test_open(tmp_path, monkeypatch, capsys):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "manifest.csv").touch()
     with pytest.raises(spotcheck.InputError, match=r"has no page yet; run `snakemake .*dataset=mine`"):
-        opening.page_of(Path("mine"))
+        opening.find_page(Path("mine"))
     (tmp_path / "results" / "mine").mkdir(parents=True)
     page = tmp_path / "results" / "mine" / "report.html"
     page.touch()
@@ -332,9 +332,9 @@ def test_open(tmp_path, monkeypatch, capsys):
         assert "results/mine/report.html" in said and "no browser was found" in said
     (tmp_path / "images").mkdir()
     with pytest.raises(spotcheck.InputError, match="`spotcheck look images` makes one"):
-        opening.page_of(Path("images"))
+        opening.find_page(Path("images"))
     with pytest.raises(spotcheck.InputError, match="no such folder"):
-        opening.page_of(tmp_path / "nowhere")
+        opening.find_page(tmp_path / "nowhere")
 
 
 @pytest.mark.skipif(not (SHARED / "data" / "hene-zscan").exists(), reason="needs ../shared/data/hene-zscan")

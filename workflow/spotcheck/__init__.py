@@ -33,7 +33,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from spotcheck.characterization.characterise import Characterisation, characterise_dataset, characterise_sensor
-    from spotcheck.cli.judging import judge_dataset
+    from spotcheck.cli.pipeline import judge_dataset
     from spotcheck.dataset.folder import Dataset
     from spotcheck.dataset.folder import load as read_dataset
     from spotcheck.dataset.frames import read as read_image
@@ -64,7 +64,7 @@ else:
         "characterise_sensor": "characterization.characterise.characterise_sensor",
         "fit_caustic": "fitting.caustic.fit_caustic",
         "fit_spots": "fitting.spotfit.fit_spots",
-        "judge_dataset": "cli.judging.judge_dataset",
+        "judge_dataset": "cli.pipeline.judge_dataset",
         "look": "quicklook.first_look.look",
         "read_dataset": "dataset.folder.load",
         "read_image": "dataset.frames.read",

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from spotcheck.crops import proposal as crop
+from spotcheck.crops import proposal
 from spotcheck.dataset import template
 from spotcheck.dataset.survey.rows import LABELLED, POSITION, Rows, rows_of
 from spotcheck.dataset.survey.scan import COLOUR, Scan, check, scan
@@ -14,99 +14,92 @@ from spotcheck.errors import InputError
 from spotcheck.io import configuration
 from spotcheck.io.formats.colour import Colour
 
-# What a person is asked for where no file says it: column or key, and the question.
+# Example of an answer, and question, for each column or key that the user is asked for.
 QUESTIONS = {
-    "exposure_s": "exposure time of all frames, such as 2 ms",
-    POSITION: "unit of the positions in the names, such as mm",
-    "sensor.pixel_pitch_m": "pixel pitch of the camera, such as 3.45 um",
-    "laser.wavelength_m": "wavelength of the laser, such as 632.8 nm",
+    "exposure_s": ("2 ms", "exposure time of all frames"),
+    POSITION: ("mm", "unit of the positions in the names"),
+    "sensor.pixel_pitch_m": ("3.45 um", "pixel pitch of the camera"),
+    "laser.wavelength_m": ("632.8 nm", "wavelength of the laser"),
 }
-
 # Files of other formats that a message lists.
 MOST_OTHERS = 5
-
-EXAMPLE = """Example:
-  spotcheck new-dataset new-frames
-"""
+EXAMPLES = "spotcheck new-dataset new-frames"
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("folder", type=Path, help="folder of images, or one to make")
     parser.add_argument(
         "--set",
-        dest="given",
+        dest="answers",
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="what no file says, for all frames: exposure_s=2ms; the unit of numbers that have none: z_m=mm; or which"
+        help="what no file states, for all frames: exposure_s=2ms; the unit of numbers without one: z_m=mm; or which"
         ' source is right: "exposure_s=file name"; also keys such as laser.wavelength_m=632.8nm',
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Say what the files tell, ask for what is missing, write both files; nothing that is there is overwritten."""
-    folder, given = args.folder, dict(_pair(word) for word in args.given)
+    """Read what the files state, ask for what is missing, and write both files; existing files are never replaced."""
+    folder, answers = args.folder, dict(_parse_answer(word) for word in args.answers)
     template.check_free(folder)
-    colour = Colour(*(given.get(key) for key in COLOUR))
-    found = scan(folder, colour) if folder.is_dir() else Scan((), (), ())
-    if found.broken and not found.shots:
-        more = f"; of {len(found.broken)} images none is read" if len(found.broken) > 1 else ""
-        keys = ", such as by --set sensor.channel=red" if COLOUR[0] in found.broken[0] else ""
-        raise InputError(f"{found.broken[0]}{keys}{more}")
-    check(found, given)
-    rows = rows_of(found, given) if found.shots else None
-    if rows is None:
-        if found.others:
-            print(f"{folder}: holds no image that is read, but {', '.join(found.others[:MOST_OTHERS])}")
-        elif folder.is_dir():
-            print(f"{folder}: holds no image")
-        template.write(folder)
+    colour = Colour(*(answers.get(key) for key in COLOUR))
+    images = scan(folder, colour) if folder.is_dir() else Scan((), (), ())
+    if images.broken and not images.shots:
+        hint = ", such as by --set sensor.channel=red" if COLOUR[0] in images.broken[0] else ""
+        count = f"; of {len(images.broken)} images none is read" if len(images.broken) > 1 else ""
+        raise InputError(f"{images.broken[0]}{hint}{count}")
+    check(images, answers)
+    if images.shots:
+        _write_rows(folder, images, answers, colour)
+        next_step = "next"
     else:
-        print(*told(str(folder), found, rows), sep="\n")
-        rows = _completed(found, rows, given)
-        side, seen = crop.look(folder, rows, colour)
-        if not seen:
-            print(
-                "No spot stands out in these frames. Darks and flats are told by those words in the names of files or"
-            )
-            print("folders, or in the column kind.")
-        template.write(folder, rows, side)
-    then = "next" if rows else "fill in the blanks, then"
-    print(f"{folder}: wrote manifest.csv, instrument.yaml; {then}: spotcheck check {folder}")
+        if folder.is_dir():
+            others = f" that is read, but {', '.join(images.others[:MOST_OTHERS])}" if images.others else ""
+            print(f"{folder}: holds no image{others}")
+        template.write(folder)
+        next_step = "fill in the blanks, then"
+    print(f"{folder}: wrote manifest.csv, instrument.yaml; {next_step}: spotcheck check {folder}")
     if remark := configuration.remark_on(str(folder)):
         print(remark)
 
 
-def _completed(found: Scan, rows: Rows, given: dict[str, str]) -> Rows:
-    """The rows with what a person answers at a terminal; without one, a sentence names what is missing."""
-    missing = list(_missing(rows))
-    if not missing:
-        return rows
-    if sys.stdin.isatty():
-        return rows_of(found, given | dict(own for key in missing if (own := _asked(found, key))))
-    print(f"Not found: {', '.join(missing)}.")
-    print(f"What is known can be given, such as --set {_example(missing[0])}, or written into manifest.csv and")
-    print("instrument.yaml; without it the frames are evaluated as far as that goes.")
-    return rows
+def _write_rows(folder: Path, images: Scan, answers: dict[str, str], colour: Colour) -> None:
+    """Print what the files state, ask for what is missing, and write both files with a row per frame."""
+    rows = rows_of(images, answers)
+    print(*told(str(folder), images, rows), sep="\n")
+    if missing := list(_list_missing(rows)):
+        if sys.stdin.isatty():
+            rows = rows_of(images, answers | dict(pair for key in missing if (pair := _ask(images, key))))
+        else:
+            example = f"{missing[0]}={QUESTIONS[missing[0]][0].replace(' ', '')}"
+            print(f"Not found: {', '.join(missing)}.")
+            print(f"Give what you know by options such as --set {example}, or write it into manifest.csv and")
+            print("instrument.yaml. Without it the frames are evaluated as far as possible.")
+    crop_px, has_spot = proposal.look(folder, rows, colour)
+    if not has_spot:
+        print("No spot stands out in these frames. Mark darks and flats by these words in the names of files or")
+        print("folders, or in the column kind.")
+    template.write(folder, rows, crop_px)
 
 
-def _asked(found: Scan, key: str) -> tuple[str, str] | None:
-    """A key and what a person answers, asked anew where nothing can be made of it; None where it is not known."""
-    while answer := input(f"{key}: {QUESTIONS[key]} (Enter where it is not known): ").strip():
+def _ask(images: Scan, key: str) -> tuple[str, str] | None:
+    """Return a key with the answer of the user, who is asked again after an invalid one; None if it is unknown."""
+    example, question = QUESTIONS[key]
+    while answer := input(f"{key}: {question}, such as {example} (Enter if it is not known): ").strip():
         try:
-            pair = _pair(f"{key}={answer}")
-            check(found, dict([pair]))
+            pair = _parse_answer(f"{key}={answer}")
+            check(images, dict([pair]))
             return pair
         except InputError as error:
             print(str(error).removeprefix("--set "))
     return None
 
 
-def _missing(rows: Rows) -> Iterator[str]:
-    """Columns and keys that matter for these frames and that nothing tells."""
-    unclear = {own.column for own in rows.also} | {own.partition(":")[0] for own in rows.contradictions}
+def _list_missing(rows: Rows) -> Iterator[str]:
+    """Yield the columns and keys that these frames need and no file states."""
+    unclear = {said.column for said in rows.also} | {sentence.partition(":")[0] for sentence in rows.contradictions}
     if len(rows.missing["exposure_s"]) == len(rows.cells) and "exposure_s" not in unclear:
         yield "exposure_s"
     if POSITION in unclear and POSITION not in rows.columns:
@@ -115,13 +108,8 @@ def _missing(rows: Rows) -> Iterator[str]:
         yield from (key for key in ("sensor.pixel_pitch_m", "laser.wavelength_m") if key not in rows.keys)
 
 
-def _example(key: str) -> str:
-    """An answer to a question, as an option."""
-    return f"{key}={QUESTIONS[key].rpartition('such as ')[2].replace(' ', '')}"
-
-
-def _pair(word: str) -> tuple[str, str]:
-    """Key and value of an answer. Raises `InputError`."""
+def _parse_answer(word: str) -> tuple[str, str]:
+    """Return key and value of KEY=VALUE. Raises `InputError` for an unknown key or an impossible value."""
     key, equals, value = (part.strip() for part in word.partition("="))
     keys = template.keys()
     if not equals or key not in (*LABELLED, *keys) or not value:

@@ -26,46 +26,54 @@ def build_json(look: Look) -> dict[str, Any]:
     """Return all numbers of a look as plain dictionaries, lists, numbers and strings."""
     return _replace_unknown(
         {
-            "images": [_image(image, look.pixel_pitch_m) for image in look.images],
-            "cameras": [_camera(camera) for camera in look.cameras],
-            "beams": {METHOD_KEYS[scan.method]: _scan(scan) for scan in look.beams},
+            "images": [_convert_image(image, look.pixel_pitch_m) for image in look.images],
+            "cameras": [_convert_camera(camera) for camera in look.cameras],
+            "beams": {METHOD_KEYS[scan.method]: _convert_scan(scan) for scan in look.beams},
             "pixel_pitch_m": look.pixel_pitch_m,
             "wavelength_m": look.wavelength_m,
-            "remarks": [*text_report.scan_cautions(look), *look.remarks],
+            "remarks": [*text_report.list_scan_cautions(look), *look.remarks],
         }
     )
 
 
-def _image(image: ImageResult, pitch_m: float | None) -> dict[str, Any]:
+def _convert_image(image: ImageResult, pitch_m: float | None) -> dict[str, Any]:
+    """Return the results of one image."""
     rows, columns = image.shape
     return {
         "name": image.name,
         "rows": rows,
         "columns": columns,
         "z_m": image.z_m,
-        "second_moments": _moments(image.moments, pitch_m) if math.isfinite(image.moments.x) else None,
-        "gaussian_fit": None if image.fit is None else _fit(image, image.fit, pitch_m),
+        "second_moments": _convert_moments(image.moments, pitch_m) if math.isfinite(image.moments.x) else None,
+        "gaussian_fit": None if image.fit is None else _convert_fit(image, image.fit, pitch_m),
         "highest_dn": image.clipping.highest_dn,
         "clipped_px": image.clipping.pixels,
         "stop_dn": image.clipping.level_dn,
         "d4sigma_widened_by_clip": image.clip_widening,
         "misfit_of_peak": image.residual_rms,
         "left_out": image.outliers,
-        "beware": text_report.caution_texts(image),
+        "beware": text_report.list_cautions(image),
     }
 
 
-def _moments(moments: Moments, pitch_m: float | None) -> dict[str, Any]:
-    numbers: dict[str, Any] = {}
-    for name, suffix in (("x", "_px"), ("y", "_px"), ("azimuth", "_deg"), ("background", "_dn")):
-        numbers |= _with_error(name, getattr(moments, name), getattr(moments, f"{name}_stderr"), suffix)
-    numbers |= _with_error("d4sigma_major", moments.major, moments.major_stderr, "_px", pitch_m)
-    numbers |= _with_error("d4sigma_minor", moments.minor, moments.minor_stderr, "_px", pitch_m)
-    flags = {name: getattr(moments, name) for name in ("whole", "settled", "measured")}
-    return numbers | {"area_inside": moments.inside} | flags
+def _convert_moments(moments: Moments, pitch_m: float | None) -> dict[str, Any]:
+    """Return the second moments with their errors."""
+    return {
+        **_with_error("x", moments.x, moments.x_stderr, "_px"),
+        **_with_error("y", moments.y, moments.y_stderr, "_px"),
+        **_with_error("d4sigma_major", moments.major, moments.major_stderr, "_px", pitch_m),
+        **_with_error("d4sigma_minor", moments.minor, moments.minor_stderr, "_px", pitch_m),
+        **_with_error("azimuth", moments.azimuth, moments.azimuth_stderr, "_deg"),
+        **_with_error("background", moments.background, moments.background_stderr, "_dn"),
+        "area_inside": moments.inside,
+        "whole": moments.whole,
+        "settled": moments.settled,
+        "measured": moments.measured,
+    }
 
 
-def _fit(image: ImageResult, fit: SpotFits, pitch_m: float | None) -> dict[str, Any]:
+def _convert_fit(image: ImageResult, fit: SpotFits, pitch_m: float | None) -> dict[str, Any]:
+    """Return status, χ² and parameters of the fit, with their errors."""
     numbers: dict[str, Any] = {"status": str(fit.status), "chi2_reduced": float(fit.chi2_reduced)}
     for name, (unit, _) in PARAMETERS.items():
         pitch = pitch_m if name.startswith("sigma") else None
@@ -81,7 +89,8 @@ def _with_error(name: str, value: Any, stderr: Any, suffix: str, pitch_m: float 
     return numbers
 
 
-def _camera(camera: Camera) -> dict[str, Any]:
+def _convert_camera(camera: Camera) -> dict[str, Any]:
+    """Return the properties of a camera; the keys are the same if gain and noise are unknown."""
     numbers: dict[str, Any] = {
         "black_level_dn": camera.black_level_dn,
         "stop_dn": camera.clip_level_dn,
@@ -93,7 +102,8 @@ def _camera(camera: Camera) -> dict[str, Any]:
     return numbers
 
 
-def _scan(scan: BeamScan) -> dict[str, Any]:
+def _convert_scan(scan: BeamScan) -> dict[str, Any]:
+    """Return the caustics by axis, or why there are none."""
     if scan.reason:
         return {"why_not": scan.reason, "left_out": list(scan.left_out)}
     axes = {}
@@ -101,11 +111,8 @@ def _scan(scan: BeamScan) -> dict[str, Any]:
         numbers: dict[str, Any] = {"chi2_reduced": caustic.chi2_reduced, "scatter": caustic.scatter}
         for name, (unit, _) in QUANTITIES.items():
             numbers |= _with_error(name, getattr(caustic, name), getattr(caustic, f"{name}_stderr"), SUFFIXES[unit])
-        numbers |= {
-            "z_m": scan.z.tolist(),
-            **_with_error("radius", scan.radius[axis].tolist(), scan.stderr[axis].tolist(), "_m"),
-        }
-        axes[axis] = numbers
+        radius = _with_error("radius", scan.radius[axis].tolist(), scan.stderr[axis].tolist(), "_m")
+        axes[axis] = numbers | {"z_m": scan.z.tolist()} | radius
     return {"axes": axes, "left_out": list(scan.left_out)}
 
 

@@ -40,18 +40,18 @@ def write_page(look: "Look", folder: Path) -> Path:
     with_picture = [image for image in images if image.picture is not None]
     step = -(-len(with_picture) // MOST_PICTURES) or 1
     spots = [
-        _render(pictures.draw_spot(image), image.name, text_report.image_rows(image, pitch_m))
+        _render(pictures.draw_spot(image), image.name, text_report.describe_image(image, pitch_m))
         for image in with_picture[::step]
     ]
     head, body = text_report.build_table(images, pitch_m)
     content = TEMPLATES.get_template(PAGE).render(
         title=f"A first look at {images[0].name if is_single else f'{len(images)} images'}",
         is_single=is_single,
-        rows=text_report.image_rows(images[0], pitch_m),
+        rows=text_report.describe_image(images[0], pitch_m),
         head=head,
         body=body,
-        beam_lines=text_report.beam_lines(look),
-        cameras=[text_report.camera_rows(camera, look.cameras) for camera in look.cameras],
+        beam_lines=text_report.describe_beams(look),
+        cameras=[text_report.describe_camera(camera, look.cameras) for camera in look.cameras],
         remarks=[*look.remarks, *([] if is_single else text_report.merge_cautions(images))],
         caustics=caustics,
         spots=spots,

@@ -46,10 +46,10 @@ class Caution(NamedTuple):
 
 def format_look(look: Look) -> str:
     """Return all results as text."""
-    cameras = [_format_rows(camera_rows(camera, look.cameras)) for camera in look.cameras]
+    cameras = [_format_rows(describe_camera(camera, look.cameras)) for camera in look.cameras]
     if len(look.images) == 1:
         image = look.images[0]
-        blocks = [[image.name, *_format_rows(image_rows(image, look.pixel_pitch_m)), *cameras[0]]]
+        blocks = [[image.name, *_format_rows(describe_image(image, look.pixel_pitch_m)), *cameras[0]]]
     else:
         head, body = build_table(look.images, look.pixel_pitch_m)
         # All columns side by side are wider than a terminal.
@@ -60,11 +60,11 @@ def format_look(look: Look) -> str:
             *cameras,
             merge_cautions(look.images),
         ]
-    blocks += [beam_lines(look), list(look.remarks)]
+    blocks += [describe_beams(look), list(look.remarks)]
     return "\n\n".join("\n".join(map(_wrap_line, block)) for block in blocks if block)
 
 
-def camera_rows(camera: Camera, cameras: Sequence[Camera]) -> Rows:
+def describe_camera(camera: Camera, cameras: Sequence[Camera]) -> Rows:
     """Return the properties of a camera, and its images if there are several cameras."""
     rows = [("images", _list_names(camera.images))] if len(cameras) > 1 else []
     if camera.gain is None or camera.read_noise is None:
@@ -79,28 +79,29 @@ def camera_rows(camera: Camera, cameras: Sequence[Camera]) -> Rows:
     return [*rows, ("black level", level)]
 
 
-def image_rows(image: ImageResult, pitch_m: float | None) -> Rows:
+def describe_image(image: ImageResult, pitch_m: float | None) -> Rows:
     """Return the results of one image."""
     if image.fit is None:
         height, width = image.shape
         rows = [("spot", f"none: nothing stands out of the noise on {width} × {height} px")]
         return [*rows, ("clipped", _count_clipped(image))] if image.clipping.pixels else rows
     moments, highest = image.moments, f"the highest reading is {image.clipping.highest_dn:.5g} DN"
-    x, y = _measured(*image.fit_value("x_centre")), _measured(*image.fit_value("y_centre"), "px")
-    peak, offset = (_measured(*image.fit_value(name), "DN") for name in ("amplitude", "offset"))
-    d4sigma = _format_widths(image.moment_widths, pitch_m) + _format_axis(moments.azimuth, moments.azimuth_stderr)
+    x, y = _format_value(*image.fit_value("x_centre")), _format_value(*image.fit_value("y_centre"), "px")
+    peak, offset = (_format_value(*image.fit_value(name), "DN") for name in ("amplitude", "offset"))
+    fit_size = _format_widths(image.fit_widths, pitch_m) + _format_axis(*image.fit_value("orientation"))
+    size = "unknown: the error of D4σ exceeds half of its value"
+    if moments.measured:
+        axis = _format_axis(moments.azimuth, moments.azimuth_stderr)
+        size = f"D4σ {_format_widths(image.moment_widths, pitch_m)}{axis}"
     clip = _describe_clip(image)
     return [
         ("centre", f"x {x}, y {y}"),
-        (
-            "Gaussian fit",
-            f"4σ {_format_widths(image.fit_widths, pitch_m)}{_format_axis(*image.fit_value('orientation'))}",
-        ),
-        ("second moments", f"D4σ {d4sigma}" if moments.measured else "no width: its error is as large as the width"),
+        ("Gaussian fit", f"4σ {fit_size}"),
+        ("second moments", size),
         ("peak", f"{peak} above an offset of {offset}; {highest}"),
         ("shape", _describe_shape(image)),
         ("clipped", f"{clip.value}; {clip.sentence}" if clip else f"no; {highest}"),
-        *(("caution", text) for text in caution_texts(image)),
+        *(("caution", text) for text in list_cautions(image)),
     ]
 
 
@@ -111,7 +112,7 @@ def _describe_shape(image: ImageResult) -> str:
     (major, major_stderr), (minor, minor_stderr) = image.moment_widths if by_moments else image.fit_widths
     ratio = minor / major
     stderr = ratio * math.hypot(minor_stderr / minor, major_stderr / major)
-    text = f"short over long {'D4σ' if by_moments else '4σ of the fit'} {_measured(ratio, stderr)}"
+    text = f"short over long {'D4σ' if by_moments else '4σ of the fit'} {_format_value(ratio, stderr)}"
     _, axis_stderr = image.fit_value("orientation")
     if not math.isfinite(image.moments.azimuth_stderr if by_moments else axis_stderr):
         shape = f"round within the noise ({text})"
@@ -143,7 +144,7 @@ def _describe_clip(image: ImageResult) -> Caution | None:
     return Caution(fit, _count_clipped(image) + effect)
 
 
-def caution_texts(image: ImageResult) -> list[str]:
+def list_cautions(image: ImageResult) -> list[str]:
     """Return the cautions about one image as sentences."""
     return [f"{caution.sentence} {caution.value}".rstrip() for caution in _find_cautions(image)]
 
@@ -203,28 +204,28 @@ def build_table(images: Sequence[ImageResult], pitch_m: float | None) -> tuple[l
         if has_z:
             row.append("" if image.z_m is None else f"{1e3 * image.z_m:.6g}")
         mark = UNCERTAIN if image.moments.measured and not image.moments.whole else ""
-        row += [_measured(factor * width, factor * stderr) + mark for width, stderr in image.moment_widths]
-        row += [_measured(factor * width, factor * stderr) for width, stderr in image.fit_widths]
+        row += [_format_value(factor * width, factor * stderr) + mark for width, stderr in image.moment_widths]
+        row += [_format_value(factor * width, factor * stderr) for width, stderr in image.fit_widths]
         if image.fit is None:
             row += ["", "", ""]
         else:
             angle, stderr = image.fit_value("orientation")
             chi2 = float(image.fit.chi2_reduced)
             row += [
-                _measured(angle, stderr) if math.isfinite(stderr) else "round",
-                _measured(*image.fit_value("amplitude")),
+                _format_value(angle, stderr) if math.isfinite(stderr) else "round",
+                _format_value(*image.fit_value("amplitude")),
                 f"{chi2:.3g}" if math.isfinite(chi2) else "",
             ]
         body.append([*row, str(image.clipping.pixels)])
     return head, body
 
 
-def beam_lines(look: Look) -> list[str]:
+def describe_beams(look: Look) -> list[str]:
     """Return M² by each method, and cautions about it."""
-    return [*(line for scan in look.beams for line in _scan_lines(scan)), *scan_cautions(look)]
+    return [*(line for scan in look.beams for line in _describe_scan(scan)), *list_scan_cautions(look)]
 
 
-def _scan_lines(scan: BeamScan) -> list[str]:
+def _describe_scan(scan: BeamScan) -> list[str]:
     """Return M² and waist by one method, a line per axis."""
     left_out = f"; left out: {_list_names(scan.left_out)}" if scan.left_out else ""
     if scan.reason:
@@ -243,7 +244,7 @@ def _scan_lines(scan: BeamScan) -> list[str]:
     return lines
 
 
-def scan_cautions(look: Look) -> list[str]:
+def list_scan_cautions(look: Look) -> list[str]:
     """Return which M² to use if the spots have wings, and whether the positions follow ISO 11146-1."""
     if not look.beams:
         return []
@@ -268,7 +269,7 @@ def scan_cautions(look: Look) -> list[str]:
     return cautions
 
 
-def _measured(value: float, stderr: float, unit: str = "") -> str:
+def _format_value(value: float, stderr: float, unit: str = "") -> str:
     """Return value ± standard error; the value alone if the image has no noise."""
     return plus_minus(value, math.nan if stderr < ARITHMETIC * abs(value) else stderr, unit)
 
@@ -277,14 +278,14 @@ def _format_widths(widths: Widths, pitch_m: float | None) -> str:
     """Return both widths in px, and in µm if the pixel pitch is known."""
     units = [(1.0, "px")] + ([] if pitch_m is None else [(1e6 * pitch_m, "µm")])
     return " = ".join(
-        " × ".join(_measured(factor * width, factor * stderr) for width, stderr in widths) + f" {unit}"
+        " × ".join(_format_value(factor * width, factor * stderr) for width, stderr in widths) + f" {unit}"
         for factor, unit in units
     )
 
 
 def _format_axis(angle_deg: float, stderr_deg: float) -> str:
     """Return the direction of the long axis; "" if the spot is round."""
-    return f", long axis at ({_measured(angle_deg, stderr_deg)})°" if math.isfinite(stderr_deg) else ""
+    return f", long axis at ({_format_value(angle_deg, stderr_deg)})°" if math.isfinite(stderr_deg) else ""
 
 
 def _format_rows(rows: Rows) -> list[str]:

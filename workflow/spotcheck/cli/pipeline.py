@@ -1,4 +1,4 @@
-"""The verdict on a folder in one call: the stages of the workflow one after another, without its engine."""
+"""Verdict on a dataset in one call: runs the stages of the workflow one after another, without its engine."""
 
 import io
 import json
@@ -14,8 +14,8 @@ from spotcheck.dataset.folder import Dataset, load
 from spotcheck.io import store
 from spotcheck.model.effects import Choice, choose, chosen
 
-# Subcommands that take a vocabulary.
-OF_THE_VERDICT = ("flats", "judge")
+# Subcommands with options for the vocabulary.
+WITH_VOCABULARY = ("flats", "judge")
 
 
 def judge_dataset(
@@ -26,11 +26,11 @@ def judge_dataset(
     only: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Say what the simulation of a dataset is missing.
+    """Judge a dataset: name the physical effects that its simulation is missing.
 
-    Compares frames and model pixel by pixel, looks for the physical effects that explain what is left, and tests them
-    on held-out frames. A dataset of flats and darks alone is judged by its levels of light.
-    workflow/docs/verdict.md tells how; these are the stages that `snakemake verdict` runs, and the verdict is the same.
+    The verdict compares frames and model pixel by pixel, searches for the effects that explain the residuals, and tests
+    them on held-out frames. A dataset of flats and darks alone is assessed by its light levels. The page
+    workflow/docs/verdict.md describes the method. `snakemake verdict` runs the same stages with the same result.
 
     Parameters
     ----------
@@ -44,14 +44,15 @@ def judge_dataset(
     -------
     dict
         The content of verdict.json. `status` is "consistent", "named", "named_more_remains", "ambiguous", "unknown",
-        "not_converged" or "not_assessed", `effects` has names and values of what was added to the model, `gap` how far
-        that closed the gap on held-out frames, `advice` what to measure next, and `sentence` the whole in words.
+        "not_converged" or "not_assessed". `effects` has names and values of the effects that were added to the model,
+        `gap` the part of the residual on held-out frames that they removed, `advice` what to measure next, and
+        `sentence` a summary.
 
     Raises
     ------
     InputError
-        A folder that breaks the dataset contract, frames that cannot be read, a folder of results that is another's, an
-        effect or a vocabulary that is not sound.
+        A folder that breaks the dataset contract, unreadable frames, a folder of results that belongs to another
+        dataset, or an invalid effect or vocabulary.
 
     Examples
     --------
@@ -64,27 +65,26 @@ def judge_dataset(
     ...
     """
     dataset, before = load(folder), chosen()
-    known = vocabulary.options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
-    with TemporaryDirectory(prefix="spotcheck-") as scratch:
-        base = Path(scratch if results is None else results)
-        out = base / dataset.name
-        store.claim(out, dataset.folder)
+    vocabulary_options = vocabulary.list_options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
+    with TemporaryDirectory(prefix="spotcheck-") as temporary:
+        output = Path(temporary if results is None else results) / dataset.name
+        store.claim(output, dataset.folder)
         try:
-            for command, options in _stages(dataset, out):
-                words = [word for key, value in options.items() for word in (f"--{key}", str(value))]
-                words += known if command in OF_THE_VERDICT else []
-                # What a subcommand says is for a terminal.
+            for command, options in _list_stages(dataset, output):
+                words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+                words += vocabulary_options if command in WITH_VOCABULARY else []
+                # Subcommands print for a terminal.
                 with redirect_stdout(io.StringIO()):
                     cli.run([command, str(dataset.folder), *words])
         finally:
             choose(before)
-        return json.loads((out / "verdict.json").read_text(encoding="utf-8"))
+        return json.loads((output / "verdict.json").read_text(encoding="utf-8"))
 
 
-def _stages(dataset: Dataset, out: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Subcommands with their options, in the order of the workflow's rules."""
-    frames, crops, transfer, sensor = (out / f"{name}.nc" for name in ("frames", "crops", "transfer", "sensor"))
-    verdict = out / "verdict.json"
+def _list_stages(dataset: Dataset, output: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the subcommands with their options, in the order of the rules of the workflow."""
+    frames, crops, transfer, sensor = (output / f"{name}.nc" for name in ("frames", "crops", "transfer", "sensor"))
+    verdict = output / "verdict.json"
     yield "ingest", {"output": frames}
     measured = {}
     if len(dataset.spots) < len(dataset.frames):
@@ -95,11 +95,11 @@ def _stages(dataset: Dataset, out: Path) -> Iterator[tuple[str, dict[str, Any]]]
         return
     yield "crop", {"frames": frames, "output": crops}
     yield "sensor", {"crops": crops, "frames": frames, **measured, "output": sensor}
-    fits = out / "fits.nc"
+    fits = output / "fits.nc"
     maps = {}
     if any(frame.kind == "dark" for frame in dataset.frames):
-        maps = {"maps": out / "maps.nc"}
+        maps = {"maps": output / "maps.nc"}
         yield "maps", {"frames": frames, "output": maps["maps"]}
     yield "fit", {"crops": crops, "sensor": sensor, **maps, "output": fits}
-    beside = {"pictures": out / "discrepancy.nc", "model": out / "model.yaml", "light": out / "light.nc"}
-    yield "judge", {"crops": crops, "fits": fits, "sensor": sensor, **beside, "output": verdict}
+    files = {"pictures": output / "discrepancy.nc", "model": output / "model.yaml", "light": output / "light.nc"}
+    yield "judge", {"crops": crops, "fits": fits, "sensor": sensor, **files, "output": verdict}
