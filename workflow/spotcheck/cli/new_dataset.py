@@ -79,8 +79,8 @@ def _write_rows(folder: Path, images: Scan, answers: dict[str, str], colour: Col
             print("instrument.yaml. Without it the frames are evaluated as far as possible.")
     crop_px, has_spot = proposal.look(folder, rows, colour)
     if not has_spot:
-        print("No spot stands out in these frames. Mark darks and flats by these words in the names of files or")
-        print("folders, or in the column kind.")
+        print("No spot stands out in these frames. Mark darks and flats by the words dark and flat in names of")
+        print("files or folders, or in the column kind.")
     template.write(folder, rows, crop_px)
 
 
@@ -99,7 +99,8 @@ def _ask(images: Scan, key: str) -> tuple[str, str] | None:
 
 def _list_missing(rows: Rows) -> Iterator[str]:
     """Yield the columns and keys that these frames need and no file states."""
-    unclear = {said.column for said in rows.also} | {sentence.partition(":")[0] for sentence in rows.contradictions}
+    unclear = {statement.column for statement in rows.also}
+    unclear |= {sentence.partition(":")[0] for sentence in rows.contradictions}
     if len(rows.missing["exposure_s"]) == len(rows.cells) and "exposure_s" not in unclear:
         yield "exposure_s"
     if POSITION in unclear and POSITION not in rows.columns:

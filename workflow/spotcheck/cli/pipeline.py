@@ -64,7 +64,7 @@ def judge_dataset(
     The linear sensor model and the flats agree within the noise (p = 0.36).
     ...
     """
-    dataset, before = load(folder), chosen()
+    dataset, previous_choice = load(folder), chosen()
     vocabulary_options = vocabulary.list_options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
     with TemporaryDirectory(prefix="spotcheck-") as temporary:
         output = Path(temporary if results is None else results) / dataset.name
@@ -77,7 +77,7 @@ def judge_dataset(
                 with redirect_stdout(io.StringIO()):
                     cli.run([command, str(dataset.folder), *words])
         finally:
-            choose(before)
+            choose(previous_choice)
         return json.loads((output / "verdict.json").read_text(encoding="utf-8"))
 
 

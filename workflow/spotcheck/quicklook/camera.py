@@ -51,7 +51,17 @@ class Camera:
 
 
 def estimate_camera(images: Sequence[Image]) -> Camera:
-    """Return the properties of a camera, estimated from its images, which have one size and bit depth."""
+    """Return the properties of a camera, estimated from its images.
+
+    Parameters
+    ----------
+    images : images of spots, all of one size and bit depth.
+
+    Returns
+    -------
+    Camera
+        Gain and read noise are None if no image shows noise that grows with the signal.
+    """
     clip_levels = (find_clip_level(image.read(), image.bits) for image in images)
     # A camera clips at one level; a lower plateau is part of the light.
     clip_level = max((level for level in clip_levels if np.isfinite(level)), default=np.inf)
@@ -74,6 +84,11 @@ def find_clip_level(pixels: np.ndarray, bits: int | None) -> float:
     """Return the reading [DN] at which an image clips; infinite if it does not.
 
     An image clips at its highest reading if that is the largest number of `bits`, or if pixels accumulate at it.
+
+    Parameters
+    ----------
+    pixels : readings [rows, columns] in DN, NaN where unknown.
+    bits : bits of a stored pixel; None if pixels are not unsigned integers.
     """
     readings = pixels[np.isfinite(pixels)]
     if not readings.size:

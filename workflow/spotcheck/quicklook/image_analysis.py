@@ -71,7 +71,7 @@ class ImageResult:
     clipping: Clipping  # clipped pixels
     residual_rms: float  # rms residual within the 1/e² contour, in parts of the fitted peak; NaN without a fit
     is_noise_known: bool  # whether the fit uses the noise model of the camera
-    outliers: str  # sentence about outlying pixels, which are left out; "" if there are none
+    outlier_text: str  # sentence about outlying pixels, which are left out; "" if there are none
     picture: SpotPicture | None  # data for a picture; None if there is no spot
 
     @property
@@ -130,18 +130,23 @@ def analyse_image(image: Image, camera: Camera, z_m: float | None = None) -> Ima
     image : the image.
     camera : camera that took it.
     z_m : position along the beam [m], if known.
+
+    Returns
+    -------
+    ImageResult
+        Fit and picture are None if nothing stands out of the noise.
     """
     pixels = image.read()
     moments = second_moments(pixels)
-    outliers, fit, picture, residual_rms = "", None, None, np.nan
+    outlier_text, fit, picture, residual_rms = "", None, None, np.nan
     if np.isfinite(moments.x):
         top, left, window = _cut_window(pixels, moments)
         sensor = camera.sensor_model(pixels)
         noise = sensor or _estimate_noise(_mask_clip(window, camera) / camera.step_dn)
-        if noise is not None and (odd := odd_pixels(window / camera.step_dn, noise)).mask.any():
-            outliers = odd.sentence(left, top)
+        if noise is not None and (outliers := odd_pixels(window / camera.step_dn, noise)).mask.any():
+            outlier_text = outliers.sentence(left, top)
             # The window is a view of the pixels, which lose their outliers too.
-            window[odd.mask] = np.nan
+            window[outliers.mask] = np.nan
             moments = second_moments(pixels)
         fit = _fit_window(window, camera, sensor, noise)
         if fit.status != "not_converged":
@@ -153,9 +158,10 @@ def analyse_image(image: Image, camera: Camera, z_m: float | None = None) -> Ima
     level = camera.clip_level_dn if np.isfinite(camera.clip_level_dn) else find_clip_level(pixels, image.bits)
     highest = float(readings.max()) if readings.size else np.nan
     clipping = Clipping(int(np.count_nonzero(readings >= level)), level, highest)
+    is_noise_known = camera.gain is not None
     return ImageResult(
-        image.name, pixels.shape, z_m, moments, fit, clipping, residual_rms, camera.gain is not None, outliers, picture
-    )  # fmt: skip
+        image.name, pixels.shape, z_m, moments, fit, clipping, residual_rms, is_noise_known, outlier_text, picture
+    )
 
 
 def compute_clip_widening(peak: float) -> float:
@@ -163,6 +169,10 @@ def compute_clip_widening(peak: float) -> float:
 
     With ρ = r²/2σ² and ρc = ln peak, ⟨r²⟩/2σ² = ∫ρ min(e^−ρ, e^−ρc) dρ / ∫ min(e^−ρ, e^−ρc) dρ
     = (ρc²/2 + ρc + 1) / (ρc + 1).
+
+    Parameters
+    ----------
+    peak : amplitude of the Gaussian, in units of the clip level above the offset; 1 or below means no clip.
     """
     rho = np.log(max(peak, 1.0))
     return float(np.sqrt((rho**2 / 2 + rho + 1) / (rho + 1)))

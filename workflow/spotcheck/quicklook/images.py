@@ -107,7 +107,10 @@ def find_folder(path: Path) -> Path:
 
 
 def find_common_value(images: Sequence[Image], key: str) -> tuple[float | None, str]:
-    """Return the number on which all files that state it agree, and its source; (None, "") if they disagree."""
+    """Return the number that files state for a column or key, and its source.
+
+    Returns (None, "") if no file states it or files disagree.
+    """
     labels = [label for image in images if (label := image.metadata.get(key)) is not None]
     if not labels or len({label.value for label in labels}) > 1:
         return None, ""

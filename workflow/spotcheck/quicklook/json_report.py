@@ -51,7 +51,7 @@ def _convert_image(image: ImageResult, pitch_m: float | None) -> dict[str, Any]:
         "stop_dn": image.clipping.level_dn,
         "d4sigma_widened_by_clip": image.clip_widening,
         "misfit_of_peak": image.residual_rms,
-        "left_out": image.outliers,
+        "left_out": image.outlier_text,
         "beware": text_report.list_cautions(image),
     }
 

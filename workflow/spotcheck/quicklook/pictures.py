@@ -20,7 +20,12 @@ AXIS_STYLES = ((style.MEASURED, "o", "solid"), (style.SIMULATED, "s", (0, (5, 2)
 
 
 def draw_spot(image: ImageResult) -> style.Drawing:
-    """Draw the spot with the contours of fit and moments, and its profiles along both axes of the fit."""
+    """Draw the spot with the contours of fit and moments, and its profiles along both axes of the fit.
+
+    Parameters
+    ----------
+    image : results of an image with a spot.
+    """
     assert image.picture is not None and image.fit is not None
     fit, moments, picture = image.fit, image.moments, image.picture
     figure = style.new(2.55, 8.6)
@@ -77,7 +82,12 @@ def _draw_profile(axes: Axes, profile: Profile, image: ImageResult) -> None:
 
 
 def draw_caustics(scans: Sequence[BeamScan]) -> style.Drawing:
-    """Draw the 1/e² radii along z with their hyperbolas, one panel per method that has caustics."""
+    """Draw the 1/e² radii along z with their hyperbolas, one panel per method that has caustics.
+
+    Parameters
+    ----------
+    scans : scans by each method; at least one has caustics.
+    """
     scans = [scan for scan in scans if not scan.reason]
     figure = style.new(3.3, 8.6)
     panels = figure.subplots(1, len(scans), sharey=True, sharex=True, squeeze=False)[0]

@@ -33,6 +33,11 @@ def fit_scan(images: Sequence[ImageResult], pitch_m: float, wavelength_m: float)
     images : results of the images.
     pitch_m : pixel pitch [m].
     wavelength_m : wavelength [m].
+
+    Returns
+    -------
+    tuple of BeamScan
+        One per method, second moments first.
     """
     methods = ((MOMENTS, _select_moments), (FIT, _select_fit))
     return tuple(_fit_beam(method, select, images, pitch_m, wavelength_m) for method, select in methods)

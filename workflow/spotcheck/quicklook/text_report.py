@@ -170,8 +170,8 @@ def _find_cautions(image: ImageResult) -> list[Caution]:
     elif excess < 0:
         sentence = "flanks steeper than those of a Gaussian: D4σ is below 4σ of the fit by"
         cautions.append(Caution(sentence, f"{-100 * excess:.2g} %"))
-    if image.outliers:
-        cautions.append(Caution(image.outliers))
+    if image.outlier_text:
+        cautions.append(Caution(image.outlier_text))
     return cautions
 
 
