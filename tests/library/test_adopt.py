@@ -11,7 +11,7 @@ import xarray as xr
 
 from spotcheck.characterization.sensor_choice import SHEET, SOURCES, stderr_of
 from spotcheck.cli import main, run
-from spotcheck.cli.judging import judge_dataset
+from spotcheck.cli.pipeline import judge_dataset
 from spotcheck.crops.full_scale import find_full_scale, measure_extremes
 from spotcheck.dataset.instrument import BadPixels, Instrument, Sensor, read_instrument
 from spotcheck.errors import InputError
@@ -188,7 +188,7 @@ def test_flats_need_no_verdict(judged, tmp_path, capsys):
     assert "there is no verdict yet" in table
     for path in bare.glob("*.nc"):
         path.unlink()
-    with pytest.raises(InputError, match="says nothing of the instrument; run the workflow on"):
+    with pytest.raises(InputError, match="says nothing about the instrument; run the workflow on"):
         run(["adopt", str(bare)])
 
 

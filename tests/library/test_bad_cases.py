@@ -17,9 +17,9 @@ import yaml
 
 from spotcheck.characterization.sensor_choice import judge_darks
 from spotcheck.cli import main
-from spotcheck.cli.judged import find_shared_spots
 from spotcheck.dataset.frames import ReducedFrame
 from spotcheck.discrepancy.frames import Design, FrameSet
+from spotcheck.discrepancy.ready_frames import find_shared_spots
 from spotcheck.discrepancy.written import breach_of_verdict
 from spotcheck.fitting.reading_kernel import law_of
 from spotcheck.fitting.scoring import LIKELIHOOD, one_pass

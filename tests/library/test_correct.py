@@ -12,7 +12,7 @@ import tifffile
 from scipy import stats
 
 from spotcheck.cli import run
-from spotcheck.cli.judging import judge_dataset
+from spotcheck.cli.pipeline import judge_dataset
 from spotcheck.errors import InputError
 from spotcheck.export.frame_correction import compute_response_curve, correct_frame
 from spotcheck.sensor import SensorModel

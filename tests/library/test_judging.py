@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from spotcheck.cli import main
-from spotcheck.cli.judging import judge_dataset
+from spotcheck.cli.pipeline import judge_dataset
 from spotcheck.errors import InputError
 from spotcheck.model.design import simulate_dataset
 from spotcheck.model.effects import chosen

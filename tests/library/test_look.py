@@ -1,6 +1,7 @@
 """The first look: what it says of drawn images, by function and by command, and on real ones."""
 
 import json
+import re
 import webbrowser
 from dataclasses import replace
 from pathlib import Path
@@ -60,8 +61,8 @@ def test_widths_gain_and_noise_of_one_image():
     assert off(camera.gain.value, camera.gain.stderr, SENSOR.gain_dn_per_e) < 4
     # Texture too faint to be seen counts as error.
     assert camera.gain.stderr < 0.15 * SENSOR.gain_dn_per_e
-    assert camera.black_dn == pytest.approx(20, abs=1) and one.clipped_px == 0
-    assert "a Gaussian within its noise" in repr(found) and "elliptical" in repr(found)
+    assert camera.black_level_dn == pytest.approx(20, abs=1) and one.clipping.pixels == 0
+    assert "a Gaussian within the noise" in repr(found) and "elliptical" in repr(found)
 
 
 def test_a_clipped_image_says_what_that_does():
@@ -69,12 +70,12 @@ def test_a_clipped_image_says_what_that_does():
     sensor = replace(SENSOR, full_scale_dn=1023)
     image = drawn(sensor=sensor)
     (one,) = (found := spotcheck.look(image)).images
-    assert one.stop_dn == 1023 and one.clipped_px == np.count_nonzero(image == 1023) > 100
+    assert one.clipping.level_dn == 1023 and one.clipping.pixels == np.count_nonzero(image == 1023) > 100
     assert off(one.fit.sigma_major, one.fit.sigma_major_stderr, 20) < 4
     # What the closed form says is what the moments show, within their error.
-    excess = one.moments.major / one.widened
-    assert off(excess, one.moments.major_stderr, 80) < 4 and one.widened > 1.02
-    assert f"{one.clipped_px} px at 1023 DN" in repr(found)
+    excess = one.moments.major / one.clip_widening
+    assert off(excess, one.moments.major_stderr, 80) < 4 and one.clip_widening > 1.02
+    assert f"{one.clipping.pixels} px at 1023 DN" in repr(found)
 
 
 @pytest.mark.parametrize("kind", ["TIFF", "big-endian TIFF", ".npy", "HDF5"])
@@ -127,10 +128,10 @@ def test_numbers_in_any_unit_tell_the_same(factor):
         value, error = (getattr(own.fit, key) * times for key in (name, f"{name}_stderr"))
         assert getattr(other.fit, name) == pytest.approx(value, abs=0.5 * error)
         assert getattr(other.fit, f"{name}_stderr") == pytest.approx(error, rel=0.18)
-    assert other.highest_dn == pytest.approx(factor * (own.highest_dn - 21.3))
+    assert other.clipping.highest_dn == pytest.approx(factor * (own.clipping.highest_dn - 21.3))
     gain = found.cameras[0].gain
     assert scaled.cameras[0].gain.value == pytest.approx(factor * gain.value, abs=factor * gain.stderr)
-    assert "a Gaussian within its noise" in repr(scaled)
+    assert "a Gaussian within the noise" in repr(scaled)
 
 
 def test_without_a_gain_errors_still_hold():
@@ -141,7 +142,7 @@ def test_without_a_gain_errors_still_hold():
         y, x = np.indices((64, 72))
         light = 900 * np.exp(-(((x - 35.2) / 4) ** 2 + ((y - 30.7) / 3) ** 2) / 2)
         found = spotcheck.look(SensorModel(0.5, 5, black_level_dn=20, full_scale_dn=1023).draw(light, rng=seed))
-        assert found.cameras[0].gain is None and "unknown: no image shows noise" in repr(found)
+        assert found.cameras[0].gain is None and "unknown: in no image does the noise grow" in repr(found)
         fit = found.images[0].fit
         z.append([(fit.sigma_major - 4) / fit.sigma_major_stderr, (fit.x_centre - 35.2) / fit.x_centre_stderr])
     assert np.all(np.abs(np.std(z, axis=0, ddof=1) - 1) < 0.37)
@@ -153,11 +154,11 @@ def test_a_folder_gives_m2_by_the_names_of_its_files(scan):
     assert [one.z_m for one in found.images] == pytest.approx(POSITIONS)
     assert [own.method for own in found.beams] == ["second moments", "Gaussian fit"]
     for own, known in zip(found.beams, (0.05, 0.005), strict=True):
-        assert not own.why_not and not own.left_out
+        assert not own.reason and not own.left_out
         for beam in own.caustics.values():
             assert off(beam.m2, beam.m2_stderr, M2) < 4 and beam.m2_stderr < known * M2
             assert off(beam.waist_radius, beam.waist_radius_stderr, WAIST) < 4
-    assert "z: by the file name" in found.remarks
+    assert "z: from the file name" in found.remarks
 
 
 def test_positions_that_are_given_go_before_those_of_names(scan):
@@ -194,7 +195,7 @@ def test_lengths_may_have_their_unit(scan, tmp_path, capsys):
     assert (told["pixel_pitch_m"], told["wavelength_m"]) == (3.75e-6, 6.33e-7)
     assert {"pixel pitch 3.75 µm: as given", "wavelength 633 nm: as given"} <= set(told["remarks"])
     far = spotcheck.look(files, z_m=[495, 580])
-    assert "z goes from 495 to 580 m, and no bench is that long: is it in mm?" in far.remarks
+    assert "z goes from 495 to 580 m, which is implausibly long: is it in mm?" in far.remarks
 
 
 def test_a_width_does_not_depend_on_the_other_images():
@@ -203,9 +204,9 @@ def test_a_width_does_not_depend_on_the_other_images():
     alone = drawn(seed=5)
     brighter = [drawn(seed=k, sensor=replace(SENSOR, black_level_dn=20.0 + 15 * k)) for k in (6, 7)]
     (one,), (same, *_) = spotcheck.look(alone).images, spotcheck.look([alone, *brighter]).images
-    (width, error), (other, _) = one.fitted_to("sigma_major"), same.fitted_to("sigma_major")
+    (width, error), (other, _) = one.fit_value("sigma_major"), same.fit_value("sigma_major")
     assert abs(width - other) < 0.1 * error
-    assert spotcheck.look([alone, *brighter]).cameras[0].black_dn == pytest.approx(20, abs=1)
+    assert spotcheck.look([alone, *brighter]).cameras[0].black_level_dn == pytest.approx(20, abs=1)
 
 
 def test_names_count_as_people_do():
@@ -236,7 +237,7 @@ def test_the_channel_of_a_colour_image_that_reads_most(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.stack([image, image // 9, image // 20], axis=-1).astype(np.uint8))
     found = spotcheck.look(tmp_path / "a.tif")
     assert off(found.images[0].fit.sigma_major, found.images[0].fit.sigma_major_stderr, 20) < 4
-    assert "one channel is taken, red; of unequal ones the brightest" in repr(found)
+    assert "colour images: only the brightest channel is used, red" in repr(found)
 
 
 @pytest.mark.parametrize("image", [np.zeros((1, 1)), np.full((40, 50), 255, np.uint8), np.eye(30)])
@@ -246,6 +247,18 @@ def test_an_image_without_a_spot_is_told(image, tmp_path):
     assert "nothing stands out of the noise" in repr(found)
     assert found.to_dict()["images"][0]["gaussian_fit"] is None
     assert "nothing stands out" in found.write(tmp_path).read_text(encoding="utf-8")
+
+
+def test_numbers_of_an_unknown_camera_have_the_keys_of_a_known_one():
+    """They are None."""
+    known, unknown = (spotcheck.look(image).to_dict()["cameras"][0] for image in (drawn(), np.zeros((40, 50))))
+    assert set(known) == set(unknown) and unknown["read_noise_stderr_e"] is None
+
+
+def test_clipped_pixels_are_counted_without_a_spot():
+    """In the table of several images."""
+    found = spotcheck.look([np.full((40, 50), 255, np.uint8), drawn()])
+    assert re.search(r"^image 0 +2000$", repr(found), re.MULTILINE)
 
 
 def test_json_alone_on_stdout(scan, tmp_path, monkeypatch, capsys):
@@ -308,7 +321,7 @@ def test_open(tmp_path, monkeypatch, capsys):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "manifest.csv").touch()
     with pytest.raises(spotcheck.InputError, match=r"has no page yet; run `snakemake .*dataset=mine`"):
-        opening.page_of(Path("mine"))
+        opening.find_page(Path("mine"))
     (tmp_path / "results" / "mine").mkdir(parents=True)
     page = tmp_path / "results" / "mine" / "report.html"
     page.touch()
@@ -319,9 +332,9 @@ def test_open(tmp_path, monkeypatch, capsys):
         assert "results/mine/report.html" in said and "no browser was found" in said
     (tmp_path / "images").mkdir()
     with pytest.raises(spotcheck.InputError, match="`spotcheck look images` makes one"):
-        opening.page_of(Path("images"))
+        opening.find_page(Path("images"))
     with pytest.raises(spotcheck.InputError, match="no such folder"):
-        opening.page_of(tmp_path / "nowhere")
+        opening.find_page(tmp_path / "nowhere")
 
 
 @pytest.mark.skipif(not (SHARED / "data" / "hene-zscan").exists(), reason="needs ../shared/data/hene-zscan")
@@ -334,7 +347,7 @@ def test_nine_images_of_a_real_beam(tmp_path):
     folder = SHARED / "data" / "hene-zscan" / "frames"
     found = spotcheck.look(folder, pixel_pitch_m=3.75e-6, wavelength_m=632.8e-9)
     assert [round(1e3 * one.z_m) for one in found.images] == [168, 210, 280, 348, 414, 495, 580, 666, 770]
-    assert all(one.fitted and one.moments.measured for one in found.images)
+    assert all(one.has_reliable_fit and one.moments.measured for one in found.images)
     moments, fits = found.beams
     assert moments.left_out == tuple(f"t-{z}mm.pgm" for z in (168, 210, 280, 348))
     for beam in moments.caustics.values():
@@ -352,7 +365,7 @@ def test_readings_that_were_scaled(scale):
     light = np.random.default_rng(1).normal(200 * np.exp(-((x - 81.3) ** 2 + (y - 60) ** 2) / 200) + 20, 1.5)
     own, scaled = (spotcheck.look(image).images[0] for image in (np.rint(light), scale * light))
     for name in ("sigma_major", "sigma_minor"):
-        (width, error), (other, other_error) = own.fitted_to(name), scaled.fitted_to(name)
+        (width, error), (other, other_error) = own.fit_value(name), scaled.fit_value(name)
         assert other_error == pytest.approx(error, rel=0.1) and abs(width - other) < error
     assert scaled.moments.major == pytest.approx(own.moments.major, abs=own.moments.major_stderr)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from spotcheck.fitting.moments import AREA, second_moments
-from spotcheck.quicklook.images import images_of
-from spotcheck.quicklook.seen import widened_by_clip
+from spotcheck.quicklook.image_analysis import compute_clip_widening
+from spotcheck.quicklook.images import open_images
 from tests.conftest import SHARED
 
 SIDE_Y, SIDE_X = 200, 240
@@ -48,8 +48,8 @@ def test_of_a_top_hat_d4sigma_is_its_diameter(half):
 def test_a_clip_widens_by_its_closed_form(height):
     """A Gaussian whose light stops at 1/height of its peak, summed over pixels of a hundredth of its variance."""
     found = second_moments(300 * np.minimum(gaussian(10, 10, 0), 1 / height))
-    assert found.major / 40 == pytest.approx(widened_by_clip(height), rel=1e-3)
-    assert widened_by_clip(1.0) == 1.0 and widened_by_clip(0.5) == 1.0
+    assert found.major / 40 == pytest.approx(compute_clip_widening(height), rel=1e-3)
+    assert compute_clip_widening(1.0) == 1.0 and compute_clip_widening(0.5) == 1.0
 
 
 def test_a_second_spot_beyond_the_area_moves_nothing():
@@ -142,7 +142,7 @@ def test_laserbeamsize_finds_the_same_widths_of_real_frames():
     less than 1 px, so as much may be left. It has no answer where its first ellipse is none, which is not asked for."""
     lbs = pytest.importorskip("laserbeamsize")
     compared = 0
-    for image in images_of(SHARED / "data" / "hene-zscan" / "frames")[0]:
+    for image in open_images(SHARED / "data" / "hene-zscan" / "frames")[0]:
         pixels = image.read()
         own = second_moments(pixels)
         _, _, major, minor, _ = lbs.beam_size(pixels - own.background, corner_fraction=0, max_iter=60)

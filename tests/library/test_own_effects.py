@@ -206,12 +206,12 @@ def test_a_verdict_says_which_vocabulary_it_had(tmp_path):
     document = whole("one")
     document["effects"][0] |= {"name": "vignetting", "candidates": ["vignetting"]}
     with knowing(written(tmp_path, "lens", SOUND), without=["smear"]):
-        document |= options.described()
+        document |= options.describe_difference()
         assert breach_of_verdict(document) is None
         assert [effect["name"] for effect in document["vocabulary"]["own"]] == ["vignetting"]
         assert document["vocabulary"]["left_out"] == ["smear"]
     assert "vignetting" in breach_of_verdict(document)
-    assert options.described() == {}
+    assert options.describe_difference() == {}
 
 
 def test_the_report_says_which_vocabulary_it_had(tmp_path):
@@ -223,7 +223,7 @@ def test_the_report_says_which_vocabulary_it_had(tmp_path):
 
     assert "The vocabulary of this run" not in text(whole("unknown"))
     with knowing(written(tmp_path, "lens", SOUND), without=["smear", "row_noise"]):
-        told = text(whole("unknown") | options.described())
+        told = text(whole("unknown") | options.describe_difference())
     digest = hashlib.sha256(SOUND.encode()).hexdigest()[:16]
     assert (
         "The vocabulary of this run is not the library's."
@@ -236,18 +236,18 @@ def test_stages_must_know_the_same_effects(tmp_path):
     """What was found with one vocabulary is not taken up with another, nor after an edit of the file."""
     path = written(tmp_path, "lens", SOUND)
     with knowing(path, without=["smear"]):
-        saved = options.described()
-        options.same(saved, "verdict.json")
-    options.same({}, "verdict.json")
+        saved = options.describe_difference()
+        options.check_same(saved, "verdict.json")
+    options.check_same({}, "verdict.json")
     for files, without in (((), ()), ((path,), ()), ((), ("smear",))):
         with (
             knowing(*files, without=without),
             pytest.raises(InputError, match=r"verdict\.json: was found with .*vignetting of lens\.py .*without smear"),
         ):
-            options.same(saved, "verdict.json")
+            options.check_same(saved, "verdict.json")
     path.write_text(SOUND + "\n", encoding="utf-8")
     with knowing(path, without=["smear"]), pytest.raises(InputError, match="the same --effects"):
-        options.same(saved, "verdict.json")
+        options.check_same(saved, "verdict.json")
 
 
 # Configuration and command line.
@@ -256,7 +256,7 @@ def test_stages_must_know_the_same_effects(tmp_path):
 def test_the_keys_of_the_configuration():
     """Both may be missing; both are in config.yaml, as the library's vocabulary; wrong ones are refused."""
     given = read_keys(ROOT / "config" / "config.yaml")
-    assert options.of_config(given) == Choice() == options.of_config({})
+    assert options.read_choice(given) == Choice() == options.read_choice({})
     for own in (
         {"effects": ["lab/coma.py"]},
         {"vocabulary": {"only": ["smear"]}},
@@ -273,13 +273,13 @@ def test_the_keys_of_the_configuration():
 def test_the_command_line_says_what_the_configuration_says():
     """The words of `options`, parsed, are the choice again; there are none for the library's vocabulary."""
     parser = argparse.ArgumentParser()
-    options.arguments(parser)
+    options.add_options(parser)
     for config in ({}, {"effects": ["a b.py", "c.py"], "vocabulary": {"without": ["smear"]}},
                    {"vocabulary": {"only": ["smear", "speckle"]}}):  # fmt: skip
-        choice = options.of_config(config)
-        args = parser.parse_args(options.options(choice))
+        choice = options.read_choice(config)
+        args = parser.parse_args(options.list_options(choice))
         assert Choice(tuple(args.effects), tuple(args.only), tuple(args.without)) == choice
-    assert options.options(Choice()) == []
+    assert options.list_options(Choice()) == []
 
 
 def test_a_dataset_brings_no_code(tmp_path):

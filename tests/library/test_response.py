@@ -8,7 +8,7 @@ import tifffile
 
 import spotcheck
 from spotcheck.cli import main
-from spotcheck.cli.judging import judge_dataset
+from spotcheck.cli.pipeline import judge_dataset
 from spotcheck.dataset.instrument import read_instrument
 from spotcheck.export.frame_correction import compute_response_curve, correct_frame
 from spotcheck.sensor import SensorModel

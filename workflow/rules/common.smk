@@ -64,14 +64,14 @@ try:
     config |= configuration.resolve_config(config, workflow.config_settings.config_args or ())
     DATASETS = by_name(map(opened, config["datasets"] or [config["dataset"]]))
     # A user's effects run with a user's rights, so only the configuration names them, never a dataset.
-    effects.choose(vocabulary.of_config(config))
+    effects.choose(vocabulary.read_choice(config))
     for name, found in DATASETS.items():
         store.check_claim(Path(config["results"], name), found.folder)
 except InputError as error:
     sys.exit(f"spotcheck: {error}")
 
 # What rules of the verdict are told of the vocabulary, and by what they know that a file of it was edited.
-VOCABULARY = vocabulary.options(effects.chosen())
+VOCABULARY = vocabulary.list_options(effects.chosen())
 OWN_EFFECTS = [file_digest(path)[:12] for path in effects.chosen().files]
 
 # Results of a dataset; rules say {dataset} and look the rest up by that name.

@@ -33,7 +33,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from spotcheck.characterization.characterise import Characterisation, characterise_dataset, characterise_sensor
-    from spotcheck.cli.judging import judge_dataset
+    from spotcheck.cli.pipeline import judge_dataset
     from spotcheck.dataset.folder import Dataset
     from spotcheck.dataset.folder import load as read_dataset
     from spotcheck.dataset.frames import read_image
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from spotcheck.fitting.spot_bounds import SpotBounds, spot_bounds
     from spotcheck.fitting.spotfit import fit_spots
     from spotcheck.model.design import simulate_dataset
-    from spotcheck.quicklook.looking import Look, look
+    from spotcheck.quicklook.first_look import Look, look
     from spotcheck.sensor import SensorModel
     from spotcheck.sensor.pixel_maps import PixelMaps
 
@@ -55,7 +55,7 @@ else:
         "Characterisation": "characterization.characterise.Characterisation",
         "Dataset": "dataset.folder.Dataset",
         "InputError": "errors.InputError",
-        "Look": "quicklook.looking.Look",
+        "Look": "quicklook.first_look.Look",
         "PixelMaps": "sensor.pixel_maps.PixelMaps",
         "SensorModel": "sensor.model.SensorModel",
         "SpotBounds": "fitting.spot_bounds.SpotBounds",
@@ -64,8 +64,8 @@ else:
         "characterise_sensor": "characterization.characterise.characterise_sensor",
         "fit_caustic": "fitting.caustic.fit_caustic",
         "fit_spots": "fitting.spotfit.fit_spots",
-        "judge_dataset": "cli.judging.judge_dataset",
-        "look": "quicklook.looking.look",
+        "judge_dataset": "cli.pipeline.judge_dataset",
+        "look": "quicklook.first_look.look",
         "read_dataset": "dataset.folder.load",
         "read_image": "dataset.frames.read_image",
         "simulate_dataset": "model.design.simulate_dataset",

@@ -1,43 +1,44 @@
-"""`spotcheck adopt`: what results say of the instrument, as an instrument file."""
+"""`spotcheck adopt`: results about the instrument, as an instrument file."""
 
 import argparse
 from pathlib import Path
 
 from spotcheck.cli import vocabulary
-from spotcheck.dataset import folder as dataset
+from spotcheck.dataset.folder import load
 from spotcheck.errors import InputError
 from spotcheck.export.instrument_file import format_table, write_instrument_file
 from spotcheck.export.learned_values import collect_learned_values
 from spotcheck.export.value_choice import choose_values
 from spotcheck.io import store
 
+EXAMPLES = "spotcheck adopt out/my-frames --to camera.yaml"
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("results", type=Path, help="results folder of a dataset, such as results/my-frames")
     parser.add_argument(
         "--to", type=Path, help="instrument file to write, which must be new; without it only the table"
     )
-    vocabulary.arguments(parser)
-    parser.epilog = "Example:\n  spotcheck adopt out/my-frames --to camera.yaml\n"
+    vocabulary.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print what was learned of each key and what of it is taken, and write the file."""
-    vocabulary.choose(args)
-    folder = store.read_owner(args.results) if args.results.is_dir() else ""
-    if not folder:
+    """Print the results for each key and the value to adopt, and write the file."""
+    vocabulary.apply_options(args)
+    dataset = store.read_owner(args.results) if args.results.is_dir() else ""
+    if not dataset:
         raise InputError(f"{args.results}: holds no results of a dataset; name its folder, such as results/my-frames")
-    given = dataset.load(folder).instrument
-    learned, unused = collect_learned_values(args.results, given)
+    instrument = load(dataset).instrument
+    learned, unused = collect_learned_values(args.results, instrument)
     if not learned and not unused:
-        raise InputError(f"{args.results}: says nothing of the instrument; run the workflow on {folder} to its end")
-    choices = choose_values(learned, given)
+        raise InputError(f"{args.results}: says nothing about the instrument; run the workflow on {dataset} to its end")
+    choices = choose_values(learned, instrument)
     print(format_table(choices, unused))
     if not (args.results / "verdict.json").is_file():
-        print("there is no verdict yet, so that effects and the light's shape are not among these")
+        print("there is no verdict yet, so effects and the shape of the light are missing here")
     if args.to is None:
         print("nothing is written: name a new instrument file with --to")
         return
-    write_instrument_file(args.to, choices, unused, given, args.results)
+    write_instrument_file(args.to, choices, unused, instrument, args.results)
     print(f"wrote {args.to}; a dataset uses it by `based_on:` and its path in instrument.yaml")

@@ -1,21 +1,19 @@
 """`spotcheck calibrate`: calibration.nc."""
 
 import argparse
+import math
 
 from spotcheck.characterization.sensor_choice import model_of
-from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import folder
 from spotcheck.fitting.calibration import USED, calibrate
 from spotcheck.io import provenance, store
 
-EXAMPLE = """Example:
-  spotcheck calibrate my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
-      --sensor out/my-frames/sensor.nc --output out/my-frames/calibration.nc
-"""
+EXAMPLES = """spotcheck calibrate my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
+    --sensor out/my-frames/sensor.nc --output out/my-frames/calibration.nc"""
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--fits", required=True, help="fits.nc")
@@ -24,19 +22,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Calibrate and say p1 and p2, or why not."""
-    instrument = dataset.load(args.dataset).instrument
+    """Calibrate, and print p1 and p2 or why they are unknown."""
+    instrument = folder.load(args.dataset).instrument
     with store.read(args.crops) as crops, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
-        found = calibrate(crops, fits, instrument, model_of(sensor))
+        calibration = calibrate(crops, fits, instrument, model_of(sensor))
     inputs = [args.crops, args.fits, args.sensor]
-    store.write(found, args.output, code=provenance.code_digest(__name__), inputs=inputs)
-    if "skipped" in found.attrs:
-        print(f"skipped: {found.attrs['skipped']}")
+    store.write(calibration, args.output, code=provenance.code_digest(__name__), inputs=inputs)
+    if "skipped" in calibration.attrs:
+        print(f"skipped: {calibration.attrs['skipped']}")
     else:
-        own = found.sel(estimator=USED)
-        for p in ("p1", "p2"):
-            spread = float(own[f"{p}_sd_all"])
-            print(
-                f"{p} = {float(own[f'{p}_mean']):.3f}"
-                + (f" ± {spread:.3f} px" if spread == spread else " px (one site)")
-            )
+        used = calibration.sel(estimator=USED)
+        for name in ("p1", "p2"):
+            scatter = float(used[f"{name}_sd_all"])
+            error = " px (one site)" if math.isnan(scatter) else f" ± {scatter:.3f} px"
+            print(f"{name} = {float(used[f'{name}_mean']):.3f}{error}")

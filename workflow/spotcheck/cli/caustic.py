@@ -2,34 +2,31 @@
 
 import argparse
 
-from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import folder
 from spotcheck.fitting.caustic import beam_rows, caustic_of
 from spotcheck.io import provenance, store
 from spotcheck.io.plus_minus import plus_minus
 
-EXAMPLE = """Example:
-  spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/caustic.nc
-"""
+EXAMPLES = "spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/caustic.nc"
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--fits", required=True, help="fits.nc")
     parser.add_argument("--output", required=True, help="caustic.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Fit the hyperbola and say M², or why not."""
-    instrument = dataset.load(args.dataset).instrument
+    """Fit the hyperbolas and print M², or why there is none."""
+    instrument = folder.load(args.dataset).instrument
     with store.read(args.fits) as fits:
-        found = caustic_of(fits, instrument)
-    store.write(found, args.output, code=provenance.code_digest(__name__), inputs=[args.fits])
-    if "skipped" in found.attrs:
-        print(f"skipped: {found.attrs['skipped']}")
+        caustic = caustic_of(fits, instrument)
+    store.write(caustic, args.output, code=provenance.code_digest(__name__), inputs=[args.fits])
+    if "skipped" in caustic.attrs:
+        print(f"skipped: {caustic.attrs['skipped']}")
     else:
-        for words, own in beam_rows(found).items():
-            print(f"M² = {plus_minus(float(own['m2']), float(own['m2_stderr']))} ({words})")
-    for remark in store.remarks_of(found):
+        for axis, row in beam_rows(caustic).items():
+            print(f"M² = {plus_minus(float(row['m2']), float(row['m2_stderr']))} ({axis})")
+    for remark in store.remarks_of(caustic):
         print(remark)

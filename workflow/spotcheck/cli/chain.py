@@ -7,28 +7,25 @@ from pathlib import Path
 from spotcheck.errors import InputError
 from spotcheck.report.figures import chain, style
 
-EXAMPLE = """Example:
-  snakemake --rulegraph > rules.dot
-  spotcheck chain rules.dot --output out/my-frames/chain/fig06
-"""
+EXAMPLES = """snakemake --rulegraph > rules.dot
+spotcheck chain rules.dot --output out/my-frames/chain/fig06"""
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("dot", help="output of `snakemake --rulegraph`; - reads standard input")
     parser.add_argument("--output", required=True, help="path to write to, without .svg and .png")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Read the graph, lay it out, draw it."""
+    """Read the rule graph and draw it."""
     if args.dot == "-":
         text = sys.stdin.read()
     else:
         try:
             text = Path(args.dot).read_text(encoding="utf-8")
         except FileNotFoundError:
-            raise InputError(f"{args.dot}: not there; write it with `snakemake --rulegraph > {args.dot}`") from None
+            raise InputError(f"{args.dot}: is not there; write it with `snakemake --rulegraph > {args.dot}`") from None
     graph = chain.parse_graph(text)
     base = Path(args.output)
     with style.house_style():

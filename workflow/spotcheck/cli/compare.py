@@ -9,14 +9,11 @@ from spotcheck.report.comparison.netcdf import build_dataset
 from spotcheck.report.comparison.table import compare_datasets
 from spotcheck.report.pages import compared
 
-EXAMPLE = """Example:
-  spotcheck compare out/my-frames out/my-flats --page comparison.html --output comparison.nc
-"""
+EXAMPLES = "spotcheck compare out/my-frames out/my-flats --page comparison.html --output comparison.nc"
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument(
         "results", nargs="+", type=Path, help="results folders of two datasets or more, the first is the reference"
     )
@@ -25,10 +22,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Set the datasets side by side, and write the page and the numbers."""
-    found = compare_datasets(args.results)
+    """Compare the datasets, and write the page and the numbers."""
+    comparison = compare_datasets(args.results)
     code = provenance.code_digest(__name__)
-    store.write(build_dataset(found), args.output, code=code, inputs=list_sources(args.results))
-    compared.write(found, args.page, code)
-    changed = sum(any(row.is_changed) for row in found.rows)
-    print(f"{args.page}: {changed} of {len(found.rows)} quantities changed beyond their errors")
+    store.write(build_dataset(comparison), args.output, code=code, inputs=list_sources(args.results))
+    compared.write(comparison, args.page, code)
+    changed = sum(any(row.is_changed) for row in comparison.rows)
+    print(f"{args.page}: {changed} of {len(comparison.rows)} quantities changed beyond their errors")

@@ -6,19 +6,16 @@ from pathlib import Path
 from spotcheck.cli import vocabulary
 from spotcheck.report.pages import effects
 
-EXAMPLE = """Example:
-  spotcheck effects --output effects.md
-"""
+EXAMPLES = "spotcheck effects --output effects.md"
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("--output", required=True, type=Path, help="effects.md to write")
-    vocabulary.arguments(parser)
+    vocabulary.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Write the page from the effects' own files."""
-    vocabulary.choose(args)
+    vocabulary.apply_options(args)
     print(f"{args.output}: {effects.write(args.output)} effects")

@@ -5,14 +5,11 @@ from pathlib import Path
 
 from spotcheck.report.pages import equations
 
-EXAMPLE = """Example:
-  spotcheck equations --symbols data/symbols.yaml --tests tests --output docs
-"""
+EXAMPLES = "spotcheck equations --symbols data/symbols.yaml --tests tests --output docs"
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("--symbols", required=True, type=Path, help="symbols.yaml")
     parser.add_argument("--tests", required=True, type=Path, help="folder of the tests")
     parser.add_argument("--output", required=True, type=Path, help="folder for equations.html and symbols.html")

@@ -9,28 +9,25 @@ from spotcheck.errors import InputError
 from spotcheck.report import provenance
 from spotcheck.report.provenance import explanation
 
-EXAMPLES = """Examples:
-  spotcheck explain p1 --results out/my-frames
-  spotcheck explain unexplained.size --results out/my-frames
-  spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json --results out/my-frames
-  spotcheck explain --results out/my-frames      # lists all that can be asked for
-"""
+EXAMPLES = """spotcheck explain p1 --results out/my-frames
+spotcheck explain unexplained.size --results out/my-frames
+spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json --results out/my-frames
+spotcheck explain --results out/my-frames      # lists all names"""
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLES
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("number", nargs="?", help="name of the number, long or short; none: list all")
     parser.add_argument("--results", type=Path, help="results folder of a dataset (default: the only one in results/)")
     parser.add_argument("--json", action="store_true", help="write JSON, for programs")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Explain a number, or list what can be explained."""
-    results = args.results or only_one(Path("results"))
+    """Explain a number, or list the names of all numbers."""
+    results = args.results or find_only_results(Path("results"))
     if args.number is None:
-        listed = {"numbers": provenance.list_numbers(results), "tables": provenance.list_tables(results)}
-        print(json.dumps(listed, indent=1) if args.json else explanation.listing_text(**listed))
+        names = {"numbers": provenance.list_numbers(results), "tables": provenance.list_tables(results)}
+        print(json.dumps(names, indent=1) if args.json else explanation.listing_text(**names))
         return
     number = provenance.find_number(results, args.number)
     if args.json:
@@ -39,11 +36,12 @@ def run(args: argparse.Namespace) -> None:
         print(explanation.explanation_text(number, results, args.number, COMMANDS.get(number.source.command, "")))
 
 
-def only_one(base: Path) -> Path:
-    """The folder of results where there is one dataset. Raises `InputError`."""
-    there = sorted(note.parent for note in base.glob("*/.dataset"))
-    if len(there) == 1:
-        return there[0]
-    if not there:
+def find_only_results(base: Path) -> Path:
+    """Return the results folder of the only dataset below `base`. Raises `InputError` if there are none or several."""
+    folders = sorted(note.parent for note in base.glob("*/.dataset"))
+    if len(folders) == 1:
+        return folders[0]
+    if not folders:
         raise InputError(f"{base}: no results here; name those of a dataset with --results")
-    raise InputError(f"{base}: holds {', '.join(own.name for own in there)}; choose one, as in --results {there[0]}")
+    names = ", ".join(folder.name for folder in folders)
+    raise InputError(f"{base}: holds {names}; choose one, as in --results {folders[0]}")

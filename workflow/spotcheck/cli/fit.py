@@ -4,18 +4,16 @@ import argparse
 
 from spotcheck.characterization.pixel_maps import maps_in
 from spotcheck.characterization.sensor_choice import model_of
-from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import folder
 from spotcheck.fitting.fits import fit_crops, preferred, reasons_text
 from spotcheck.io import provenance, store
 
-EXAMPLE = """Example:
-  spotcheck fit my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc --output out/my-frames/fits.nc
-"""
+EXAMPLES = """spotcheck fit my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
+    --output out/my-frames/fits.nc"""
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("dataset", help="folder of the dataset, whose instrument says what the spot is")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
@@ -24,24 +22,23 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Fit every crop."""
-    given = dataset.load(args.dataset).instrument
+    """Fit every crop, and print how many fits succeeded and why others failed."""
+    instrument = folder.load(args.dataset).instrument
     maps = None
     for path in args.maps:
-        with store.read(path) as found:
-            maps = maps_in(found)
+        with store.read(path) as content:
+            maps = maps_in(content)
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
-        fits = fit_crops(crops, model_of(sensor), given.model.top_hat, given.optics.pixel_integration, maps)
+        fits = fit_crops(crops, model_of(sensor), instrument.model.top_hat, instrument.optics.pixel_integration, maps)
     inputs = [args.crops, args.sensor, *args.maps]
     store.write(fits, args.output, code=provenance.code_digest(__name__), inputs=inputs)
-    there = (fits["status"] & store.flag("missing")) == 0
+    is_present = (fits["status"] & store.flag("missing")) == 0
     for name in fits["fit"].values:
-        own = fits["amplitude"].sel(fit=name)
-        fitted, known = int(own.notnull().sum()), there.sel(fit=name)
-        why = reasons_text(fits["status"].sel(fit=name).where(own.isnull() & known, 0).values)
-        print(
-            f"{fitted} of {int(known.sum())} crops fitted by {str(name).replace('_', ' ')}{f': {why}' if why else ''}"
-        )
+        amplitude, present = fits["amplitude"].sel(fit=name), is_present.sel(fit=name)
+        failed = fits["status"].sel(fit=name).where(amplitude.isnull() & present, 0).values
+        reasons = f": {text}" if (text := reasons_text(failed)) else ""
+        fitted = f"{int(amplitude.notnull().sum())} of {int(present.sum())} crops"
+        print(f"{fitted} fitted by {str(name).replace('_', ' ')}{reasons}")
     for sentence in dict.fromkeys(filter(None, preferred(fits)["left_out"].values.ravel())):
         print(sentence)
     for remark in store.remarks_of(fits):

@@ -4,31 +4,31 @@ import argparse
 
 from spotcheck.characterization.pixel_maps import dataset_of, maps_of
 from spotcheck.crops.ingest import exclude_copies
-from spotcheck.dataset import file_cache
-from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
 
+EXAMPLES = "spotcheck maps my-flats --frames out/my-flats/frames.nc --output maps.nc"
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("dataset", help="dataset folder, with two darks or more")
     parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
     parser.add_argument("--output", required=True, help="maps.nc to write")
-    parser.epilog = "Example:\n  spotcheck maps my-flats --frames out/my-flats/frames.nc --output maps.nc\n"
 
 
 def run(args: argparse.Namespace) -> None:
     """Map offsets and gains of the sensor's pixels."""
-    found = dataset.load(args.dataset)
-    with store.read(args.frames) as table, file_cache.verify_unchanged(found, table):
-        maps = maps_of(exclude_copies(found, table), float(table["full_scale"]))
-    written = dataset_of(maps, found.title, found.name)
-    store.write(written, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
+    dataset = folder.load(args.dataset)
+    with store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
+        maps = maps_of(exclude_copies(dataset, table), float(table["full_scale"]))
+    content = dataset_of(maps, dataset.title, dataset.name)
+    store.write(content, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     if isinstance(maps, str):
         print(f"no maps of pixels: {maps}")
         return
     for name in ("offset", "gain"):
-        if name in written:
-            own = written[f"{name}_rms"]
-            print(f"{name} of pixels: {float(own):.3g} {own.attrs['units']} rms, known to"
-                  f" {float(written[f'{name}_stderr']):.2g}")  # fmt: skip
+        if name in content:
+            rms = content[f"{name}_rms"]
+            print(f"{name} of pixels: {float(rms):.3g} {rms.attrs['units']} rms, known to"
+                  f" {float(content[f'{name}_stderr']):.2g}")  # fmt: skip

@@ -5,16 +5,13 @@ import argparse
 from spotcheck.io import provenance, store
 from spotcheck.metrics.metrics_table import compute_metrics
 
-EXAMPLE = """Example:
-  spotcheck metrics --crops out/my-frames/crops.nc out/my-frames/simulated/crops.nc \\
-      --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc --sensor out/my-frames/sensor.nc \\
-      --output out/my-frames/metrics.nc
-"""
+EXAMPLES = """spotcheck metrics --crops out/my-frames/crops.nc out/my-frames/simulated/crops.nc \\
+    --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc --sensor out/my-frames/sensor.nc \\
+    --output out/my-frames/metrics.nc"""
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("--crops", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="crops.nc of both")
     parser.add_argument("--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
@@ -27,11 +24,7 @@ def run(args: argparse.Namespace) -> None:
     crops = {name: store.read(path) for name, path in zip(names, args.crops, strict=True)}
     fits = {name: store.read(path) for name, path in zip(names, args.fits, strict=True)}
     with store.read(args.sensor) as sensor:
-        found = compute_metrics(crops, fits, float(sensor["full_scale_dn"]))
-    store.write(
-        found,
-        args.output,
-        code=provenance.code_digest(__name__),
-        inputs=[*args.crops, *args.fits, args.sensor],
-    )
-    print(f"{int(found['psnr'].notnull().sum() / 4)} pairs of frames evaluated")
+        metrics = compute_metrics(crops, fits, float(sensor["full_scale_dn"]))
+    inputs = [*args.crops, *args.fits, args.sensor]
+    store.write(metrics, args.output, code=provenance.code_digest(__name__), inputs=inputs)
+    print(f"{int(metrics['psnr'].notnull().sum() / 4)} pairs of frames evaluated")

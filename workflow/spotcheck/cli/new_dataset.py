@@ -15,120 +15,108 @@ from spotcheck.errors import InputError
 from spotcheck.io import configuration
 from spotcheck.io.formats.colour import Colour
 
-# What a person is asked for where no file says it: column or key, and the question.
+# Example of an answer, and question, for each column or key that the user is asked for.
 QUESTIONS = {
-    "exposure_s": "exposure time of all frames, such as 2 ms",
-    POSITION: "unit of the positions in the names, such as mm",
-    "sensor.pixel_pitch_m": "pixel pitch of the camera, such as 3.45 um",
-    "laser.wavelength_m": "wavelength of the laser, such as 632.8 nm",
+    "exposure_s": ("2 ms", "exposure time of all frames"),
+    POSITION: ("mm", "unit of the positions in the names"),
+    "sensor.pixel_pitch_m": ("3.45 um", "pixel pitch of the camera"),
+    "laser.wavelength_m": ("632.8 nm", "wavelength of the laser"),
 }
-
 # Files of other formats that a message lists.
 MOST_OTHERS = 5
-
-EXAMPLE = """Example:
-  spotcheck new-dataset new-frames
-"""
+EXAMPLES = "spotcheck new-dataset new-frames"
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("folder", type=Path, help="folder of images, or one to make")
     parser.add_argument(
         "--set",
-        dest="given",
+        dest="answers",
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="what no file says, for all frames: exposure_s=2ms; the unit of numbers that have none: z_m=mm; or which"
+        help="what no file states, for all frames: exposure_s=2ms; the unit of numbers without one: z_m=mm; or which"
         ' source is right: "exposure_s=file name"; also keys such as laser.wavelength_m=632.8nm',
     )
 
 
 def run(args: argparse.Namespace) -> None:
-    """Say what the files tell, ask for what is missing, write both files; nothing that is there is overwritten."""
-    folder, given = args.folder, dict(_pair(word) for word in args.given)
+    """Read what the files state, ask for what is missing, and write both files; existing files are never replaced."""
+    folder, answers = args.folder, dict(_parse_answer(word) for word in args.answers)
     template.check_absent(folder)
-    colour = Colour(*(given.get(key) for key in COLOUR_KEYS))
-    found = scan_folder(folder, colour) if folder.is_dir() else FolderScan((), (), ())
-    if found.errors and not found.frames:
-        more = f"; of {len(found.errors)} images none is read" if len(found.errors) > 1 else ""
-        keys = ", such as by --set sensor.channel=red" if COLOUR_KEYS[0] in found.errors[0] else ""
-        raise InputError(f"{found.errors[0]}{keys}{more}")
-    check_answers(found, given)
-    rows = draft_manifest(found, given) if found.frames else None
-    if rows is None:
-        if found.unread_files:
-            print(f"{folder}: holds no image that is read, but {', '.join(found.unread_files[:MOST_OTHERS])}")
-        elif folder.is_dir():
-            print(f"{folder}: holds no image")
-        template.write_template(folder)
+    colour = Colour(*(answers.get(key) for key in COLOUR_KEYS))
+    images = scan_folder(folder, colour) if folder.is_dir() else FolderScan((), (), ())
+    if images.errors and not images.frames:
+        hint = ", such as by --set sensor.channel=red" if COLOUR_KEYS[0] in images.errors[0] else ""
+        count = f"; of {len(images.errors)} images none is read" if len(images.errors) > 1 else ""
+        raise InputError(f"{images.errors[0]}{hint}{count}")
+    check_answers(images, answers)
+    if images.frames:
+        _write_rows(folder, images, answers, colour)
+        next_step = "next"
     else:
-        print(*summarize_scan(str(folder), found, rows), sep="\n")
-        rows = _completed(found, rows, given)
-        proposal = propose_crop_size(folder, rows, colour)
-        if not proposal.has_spot:
-            print(
-                "No spot stands out in these frames. Darks and flats are told by those words in the names of files or"
-            )
-            print("folders, or in the column kind.")
-        template.write_template(folder, rows, proposal.side_px)
-    then = "next" if rows else "fill in the blanks, then"
-    print(f"{folder}: wrote manifest.csv, instrument.yaml; {then}: spotcheck check {folder}")
+        if folder.is_dir():
+            others = f" that is read, but {', '.join(images.unread_files[:MOST_OTHERS])}" if images.unread_files else ""
+            print(f"{folder}: holds no image{others}")
+        template.write_template(folder)
+        next_step = "fill in the blanks, then"
+    print(f"{folder}: wrote manifest.csv, instrument.yaml; {next_step}: spotcheck check {folder}")
     if remark := configuration.remark_on_quotes(str(folder)):
         print(remark)
 
 
-def _completed(found: FolderScan, rows: ManifestDraft, given: dict[str, str]) -> ManifestDraft:
-    """The rows with what a person answers at a terminal; without one, a sentence names what is missing."""
-    missing = list(_missing(rows))
-    if not missing:
-        return rows
-    if sys.stdin.isatty():
-        return draft_manifest(found, given | dict(own for key in missing if (own := _asked(found, key))))
-    print(f"Not found: {', '.join(missing)}.")
-    print(f"What is known can be given, such as --set {_example(missing[0])}, or written into manifest.csv and")
-    print("instrument.yaml; without it the frames are evaluated as far as that goes.")
-    return rows
+def _write_rows(folder: Path, images: FolderScan, answers: dict[str, str], colour: Colour) -> None:
+    """Print what the files state, ask for what is missing, and write both files with a row per frame."""
+    draft = draft_manifest(images, answers)
+    print(*summarize_scan(str(folder), images, draft), sep="\n")
+    if missing := list(_list_missing(draft)):
+        if sys.stdin.isatty():
+            draft = draft_manifest(images, answers | dict(pair for key in missing if (pair := _ask(images, key))))
+        else:
+            example = f"{missing[0]}={QUESTIONS[missing[0]][0].replace(' ', '')}"
+            print(f"Not found: {', '.join(missing)}.")
+            print(f"Give what you know by options such as --set {example}, or write it into manifest.csv and")
+            print("instrument.yaml. Without it the frames are evaluated as far as possible.")
+    proposal = propose_crop_size(folder, draft, colour)
+    if not proposal.has_spot:
+        print("No spot stands out in these frames. Mark darks and flats by the words dark and flat in names of")
+        print("files or folders, or in the column kind.")
+    template.write_template(folder, draft, proposal.side_px)
 
 
-def _asked(found: FolderScan, key: str) -> tuple[str, str] | None:
-    """A key and what a person answers, asked anew where nothing can be made of it; None where it is not known."""
-    while answer := input(f"{key}: {QUESTIONS[key]} (Enter where it is not known): ").strip():
+def _ask(images: FolderScan, key: str) -> tuple[str, str] | None:
+    """Return a key with the answer of the user, who is asked again after an invalid one; None if it is unknown."""
+    example, question = QUESTIONS[key]
+    while answer := input(f"{key}: {question}, such as {example} (Enter if it is not known): ").strip():
         try:
-            pair = _pair(f"{key}={answer}")
-            check_answers(found, dict([pair]))
+            pair = _parse_answer(f"{key}={answer}")
+            check_answers(images, dict([pair]))
             return pair
         except InputError as error:
             print(str(error).removeprefix("--set "))
     return None
 
 
-def _missing(rows: ManifestDraft) -> Iterator[str]:
-    """Columns and keys that matter for these frames and that nothing tells."""
-    unclear = {own.column for own in rows.unused} | {own.column for own in rows.conflicts}
-    if len(rows.missing["exposure_s"]) == len(rows.rows) and "exposure_s" not in unclear:
+def _list_missing(draft: ManifestDraft) -> Iterator[str]:
+    """Yield the columns and keys that these frames need and no file states."""
+    unclear = {record.column for record in draft.unused} | {conflict.column for conflict in draft.conflicts}
+    if len(draft.missing["exposure_s"]) == len(draft.rows) and "exposure_s" not in unclear:
         yield "exposure_s"
-    if POSITION in unclear and POSITION not in rows.columns:
+    if POSITION in unclear and POSITION not in draft.columns:
         yield POSITION
-    if rows.has_spots:
-        yield from (key for key in ("sensor.pixel_pitch_m", "laser.wavelength_m") if key not in rows.instrument_keys)
+    if draft.has_spots:
+        yield from (key for key in ("sensor.pixel_pitch_m", "laser.wavelength_m") if key not in draft.instrument_keys)
 
 
-def _example(key: str) -> str:
-    """An answer to a question, as an option."""
-    return f"{key}={QUESTIONS[key].rpartition('such as ')[2].replace(' ', '')}"
-
-
-def _pair(word: str) -> tuple[str, str]:
-    """Key and value of an answer. Raises `InputError`."""
+def _parse_answer(word: str) -> tuple[str, str]:
+    """Return key and value of KEY=VALUE. Raises `InputError` for an unknown key or an impossible value."""
     key, equals, value = (part.strip() for part in word.partition("="))
     keys = template.list_settable_keys()
     if not equals or key not in (*METADATA_COLUMNS, *keys) or not value:
         raise InputError(
-            f"--set {word}: must be KEY=VALUE, with a KEY of {', '.join(METADATA_COLUMNS)} or of a number of"
-            " instrument.yaml; write others into that file"
+            f"--set {word}: must be KEY=VALUE, with a KEY of {', '.join(METADATA_COLUMNS)} or of a number of instrument.yaml;"
+            " write others into that file"
         )
     choices = keys.get(key, {}).get("enum", [value])
     if value not in choices:

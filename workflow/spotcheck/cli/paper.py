@@ -4,22 +4,19 @@ import argparse
 import sys
 from pathlib import Path
 
-from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import folder
 from spotcheck.io import provenance, store
 from spotcheck.io.schema import read_yaml
 from spotcheck.paper import number_checks
 from spotcheck.paper.results import Results
 from spotcheck.report.pages import numbers
 
-EXAMPLE = """Example:
-  spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig \\
-      --table numbers.csv --page numbers.html --summary numbers.md
-"""
+EXAMPLES = """spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig \\
+    --table numbers.csv --page numbers.html --summary numbers.md"""
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("numbers", type=Path, help="paper_numbers.yaml")
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
@@ -30,8 +27,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Judge every number; with --strict, end with status 1 when one left its tolerance."""
-    results = Results(dataset.load(args.dataset), args.results)
+    """Check every number; with --strict, end with status 1 when one left its tolerance."""
+    results = Results(folder.load(args.dataset), args.results)
     checks = number_checks.check_numbers(read_yaml(args.numbers), results)
     inputs = [args.numbers, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
     store.write_text(args.table, number_checks.format_csv(checks), code=provenance.code_digest(__name__), inputs=inputs)

@@ -5,28 +5,25 @@ import json
 from pathlib import Path
 
 from spotcheck.cli import vocabulary
-from spotcheck.dataset import folder as dataset
+from spotcheck.dataset import folder
 from spotcheck.report import dataset_page as report
 
-EXAMPLE = """Example:
-  spotcheck report --dataset my-frames --results out/my-frames --output out/my-frames/report.html
-"""
+EXAMPLES = "spotcheck report --dataset my-frames --results out/my-frames --output out/my-frames/report.html"
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
     parser.add_argument("--output", required=True, type=Path, help="page to write")
-    vocabulary.arguments(parser)
+    vocabulary.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Write the page."""
-    vocabulary.choose(args)
+    vocabulary.apply_options(args)
     verdict = args.results / "verdict.json"
     if verdict.exists():
-        vocabulary.same(json.loads(verdict.read_text(encoding="utf-8")), str(verdict))
-    report.write(dataset.load(args.dataset), args.results, args.output)
+        vocabulary.check_same(json.loads(verdict.read_text(encoding="utf-8")), str(verdict))
+    report.write(folder.load(args.dataset), args.results, args.output)
     print(f"{args.output}: {args.output.stat().st_size / 1e6:.1f} MB")

@@ -1,4 +1,4 @@
-"""The vocabulary of effects as subcommands and rules choose it: the same options for all, and what files hold of it."""
+"""Options of subcommands that choose the vocabulary of effects, and its record in files of results."""
 
 import argparse
 from collections.abc import Mapping
@@ -9,51 +9,51 @@ from spotcheck.model import effects
 from spotcheck.model.effects import Choice
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the options."""
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options to a parser."""
     group = parser.add_argument_group("vocabulary of effects (default: the library's)")
     group.add_argument("--effects", nargs="+", default=[], metavar="FILE", help="Python files that each add an effect")
     group.add_argument("--only", nargs="+", default=[], metavar="NAME", help="the only effects to know")
     group.add_argument("--without", nargs="+", default=[], metavar="NAME", help="effects to leave out")
 
 
-def choose(args: argparse.Namespace) -> None:
+def apply_options(args: argparse.Namespace) -> None:
     """Set the vocabulary of this process to that of the options."""
     effects.choose(Choice(tuple(args.effects), tuple(args.only), tuple(args.without)))
 
 
-def of_config(config: Mapping[str, Any]) -> Choice:
-    """What the keys `effects` and `vocabulary` of the workflow's configuration choose."""
-    own = config.get("vocabulary", {})
-    return Choice(tuple(config.get("effects", ())), tuple(own.get("only", ())), tuple(own.get("without", ())))
+def read_choice(config: Mapping[str, Any]) -> Choice:
+    """Return the choice of the keys `effects` and `vocabulary` of the workflow's configuration."""
+    names = config.get("vocabulary", {})
+    return Choice(tuple(config.get("effects", ())), tuple(names.get("only", ())), tuple(names.get("without", ())))
 
 
-def options(choice: Choice) -> list[str]:
-    """The words of the command line that stand for a choice; none for the library's vocabulary."""
+def list_options(choice: Choice) -> list[str]:
+    """Return the words of a command line that stand for a choice; none for the vocabulary of the library."""
     words = []
-    for flag, values in (("--effects", choice.files), ("--only", choice.only), ("--without", choice.without)):
-        words += [flag, *values] if values else []
+    for option, values in (("--effects", choice.files), ("--only", choice.only), ("--without", choice.without)):
+        words += [option, *values] if values else []
     return words
 
 
-def described() -> dict[str, Any]:
-    """What a file of results says of the vocabulary: nothing where it is the library's."""
+def describe_difference() -> dict[str, Any]:
+    """Return the key `vocabulary` of a file of results; {} for the vocabulary of the library."""
     difference = effects.record()
     return {"vocabulary": difference} if difference else {}
 
 
-def same(saved: Mapping[str, Any], name: str) -> None:
-    """Raise `InputError` unless what an earlier stage saved in the file `name` was found with this vocabulary."""
+def check_same(saved: Mapping[str, Any], name: str) -> None:
+    """Raise `InputError` if an earlier stage wrote `saved` to the file `name` with another vocabulary."""
     if saved.get("vocabulary", {}) != effects.record():
         raise InputError(
-            f"{name}: was found with {_text(saved.get('vocabulary', {}))}, but this is {_text(effects.record())}; give"
-            " every stage the same --effects, --only and --without"
+            f"{name}: was found with {_format(saved.get('vocabulary', {}))}, but this is {_format(effects.record())};"
+            " give every stage the same --effects, --only and --without"
         )
 
 
-def _text(difference: Mapping[str, Any]) -> str:
-    """A vocabulary in words."""
-    own = [f"{effect['name']} of {effect['file']} ({effect['sha256'][:8]})" for effect in difference.get("own", ())]
-    parts = [f"with {', '.join(own)}"] if own else []
+def _format(difference: Mapping[str, Any]) -> str:
+    """Return a vocabulary in words."""
+    added = [f"{effect['name']} of {effect['file']} ({effect['sha256'][:8]})" for effect in difference.get("own", ())]
+    parts = [f"with {', '.join(added)}"] if added else []
     parts += [f"without {', '.join(difference['left_out'])}"] if difference.get("left_out") else []
     return " ".join(["the library's vocabulary", *parts])

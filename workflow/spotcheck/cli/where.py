@@ -1,4 +1,4 @@
-"""`spotcheck where`: say where the results of a dataset lie."""
+"""`spotcheck where`: where the results of a dataset are."""
 
 import argparse
 from pathlib import Path
@@ -12,24 +12,19 @@ PLACES = (
     ("notebooks", "executed notebooks"),
     ("docs", "equation and symbol tables"),
 )
+EXAMPLES = "spotcheck where out/my-frames"
 
 
-EXAMPLE = """Example:
-  spotcheck where out/my-frames
-"""
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Define the arguments."""
-    parser.epilog = EXAMPLE
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the subcommand to its parser."""
     parser.add_argument("results", type=Path, help="results folder of a dataset")
 
 
 def run(args: argparse.Namespace) -> None:
-    """List what is there to look at. Raises `InputError` where there is nothing."""
-    if not any((args.results / name).exists() for name, _ in PLACES):
+    """Print the results that a person can open. Raises `InputError` if there are none."""
+    present = [(args.results / name, text) for name, text in PLACES if (args.results / name).exists()]
+    if not present:
         raise InputError(f"{args.results}: holds no results to look at; name those of a dataset, such as results/mine")
     print("\nWhere to look:")
-    for name, text in PLACES:
-        if (args.results / name).exists():
-            print(f"  {args.results / name!s:45} {text}")
+    for path, text in present:
+        print(f"  {path!s:45} {text}")

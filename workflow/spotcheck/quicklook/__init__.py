@@ -1,5 +1,5 @@
-"""A first look at images that nobody has described.
+"""First look at images without a description: widths, clipped pixels, camera noise, M².
 
-In: image files or a folder of them. Out: a `Look` with what was seen of spots, camera and scan, as text, JSON
-or a page.
+In: image files or a folder of them. Out: a `Look` with the results of images, cameras and scan, as text, JSON or a
+page.
 """

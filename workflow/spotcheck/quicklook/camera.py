@@ -1,7 +1,7 @@
-"""What images of spots alone tell of the camera: gain, noise, black level, and where readings stop."""
+"""Gain, read noise, black level and clip level of a camera, estimated from images of spots alone."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,100 +9,115 @@ from spotcheck.characterization.by_spots import dark_level, seen_by_spots
 from spotcheck.characterization.sensor_choice import Found, spots_in_electrons
 from spotcheck.crops.full_scale import MIN_PLATEAU_PX, measure_extremes
 from spotcheck.io import progress
-from spotcheck.io.plus_minus import plus_minus
 from spotcheck.quicklook.images import Image
 from spotcheck.sensor import SensorModel
 
-UNKNOWN = "no image shows noise that grows with its light"
-# Noise of numbers that no converter wrote, in steps that they are rounded to, which then add 2 % to its variance at
-# most; and noise [DN] above which whole numbers are no single readings, but sums.
-LEAST_STEPS, MOST_DN = 2.0, 1000.0
-# Median step between neighbours over the noise of a normal law, √2 · 0.6745; and the noise of an image without any, as
-# part of its range.
-NORMAL_STEP, NOISELESS = 0.954, 1e-5
+UNKNOWN_GAIN = "in no image does the noise grow with the signal"
+# Readings that are not integers are rounded to a step of at most noise / 2, which adds 2 % to the variance at most.
+NOISE_STEPS = 2.0
+# Integers with more noise than this [DN] are sums of readings, not single readings.
+MOST_NOISE_DN = 1000.0
+# Median of |difference of two neighbours| of normal noise, in units of its standard deviation: √2 · 0.6745.
+MEDIAN_DIFFERENCE = 0.954
+# Noise assumed for a noiseless image, as a part of its range.
+LEAST_NOISE = 1e-5
 
 
-class Camera(NamedTuple):
-    """Which images are its; gain [DN/e-] and read noise [e-], None where they are unknown, with the reason in `how`;
-    black level [DN], the lowest rim of all images, which stray light may have raised; the reading [DN] at which images
-    stop, infinite where none does; and the step [DN] that its law rounds to."""
+@dataclass(frozen=True)
+class Camera:
+    """Properties of one camera."""
 
-    images: tuple[str, ...]
-    gain: Found | None
-    noise: Found | None
-    how: str
-    black_dn: float
-    stop_dn: float
-    step_dn: float = 1.0
+    images: tuple[str, ...]  # names of the images that were taken with it
+    gain: Found | None  # gain [DN/e-]; None if unknown
+    read_noise: Found | None  # read noise [e-]; None if unknown
+    method: str  # how gain and read noise were estimated, or why they are unknown
+    black_level_dn: float  # lowest border level of all images [DN], an upper limit because it includes stray light
+    clip_level_dn: float  # reading at which images clip [DN]; infinite if none clips
+    step_dn: float = 1.0  # rounding step of the readings [DN]
 
-    def sensor(self, pixels: np.ndarray) -> SensorModel | None:
-        """The law of a reading of an image in steps, whose own rim is the level that its noise grows from: shot noise
-        of stray light is part of the read noise here. None where gain or noise is unknown."""
-        if self.gain is None or self.noise is None:
+    def sensor_model(self, pixels: np.ndarray) -> SensorModel | None:
+        """Return the sensor model of an image [rows, columns] in units of `step_dn`; None if gain or noise is unknown.
+
+        The black level is the border level of this image, so the read noise includes the shot noise of stray light.
+        """
+        if self.gain is None or self.read_noise is None:
             return None
-        black = dark_level(pixels)
-        gain, black, stop = (own / self.step_dn for own in (self.gain.value, black, self.stop_dn))
-        return SensorModel(gain, self.noise.value, black_level_dn=black, full_scale_dn=stop)
-
-    def lines(self) -> list[tuple[str, str]]:
-        """Name and text of each number."""
-        if self.gain is None or self.noise is None:
-            noise = [("gain, read noise", f"unknown: {self.how}")]
-        else:
-            noise = [
-                ("gain", f"{plus_minus(self.gain.value, self.gain.stderr, 'DN/e-')}, by {self.how}"),
-                ("read noise", f"{plus_minus(self.noise.value, self.noise.stderr, 'e-')}"),
-            ]
-        black = ("black level", f"{self.black_dn:.4g} DN or less: what images read at their rim, stray light included")
-        return [*noise, black]
+        return SensorModel(
+            self.gain.value / self.step_dn,
+            self.read_noise.value,
+            black_level_dn=dark_level(pixels) / self.step_dn,
+            full_scale_dn=self.clip_level_dn / self.step_dn,
+        )
 
 
-def camera_of(images: Sequence[Image]) -> Camera:
-    """What images of one camera, of equal size and depth, tell together."""
-    stops = [end for image in images if np.isfinite(end := stop_of(image.read(), image.bits))]
-    # One camera stops at one reading: a plateau that is lower is light's own.
-    stop = max(stops, default=np.inf)
-    step = _rounded_to(images)
-    read = (image.read() / step for image in progress.track(images, "looking at noise"))
-    seen = seen_by_spots(read, {}, None, stop / step)
-    names, lowest = tuple(image.name for image in images), step * seen.lowest_dn
-    found = spots_in_electrons(seen)
-    if not found:
-        return Camera(names, None, None, UNKNOWN, lowest, stop, step)
-    gain = found["gain_dn_per_e"]
-    gain = gain._replace(value=step * gain.value, stderr=step * gain.stderr)
-    return Camera(names, gain, found["read_noise_e"], seen.how, lowest, stop, step)
+def estimate_camera(images: Sequence[Image]) -> Camera:
+    """Return the properties of a camera, estimated from its images.
+
+    Parameters
+    ----------
+    images : images of spots, all of one size and bit depth.
+
+    Returns
+    -------
+    Camera
+        Gain and read noise are None if no image shows noise that grows with the signal.
+    """
+    clip_levels = (find_clip_level(image.read(), image.bits) for image in images)
+    # A camera clips at one level; a lower plateau is part of the light.
+    clip_level = max((level for level in clip_levels if np.isfinite(level)), default=np.inf)
+    step = _estimate_step(images)
+    scaled = (image.read() / step for image in progress.track(images, "estimating noise"))
+    estimate = seen_by_spots(scaled, {}, None, clip_level / step)
+    quantities = spots_in_electrons(estimate)
+    gain, method = None, UNKNOWN_GAIN
+    if quantities:
+        gain = quantities["gain_dn_per_e"]
+        gain = gain._replace(value=step * gain.value, stderr=step * gain.stderr)
+        method = estimate.how
+    names = tuple(image.name for image in images)
+    return Camera(
+        names, gain, quantities.get("read_noise_e"), method, step * estimate.lowest_dn, clip_level, step
+    )  # fmt: skip
 
 
-def _rounded_to(images: Sequence[Image]) -> float:
-    """The step [DN] that the law of a reading rounds to: 1, or of numbers that no converter wrote, such as a mean of
-    frames or parts of the brightest pixel, a power of ten that is small against their noise."""
-    if any(image.bits is not None for image in images):
-        return 1.0
-    noise, whole = zip(*(_noise_of(image.read()) for image in images), strict=True)
-    typical = float(np.median(noise))
-    if not typical or (all(whole) and typical < MOST_DN):
-        return 1.0
-    return float(10.0 ** np.floor(np.log10(typical / LEAST_STEPS)))
+def find_clip_level(pixels: np.ndarray, bits: int | None) -> float:
+    """Return the reading [DN] at which an image clips; infinite if it does not.
 
+    An image clips at its highest reading if that is the largest number of `bits`, or if pixels accumulate at it.
 
-def _noise_of(pixels: np.ndarray) -> tuple[float, bool]:
-    """Noise of an image from pixel to pixel [DN], or a small part of its range where that is larger; and whether its
-    numbers are whole."""
-    known, steps = pixels[np.isfinite(pixels)], np.abs(np.diff(pixels, axis=1))
-    typical = float(np.nanmedian(steps)) / NORMAL_STEP if np.isfinite(steps).any() else 0.0
-    return max(typical, NOISELESS * float(np.ptp(known))), bool(np.all(known == np.rint(known)))
-
-
-def stop_of(pixels: np.ndarray, bits: int | None) -> float:
-    """The highest reading [DN], where readings stop at it: where pixels gather, or at the largest number that the
-    stored pixel holds; infinite where they do not."""
-    known = pixels[np.isfinite(pixels)]
-    if not known.size:
+    Parameters
+    ----------
+    pixels : readings [rows, columns] in DN, NaN where unknown.
+    bits : bits of a stored pixel; None if pixels are not unsigned integers.
+    """
+    readings = pixels[np.isfinite(pixels)]
+    if not readings.size:
         return np.inf
-    highest = float(known.max())
+    highest = float(readings.max())
     if bits is not None and highest >= 2**bits - 1:
         return highest
-    if not np.array_equal(known, np.rint(known)) or known.min() < 0:
-        return highest if np.count_nonzero(known == highest) >= MIN_PLATEAU_PX else np.inf
-    return highest if measure_extremes(known.astype(np.int64)).has_plateau() else np.inf
+    if not np.array_equal(readings, np.rint(readings)) or readings.min() < 0:
+        return highest if np.count_nonzero(readings == highest) >= MIN_PLATEAU_PX else np.inf
+    return highest if measure_extremes(readings.astype(np.int64)).has_plateau() else np.inf
+
+
+def _estimate_step(images: Sequence[Image]) -> float:
+    """Return the rounding step [DN]: 1 for readings of a converter.
+
+    For other numbers, such as a mean of frames or a normalized image, it is a power of ten that is small against their
+    noise.
+    """
+    if any(image.bits is not None for image in images):
+        return 1.0
+    noise, are_integers = zip(*(_measure_noise(image.read()) for image in images), strict=True)
+    typical = float(np.median(noise))
+    if not typical or (all(are_integers) and typical < MOST_NOISE_DN):
+        return 1.0
+    return float(10.0 ** np.floor(np.log10(typical / NOISE_STEPS)))
+
+
+def _measure_noise(pixels: np.ndarray) -> tuple[float, bool]:
+    """Return the noise [DN] from differences of neighbouring pixels, and whether all readings are integers."""
+    readings, differences = pixels[np.isfinite(pixels)], np.abs(np.diff(pixels, axis=1))
+    noise = float(np.nanmedian(differences)) / MEDIAN_DIFFERENCE if np.isfinite(differences).any() else 0.0
+    return max(noise, LEAST_NOISE * float(np.ptp(readings))), bool(np.all(readings == np.rint(readings)))

@@ -1,8 +1,8 @@
-"""The images of a first look: arrays, files or a folder, and what their files say beside the pixels."""
+"""Input images of a first look: arrays, files or folders, with the metadata that their files state."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,125 +15,153 @@ from spotcheck.io.formats.colour import CHANNELS, MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
 from spotcheck.io.formats.page import Page
 
-# What of the labels a first look uses.
+# Metadata that a first look uses.
 Z, PITCH, WAVELENGTH = "z_m", "sensor.pixel_pitch_m", "laser.wavelength_m"
 
-Given = str | Path | np.ndarray | Iterable[str | Path | np.ndarray]
+ImageInput = str | Path | np.ndarray | Iterable[str | Path | np.ndarray]
 
 
-class Image(NamedTuple):
-    """One image: its name, an array or a page of a file, rows and columns, the bits of a stored pixel (None: not whole
-    numbers), what the file says of it, and which channel is taken of one that has colours."""
+@dataclass(frozen=True, eq=False)
+class Image:
+    """One image: an array, or a page of a file."""
 
-    name: str
-    source: np.ndarray | Path
-    shape: tuple[int, ...]
-    page: int = 0
-    bits: int | None = None
-    labels: dict[str, MetadataEntry] | None = None
-    colour: Colour = MONOCHROME
+    name: str  # file name, with the page of a stack; "image N" for an array
+    source: np.ndarray | Path  # readings [rows, columns] in DN, or the path of the file or stack
+    shape: tuple[int, ...]  # rows, columns
+    page: int = 0  # page of the stack
+    bits: int | None = None  # bits of a stored pixel; None unless pixels are unsigned integers
+    metadata: dict[str, MetadataEntry] = field(default_factory=dict)  # what the file states, by column or key
+    colour: Colour = MONOCHROME  # channel to read from a colour image
 
     def read(self) -> np.ndarray:
-        """Pixels [rows, columns] in DN, NaN where masked or infinite. Raises `InputError` where all of them are."""
+        """Return the readings [rows, columns] in DN, NaN where masked or infinite.
+
+        Raises `InputError` if no reading is finite.
+        """
         if isinstance(self.source, Path):
             stored = files.read_pixels(self.source, self.page, self.name, self.colour, allow_floats=True)
         else:
             stored = self.source
-        # A broken file may hold numbers that signal.
+        # A damaged file may hold signalling NaN.
         with np.errstate(invalid="ignore"):
             pixels = np.ma.filled(np.ma.asanyarray(stored).astype(float), np.nan)
-        known = np.isfinite(pixels)
-        if not known.any():
+        is_finite = np.isfinite(pixels)
+        if not is_finite.any():
             raise InputError(f"{self.name}: has no pixel that was measured; leave it out")
-        return np.where(known, pixels, np.nan)
+        return np.where(is_finite, pixels, np.nan)
 
-    def says(self, what: str) -> float | None:
-        """What the file says of a quantity, by the name of its label."""
-        label = (self.labels or {}).get(what)
-        return float(label.value) if label is not None and label.value is not None else None
+    def stated_value(self, key: str) -> float | None:
+        """Return the number that the file states for a column or key; None if it states none."""
+        entry = self.metadata.get(key)
+        return float(entry.value) if entry is not None and entry.value is not None else None
 
 
-def images_of(given: Given) -> tuple[list[Image], list[str]]:
-    """The images that are given, in their order; those of a folder by their names, numbers in the order of counting.
+def open_images(inputs: ImageInput) -> tuple[list[Image], list[str]]:
+    """Open images and check that their pixels can be read.
 
-    Every page of a stack is an image. Files that cannot be read beside others that can are left out, and a sentence
-    says why. Raises `InputError`.
+    Every page of a stack is an image. The files of a folder are sorted by name, with numbers in numerical order.
+    Unreadable files are skipped if at least one is readable.
+
+    Parameters
+    ----------
+    inputs : array [rows, columns] in DN, file, folder, or several of them.
+
+    Returns
+    -------
+    images : list of Image
+        The images, in the order of the inputs.
+    errors : list of str
+        One sentence per skipped file.
+
+    Raises
+    ------
+    InputError
+        A file is missing, a folder holds no image, an array is not an image, or no file is readable.
     """
-    if isinstance(given, str | Path) or getattr(given, "ndim", None) == 2:
-        given = [given]  # type: ignore[list-item]
-    out: list[Image] = []
-    refused: list[InputError] = []
-    for number, own in enumerate(given):
-        if isinstance(own, str | Path):
-            path = Path(own)
-            for file in _in_folder(path) if path.is_dir() else [path]:
-                if not (name := Path(split_inner_path(file.as_posix())[0])).exists():
-                    raise InputError(f"{name}: no such file; name image files or a folder of them")
-                try:
-                    pages = list(_pages(file))
-                    # What is broken may show only where pixels are read.
-                    for image in pages:
-                        image.read()
-                    out += pages
-                except InputError as error:
-                    refused.append(error)
-        else:
-            out.append(_array(own, number))
-            out[-1].read()
-    if not out:
-        raise refused[0] if refused else InputError("images: none is given; name image files or a folder of them")
-    return out, [str(error) for error in refused]
+    if isinstance(inputs, str | Path) or getattr(inputs, "ndim", None) == 2:
+        inputs = [inputs]  # type: ignore[list-item]
+    images: list[Image] = []
+    errors: list[InputError] = []
+    for number, item in enumerate(inputs):
+        if not isinstance(item, str | Path):
+            images.append(_wrap_array(item, number))
+            images[-1].read()
+            continue
+        for file in _list_files(Path(item)):
+            try:
+                pages = list(_open_pages(file))
+                # Damage may show only when pixels are decoded.
+                for image in pages:
+                    image.read()
+                images += pages
+            except InputError as error:
+                errors.append(error)
+    if not images:
+        raise errors[0] if errors else InputError("images: none is given; name image files or a folder of them")
+    return images, [str(error) for error in errors]
 
 
-def folder_of(path: Path) -> Path:
-    """The folder that an image file lies in, or that is given itself."""
+def find_folder(path: Path) -> Path:
+    """Return the absolute path of a folder, or of the folder that holds an image file."""
     return (path if path.is_dir() else Path(split_inner_path(path.as_posix())[0]).parent).resolve()
 
 
-def common(images: Sequence[Image], what: str) -> tuple[float | None, str]:
-    """What all files that speak of a quantity say of it, and where the first says so; None where they differ."""
-    said = [label for image in images if (label := (image.labels or {}).get(what)) is not None]
-    if not said or len({label.value for label in said}) > 1:
+def find_common_value(images: Sequence[Image], key: str) -> tuple[float | None, str]:
+    """Return the number that files state for a column or key, and its source.
+
+    Returns (None, "") if no file states it or files disagree.
+    """
+    entries = [entry for image in images if (entry := image.metadata.get(key)) is not None]
+    if not entries or len({entry.value for entry in entries}) > 1:
         return None, ""
-    return float(said[0].value or 0.0), str(said[0])
+    return float(entries[0].value or 0.0), str(entries[0])
 
 
-def _in_folder(folder: Path) -> list[Path]:
-    found = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
+def _list_files(path: Path) -> list[Path]:
+    """Return the image files of a folder, or the file itself."""
+    if not path.is_dir():
+        if not (file := Path(split_inner_path(path.as_posix())[0])).exists():
+            raise InputError(f"{file}: no such file; name image files or a folder of them")
+        return [path]
+    found = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
     if not found:
-        below = next((p for p in sorted(folder.iterdir()) if p.is_dir() and p.name == "frames"), None)
-        hint = f"; look at {below}" if below else "; name a folder with TIFF, PNG, PGM, HDF5 or .npy files"
-        raise InputError(f"{folder}: holds no image{hint}")
-    return sorted(found, key=lambda path: natural_sort_key(path.name))
+        frames = path / "frames"
+        hint = f"; look at {frames}" if frames.is_dir() else "; name a folder with TIFF, PNG, PGM, HDF5 or .npy files"
+        raise InputError(f"{path}: holds no image{hint}")
+    return sorted(found, key=lambda file: natural_sort_key(file.name))
 
 
-def _pages(path: Path) -> Iterator[Image]:
-    """Every page of every stack of a file that is an image of its own."""
+def _open_pages(path: Path) -> Iterator[Image]:
+    """Yield every page of every stack of a file, without previews."""
     name, inside = split_inner_path(path.as_posix())
     file = Path(name)
     for stack in [f"{file.name}#{inside}"] if inside else files.list_stacks(file, file.name):
-        source, labels = file.parent / stack, read_metadata(file, inner_path=split_inner_path(stack)[1])
-        pages, colour = _coloured(source, stack)
-        own = [(number, page) for number, page in enumerate(pages) if not page.preview]
-        for number, page in own:
-            name = stack if len(own) == 1 else f"{stack} page {number}"
-            yield Image(name, source, page.shape, number, page.bits or None, resolve_entries(labels, number)[0], colour)
+        source, entries = file.parent / stack, read_metadata(file, inner_path=split_inner_path(stack)[1])
+        pages, colour = _list_pages(source, stack)
+        numbered = [(number, page) for number, page in enumerate(pages) if not page.preview]
+        for number, page in numbered:
+            title = stack if len(numbered) == 1 else f"{stack} page {number}"
+            yield Image(
+                title, source, page.shape, number, page.bits or None, resolve_entries(entries, number)[0], colour
+            )
 
 
-def _coloured(path: Path, name: str) -> tuple[list[Page], Colour]:
-    """Pages of a stack, and of one with red, green and blue the channel that reads most: a laser lights one of them."""
+def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:
+    """Return the pages of a stack, and the brightest channel of a colour image: a laser excites mainly one."""
     try:
         return files.list_pages(path, name, allow_floats=True), MONOCHROME
-    except InputError as refused:
+    except InputError as refusal:
         try:
             pages = files.list_pages(path, name, Colour(CHANNELS[0]), allow_floats=True)
         except InputError:
-            raise refused from None
-    light = {own: files.read_pixels(path, 0, name, Colour(own), allow_floats=True).sum(dtype=float) for own in CHANNELS}
-    return pages, Colour(max(light, key=light.__getitem__))
+            raise refusal from None
+    sums = {channel: files.read_pixels(path, 0, name, Colour(channel), allow_floats=True).sum(dtype=float)
+            for channel in CHANNELS}  # fmt: skip
+    return pages, Colour(max(sums, key=sums.__getitem__))
 
 
-def _array(pixels: np.ndarray, number: int) -> Image:
+def _wrap_array(pixels: np.ndarray, number: int) -> Image:
+    """Return an array as an image. Raises `InputError` if it is not two-dimensional and numeric."""
     array = np.ma.asanyarray(pixels)
     if array.ndim != 2 or array.dtype.kind not in "uif" or not array.size:
         raise InputError(

@@ -1,4 +1,4 @@
-"""The page of a first look, and its first picture as a file of its own."""
+"""Page of a first look, and its first picture as a file of its own."""
 
 import base64
 import io
@@ -6,63 +6,67 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from spotcheck.io import atomic_files
-from spotcheck.quicklook import pictures, words
+from spotcheck.quicklook import pictures, text_report
 from spotcheck.report.figures import style
 from spotcheck.report.pages import TEMPLATES
 
 if TYPE_CHECKING:
-    from spotcheck.quicklook.looking import Look
+    from spotcheck.quicklook.first_look import Look
 
 PAGE, PICTURE = "look.html", "look.png"
-# Images that get a picture; of more, so many spread evenly.
+# Most images with a picture; if there are more, evenly spaced ones are drawn.
 MOST_PICTURES = 24
 
 
-class Shown(NamedTuple):
-    """A picture on the page: its title, the picture as PNG, what it shows, and what is said of the image."""
+class PagePicture(NamedTuple):
+    """A picture on the page."""
 
-    title: str
-    png: bytes
-    caption: str
-    rows: list[tuple[str, str]]
+    png: bytes  # the picture
+    caption: str  # what it shows
+    title: str  # name of the image; "" for caustics
+    rows: text_report.Rows  # results of the image
 
     @property
-    def address(self) -> str:
-        """The picture as an address that holds it."""
+    def data_url(self) -> str:
+        """The picture as a URL that contains it."""
         return f"data:image/png;base64,{base64.b64encode(self.png).decode('ascii')}"
 
 
-def write(look: "Look", folder: Path) -> Path:
-    """Write look.html, and look.png with the scan or the first spot; returns the page's path."""
-    scan = [_shown(pictures.caustic(look.beams))] if any(not own.why_not for own in look.beams) else []
-    drawn = [one for one in look.images if one.picture is not None]
-    step = -(-len(drawn) // MOST_PICTURES) or 1
-    spots = [_shown(pictures.spot(one), one.name, words.rows(one, look.pixel_pitch_m)) for one in drawn[::step]]
-    single = len(look.images) == 1
-    head, body = words.table(look.images, look.pixel_pitch_m)
+def write_page(look: "Look", folder: Path) -> Path:
+    """Write look.html, and look.png with the caustics or the first spot; return the path of the page."""
+    pitch_m, images = look.pixel_pitch_m, look.images
+    is_single = len(images) == 1
+    caustics = [_render(pictures.draw_caustics(look.beams))] if any(not scan.reason for scan in look.beams) else []
+    with_picture = [image for image in images if image.picture is not None]
+    step = -(-len(with_picture) // MOST_PICTURES) or 1
+    spots = [
+        _render(pictures.draw_spot(image), image.name, text_report.describe_image(image, pitch_m))
+        for image in with_picture[::step]
+    ]
+    head, body = text_report.build_table(images, pitch_m)
     content = TEMPLATES.get_template(PAGE).render(
-        title=f"A first look at {look.images[0].name if single else f'{len(look.images)} images'}",
-        single=single,
-        rows=words.rows(look.images[0], look.pixel_pitch_m),
+        title=f"A first look at {images[0].name if is_single else f'{len(images)} images'}",
+        is_single=is_single,
+        rows=text_report.describe_image(images[0], pitch_m),
         head=head,
         body=body,
-        beams=words.beams(look),
-        cameras=[words.camera_rows(own, look.cameras) for own in look.cameras],
-        remarks=[*look.remarks, *([] if single else words.remarks_of(look.images))],
-        scan=scan,
+        beam_lines=text_report.describe_beams(look),
+        cameras=[text_report.describe_camera(camera, look.cameras) for camera in look.cameras],
+        remarks=[*look.remarks, *([] if is_single else text_report.merge_cautions(images))],
+        caustics=caustics,
         spots=spots,
-        without=len(look.images) - len(spots),
+        without_picture=len(images) - len(spots),
     )
     atomic_files.write_text(folder / PAGE, content)
-    for first in (*scan, *spots)[:1]:
+    for first in [*caustics, *spots][:1]:
         with atomic_files.write_atomically(folder / PICTURE) as scratch:
             scratch.write_bytes(first.png)
     return folder / PAGE
 
 
-def _shown(drawing: style.Drawing, title: str = "", rows: list[tuple[str, str]] | None = None) -> Shown:
-    """A drawing as the page shows it."""
+def _render(drawing: style.Drawing, title: str = "", rows: text_report.Rows | None = None) -> PagePicture:
+    """Return a drawing as PNG with what stands beside it on the page."""
     stream = io.BytesIO()
     with style.house_style():
         drawing.figure.savefig(stream, format="png", metadata={"Software": None})
-    return Shown(title, stream.getvalue(), drawing.caption, rows or [])
+    return PagePicture(stream.getvalue(), drawing.caption, title, rows or [])

@@ -1,4 +1,4 @@
-"""Pictures of a first look: a spot with its ellipses and profiles, and the radii of a scan with their hyperbolas."""
+"""Pictures of a first look: a spot with its ellipses and profiles, and the caustics of a scan."""
 
 from collections.abc import Sequence
 
@@ -9,98 +9,107 @@ from matplotlib.patches import Ellipse, Rectangle
 
 from spotcheck.fitting.moments import AREA, Moments
 from spotcheck.io.plus_minus import plus_minus
-from spotcheck.quicklook.scan import Beam
-from spotcheck.quicklook.seen import Profile, Seen
+from spotcheck.quicklook.image_analysis import ImageResult, Profile
+from spotcheck.quicklook.scan import BeamScan
 from spotcheck.report.figures import style
 
-# Colours on the dark map of an image.
-ON_IMAGE = {"moments": "#2FC79A", "fit": "white"}
-LOOKS = (("o", "solid"), ("s", (0, (5, 2))))
+# Colours that stand out on the dark map of an image.
+MOMENTS_COLOUR, FIT_COLOUR = "#2FC79A", "white"
+# Colour, marker and dashes of the first and the second axis of a beam.
+AXIS_STYLES = ((style.MEASURED, "o", "solid"), (style.SIMULATED, "s", (0, (5, 2))))
 
 
-def spot(one: Seen) -> style.Drawing:
-    """The spot with both ellipses, and its profiles along both axes of the fit."""
-    assert one.picture is not None and one.fit is not None
+def draw_spot(image: ImageResult) -> style.Drawing:
+    """Draw the spot with the contours of fit and moments, and its profiles along both axes of the fit.
+
+    Parameters
+    ----------
+    image : results of an image with a spot.
+    """
+    assert image.picture is not None and image.fit is not None
+    fit, moments, picture = image.fit, image.moments, image.picture
     figure = style.new_figure(2.55, 8.6)
-    image, *sides = figure.subplots(1, 3, width_ratios=(1.1, 1, 1))
-    fit, own, picture = one.fit, one.moments, one.picture
-    extent = picture.extent
-    # The root shows faint light beside the spot as well.
-    norm = PowerNorm(
-        0.5, vmin=min(float(fit.offset), np.nextafter(one.highest_dn, -np.inf)), vmax=one.highest_dn, clip=True
+    map_axes, *profile_axes = figure.subplots(1, 3, width_ratios=(1.1, 1, 1))
+    highest = image.clipping.highest_dn
+    # The square root makes faint light beside the spot visible.
+    norm = PowerNorm(0.5, vmin=min(float(fit.offset), np.nextafter(highest, -np.inf)), vmax=highest, clip=True)
+    map_axes.imshow(picture.window, cmap=style.IMAGE_MAP, extent=picture.extent, norm=norm)
+    map_axes.grid(False)
+    centre, size = (float(fit.x_centre), float(fit.y_centre)), (4 * float(fit.sigma_major), 4 * float(fit.sigma_minor))
+    map_axes.add_patch(
+        Ellipse(centre, *size, angle=float(fit.orientation), fill=False, edgecolor=FIT_COLOUR, linestyle=(0, (4, 2)))
     )
-    image.imshow(picture.window, cmap=style.IMAGE_MAP, extent=extent, norm=norm)
-    image.grid(False)
-    handles: list = []
-    labels: list[str] = []
-    centre, angle = (float(fit.x_centre), float(fit.y_centre)), float(fit.orientation)
-    size = 4 * float(fit.sigma_major), 4 * float(fit.sigma_minor)
-    line = Ellipse(centre, *size, angle=angle, fill=False, edgecolor=ON_IMAGE["fit"], linestyle=(0, (4, 2)))
-    image.add_patch(line)
-    if own.measured:
-        around = Ellipse((own.x, own.y), own.major, own.minor, angle=own.azimuth, fill=False, linewidth=1.3)
-        around.set_edgecolor(ON_IMAGE["moments"])
-        image.add_patch(around)
-        image.add_patch(_area(own))
-    image.set(xlim=extent[:2], ylim=extent[2:], xlabel="column / px", ylabel="row / px")
-    for ax, profile, words in zip(sides, picture.profiles, ("longer axis", "shorter axis"), strict=True):
-        handles, labels = _profile(ax, profile, one)
-        ax.set_xlabel(f"along the {words} / px")
-    sides[0].set_ylabel("reading / DN")
+    if moments.measured:
+        _draw_moments(map_axes, moments)
+    map_axes.set(xlim=picture.extent[:2], ylim=picture.extent[2:], xlabel="column / px", ylabel="row / px")
+    for axes, profile, axis in zip(profile_axes, picture.profiles, ("longer axis", "shorter axis"), strict=True):
+        _draw_profile(axes, profile, image)
+        axes.set_xlabel(f"along the {axis} / px")
+    profile_axes[0].set_ylabel("reading / DN")
+    handles, labels = profile_axes[0].get_legend_handles_labels()
     style.add_legend(figure, handles, labels, len(handles))
     caption = (
-        f"{one.name}. Left: root of the readings, contour at 1/e² of the fitted Gaussian (white, dashed)"
-        + (", ellipse of D4σ (green) and the area that its moments are summed over (dotted)" if own.measured else "")
+        f"{image.name}. Left: root of the readings, contour at 1/e² of the fitted Gaussian (white, dashed)"
+        + (", ellipse of D4σ (green) and its area of integration (dotted)" if moments.measured else "")
         + ". Right: readings through the fitted centre, and the fit."
     )
     return style.Drawing(figure, caption)
 
 
-def _area(own: Moments) -> Rectangle:
-    """The area of integration."""
-    corner = own.x - AREA * own.major / 2, own.y - AREA * own.minor / 2
-    return Rectangle(
-        corner, AREA * own.major, AREA * own.minor, angle=own.azimuth, rotation_point="center", fill=False,
-        edgecolor=ON_IMAGE["moments"], linewidth=0.8, linestyle=(0, (1, 2)),
+def _draw_moments(axes: Axes, moments: Moments) -> None:
+    """Draw the ellipse of D4σ and its area of integration."""
+    angle, (width, height) = moments.azimuth, (moments.major, moments.minor)
+    axes.add_patch(
+        Ellipse((moments.x, moments.y), width, height, angle=angle, fill=False, linewidth=1.3, edgecolor=MOMENTS_COLOUR)
+    )
+    corner = moments.x - AREA * width / 2, moments.y - AREA * height / 2
+    axes.add_patch(
+        Rectangle(
+            corner, AREA * width, AREA * height, angle=angle, rotation_point="center", fill=False,
+            edgecolor=MOMENTS_COLOUR, linewidth=0.8, linestyle=(0, (1, 2)),
+        )
     )  # fmt: skip
 
 
-def _profile(ax: Axes, profile: Profile, one: Seen) -> tuple[list, list[str]]:
-    (dots,) = ax.plot(profile.distance, profile.reading, ".", color=style.MEASURED, markersize=3)
-    (line,) = ax.plot(profile.distance, profile.fitted, color=style.SIMULATED)
-    handles, labels = [dots, line], ["readings", "Gaussian fit"]
-    if one.clipped_px:
-        handles.append(ax.axhline(one.stop_dn, color="0.3", linestyle=(0, (1, 1.5)), linewidth=1))
-        labels.append("where the image stops")
-    ax.set_xlim(profile.distance[0], profile.distance[-1])
-    return handles, labels
+def _draw_profile(axes: Axes, profile: Profile, image: ImageResult) -> None:
+    """Draw the readings and the fit along one axis, and the clip level if the image is clipped."""
+    axes.plot(profile.distance, profile.reading, ".", color=style.MEASURED, markersize=3, label="readings")
+    axes.plot(profile.distance, profile.fitted, color=style.SIMULATED, label="Gaussian fit")
+    if image.clipping.pixels:
+        level = image.clipping.level_dn
+        axes.axhline(level, color="0.3", linestyle=(0, (1, 1.5)), linewidth=1, label="clip level")
+    axes.set_xlim(profile.distance[0], profile.distance[-1])
 
 
-def caustic(beams: Sequence[Beam]) -> style.Drawing:
-    """1/e² radii along z with their hyperbolas, a panel a method."""
-    told = [own for own in beams if not own.why_not]
+def draw_caustics(scans: Sequence[BeamScan]) -> style.Drawing:
+    """Draw the 1/e² radii along z with their hyperbolas, one panel per method that has caustics.
+
+    Parameters
+    ----------
+    scans : scans by each method; at least one has caustics.
+    """
+    scans = [scan for scan in scans if not scan.reason]
     figure = style.new_figure(3.3, 8.6)
-    panels = figure.subplots(1, len(told), sharey=True, sharex=True, squeeze=False)[0]
-    for ax, own in zip(panels, told, strict=True):
-        reach = np.linspace(own.z.min() - 0.06 * np.ptp(own.z), own.z.max() + 0.06 * np.ptp(own.z), 200)
-        for (words, found), colour, (marker, dashes) in zip(
-            own.caustics.items(), (style.MEASURED, style.SIMULATED), LOOKS, strict=False
-        ):
-            error = np.hypot(own.stderr[words], found.scatter * own.radius[words])
-            ax.errorbar(
-                1e3 * own.z, 1e6 * own.radius[words], yerr=1e6 * error, fmt=marker, color=colour,
-                markerfacecolor="white", elinewidth=1,
+    panels = figure.subplots(1, len(scans), sharey=True, sharex=True, squeeze=False)[0]
+    for axes, scan in zip(panels, scans, strict=True):
+        margin = 0.06 * np.ptp(scan.z)
+        z = np.linspace(scan.z.min() - margin, scan.z.max() + margin, 200)
+        for (axis, caustic), (colour, marker, dashes) in zip(scan.caustics.items(), AXIS_STYLES, strict=False):
+            radius = scan.radius[axis]
+            axes.errorbar(
+                1e3 * scan.z, 1e6 * radius, yerr=1e6 * np.hypot(scan.stderr[axis], caustic.scatter * radius),
+                fmt=marker, color=colour, markerfacecolor="white", elinewidth=1,
             )  # fmt: skip
-            quality = plus_minus(found.m2, found.m2_stderr) if np.isfinite(found.m2) else "unknown"
-            radius, _ = found.radius(reach)
-            ax.plot(1e3 * reach, 1e6 * radius, color=colour, linestyle=dashes, label=f"{words}: $M^2$ = {quality}")
-        ax.set(xlabel="distance z / mm", title=f"by {own.method}")
-        ax.legend(loc="lower center")
-    highest = max(float(radius.max()) for own in told for radius in own.radius.values())
-    panels[0].set_ylim(0, 1.15e6 * highest)
+            m2 = plus_minus(caustic.m2, caustic.m2_stderr) if np.isfinite(caustic.m2) else "unknown"
+            curve, _ = caustic.radius(z)
+            axes.plot(1e3 * z, 1e6 * curve, color=colour, linestyle=dashes, label=f"{axis}: $M^2$ = {m2}")
+        axes.set(xlabel="distance z / mm", title=f"by {scan.method}")
+        axes.legend(loc="lower center")
+    largest = max(float(radius.max()) for scan in scans for radius in scan.radius.values())
+    panels[0].set_ylim(0, 1.15e6 * largest)
     panels[0].set_ylabel("1/e² radius, half of D4σ / µm")
     return style.Drawing(
         figure,
-        "Radius along z with the hyperbola of ISO 11146-1. Error bars: standard error, and the scatter about the curve"
-        " where it is larger. Images whose frame does not hold the area of integration have no part in second moments.",
+        "Radius along z with the hyperbola of ISO 11146-1. Error bars: standard error, or the scatter about the curve"
+        " if that is larger. Second moments leave out images whose area of integration extends beyond the frame.",
     )

@@ -1,70 +1,89 @@
-"""M² of the images of a scan along z (ISO 11146-1), by their second moments and by their Gaussian fits."""
+"""M² of a scan along z (ISO 11146-1) from second moments and from Gaussian fits."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from spotcheck.fitting.beam_axes import Widths, along, axes_of
 from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, fit_caustic, turned_text
-from spotcheck.quicklook.seen import Seen
+from spotcheck.quicklook.image_analysis import ImageResult
 
-METHODS = {"second moments": "second_moments", "Gaussian fit": "gaussian_fit"}
-
-
-class Beam(NamedTuple):
-    """A scan by one method: the name of the method; where the images are [m] and their radii with standard errors [m]
-    by axis; the caustics by axis; the reason why there is no caustic (""); and names of the images that are left out,
-    because no width or none of the standard's is known there."""
-
-    method: str
-    z: np.ndarray
-    radius: dict[str, np.ndarray]
-    stderr: dict[str, np.ndarray]
-    caustics: dict[str, Caustic]
-    why_not: str
-    left_out: tuple[str, ...]
+MOMENTS, FIT = "second moments", "Gaussian fit"
 
 
-def beams_of(images: Sequence[Seen], pitch_m: float, wavelength_m: float) -> list[Beam]:
-    """The beam by each method."""
-    return [_beam(method, widths, images, pitch_m, wavelength_m) for method, widths in WIDTHS.items()]
+@dataclass(frozen=True, eq=False)
+class BeamScan:
+    """Caustics of a beam by one method of measuring widths."""
+
+    method: str  # MOMENTS or FIT
+    z: np.ndarray  # positions of the images with a usable width [m], shape [image]
+    left_out: tuple[str, ...]  # names of the images without a usable width or a position
+    reason: str = ""  # why there is no caustic; "" if there is one
+    radius: dict[str, np.ndarray] = field(default_factory=dict)  # 1/e² radius [m] by axis, shape [image]
+    stderr: dict[str, np.ndarray] = field(default_factory=dict)  # standard error of the radius [m] by axis
+    caustics: dict[str, Caustic] = field(default_factory=dict)  # hyperbola by axis
 
 
-def _of_moments(one: Seen) -> tuple[float, ...] | None:
-    own = one.moments
-    if not (own.measured and own.whole):
+def fit_scan(images: Sequence[ImageResult], pitch_m: float, wavelength_m: float) -> tuple[BeamScan, ...]:
+    """Return the caustics by second moments and by Gaussian fits.
+
+    Parameters
+    ----------
+    images : results of the images.
+    pitch_m : pixel pitch [m].
+    wavelength_m : wavelength [m].
+
+    Returns
+    -------
+    tuple of BeamScan
+        One per method, second moments first.
+    """
+    methods = ((MOMENTS, _select_moments), (FIT, _select_fit))
+    return tuple(_fit_beam(method, select, images, pitch_m, wavelength_m) for method, select in methods)
+
+
+def _select_moments(image: ImageResult) -> tuple[float, ...] | None:
+    """Return the fields of `Widths` [px, degree] by second moments; None if D4σ does not follow the standard."""
+    moments = image.moments
+    if not (moments.measured and moments.whole):
         return None
-    return own.major / 4, own.minor / 4, own.azimuth, own.major_stderr / 4, own.minor_stderr / 4, own.azimuth_stderr
+    return (
+        moments.major / 4, moments.minor / 4, moments.azimuth,
+        moments.major_stderr / 4, moments.minor_stderr / 4, moments.azimuth_stderr,
+    )  # fmt: skip
 
 
-def _of_fit(one: Seen) -> tuple[float, ...] | None:
-    if not one.fitted or one.fit is None:
+def _select_fit(image: ImageResult) -> tuple[float, ...] | None:
+    """Return the fields of `Widths` [px, degree] by the Gaussian fit; None if it is not reliable."""
+    if not image.has_reliable_fit:
         return None
-    of = ("sigma_major", "sigma_minor", "orientation")
-    return tuple(float(getattr(one.fit, f"{name}{suffix}")) for suffix in ("", "_stderr") for name in of)
+    values, stderrs = zip(*map(image.fit_value, ("sigma_major", "sigma_minor", "orientation")), strict=True)
+    return *values, *stderrs
 
 
-WIDTHS: dict[str, Callable[[Seen], tuple[float, ...] | None]] = dict(zip(METHODS, (_of_moments, _of_fit), strict=True))
-
-
-def _beam(method: str, widths: Callable, images: Sequence[Seen], pitch_m: float, wavelength_m: float) -> Beam:
-    known = [(one.z_m, own) for one in images if one.z_m is not None and (own := widths(one)) is not None]
-    z = np.array([own for own, _ in known], float)
-    left_out = tuple(one.name for one in images if one.z_m is None or widths(one) is None)
-    if (positions := len(np.unique(z))) < FEWEST_POSITIONS:
-        why = f"M² needs widths at {FEWEST_POSITIONS} positions or more, and {positions} have one"
-        return Beam(method, z, {}, {}, {}, why, left_out)
-    spots = Widths(*np.array([own for _, own in known], float).T)
+def _fit_beam(
+    method: str, select: Callable, images: Sequence[ImageResult], pitch_m: float, wavelength_m: float
+) -> BeamScan:
+    """Return the caustics along the axes of the beam; of the mean radius if the beam is round."""
+    widths = [None if image.z_m is None else select(image) for image in images]
+    left_out = tuple(image.name for image, values in zip(images, widths, strict=True) if values is None)
+    z = np.array([image.z_m for image, values in zip(images, widths, strict=True) if values is not None], float)
+    if (count := len(np.unique(z))) < FEWEST_POSITIONS:
+        reason = f"widths at {FEWEST_POSITIONS} or more positions are needed; this scan has {count}"
+        return BeamScan(method, z, left_out, reason)
+    spots = Widths(*np.array([values for values in widths if values is not None], float).T)
     axes = axes_of(spots)
     if axes.turned is not None:
-        return Beam(method, z, {}, {}, {}, turned_text(axes, z), left_out)
+        return BeamScan(method, z, left_out, turned_text(axes, z))
     if np.isfinite(axes.azimuth_stderr):
         directions = {f"axis at {round(axes.azimuth + turn)}°": axes.azimuth + turn for turn in (0, 90)}
-        found = {words: along(spots, azimuth) for words, azimuth in directions.items()}
+        sigmas = {axis: along(spots, azimuth) for axis, azimuth in directions.items()}
     else:
-        mean = (spots.major + spots.minor) / 2
-        found = {"mean of both axes": (mean, np.hypot(spots.major_stderr, spots.minor_stderr) / 2)}
-    radius, stderr = ({words: 2 * pitch_m * own[k] for words, own in found.items()} for k in (0, 1))
-    caustics = {words: fit_caustic(z, radius[words], stderr[words], wavelength_m=wavelength_m) for words in found}
-    return Beam(method, z, radius, stderr, caustics, "", left_out)
+        mean, mean_stderr = (spots.major + spots.minor) / 2, np.hypot(spots.major_stderr, spots.minor_stderr) / 2
+        sigmas = {"mean of both axes": (mean, mean_stderr)}
+    # The 1/e² radius is 2σ.
+    radius = {axis: 2 * pitch_m * sigma for axis, (sigma, _) in sigmas.items()}
+    stderr = {axis: 2 * pitch_m * error for axis, (_, error) in sigmas.items()}
+    caustics = {axis: fit_caustic(z, radius[axis], stderr[axis], wavelength_m=wavelength_m) for axis in sigmas}
+    return BeamScan(method, z, left_out, "", radius, stderr, caustics)

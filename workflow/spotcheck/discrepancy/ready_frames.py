@@ -1,6 +1,5 @@
-"""Frames of a dataset that are ready to be analysed, and what a user tolerates, for the subcommands of a verdict."""
+"""Frames of a dataset, selected and given starting spots, ready to be analysed for a verdict."""
 
-import json
 from collections import Counter
 from dataclasses import dataclass, replace
 
@@ -12,7 +11,6 @@ from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.analysis import Setting
-from spotcheck.discrepancy.criteria import ALPHA, TOLERANCE
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, load_frames
 from spotcheck.discrepancy.starting_spots import (
     WIDEST_SPOT,
@@ -22,7 +20,6 @@ from spotcheck.discrepancy.starting_spots import (
     spots_by_moments,
     usable_cells,
 )
-from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.model.baseline import of_instrument
 from spotcheck.model.forward import ForwardModel
@@ -32,14 +29,6 @@ NO_SPOT = "no spot could be fitted in any frame"
 TOO_WIDE = f"{NO_SPOT}: it is as wide as its crop"
 # Crops of one site that lie further apart than this part of a crop do not show the same spot.
 SITE_SHIFT = 0.5
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """What is not called a disagreement."""
-
-    of_peak: float = TOLERANCE  # rms of what is left of mean images [peak]
-    alpha: float = ALPHA  # rate of false alarms
 
 
 @dataclass(frozen=True)
@@ -169,14 +158,3 @@ def never_searched(frames: FrameSet) -> str:
         return ""
     subject = "1 frame belongs" if count == 1 else f"{count} frames belong"
     return f"{subject} to conditions of which every frame is held out: they test the model, but did not select it"
-
-
-def tolerance_of(text: str) -> Tolerance:
-    """Return the tolerance in the JSON of the configuration."""
-    try:
-        return Tolerance(**json.loads(text))
-    except (TypeError, ValueError):
-        raise InputError(
-            f"--tolerance: {text} is no JSON object of of_peak and alpha; write e.g. "
-            '{"of_peak": 0.002, "alpha": 0.01}'
-        ) from None

@@ -1,0 +1,105 @@
+"""Verdict on a dataset in one call: runs the stages of the workflow one after another, without its engine."""
+
+import io
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from spotcheck import cli
+from spotcheck.cli import vocabulary
+from spotcheck.dataset.folder import Dataset, load
+from spotcheck.io import store
+from spotcheck.model.effects import Choice, choose, chosen
+
+# Subcommands with options for the vocabulary.
+WITH_VOCABULARY = ("flats", "judge")
+
+
+def judge_dataset(
+    folder: str | Path,
+    results: str | Path | None = None,
+    *,
+    effects: Sequence[str | Path] = (),
+    only: Sequence[str] = (),
+    without: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Judge a dataset: name the physical effects that its simulation is missing.
+
+    The verdict compares frames and model pixel by pixel, searches for the effects that explain the residuals, and tests
+    them on held-out frames. A dataset of flats and darks alone is assessed by its light levels. The page
+    workflow/docs/verdict.md describes the method. `snakemake verdict` runs the same stages with the same result.
+
+    Parameters
+    ----------
+    folder : dataset folder, with manifest.csv, instrument.yaml and frames.
+    results : folder of results. All files go to a folder in it that is named like the dataset, among them verdict.json,
+        model.yaml (which `simulate_dataset` takes) and discrepancy.nc. By default everything is temporary.
+    effects : Python files that each add an effect to the vocabulary (docs/effects.md, "Adding an effect").
+    only, without : the only effects to know, or effects to leave out, by name.
+
+    Returns
+    -------
+    dict
+        The content of verdict.json. `status` is "consistent", "named", "named_more_remains", "ambiguous", "unknown",
+        "not_converged" or "not_assessed". `effects` has names and values of the effects that were added to the model,
+        `gap` the part of the residual on held-out frames that they removed, `advice` what to measure next, and
+        `sentence` a summary.
+
+    Raises
+    ------
+    InputError
+        A folder that breaks the dataset contract, unreadable frames, a folder of results that belongs to another
+        dataset, or an invalid effect or vocabulary.
+
+    Examples
+    --------
+    >>> import spotcheck
+    >>> verdict = spotcheck.judge_dataset("my-flats")
+    >>> verdict["status"]
+    'consistent'
+    >>> print(verdict["sentence"])
+    The linear sensor model and the flats agree within the noise (p = 0.36).
+    ...
+    """
+    dataset, previous_choice = load(folder), chosen()
+    vocabulary_options = vocabulary.list_options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
+    with TemporaryDirectory(prefix="spotcheck-") as temporary:
+        output = Path(temporary if results is None else results) / dataset.name
+        store.claim(output, dataset.folder)
+        try:
+            for command, options in _list_stages(dataset, output):
+                words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+                words += vocabulary_options if command in WITH_VOCABULARY else []
+                # Subcommands print for a terminal.
+                with redirect_stdout(io.StringIO()):
+                    cli.run([command, str(dataset.folder), *words])
+        finally:
+            choose(previous_choice)
+        return json.loads((output / "verdict.json").read_text(encoding="utf-8"))
+
+
+def _list_stages(dataset: Dataset, output: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the subcommands with their options, in the order of the rules of the workflow."""
+    frames, crops, transfer, sensor = (output / f"{name}.nc" for name in ("frames", "crops", "transfer", "sensor"))
+    verdict = output / "verdict.json"
+    yield "ingest", {"output": frames}
+    measured = {}
+    if len(dataset.spots) < len(dataset.frames):
+        yield "transfer", {"frames": frames, "output": transfer}
+        measured = {"transfer": transfer}
+    if not dataset.spots:
+        yield "flats", {"frames": frames, "output": verdict}
+        return
+    yield "crop", {"frames": frames, "output": crops}
+    yield "sensor", {"crops": crops, "frames": frames, **measured, "output": sensor}
+    fits = output / "fits.nc"
+    maps = {}
+    if any(frame.kind == "dark" for frame in dataset.frames):
+        maps = {"maps": output / "maps.nc"}
+        yield "maps", {"frames": frames, "output": maps["maps"]}
+    yield "fit", {"crops": crops, "sensor": sensor, **maps, "output": fits}
+    files = {"pictures": output / "discrepancy.nc", "model": output / "model.yaml", "light": output / "light.nc"}
+    yield "judge", {"crops": crops, "fits": fits, "sensor": sensor, **files, "output": verdict}

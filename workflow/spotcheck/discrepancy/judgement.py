@@ -1,0 +1,113 @@
+"""Judgement on the spot frames of a dataset: the findings, and the files with pictures and the extended model."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.dataset.folder import Dataset
+from spotcheck.discrepancy.analysis import Analysis, analyse_frames
+from spotcheck.discrepancy.conclude import conclude
+from spotcheck.discrepancy.extended_model import FinalModel, build_extended_model, fit_final_model
+from spotcheck.discrepancy.findings import Findings
+from spotcheck.discrepancy.learned_light import summarize_shape
+from spotcheck.discrepancy.pictures import AFTER, BEFORE, draw_pictures, skipped_pictures
+from spotcheck.discrepancy.ready_frames import ReadyFrames, prepare_dataset
+from spotcheck.discrepancy.verdict import drop_fitted_values
+from spotcheck.io import progress, store
+from spotcheck.model import effects
+from spotcheck.model.model_writer import LightFile, model_text, no_model_text, write_light, write_no_light
+
+DECLARED_LIGHT = "the declared shape of the light stands"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Findings about a dataset, and the fits behind them if the frames could be assessed."""
+
+    findings: Findings
+    ready: ReadyFrames | None = None  # the frames; None if they could not be assessed
+    analysis: Analysis | None = None  # their analysis
+    final: FinalModel | None = None  # the model with all named effects
+
+
+@dataclass(frozen=True)
+class ModelFiles:
+    """Files that a judgement is written to beside verdict.json, and their provenance."""
+
+    pictures: str | Path  # discrepancy.nc
+    model: str | Path  # model.yaml
+    light: str | Path  # light.nc
+    code: str  # digest of the code
+    inputs: Sequence[str | Path]  # files that the judgement is made from
+
+
+def judge_spots(dataset: Dataset, crops: xr.Dataset, sensor: xr.Dataset, fits: xr.Dataset | None) -> Judgement:
+    """Return the judgement on the spot frames of a dataset.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset.
+    crops, sensor : xr.Dataset
+        Content of crops.nc and sensor.nc.
+    fits : xr.Dataset or None
+        Content of fits.nc, from which fits start; None to fit each frame alone first.
+    """
+    ready = prepare_dataset(dataset, crops, sensor, fits)
+    if isinstance(ready, str):
+        return Judgement(Findings(reason=ready))
+    with progress.track_steps("judging"):
+        vocabulary = list(effects.vocabulary().values())
+        analysis = analyse_frames(
+            ready.frames, ready.spots, ready.setting, vocabulary, log=lambda text: progress.advance("")
+        )
+        findings = conclude(analysis, vocabulary, ready.remarks)
+        if findings.reason:
+            return Judgement(findings)
+        return Judgement(findings, ready, analysis, fit_final_model(analysis, _kept_findings(findings), ready.frames))
+
+
+def write_model_files(dataset: Dataset, judgement: Judgement, status: str, alpha: float, files: ModelFiles) -> None:
+    """Write discrepancy.nc, model.yaml and light.nc.
+
+    Parameters
+    ----------
+    dataset, judgement : the dataset and the judgement on it.
+    status : status of the verdict.
+    alpha : rate of false alarms of the detection.
+    files : files to write.
+    """
+    findings, ready, analysis, final = judgement.findings, judgement.ready, judgement.analysis, judgement.final
+    code, inputs = files.code, files.inputs
+    light = LightFile(files.light, dataset.name, code=code, inputs=inputs)
+    if ready is None or analysis is None or final is None:
+        pictures = skipped_pictures(dataset, status, alpha, findings.reason)
+        store.write(pictures, files.pictures, code=code, inputs=inputs)
+        store.write_text(files.model, no_model_text(dataset.name, findings.reason), code=code, inputs=inputs)
+        write_no_light(DECLARED_LIGHT, light)
+        return
+    findings = _kept_findings(findings)
+    prepared, searched = analysis.prepared, np.flatnonzero(~ready.frames.held_out())
+    # Both models with the noise of the last fit: the noise of the declared one includes what the model misses.
+    models = {BEFORE: final.with_its_sensor(prepared.declared.model)}
+    if findings.effects or findings.light is not None:
+        models[AFTER] = final.of_frames(searched, prepared.frames.design)
+    cells = [ready.indices[frame] for frame in searched]
+    pictures = draw_pictures(dataset, cells, prepared.frames, models, findings.detection, status=status, alpha=alpha)
+    store.write(pictures, files.pictures, code=code, inputs=inputs)
+    extended = build_extended_model(final, findings, ready.frames, ready.rows, ready.setting, dataset)
+    store.write_text(files.model, model_text(extended, dataset.name, status), code=code, inputs=inputs)
+    if extended.lights and findings.light is not None:
+        attributes = summarize_shape(findings.light)
+        light = LightFile(files.light, dataset.name, code=code, inputs=inputs, attributes=attributes)
+        write_light(extended.lights, light)
+    else:
+        write_no_light(DECLARED_LIGHT, light)
+
+
+def _kept_findings(findings: Findings) -> Findings:
+    """Return the findings; without a converged fit only the declared model is left of them."""
+    return findings if findings.has_converged else drop_fitted_values(findings)

@@ -1,0 +1,318 @@
+"""Text of a first look: lines for one image, a table for several, cautions, camera properties and M²."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from spotcheck.fitting.beam_axes import ROUND_RATIO
+from spotcheck.io.plus_minus import plus_minus
+from spotcheck.quicklook.camera import Camera
+from spotcheck.quicklook.image_analysis import GAUSSIAN_CHI2, ImageResult, Widths
+from spotcheck.quicklook.scan import BeamScan
+
+if TYPE_CHECKING:
+    from spotcheck.quicklook.first_look import Look
+
+# Reduced χ² above which the shape of the spot, not noise, dominates the errors of the fit: they are doubled there.
+SHAPE_CHI2 = 4.0
+# Least widening of D4σ by a clip that is reported.
+LEAST_WIDENING = 1e-3
+# Mark of a D4σ whose area of integration extends beyond the frame.
+UNCERTAIN = "*"
+# Least number of positions of a scan (ISO 11146-1).
+STANDARD_POSITIONS = 10
+# Names that a list spells out.
+MOST_NAMES = 9
+# Space between columns, and characters of a row's name, of an image's name in a table, and of a line.
+GAP, NAME_WIDTH, LONGEST_NAME, LINE_WIDTH = "  ", 15, 28, 100
+DIRECTION = "long axis [°]"
+# An error below this part of its value is rounding of the arithmetic.
+ARITHMETIC = 1e-9
+
+# Name and text of each row.
+Rows = list[tuple[str, str]]
+
+
+class Caution(NamedTuple):
+    """A caution about a number."""
+
+    sentence: str  # the same for all images
+    value: str = ""  # what the sentence ends with, for this image
+
+
+def format_look(look: Look) -> str:
+    """Return all results as text."""
+    cameras = [_format_rows(describe_camera(camera, look.cameras)) for camera in look.cameras]
+    if len(look.images) == 1:
+        image = look.images[0]
+        blocks = [[image.name, *_format_rows(describe_image(image, look.pixel_pitch_m)), *cameras[0]]]
+    else:
+        head, body = build_table(look.images, look.pixel_pitch_m)
+        # All columns side by side are wider than a terminal.
+        split = head.index(DIRECTION)
+        blocks = [
+            _align_columns([row[:split] for row in (head, *body)]),
+            _align_columns([[row[0], *row[split:]] for row in (head, *body)]),
+            *cameras,
+            merge_cautions(look.images),
+        ]
+    blocks += [describe_beams(look), list(look.remarks)]
+    return "\n\n".join("\n".join(map(_wrap_line, block)) for block in blocks if block)
+
+
+def describe_camera(camera: Camera, cameras: Sequence[Camera]) -> Rows:
+    """Return the properties of a camera, and its images if there are several cameras."""
+    rows = [("images", _list_names(camera.images))] if len(cameras) > 1 else []
+    if camera.gain is None or camera.read_noise is None:
+        rows.append(("gain, read noise", f"unknown: {camera.method}"))
+    else:
+        gain, noise = camera.gain, camera.read_noise
+        rows += [
+            ("gain", f"{plus_minus(gain.value, gain.stderr, 'DN/e-')}, by {camera.method}"),
+            ("read noise", plus_minus(noise.value, noise.stderr, "e-")),
+        ]
+    level = f"at most {camera.black_level_dn:.4g} DN: the level at the border of the images, which includes stray light"
+    return [*rows, ("black level", level)]
+
+
+def describe_image(image: ImageResult, pitch_m: float | None) -> Rows:
+    """Return the results of one image."""
+    if image.fit is None:
+        height, width = image.shape
+        rows = [("spot", f"none: nothing stands out of the noise on {width} × {height} px")]
+        return [*rows, ("clipped", _count_clipped(image))] if image.clipping.pixels else rows
+    moments, highest = image.moments, f"the highest reading is {image.clipping.highest_dn:.5g} DN"
+    x, y = _format_value(*image.fit_value("x_centre")), _format_value(*image.fit_value("y_centre"), "px")
+    peak, offset = (_format_value(*image.fit_value(name), "DN") for name in ("amplitude", "offset"))
+    fit_size = _format_widths(image.fit_widths, pitch_m) + _format_axis(*image.fit_value("orientation"))
+    size = "unknown: the error of D4σ exceeds half of its value"
+    if moments.measured:
+        axis = _format_axis(moments.azimuth, moments.azimuth_stderr)
+        size = f"D4σ {_format_widths(image.moment_widths, pitch_m)}{axis}"
+    clip = _describe_clip(image)
+    return [
+        ("centre", f"x {x}, y {y}"),
+        ("Gaussian fit", f"4σ {fit_size}"),
+        ("second moments", size),
+        ("peak", f"{peak} above an offset of {offset}; {highest}"),
+        ("shape", _describe_shape(image)),
+        ("clipped", f"{clip.value}; {clip.sentence}" if clip else f"no; {highest}"),
+        *(("caution", text) for text in list_cautions(image)),
+    ]
+
+
+def _describe_shape(image: ImageResult) -> str:
+    """Return whether the spot is round and whether it is a Gaussian."""
+    # ISO 11146-1 defines roundness by second moments; the fit is the substitute.
+    by_moments = image.moments.measured
+    (major, major_stderr), (minor, minor_stderr) = image.moment_widths if by_moments else image.fit_widths
+    ratio = minor / major
+    stderr = ratio * math.hypot(minor_stderr / minor, major_stderr / major)
+    text = f"short over long {'D4σ' if by_moments else '4σ of the fit'} {_format_value(ratio, stderr)}"
+    _, axis_stderr = image.fit_value("orientation")
+    if not math.isfinite(image.moments.azimuth_stderr if by_moments else axis_stderr):
+        shape = f"round within the noise ({text})"
+    elif ratio >= ROUND_RATIO:
+        shape = f"round{' by ISO 11146-1' if by_moments else ''} ({text}, {ROUND_RATIO} or more)"
+    else:
+        shape = f"elliptical ({text})"
+    residual = f"rms residual {100 * image.residual_rms:.2g} % of the peak"
+    if not image.is_noise_known:
+        return f"{shape}; {residual}; the noise is unknown"
+    chi2 = math.nan if image.fit is None else float(image.fit.chi2_reduced)
+    if chi2 <= GAUSSIAN_CHI2:
+        return f"{shape}; a Gaussian within the noise (reduced χ² {chi2:.3g})"
+    return f"{shape}; not a Gaussian: {residual}, reduced χ² {chi2:.3g}"
+
+
+def _count_clipped(image: ImageResult) -> str:
+    """Return the number of clipped pixels and their reading."""
+    return f"{image.clipping.pixels} px at {image.clipping.level_dn:.5g} DN"
+
+
+def _describe_clip(image: ImageResult) -> Caution | None:
+    """Return the effect of clipped pixels on the results; None if there are none."""
+    if not image.clipping.pixels:
+        return None
+    widening = image.clip_widening - 1
+    effect = f", D4σ is about {100 * widening:.2g} % too wide" if widening > LEAST_WIDENING else ""
+    fit = "the fit takes the clip into account" if image.is_noise_known else "the fit leaves these pixels out"
+    return Caution(fit, _count_clipped(image) + effect)
+
+
+def list_cautions(image: ImageResult) -> list[str]:
+    """Return the cautions about one image as sentences."""
+    return [f"{caution.sentence} {caution.value}".rstrip() for caution in _find_cautions(image)]
+
+
+def _find_cautions(image: ImageResult) -> list[Caution]:
+    """Return the cautions about the widths of an image."""
+    cautions, moments, fit = [], image.moments, image.fit
+    if fit is not None and not image.has_reliable_fit:
+        cautions.append(Caution("the fit is not reliable: the image does not constrain it; status", str(fit.status)))
+    if fit is not None and image.is_noise_known and fit.chi2_reduced > SHAPE_CHI2:
+        sentence = (
+            "not a Gaussian: the fitted width depends on the weights of pixels, which its error includes; reduced χ²"
+        )
+        cautions.append(Caution(sentence, f"{fit.chi2_reduced:.3g}"))
+    if moments.measured and not moments.whole:
+        sentence = f"{UNCERTAIN} D4σ is uncertain: its area of integration extends beyond the frame; part inside:"
+        cautions.append(Caution(sentence, f"{100 * moments.inside:.0f} %"))
+    if moments.measured and not moments.settled:
+        cautions.append(Caution("D4σ does not converge: it keeps changing with its area of integration"))
+    if (excess := image.width_excess) > 0:
+        sentence = "light in the wings, a second spot or an uneven background: D4σ exceeds 4σ of the fit by"
+        cautions.append(Caution(sentence, f"{100 * excess:.2g} %"))
+    elif excess < 0:
+        sentence = "flanks steeper than those of a Gaussian: D4σ is below 4σ of the fit by"
+        cautions.append(Caution(sentence, f"{-100 * excess:.2g} %"))
+    if image.outlier_text:
+        cautions.append(Caution(image.outlier_text))
+    return cautions
+
+
+def merge_cautions(images: Sequence[ImageResult]) -> list[str]:
+    """Return the cautions about several images, each sentence once with the images that it concerns."""
+    concerned: dict[str, list[tuple[str, str]]] = {}
+    for image in images:
+        cautions = [Caution("nothing stands out of the noise")] if image.fit is None else _find_cautions(image)
+        if image.fit is not None and (clip := _describe_clip(image)):
+            cautions.append(Caution(f"clipped; {clip.sentence}:", clip.value))
+        for caution in cautions:
+            concerned.setdefault(caution.sentence, []).append((image.name, caution.value))
+    lines = []
+    for sentence, pairs in concerned.items():
+        names = _list_names([f"{value} ({name})" if value else name for name, value in pairs])
+        lines.append(f"{sentence} {names}" if pairs[0][1] else f"{names}: {sentence}")
+    return lines
+
+
+def build_table(images: Sequence[ImageResult], pitch_m: float | None) -> tuple[list[str], list[list[str]]]:
+    """Return the head and one row per image of a table; widths are in µm if the pixel pitch is known, else in px."""
+    unit, factor = ("px", 1.0) if pitch_m is None else ("µm", 1e6 * pitch_m)
+    has_z = any(image.z_m is not None for image in images)
+    head = ["image", *(["z [mm]"] if has_z else []), f"D4σ long [{unit}]", "short", f"4σ of fit long [{unit}]",
+            "short", DIRECTION, "peak [DN]", "reduced χ²", "clipped [px]"]  # fmt: skip
+    body = []
+    for image in images:
+        name = image.name
+        row = [name if len(name) <= LONGEST_NAME else f"…{name[1 - LONGEST_NAME :]}"]
+        if has_z:
+            row.append("" if image.z_m is None else f"{1e3 * image.z_m:.6g}")
+        mark = UNCERTAIN if image.moments.measured and not image.moments.whole else ""
+        row += [_format_value(factor * width, factor * stderr) + mark for width, stderr in image.moment_widths]
+        row += [_format_value(factor * width, factor * stderr) for width, stderr in image.fit_widths]
+        if image.fit is None:
+            row += ["", "", ""]
+        else:
+            angle, stderr = image.fit_value("orientation")
+            chi2 = float(image.fit.chi2_reduced)
+            row += [
+                _format_value(angle, stderr) if math.isfinite(stderr) else "round",
+                _format_value(*image.fit_value("amplitude")),
+                f"{chi2:.3g}" if math.isfinite(chi2) else "",
+            ]
+        body.append([*row, str(image.clipping.pixels)])
+    return head, body
+
+
+def describe_beams(look: Look) -> list[str]:
+    """Return M² by each method, and cautions about it."""
+    return [*(line for scan in look.beams for line in _describe_scan(scan)), *list_scan_cautions(look)]
+
+
+def _describe_scan(scan: BeamScan) -> list[str]:
+    """Return M² and waist by one method, a line per axis."""
+    left_out = f"; left out: {_list_names(scan.left_out)}" if scan.left_out else ""
+    if scan.reason:
+        return [f"M² by {scan.method}: {scan.reason}{left_out}"]
+    lines = []
+    for axis, caustic in scan.caustics.items():
+        text = "unknown, because the fitted hyperbola has no waist"
+        if math.isfinite(caustic.m2):
+            text = (
+                f"{plus_minus(caustic.m2, caustic.m2_stderr)}, waist w0"
+                f" {plus_minus(1e6 * caustic.waist_radius, 1e6 * caustic.waist_radius_stderr, 'µm')} at z"
+                f" {plus_minus(1e3 * caustic.waist_position, 1e3 * caustic.waist_position_stderr, 'mm')}, half-angle"
+                f" {plus_minus(1e3 * caustic.divergence, 1e3 * caustic.divergence_stderr, 'mrad')}"
+            )
+        lines.append(f"M² by {scan.method}, {axis}: {text}{left_out}")
+    return lines
+
+
+def list_scan_cautions(look: Look) -> list[str]:
+    """Return which M² to use if the spots have wings, and whether the positions follow ISO 11146-1."""
+    if not look.beams:
+        return []
+    cautions = []
+    if any(image.width_excess > 0 for image in look.images):
+        cautions.append(
+            "use M² by second moments: fits ignore light outside the Gaussian, which ISO 11146 includes, so their M² is"
+            " too small"
+        )
+    # The standard uses second moments, which come first; all axes have the same positions.
+    scan = look.beams[0]
+    caustic = next(iter(scan.caustics.values()), None)
+    if caustic is not None and math.isfinite(caustic.m2):
+        distances = [abs(z - caustic.waist_position) / caustic.rayleigh_length for z in set(scan.z.tolist())]
+        near, far = sum(distance < 1 for distance in distances), sum(distance > 2 for distance in distances)
+        if min(near, far) < STANDARD_POSITIONS // 2:
+            cautions.append(
+                f"ISO 11146-1 asks for {STANDARD_POSITIONS} positions or more, half of them within one Rayleigh length"
+                f" of the waist and half beyond two; second moments have {len(distances)} positions, {near} within one"
+                f" and {far} beyond two"
+            )
+    return cautions
+
+
+def _format_value(value: float, stderr: float, unit: str = "") -> str:
+    """Return value ± standard error; the value alone if the image has no noise."""
+    return plus_minus(value, math.nan if stderr < ARITHMETIC * abs(value) else stderr, unit)
+
+
+def _format_widths(widths: Widths, pitch_m: float | None) -> str:
+    """Return both widths in px, and in µm if the pixel pitch is known."""
+    units = [(1.0, "px")] + ([] if pitch_m is None else [(1e6 * pitch_m, "µm")])
+    return " = ".join(
+        " × ".join(_format_value(factor * width, factor * stderr) for width, stderr in widths) + f" {unit}"
+        for factor, unit in units
+    )
+
+
+def _format_axis(angle_deg: float, stderr_deg: float) -> str:
+    """Return the direction of the long axis; "" if the spot is round."""
+    return f", long axis at ({_format_value(angle_deg, stderr_deg)})°" if math.isfinite(stderr_deg) else ""
+
+
+def _format_rows(rows: Rows) -> list[str]:
+    """Return rows as lines with aligned texts."""
+    return [f"{name:<{NAME_WIDTH}} {text}" for name, text in rows]
+
+
+def _list_names(names: Sequence[str]) -> str:
+    """Return names between commas: the first ones and the number of the others if there are many."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names) if more <= 1 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
+
+
+def _align_columns(rows: list[list[str]]) -> list[str]:
+    """Return a table as lines: the first column aligned left, the others right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [GAP.join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]
+
+
+def _wrap_line(line: str) -> str:
+    """Return a line broken to the width of a terminal, with continuations below the text of a row."""
+    if len(line) <= LINE_WIDTH:
+        return line
+    indent = " " * (NAME_WIDTH + 1 if line[NAME_WIDTH - 1 : NAME_WIDTH + 1] == "  " else 2)
+    # NUL keeps a number together with its error and unit.
+    joined = re.sub(r"(?<=[\d±]) (?=[\d±%µmD])", "\0", line)
+    wrapped = textwrap.fill(
+        joined, LINE_WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+    return wrapped.replace("\0", " ")
