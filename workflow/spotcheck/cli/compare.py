@@ -7,7 +7,7 @@ from spotcheck.io import provenance, store
 from spotcheck.report.comparison.sets import sources_of
 from spotcheck.report.comparison.table import compare
 from spotcheck.report.comparison.written import dataset_of
-from spotcheck.report.pages import compared
+from spotcheck.report.pages.comparison import write_comparison_page
 
 EXAMPLE = """Example:
   spotcheck compare out/my-frames out/my-flats --page comparison.html --output comparison.nc
@@ -29,6 +29,6 @@ def run(args: argparse.Namespace) -> None:
     found = compare(args.results)
     code = provenance.code_digest(__name__)
     store.write(dataset_of(found), args.output, code=code, inputs=sources_of(args.results))
-    compared.write(found, args.page, code)
+    write_comparison_page(found, args.page, code)
     changed = sum(any(row.changed) for row in found.rows)
     print(f"{args.page}: {changed} of {len(found.rows)} quantities changed beyond their errors")

@@ -21,4 +21,4 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Write the page from the effects' own files."""
     vocabulary.choose(args)
-    print(f"{args.output}: {effects.write(args.output)} effects")
+    print(f"{args.output}: {effects.write_effects_page(args.output)} effects")

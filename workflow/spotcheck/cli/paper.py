@@ -8,7 +8,7 @@ from spotcheck.dataset import folder as dataset
 from spotcheck.io import provenance, store
 from spotcheck.paper import verdicts
 from spotcheck.paper.results import Results
-from spotcheck.report.pages import numbers
+from spotcheck.report.pages.numbers import write_numbers_page
 
 EXAMPLE = """Example:
   spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig \\
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> None:
     found = verdicts.judge(verdicts.read_numbers(args.numbers), results)
     inputs = [args.numbers, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
     store.write_text(args.table, verdicts.table(found), code=provenance.code_digest(__name__), inputs=inputs)
-    numbers.write(args.page, found)
+    write_numbers_page(args.page, found)
     store.write_text(args.summary, verdicts.summary(found))
     for kind, (held, counted) in verdicts.shares(found).items():
         print(f"{kind}: {held} of {counted} hold")

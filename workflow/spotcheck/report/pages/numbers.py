@@ -1,28 +1,24 @@
-"""The page of the paper's numbers."""
+"""The page that compares the paper's numbers with ours."""
 
 from pathlib import Path
-from typing import Any
 
 from spotcheck.paper.verdicts import Verdict, shares
 from spotcheck.report.pages import write_page
 
 
-def content(verdicts: list[Verdict]) -> dict[str, Any]:
-    """What the template of the numbers' table asks for."""
+def write_numbers_page(path: Path, verdicts: list[Verdict]) -> None:
+    """Write the page of the paper's numbers, grouped by their kind."""
     groups: dict[str, list[Verdict]] = {}
     for verdict in verdicts:
         groups.setdefault(verdict.entry["kind"], []).append(verdict)
-    return {"groups": groups, "shares": shares(verdicts), "bounds": _bounds}
+    content = {"groups": groups, "shares": shares(verdicts), "format_interval": _format_interval}
+    write_page(path, "numbers.html", title="The paper's numbers", **content)
 
 
-def _bounds(verdict: Verdict) -> str:
+def _format_interval(verdict: Verdict) -> str:
+    """Return the interval in which a number holds."""
     if verdict.low == -float("inf"):
         return f"≤ {verdict.high:.5g}"
     if verdict.high == float("inf"):
         return f"≥ {verdict.low:.5g}"
     return f"{verdict.low:.5g} … {verdict.high:.5g}"
-
-
-def write(path: Path, verdicts: list[Verdict]) -> None:
-    """Write the page."""
-    write_page(path, "numbers.html", title="The paper's numbers", **content(verdicts))
