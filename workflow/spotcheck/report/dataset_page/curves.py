@@ -236,12 +236,11 @@ def draw_levels(transfer: xr.Dataset | None) -> Curve | None:
     deviation = 100 * (signal / response.of(response.light) - 1)
     error = 100 * transfer["flat_mean_stderr"].values / np.abs(signal)
     limit = 1.6 * float(np.nanmax(np.abs(deviation[response.used]), initial=0.1))
-    ends = [0.0, float(np.nanmax(signal))]
     data += [
         trace | {"xaxis": "x2", "yaxis": "y2", "showlegend": False}
         for trace in (
             _points("deviation", signal, deviation, error, hovertemplate=f"{hover}%<extra></extra>"),
-            _line("straight line", ends, [0.0, 0.0], "var(--simulated)", "dash"),
+            _line("straight line", [0.0, float(np.nanmax(signal))], [0.0, 0.0], "var(--simulated)", "dash"),
         )
     ]
     layout = {

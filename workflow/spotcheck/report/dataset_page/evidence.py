@@ -89,7 +89,7 @@ def _share_text(share: float | None) -> str:
 
 def _tabulate_shifts(verdict: Mapping[str, Any], citations: Citations) -> list[tuple[str, str, str]]:
     """Return p1 and p2 before and after the effects were added."""
-    rows = []
+    rows: list[tuple[str, str, str]] = []
     for name, shift in verdict["baseline_shift"].items():
         if shift["before"] is not None:
             key, error = f"verdict.baseline_shift.{name}", shift["stderr"]

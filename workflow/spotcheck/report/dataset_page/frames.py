@@ -73,7 +73,9 @@ def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
     full_scale = float(files.frames["full_scale"])
     block = _choose_block(files, places, full_scale)
     factors = median_factors(files.views)
-    packed, frames, rows = [], [], []
+    packed: list[str] = []
+    frames: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     for place, (_, frame) in zip(places, cells, strict=True):
         images = _read_images(files, place)
         layers = _make_layers(images, full_scale, block)

@@ -7,12 +7,9 @@ from spotcheck.discrepancy.words import over_noise_text, percent_text
 from spotcheck.report.pages.plots import figure_json
 
 # Names and colours (of page.css) of the numbers in verdict.json: with added effects, and without any.
-WITH_EFFECTS = {
-    "before": ("before", "simulated"),
-    "after": ("after", "measured"),
-    "noise_floor": ("noise floor", "ink"),
-}
-WITHOUT_EFFECTS = {"before": ("residuals", "simulated"), "noise_floor": WITH_EFFECTS["noise_floor"]}
+FLOOR = {"noise_floor": ("noise floor", "ink")}
+WITH_EFFECTS = {"before": ("before", "simulated"), "after": ("after", "measured"), **FLOOR}
+WITHOUT_EFFECTS = {"before": ("residuals", "simulated"), **FLOOR}
 
 
 class GapNumber(NamedTuple):
@@ -45,16 +42,12 @@ def plot_gap(verdict: dict[str, Any]) -> Gap | None:
     if gap["before"] is None:
         return None
     has_additions = adds_to_model(verdict)
-    known = {
-        key: look for key, look in (WITH_EFFECTS if has_additions else WITHOUT_EFFECTS).items() if gap[key] is not None
-    }
-    numbers = [
-        GapNumber(name, colour, over_noise_text(gap[key]), f"verdict.gap.{key}")
-        for key, (name, colour) in known.items()
-    ]
+    looks = WITH_EFFECTS if has_additions else WITHOUT_EFFECTS
+    looks = {key: look for key, look in looks.items() if gap[key] is not None}
+    numbers = [GapNumber(*look, over_noise_text(gap[key]), f"verdict.gap.{key}") for key, look in looks.items()]
     is_closed = has_additions and gap["closed"] is not None and gap["closed"] > 0
     closed = percent_text(min(gap["closed"], 1.0)) if is_closed else ""
-    return Gap(_draw_bars(gap, known), numbers, closed, str(gap["on"]))
+    return Gap(_draw_bars(gap, looks), numbers, closed, str(gap["on"]))
 
 
 def adds_to_model(verdict: dict[str, Any]) -> bool:
@@ -64,33 +57,23 @@ def adds_to_model(verdict: dict[str, Any]) -> bool:
 
 def _draw_bars(gap: Mapping[str, Any], looks: Mapping[str, tuple[str, str]]) -> str:
     """Return overlaid bars of the gap and a line at the noise floor; `looks` are names and colours by key."""
-    bars = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "name": looks[key][0],
-            "x": [gap[key]],
-            "y": ["gap"],
-            "width": height,
-            "marker": {"color": f"var(--{looks[key][1]})"},
-            "hovertemplate": f"{looks[key][0]}: %{{x:.4~g}}<extra></extra>",
-        }
-        for key, height in (("before", 0.9), ("after", 0.5))
-        if key in looks
-    ]
+    bars = []
+    for key, width in (("before", 0.9), ("after", 0.5)):
+        if key in looks:
+            name, colour = looks[key]
+            trace = {"type": "bar", "orientation": "h", "name": name, "x": [gap[key]], "y": ["gap"], "width": width}
+            trace["hovertemplate"] = f"{name}: %{{x:.4~g}}<extra></extra>"
+            bars.append(trace | {"marker": {"color": f"var(--{colour})"}})
     floor = gap["noise_floor"]
-    line = {"type": "line", "x0": floor, "x1": floor, "y0": 0, "y1": 1, "yref": "paper",
-            "line": {"color": "var(--ink)", "width": 2, "dash": "dot"}}  # fmt: skip
+    line = {"type": "line", "x0": floor, "x1": floor, "y0": 0, "y1": 1, "yref": "paper"}
+    line["line"] = {"color": "var(--ink)", "width": 2, "dash": "dot"}
+    title = {"text": "mean square of block residuals / noise", "standoff": 2}
     layout = {
         "barmode": "overlay",
         "shapes": [] if floor is None else [line],
         "showlegend": False,
         "margin": {"l": 4, "r": 12, "t": 2, "b": 34},
-        "xaxis": {
-            "rangemode": "tozero",
-            "nticks": 8,
-            "title": {"text": "mean square of block residuals / noise", "standoff": 2},
-        },
+        "xaxis": {"rangemode": "tozero", "nticks": 8, "title": title},
         "yaxis": {"visible": False, "fixedrange": True},
     }
     return figure_json(bars, layout)

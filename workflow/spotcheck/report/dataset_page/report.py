@@ -46,7 +46,7 @@ def write_report(dataset: Dataset, results: Path, path: Path) -> None:
         Page to write.
     """
     stages = {f.stem: store.read(f).load() for f in sorted(results.glob("*.nc")) if f.stem not in FRAME_RESULTS}
-    completed = {name: ds for name, ds in stages.items() if "skipped" not in ds.attrs}
+    available = {name: ds for name, ds in stages.items() if "skipped" not in ds.attrs}
     verdict = _read_json(results / "verdict.json")
     citations = Citations(results)
     content: Content = {
@@ -58,8 +58,8 @@ def write_report(dataset: Dataset, results: Path, path: Path) -> None:
         "chain": _embed_picture(results / "chain", "fig06"),
         "code_versions": [(name, ds.attrs.get("code_version", "")) for name, ds in stages.items()],
         **_describe_verdict(verdict, citations),
-        **_tabulate_results(dataset, completed, citations),
-        **_collect_figures(dataset, results, completed),
+        **_tabulate_results(dataset, available, citations),
+        **_collect_figures(dataset, results, available),
         **_list_skipped(dataset, stages),
         "numbers": tables.read_paper_numbers(results / "paper_numbers.csv"),
     }
@@ -87,27 +87,27 @@ def _describe_verdict(verdict: dict[str, Any] | None, citations: Citations) -> C
     }
 
 
-def _tabulate_results(dataset: Dataset, completed: Stages, citations: Citations) -> Content:
+def _tabulate_results(dataset: Dataset, available: Stages, citations: Citations) -> Content:
     """Return the tables of the results."""
-    fits = completed.get("fits")
+    fits = available.get("fits")
     return {
-        "sensor": tables.tabulate_sensor(completed.get("sensor"), citations),
+        "sensor": tables.tabulate_sensor(available.get("sensor"), citations),
         "sensor_sources": SOURCES,
-        "transfer": tables.tabulate_transfer(completed.get("transfer"), citations),
-        "calibration": tables.tabulate_calibration(completed.get("calibration"), citations),
-        "levels": tables.tabulate_levels(dataset, completed),
-        "caustic": tables.describe_caustic(completed.get("caustic"), citations),
-        "precision": tables.tabulate_precision(completed.get("precision"), citations),
+        "transfer": tables.tabulate_transfer(available.get("transfer"), citations),
+        "calibration": tables.tabulate_calibration(available.get("calibration"), citations),
+        "levels": tables.tabulate_levels(dataset, available),
+        "caustic": tables.describe_caustic(available.get("caustic"), citations),
+        "precision": tables.tabulate_precision(available.get("precision"), citations),
         "fits": tables.tabulate_fits(dataset, fits, citations),
         "fit_method": tables.describe_fit(fits),
         "flagged": tables.list_flagged_frames(dataset, fits),
-        "parameters": tabulate_parameters(dataset, completed, citations),
+        "parameters": tabulate_parameters(dataset, available, citations),
     }
 
 
-def _collect_figures(dataset: Dataset, results: Path, completed: Stages) -> Content:
+def _collect_figures(dataset: Dataset, results: Path, available: Stages) -> Content:
     """Return curves, pictures that no curve replaces, and the titles of skipped figures by their reason."""
-    curves = draw_curves(completed)
+    curves = draw_curves(available)
     replaced = {curve.picture for curve in curves} | set(FRAME_PICTURES if dataset.spots else ())
     index = _read_json(results / "figures" / "index.json") or {"figures": [], "skipped": []}
     skipped: dict[str, list[str]] = {}
@@ -115,7 +115,7 @@ def _collect_figures(dataset: Dataset, results: Path, completed: Stages) -> Cont
         skipped.setdefault(figure["why"], []).append(figure["title"])
     return {
         "curves": curves,
-        "levels_curve": draw_levels(completed.get("transfer")),
+        "levels_curve": draw_levels(available.get("transfer")),
         "pictures": [
             figure | {"image": _embed_picture(results / "figures", figure["name"])}
             for figure in index["figures"]

@@ -46,7 +46,7 @@ def write_comparison_page(comparison: Comparison, path: Path, code: str) -> None
         "other_effects": _compare_effects(comparison.sets),
         "false_alarms": f"{100 * FALSE_ALARMS:g} %",
         "tested": comparison.tested,
-        "changes": [_describe_change(comparison, row, k) for row, k in changes[:MOST_CHANGES]],
+        "changes": changes[:MOST_CHANGES],
         "omitted_changes": max(len(changes) - MOST_CHANGES, 0),
         "z_plot": _plot_z(comparison),
         "effects": _tabulate_effects(comparison.sets),
@@ -58,9 +58,10 @@ def write_comparison_page(comparison: Comparison, path: Path, code: str) -> None
         "per": comparison.per,
         "not_compared": [*comparison.remarks, *_list_unshared(comparison)],
         "code": code,
-        **plots.plotly_content(),
     }
-    write_page(path, "comparison.html", **content)
+    texts = (number_text, change_text, difference_text, z_text, direction, full_text, where_text, probability_text)
+    content |= {function.__name__: function for function in texts}
+    write_page(path, "comparison.html", **plots.plotly_content(), **content)
 
 
 def _summarize(comparison: Comparison, changes: Sequence[tuple[Row, int]]) -> str:
@@ -70,7 +71,7 @@ def _summarize(comparison: Comparison, changes: Sequence[tuple[Row, int]]) -> st
         more = f" and {len(labels) - MOST_NAMED} more" if len(labels) > MOST_NAMED else ""
         return f"No quantity of {list_text(labels[1:MOST_NAMED])}{more} differs significantly from {labels[0]}."
     row, k = changes[0]
-    values = [f"{_number_text(row.numbers[at])} in {labels[at]}" for at in (row.first, k)]
+    values = [f"{number_text(row.numbers[at])} in {labels[at]}" for at in (row.first, k)]
     change = f"{full_text(row.name)} changed from {values[0]} to {values[1]}."
     others = len({row.name for row, _ in changes}) - 1
     if not others:
@@ -91,22 +92,34 @@ def _compare_effects(datasets: Sequence[Set]) -> str:
     return f"Effects in the verdicts, relative to {named[0][0]}: {listed}." if parts else ""
 
 
-def _number_text(number: Number) -> str:
+def number_text(number: Number) -> str:
     """Return a number with its error and unit; a dash if it is absent."""
     return "–" if np.isnan(number.value) else value_text(number.value, number.stderr, number.units)
 
 
-def _change_text(change: Change, units: str) -> str:
+def change_text(change: Change, units: str) -> str:
     """Return a difference or slope with its sign, error and unit."""
     text = value_text(change.value, change.stderr, units)
     return text if text.startswith("−") else f"+{text}"
 
 
-def _z_text(z: float) -> str:
-    """Return z with its sign, from ±10 on without decimals; a dash if it is unknown."""
+def difference_text(change: Change, units: str) -> str:
+    """Return a difference, "equal" if it is 0 and has no error, "" if it is unknown."""
+    if np.isnan(change.value):
+        return ""
+    return "equal" if change.value == 0 and np.isnan(change.z) else change_text(change, units)
+
+
+def z_text(z: float) -> str:
+    """Return z with its sign, from ±10 on without decimals; "" if it is unknown."""
     if not np.isfinite(z):
-        return "–"
+        return ""
     return (f"{z:+.1f}" if abs(z) < 10 else f"{z:+.0f}").replace("-", "−")
+
+
+def direction(change: Change) -> str:
+    """Return an arrow up for a positive difference or slope, or else an arrow down."""
+    return RISE if change.value > 0 else FALL
 
 
 def _describe_dataset(comparison: Comparison, k: int, path: Path) -> dict[str, Any]:
@@ -130,26 +143,6 @@ def _describe_dataset(comparison: Comparison, k: int, path: Path) -> dict[str, A
     }
 
 
-def _describe_change(comparison: Comparison, row: Row, k: int) -> dict[str, str]:
-    """Return a row of the table of significant changes: the number of dataset `k` and its difference."""
-    change = row.changes[k]
-    return {
-        "quantity": full_text(row.name),
-        "dataset": comparison.sets[k].label,
-        "reference": _number_text(row.numbers[row.first]),
-        "value": _number_text(row.numbers[k]),
-        "difference": f"{_direction(change)} {_change_text(change, row.units)}",
-        "z": _z_text(change.z),
-        "abs_z": f"{abs(change.z):.6g}",
-        "p": probability_text(change.p_value),
-    }
-
-
-def _direction(change: Change) -> str:
-    """Return an arrow up or down."""
-    return RISE if change.value > 0 else FALL
-
-
 def _largest_z(row: Row) -> float:
     """Return the largest |z| of the differences of a row; 0 if none was tested."""
     return max((abs(change.z) for change in row.changes if np.isfinite(change.z)), default=0.0)
@@ -167,7 +160,7 @@ def _plot_z(comparison: Comparison) -> dict[str, Any] | None:
             comparison.sets, row.numbers, row.changes, row.changed, strict=True
         ):
             if np.isfinite(change.z):
-                text = f"{_number_text(number)}, {_change_text(change, row.units)}, z = {_z_text(change.z)}"
+                text = f"{number_text(number)}, {change_text(change, row.units)}, z = {z_text(change.z)}"
                 points[is_changed].append((round(change.z, 3), full_text(row.name), f"{dataset.label}: {text}"))
     changed = ", ".join(full_text(row.name) for row in rows if any(row.changed)) or "none"
     return {
@@ -207,20 +200,10 @@ def _z_layout(rows: Sequence[Row], points: dict[bool, list[tuple[float, str, str
         for name in order
     ]
     return {
-        "xaxis": {
-            "title": {"text": "difference over its error, z"},
-            "range": [min(z) - margin, max(z) + margin],
-            "zerolinecolor": "var(--soft)",
-            "zerolinewidth": 2,
-        },
-        "yaxis": {
-            "categoryorder": "array",
-            "categoryarray": order,
-            "dtick": 1,
-            "showticklabels": False,
-            "range": [-0.5, len(rows) - 0.2],
-            "fixedrange": True,
-        },
+        "xaxis": {"title": {"text": "difference over its error, z"}, "range": [min(z) - margin, max(z) + margin]}
+        | {"zerolinecolor": "var(--soft)", "zerolinewidth": 2},
+        "yaxis": {"categoryorder": "array", "categoryarray": order, "range": [-0.5, len(rows) - 0.2]}
+        | {"dtick": 1, "showticklabels": False, "fixedrange": True},
         "annotations": names,
         "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom"},
         "margin": {"l": 8, "r": 12, "t": 36, "b": 44},
@@ -264,38 +247,8 @@ def _tabulate_groups(comparison: Comparison) -> Iterator[dict[str, Any]]:
                 "changed": sum(any(row.changed) for row in rows),
                 "omitted": len(rows) - len(shown),
                 "errors": sorted({number.error for row in rows for number in row.numbers if number.error}),
-                "rows": [_tabulate_row(row) for row in shown],
+                "rows": shown,
             }
-
-
-def _tabulate_row(row: Row) -> dict[str, Any]:
-    """Return a row of the table of a group."""
-    slope = row.trend
-    has_slope = np.isfinite(slope.z)
-    return {
-        "quantity": row.name.what,
-        "conditions": where_text(row.name.where),
-        "cells": [
-            {
-                "text": _number_text(number),
-                "source": f"error: {number.error}; variable {number.source}" if number.source else "",
-                "difference": _difference_text(change, row.units),
-                "z": _z_text(change.z) if np.isfinite(change.z) else "",
-                "direction": _direction(change) if is_changed else "",
-            }
-            for number, change, is_changed in zip(row.numbers, row.changes, row.changed, strict=True)
-        ],
-        "slope": _change_text(slope, row.units) if has_slope else "–",
-        "slope_z": _z_text(slope.z) if has_slope else "",
-        "trend": _direction(slope) if row.rising else "",
-    }
-
-
-def _difference_text(change: Change, units: str) -> str:
-    """Return a difference, "equal" if it is 0 and has no error, "" if it is unknown."""
-    if np.isnan(change.value):
-        return ""
-    return "equal" if change.value == 0 and np.isnan(change.z) else _change_text(change, units)
 
 
 def _quantities_json(comparison: Comparison) -> str:
@@ -309,7 +262,7 @@ def _quantities_json(comparison: Comparison) -> str:
             "unit": UNITS.get(row.units, row.units),
             "values": [number.value for number in row.numbers],
             "errors": [number.stderr for number in row.numbers],
-            "texts": [_number_text(number) for number in row.numbers],
+            "texts": [number_text(number) for number in row.numbers],
             "line": [row.level, row.trend.value] if np.isfinite(row.trend.value) else None,
             "trend": _trend_text(comparison, row),
         }
@@ -330,10 +283,10 @@ def _trend_text(comparison: Comparison, row: Row) -> str:
     trend = row.trend
     if not np.isfinite(trend.value):
         return ""
-    slope = f"slope {_change_text(trend, row.units)} per {comparison.per}"
+    slope = f"slope {change_text(trend, row.units)} per {comparison.per}"
     if not np.isfinite(trend.z):
         return f"{slope}, without an error"
-    return f"{slope}, z = {_z_text(trend.z)}: {'significant' if row.rising else 'not significant'}"
+    return f"{slope}, z = {z_text(trend.z)}: {'significant' if row.rising else 'not significant'}"
 
 
 def _list_unshared(comparison: Comparison) -> Iterator[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from spotcheck.model.effect import Effect, EffectScales, Parameter, RandomStep
 from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.model.stage import Stage
+from spotcheck.report.pages import TEMPLATES
 
 # Names of the scales that a bound may depend on, in the order of `EffectScales`.
 SCALES = (
@@ -22,63 +23,7 @@ SCALES = (
     "longest exposure",
 )
 
-INTRODUCTION = """# The vocabulary of effects
-
-Written by `spotcheck effects --output workflow/docs/effects.md` from the files in
-[model/effects](../spotcheck/model/effects): do not edit. The file of an effect defines exactly what it does.
-[model/stage.py](../spotcheck/model/stage.py) describes the arguments and returned values of each stage's functions.
-
-Some bounds derive from the data: from σ_g at the longest exposure [px], the brightest light (peak) and full scale [DN],
-the side of the crops [px], the shortest and the longest exposure [s], and the read noise [e-]. Directions are in
-degrees from +x towards +y. A parameter of the *variant* is a constant of it: it is fitted, and reported with it.
-"""
-
-ADDING = """## Adding an effect
-
-### In a file of your own
-
-An effect is one Python file, in any folder, with functions and an `EFFECT`. Pass its path to a run:
-
-    snakemake --cores 2 --config effects="[lab/vignetting.py]"
-
-or list it under `effects:` in `config/config.yaml`. The verdict then searches for it like for all other effects, and
-names its file in `vocabulary`. `spotcheck simulate` draws it if `model.yaml` names it.
-`vocabulary: {without: [names]}` excludes effects, `{only: [names]}` excludes all others. Every subcommand that
-uses effects has the equivalent options `--effects FILE …`, `--only NAME …` and `--without NAME …`.
-`spotcheck effects --effects lab/vignetting.py --output page.md` writes this page with your effect on it. A fault in a
-file is reported in one sentence before anything is computed.
-
-1. Choose the stage of the chain. The table above lists the arguments and the returned value of its functions. Functions
-   map means to means; functions of the sensor's stages never decrease.
-2. Write the function on arrays that broadcast over rows and columns. Parameters are passed by name, in the units that
-   they declare; the other arguments are in px, DN, e- and s, and `frame.angle` is in rad. `FrameConditions` in
-   [model/conditions.py](../spotcheck/model/conditions.py) describes the attributes of a frame.
-3. List the parameters, strength first, each with unit, lowest and highest value (numbers, functions of the
-   `EffectScales`, or -np.inf and np.inf for a direction) and the `negligible` size. `vanishes_at` is the strength at
-   which the effect vanishes, 0 unless stated; `starts` gives starting values for a fit.
-4. Set the attributes that other code needs: `needs` (what a design must vary), `law_of` (a law of brightness or width),
-   `is_static_shape` and `acts_on_noise` (what the effect changes), `special_cases` (effects that are special cases of
-   it). If keys of instrument.yaml can describe the effect, `instrument_keys` gives their values, which
-   `spotcheck adopt` writes. `Effect` in [model/effect.py](../spotcheck/model/effect.py) explains every attribute.
-
-This file is complete:
-"""
-
-RANDOM = """### An effect that is random
-
-A `RandomStep` draws a number or a field for every frame or site, or once for the sensor, and passes it to its function
-as the last argument. `spotcheck simulate` calls `draw`. `quadrature` returns values and weights that average over the
-distribution; the model computes mean and variance of readings from them. A file whose draws and quadrature disagree is
-refused.
-"""
-
-IN_LIBRARY = """### In the library
-
-The same file in `workflow/spotcheck/model/effects/`, with the next free `number`, is part of the vocabulary; no list
-names it. Write this page again with the command at its top, and add the effect to the cases of
-`tests/library/effect_cases.py`, which test every effect against the dataset contract.
-"""
-
+# Examples of effects, which the page shows.
 MEAN_EXAMPLE = '''"""Vignetting: the light falls off from the frame's centre."""
 
 import numpy as np
@@ -262,9 +207,13 @@ def _tabulate_stages(effects: Sequence[Effect]) -> str:
 def render_effects(effects: Iterable[Effect]) -> str:
     """Return the page in Markdown."""
     ordered = sorted(effects, key=lambda effect: effect.number)
-    sections = [describe_effect(effect) for effect in ordered]
-    mean, random = (f"```python\n{file}```\n" for file in (MEAN_EXAMPLE, RANDOM_EXAMPLE))
-    return "\n".join([INTRODUCTION, _tabulate_stages(ordered), *sections, ADDING, mean, RANDOM, random, IN_LIBRARY])
+    content = {
+        "stages": _tabulate_stages(ordered),
+        "sections": [describe_effect(effect) for effect in ordered],
+        "mean_example": MEAN_EXAMPLE,
+        "random_example": RANDOM_EXAMPLE,
+    }
+    return TEMPLATES.get_template("effects.md").render(**content)
 
 
 def write_effects_page(path: Path) -> int:
