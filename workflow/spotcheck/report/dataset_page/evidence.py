@@ -41,11 +41,10 @@ def tabulate_evidence(verdict: dict[str, Any], citations: Citations) -> dict[str
         citations.cite(over_noise_text(gap[name]), f"verdict.gap.{name}") for name in ("before", "after", "noise_floor")
     ]
     return {
-        "status": verdict["status"].replace("_", " "),
+        "verdict": verdict,
         "sentence": [citations.cite_in(line, keys) for line in verdict["sentence"].splitlines()],
         "effects": [_effect_row(effect, known[effect["name"]], citations) for effect in verdict["effects"]],
-        "gap": gap_numbers if gap["on"] else [],
-        "gap_on": gap["on"],
+        "gap": gap_numbers,
         "closed": _share_text(gap["closed"]),
         "shifts": _tabulate_shifts(verdict, citations) if verdict["effects"] else [],
         "places": [
@@ -53,11 +52,7 @@ def tabulate_evidence(verdict: dict[str, Any], citations: Citations) -> dict[str
             for k, place in strongest_first
         ],
         "limits": [_limit_row(limit, known.get(limit["effect"]), citations) for limit in limited_first],
-        "advice": [
-            (advice["frames"], condition_text(advice["condition"]), advice["separates"]) for advice in verdict["advice"]
-        ],
-        "not_assessed": [(entry["effect"], entry["why"]) for entry in verdict["not_assessed"]],
-        "vocabulary": verdict.get("vocabulary"),
+        "advice": [(advice, condition_text(advice["condition"])) for advice in verdict["advice"]],
     }
 
 
