@@ -3,7 +3,7 @@
 import pytest
 
 from spotcheck.report.comparison.table import compare_datasets
-from spotcheck.report.pages import compared
+from spotcheck.report.pages.comparison import write_comparison_page
 from tests.browser.opening import WINDOW, from_disk, look
 from tests.browser.test_page import LEAST_CONTRAST, SCHEMES, WIDTHS
 from tests.library.test_comparison import row, sets
@@ -21,7 +21,7 @@ def found(sets):
 def opened(chromium, found, tmp_path_factory):
     """Their page from disk, without a network."""
     path = tmp_path_factory.mktemp("page") / "comparison.html"
-    compared.write(found, path, "c0de")
+    write_comparison_page(found, path, "c0de")
     with from_disk(chromium, path) as own:
         yield own
 
@@ -32,8 +32,8 @@ def page(opened):
     opened.page.set_viewport_size({"width": WINDOW[0], "height": WINDOW[1]})
     opened.page.emulate_media(media="screen", color_scheme="light")
     opened.page.evaluate("looks.unfold(true)")
-    opened.page.locator("#over-plot").scroll_into_view_if_needed()
-    opened.page.wait_for_selector("#over-plot .main-svg")
+    opened.page.locator("#quantity-plot").scroll_into_view_if_needed()
+    opened.page.wait_for_selector("#quantity-plot .main-svg")
     return opened.page
 
 
@@ -59,11 +59,13 @@ def test_the_chosen_quantity_is_drawn(page, found):
     # Whether it changed beyond chance, which its text says first, depends on the draw.
     texts = page.locator("#quantity option").all_text_contents()
     page.select_option("#quantity", label=next(text for text in texts if text.endswith("amplitude, 90°, 300 µs")))
-    drawn = page.evaluate("(([own]) => [own.x, own.y, own.error_y.array])(document.getElementById('over-plot').data)")
+    drawn = page.evaluate(
+        "(([trace]) => [trace.x, trace.y, trace.error_y.array])(document.getElementById('quantity-plot').data)"
+    )
     assert drawn[0] == found.axis.places
     assert drawn[1] == pytest.approx([number.value for number in own.numbers])
     assert drawn[2] == pytest.approx([number.stderr for number in own.numbers])
-    said = page.get_attribute("#over-plot", "aria-label")
+    said = page.get_attribute("#quantity-plot", "aria-label")
     assert said.startswith(f"amplitude, 90°, 300 µs: before {own.numbers[0].value:.0f}"[:-1]) and "slope" in said
 
 

@@ -14,7 +14,7 @@ STEP = 0.125 + 0.01
 # What the first screen shows, in words and as the page names it.
 FIRST_SCREEN = {
     "the verdict": ".first h1",
-    "how sure, and what to measure next": ".first .said",
+    "how sure, and what to measure next": ".first .sentences",
     "the gap": "#gap",
     "the picture": "#first-picture",
 }
@@ -107,7 +107,7 @@ def test_the_first_screen_holds(page, what):
 
 def test_the_first_screen_is_short(page):
     """A verdict, how sure it is and what comes next are three sentences at most."""
-    text = " ".join(page.locator(".first h1, .first .said p").all_inner_texts())
+    text = " ".join(page.locator(".first h1, .first .sentences p").all_inner_texts())
     assert (
         1 <= len([part for part in text.replace("! ", ". ").replace("? ", ". ").split(". ") if part]) <= MOST_SENTENCES
     )
@@ -152,7 +152,7 @@ def test_every_model_can_be_chosen(viewer, held):
         wanted = own.transpose(*dims, ...).values[index]
         if np.isfinite(wanted).any():
             shows(viewer, title, wanted, STEP)
-            told = f"noise σ by the {title}" in viewer.locator("#viewer-said").inner_text()
+            told = f"noise σ by the {title}" in viewer.locator("#viewer-caption").inner_text()
             assert told == np.isfinite(float(views["noise_slope"]))
 
 

@@ -338,11 +338,11 @@ def test_the_page_by_the_command_line(sets, tmp_path, capsys):
     cli.main(["compare", *names, "--page", str(page), "--output", str(table)])
     text = page.read_text(encoding="utf-8").split("<script")[0]
     assert 'href="after/report.html"' in text and 'href="before/report.html"' not in text
-    first = re.search(r"From before to after p1 went from ([\d.]+) ±", text)
+    first = re.search(r"p1 changed from ([\d.]+) ± [^<]* in after\.", text)
     # The design's p1 is 1.2 px; five of its standard errors: false alarm 1e-6.
     assert first and float(first.group(1)) == pytest.approx(1.2, abs=5 * 0.0023) and "▲ +0.05" in text
     assert "quantities changed beyond their errors" in capsys.readouterr().out
-    over = page.read_text(encoding="utf-8").split('id="over-data">')[1].split("</script>")[0]
+    over = page.read_text(encoding="utf-8").split('id="quantity-data">')[1].split("</script>")[0]
     assert json.loads(over)["labels"] == ["before", "after"]
 
 

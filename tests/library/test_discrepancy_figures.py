@@ -28,14 +28,14 @@ from spotcheck.model.baseline import Baseline
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_writer import LightFile, write_light, write_no_light
-from spotcheck.report.dataset_page.tables import missing_of
+from spotcheck.report.dataset_page.evidence import tabulate_evidence
 from spotcheck.report.figures import answer, every_figure, series, style
 from spotcheck.report.figures.discrepancy import tabulate_conditions
 from spotcheck.report.figures.entry import Category
 from spotcheck.report.figures.results import Results, Unavailable
 from spotcheck.report.figures.write import write_all
 from spotcheck.report.pages import TEMPLATES
-from spotcheck.report.pages.cited import Cited
+from spotcheck.report.pages.citations import Citations
 from tests.library import small_set as small
 from tests.library.conftest import folder
 from tests.library.findings_cases import KINDS, MOVED, PAIR, agree, closed, disagree, learned, named
@@ -400,8 +400,8 @@ def page(findings: Findings, base: Path) -> tuple[str, dict]:
     verdict["sentence"] = summarize_verdict(verdict)
     write_verdict(verdict, base / "verdict.json")
     verdict = json.loads((base / "verdict.json").read_text(encoding="utf-8"))
-    missing = missing_of(verdict, Cited(base))
-    html = TEMPLATES.get_template("report/missing.html").render(missing=missing)
+    evidence = tabulate_evidence(verdict, Citations(base))
+    html = TEMPLATES.get_template("dataset_page/evidence.html").render(evidence=evidence)
     return re.sub("</?span[^>]*>", "", html), verdict
 
 
@@ -419,7 +419,7 @@ def test_the_report_shows_the_verdict(tmp_path):
         "<td>p1</td>",
         "12 frames at an exposure of 1.8 ms",
         "<code>angle_reflectance</code>: fewer than three",
-        "Where, strongest",
+        "Places of the largest residuals",
         "<td>row 96, column 120 at 0.4 ms</td>",
     )
     for part in parts:
@@ -436,4 +436,4 @@ def test_the_report_of_what_was_not_assessed(tmp_path):
     """The reason stands there, and no table."""
     text, _ = page(Findings(reason=NO_SPOT), tmp_path)
     assert "no spot could be fitted" in text
-    assert "<td>p1</td>" not in text and "Where, strongest" not in text
+    assert "<td>p1</td>" not in text and "Places of the largest residuals" not in text

@@ -244,7 +244,7 @@ def test_no_effect_is_named_outside_its_file():
 
 def test_a_new_effect_is_on_the_page(vignetting):
     """With its parameter, its bounds and its place."""
-    text = page.page(vocabulary().values())
+    text = page.render_effects(vocabulary().values())
     section = text[text.index("## 27. vignetting\n") : text.index("## Adding an effect")]
     assert "The light falls off from the frame's centre." in section
     assert "| `a` | 1 | 0 | 1 | vanishes at 0 |" in section
@@ -277,12 +277,12 @@ def test_the_page_says_it_all():
 
 def test_bounds_in_words():
     """Sums in products keep their brackets; what is more than arithmetic is said to come from the data."""
-    assert page.bound(0.25) == "0.25" and page.bound(-np.inf) == "any"
-    assert page.bound(lambda c: -c.crop_px / 4) == "−crop / 4"
-    assert page.bound(lambda c: 2 - (c.crop_px + 1) * 3) == "2 − (crop + 1) × 3"
-    assert page.bound(lambda c: 1 / (c.peak_dn - c.full_scale_dn)) == "1 / (peak − full scale)"
-    assert page.bound(lambda c: c.peak_dn - (c.crop_px - 1)) == "peak − (crop − 1)"
-    assert page.bound(lambda c: max(c.peak_dn, 3.0)) == "set by the data"
+    assert page.describe_bound(0.25) == "0.25" and page.describe_bound(-np.inf) == "any"
+    assert page.describe_bound(lambda c: -c.crop_px / 4) == "−crop / 4"
+    assert page.describe_bound(lambda c: 2 - (c.crop_px + 1) * 3) == "2 − (crop + 1) × 3"
+    assert page.describe_bound(lambda c: 1 / (c.peak_dn - c.full_scale_dn)) == "1 / (peak − full scale)"
+    assert page.describe_bound(lambda c: c.peak_dn - (c.crop_px - 1)) == "peak − (crop − 1)"
+    assert page.describe_bound(lambda c: max(c.peak_dn, 3.0)) == "set by the data"
 
 
 def test_code_digests_follow_the_effects():

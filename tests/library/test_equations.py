@@ -1,4 +1,4 @@
-"""Which function and which test claims which equation."""
+"""Which function and which test cites which equation."""
 
 import ast
 from pathlib import Path
@@ -27,12 +27,12 @@ TEXTS = {
 @pytest.mark.parametrize(("text", "numbers"), TEXTS.items(), ids=[str(sorted(n)) for n in TEXTS.values()])
 def test_numbers_that_a_text_names(text, numbers):
     """Single numbers, ranges and lists, across a line's end."""
-    assert equations.equations_in(text) == numbers
+    assert equations.find_equations(text) == numbers
 
 
 def test_a_list_with_a_comma_before_and():
     """The serial comma."""
-    assert equations.equations_in("Eqs" + ". 1, 3, and 5") == {1, 3, 5}
+    assert equations.find_equations("Eqs" + ". 1, 3, and 5") == {1, 3, 5}
 
 
 def test_claims_read_docstrings_of_functions_methods_and_classes(tmp_path):
@@ -43,7 +43,7 @@ def test_claims_read_docstrings_of_functions_methods_and_classes(tmp_path):
         'def f():\n    """First line\n    (Eq. 2).\n\n    Later: Eq. 3.\n    """\n    return "Eq. 4"  # Eq. 5\n'
         'class C:\n    """Eq. 6."""\n    def test_m(self):\n        """Eq. 7."""\n'
     )
-    found = equations.claims(tmp_path, "pkg")
+    found = equations.collect_citations(tmp_path, "pkg")
     assert {n: [c.where for c in own] for n, own in found.items()} == {
         2: ["pkg.room.a.f"],
         3: ["pkg.room.a.f"],
@@ -51,17 +51,17 @@ def test_claims_read_docstrings_of_functions_methods_and_classes(tmp_path):
         7: ["pkg.room.a.test_m"],
     }
     assert found[2][0].sentence == "First line (Eq. 2)."
-    assert set(equations.claims(tmp_path, only_functions="test_")) == {7}
+    assert set(equations.collect_citations(tmp_path, only_functions="test_")) == {7}
 
 
 def test_every_equation_has_a_function():
     """1 to 40, in the library."""
-    assert set(range(1, 41)) <= set(equations.claims(equations.PACKAGE))
+    assert set(range(1, 41)) <= set(equations.collect_citations(equations.PACKAGE))
 
 
 def test_every_equation_has_a_test():
     """1 to 40, in docstrings of tests that call something."""
-    held = equations.claims(ROOT / "tests", "tests", "test_")
+    held = equations.collect_citations(ROOT / "tests", "tests", "test_")
     assert [n for n in range(1, 41) if n not in held] == []
     sources = {p: ast.parse(p.read_text()) for p in Path(__file__).parent.glob("test_*.py")}
     asserting = {
@@ -77,14 +77,14 @@ def test_every_equation_has_a_test():
 
 def test_a_gap_is_refused(tmp_path):
     """Without tests the pages are not written, and the sentence names what is missing."""
-    with pytest.raises(InputError, match=r"no test names Eq\. 1, 2, .*40; every equation needs one"):
-        equations.write(ROOT / "data" / "symbols.yaml", tmp_path, tmp_path / "docs")
+    with pytest.raises(InputError, match=r"no test cites Eq\. 1, 2, .*40; every equation needs a test"):
+        equations.write_equation_pages(ROOT / "data" / "symbols.yaml", tmp_path, tmp_path / "docs")
     assert not (tmp_path / "docs").exists()
 
 
 def test_pages_name_every_equation(tmp_path):
     """Both pages, from the repository's own docstrings."""
-    equations.write(ROOT / "data" / "symbols.yaml", ROOT / "tests", tmp_path)
+    equations.write_equation_pages(ROOT / "data" / "symbols.yaml", ROOT / "tests", tmp_path)
     page = (tmp_path / "equations.html").read_text()
     for where in ("optics.speckle_grain", "test_top_hat_cuts_at_a_quarter"):
         assert where in page

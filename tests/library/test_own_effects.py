@@ -18,10 +18,10 @@ from spotcheck.model import effects
 from spotcheck.model.effect_file import read_effect
 from spotcheck.model.effects import Choice, built_in, vocabulary
 from spotcheck.model.stage import Stage
-from spotcheck.report.dataset_page.tables import missing_of
+from spotcheck.report.dataset_page.evidence import tabulate_evidence
 from spotcheck.report.pages import TEMPLATES
 from spotcheck.report.pages import effects as page
-from spotcheck.report.pages.cited import Cited
+from spotcheck.report.pages.citations import Citations
 from tests.library.conftest import ROOT, folder
 from tests.library.effect_cases import knowing, written
 from tests.library.findings_cases import whole
@@ -218,17 +218,17 @@ def test_the_report_says_which_vocabulary_it_had(tmp_path):
     """In a paragraph beside the verdict; none where it was the library's."""
 
     def text(own: dict) -> str:
-        missing = missing_of(own, Cited(tmp_path))
-        return TEMPLATES.get_template("report/missing.html").render(missing=missing)
+        evidence = tabulate_evidence(own, Citations(tmp_path))
+        return TEMPLATES.get_template("dataset_page/evidence.html").render(evidence=evidence)
 
-    assert "The vocabulary of this run" not in text(whole("unknown"))
+    assert "standard vocabulary" not in text(whole("unknown"))
     with knowing(written(tmp_path, "lens", SOUND), without=["smear", "row_noise"]):
         told = text(whole("unknown") | options.describe_difference())
     digest = hashlib.sha256(SOUND.encode()).hexdigest()[:16]
     assert (
-        "The vocabulary of this run is not the library's."
+        "This run did not use the standard vocabulary of effects."
         f" Added: <code>vignetting</code> of lens.py (SHA-256 {digest}…)."
-        " Left out: <code>row_noise</code>, <code>smear</code>." in told
+        " Excluded: <code>row_noise</code>, <code>smear</code>." in told
     )
 
 

@@ -7,7 +7,7 @@ from spotcheck.io import provenance, store
 from spotcheck.report.comparison.datasets import list_sources
 from spotcheck.report.comparison.netcdf import build_dataset
 from spotcheck.report.comparison.table import compare_datasets
-from spotcheck.report.pages import compared
+from spotcheck.report.pages.comparison import write_comparison_page
 
 EXAMPLES = "spotcheck compare out/my-frames out/my-flats --page comparison.html --output comparison.nc"
 
@@ -26,6 +26,6 @@ def run(args: argparse.Namespace) -> None:
     comparison = compare_datasets(args.results)
     code = provenance.code_digest(__name__)
     store.write(build_dataset(comparison), args.output, code=code, inputs=list_sources(args.results))
-    compared.write(comparison, args.page, code)
+    write_comparison_page(comparison, args.page, code)
     changed = sum(any(row.is_changed) for row in comparison.rows)
     print(f"{args.page}: {changed} of {len(comparison.rows)} quantities changed beyond their errors")

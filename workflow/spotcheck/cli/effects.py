@@ -18,4 +18,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Write the page from the effects' own files."""
     vocabulary.apply_options(args)
-    print(f"{args.output}: {effects.write(args.output)} effects")
+    print(f"{args.output}: {effects.write_effects_page(args.output)} effects")

@@ -17,5 +17,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Write both tables; fail when an equation has no function or no test."""
-    equations.write(args.symbols, args.tests, args.output)
+    equations.write_equation_pages(args.symbols, args.tests, args.output)
     print(f"{len(equations.EQUATIONS)} equations, each with a function and a test")

@@ -9,7 +9,7 @@ from spotcheck.io import provenance, store
 from spotcheck.io.schema import read_yaml
 from spotcheck.paper import number_checks
 from spotcheck.paper.results import Results
-from spotcheck.report.pages import numbers
+from spotcheck.report.pages.numbers import write_numbers_page
 
 EXAMPLES = """spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig \\
     --table numbers.csv --page numbers.html --summary numbers.md"""
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> None:
     checks = number_checks.check_numbers(read_yaml(args.numbers), results)
     inputs = [args.numbers, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
     store.write_text(args.table, number_checks.format_csv(checks), code=provenance.code_digest(__name__), inputs=inputs)
-    numbers.write(args.page, checks)
+    write_numbers_page(args.page, checks)
     store.write_text(args.summary, number_checks.summarise_checks(checks))
     for kind, (met, counted) in number_checks.count_met(checks).items():
         print(f"{kind}: {met} of {counted} hold")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import folder
-from spotcheck.report import dataset_page as report
+from spotcheck.report.dataset_page.report import write_report
 
 EXAMPLES = "spotcheck report --dataset my-frames --results out/my-frames --output out/my-frames/report.html"
 
@@ -25,5 +25,5 @@ def run(args: argparse.Namespace) -> None:
     verdict = args.results / "verdict.json"
     if verdict.exists():
         vocabulary.check_same(json.loads(verdict.read_text(encoding="utf-8")), str(verdict))
-    report.write(folder.load(args.dataset), args.results, args.output)
+    write_report(folder.load(args.dataset), args.results, args.output)
     print(f"{args.output}: {args.output.stat().st_size / 1e6:.1f} MB")

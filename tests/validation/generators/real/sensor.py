@@ -13,7 +13,7 @@ from spotcheck.characterization.transfer_data import quantities_of
 from spotcheck.cli import main as command
 from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
-from spotcheck.report.dataset_page.tables import ranges
+from spotcheck.report.dataset_page.tables import tabulate_ranges
 from tests.validation.benchmarks import gain
 from tests.validation.generators.real import levels
 from tests.validation.generators.real.emva import reference
@@ -56,7 +56,7 @@ def page(verdicts: dict[str, dict[str, Any]]) -> str:
             command(["transfer", str(SOURCE), "--frames", frames, "--output", transfer])
         with store.read(transfer) as ds:
             own = quantities_of(ds)
-            by_range = ranges(ds)
+            by_range = tabulate_ranges(ds)
     said = verdicts[""]
     other, by_spots = reference(SOURCE, HALF), gain.measure().tables[0]
     rows = []

@@ -1,5 +1,7 @@
-"""What the page shows frame by frame: packed readings, what the controls offer, and the table of frames."""
+"""The frames of the report: packed images with the data of the viewer's controls, and the table of frames."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,14 +12,20 @@ from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.words import number_text, over_noise_text
 from spotcheck.fitting.fits import preferred
 from spotcheck.io import store
-from spotcheck.report.dataset_page.packed import Layer, block_of, packed, step_of, thinned
-from spotcheck.report.dataset_page.ranking import deviations_of, deviations_text, flags_text, place_text, usual_of
+from spotcheck.report.dataset_page.frame_packing import Layer, block_means, choose_block, choose_step, pack_layers
+from spotcheck.report.dataset_page.frame_remarks import (
+    describe_deviations,
+    describe_flags,
+    describe_residual,
+    median_factors,
+    read_deviations,
+)
 from spotcheck.report.figures import series
 from spotcheck.report.figures.style import axis_name
 from spotcheck.report.views import MODELS
 from spotcheck.sensor.model import NoiseLine
 
-# Frames that are packed to see how large all will be.
+# Frames that are packed to estimate the size of all.
 SAMPLE = 8
 NAMES = {
     "measured": "measured",
@@ -25,203 +33,229 @@ NAMES = {
     "extended": "extended model",
     "simulated": "simulation by p1 and p2",
 }
+# Prefix of the layers of the extended model without one effect; frames.js knows it too.
 WITHOUT = "without "
-NOTHING = "nothing stands out"
-# By which model frames are ranked: the best that there is.
-RANKED_BY = ("extended", "declared", "simulated")
-# In which order models stand in the picture of the first screen.
-PICTURED = ("declared", "extended", "simulated")
+NO_REMARK = "no remark"
+# Frames are ranked by the first of these models that exists.
+RANKING_MODELS = ("extended", "declared", "simulated")
+# Order of the models in the picture of the first screen.
+PICTURE_MODELS = ("declared", "extended", "simulated")
+
+Place = dict[str, int]  # index of a frame by dimension of the grid
+Images = dict[str, np.ndarray]  # images of a frame [row, column] in DN by layer
 
 
-class Frames(NamedTuple):
-    """All that frames.js takes: what there is to show, each frame as text; rows of the table, the worst first, which
-    model they are ranked by, in which of its numbers (`left`; `rms` where the noise is unknown), and what was
-    thinned."""
+class FrameFiles(NamedTuple):
+    """Results about the spot frames."""
 
-    contents: dict[str, Any]
-    texts: list[str]
-    rows: list[dict[str, Any]]
-    ranked_by: str
-    ranked_in: str
-    remark: str
+    frames: xr.Dataset  # frames.nc
+    crops: xr.Dataset  # crops.nc
+    fits: xr.Dataset  # fits.nc
+    views: xr.Dataset  # views.nc: images of the models
 
 
-class Files(NamedTuple):
-    """The results that frames are shown from."""
+@dataclass(frozen=True)
+class FrameSection:
+    """The frames for the page."""
 
-    frames: xr.Dataset
-    crops: xr.Dataset
-    fits: xr.Dataset
-    views: xr.Dataset
+    index: dict[str, Any]  # data of frames.js
+    packed: list[str]  # images of each frame, as `pack_layers` returns them
+    rows: list[dict[str, Any]]  # rows of the table, the largest residual first
+    ranked_by: str  # model by which the rows are ordered
+    ranked_in: str  # residual by which they are ordered: "left" over the noise, or "rms" in DN if the noise is unknown
+    remark: str  # how images were reduced; "" if they were not
 
 
-def frames_of(dataset: Dataset, files: Files) -> Frames:
-    """Every frame of kind spot."""
+def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
+    """Return the images of all spot frames, reduced in size if they would make the page too large."""
     cells, dims = list(dataset.cells()), store.grid_dims(files.crops)
+    places: list[Place] = [dict(zip(dims, index, strict=True)) for index, _ in cells]
     full_scale = float(files.frames["full_scale"])
-    chosen = np.unique(np.linspace(0, len(cells) - 1, SAMPLE).astype(int))
-    places = [dict(zip(dims, at, strict=True)) for at, _ in cells]
-    sample = [_images(files, places[k]) for k in chosen]
-    block = block_of(
-        lambda own: float(np.mean([len(packed(_layers(images, full_scale, own))) for images in sample])), len(cells)
-    )
-    texts, shown, rows, usual = [], [], [], usual_of(files.views)
-    for k, (place, (_, frame)) in enumerate(zip(places, cells, strict=True)):
-        images = _images(files, place)
-        layers = _layers(images, full_scale, block)
-        texts.append(packed(layers))
-        own = _shown(files, place, frame, layers)
-        shown.append(own)
-        rows.append(_row(files, place, frame, k, own, images, usual))
-        own["why"] = "" if rows[-1]["why"] == NOTHING else rows[-1]["why"]
-    names = list(dict.fromkeys(name for own in shown for name in own["layers"]))
-    contents = {
-        "block": block,
-        "side": dataset.instrument.crop_px // block,
-        "names": {name: NAMES.get(name) or f"extended model {name}" for name in names},
-        "steps": {name: _step(name, full_scale, block) for name in names},
-        "smooth": [name for name in names if name != "measured"],
-        "axes": _axes(files.crops, dims),
-        "noise": [_number(files.views["noise_at_zero"]), _number(files.views["noise_slope"])],
-        "frames": shown,
-    }
-    ranked_by = next(name for name in RANKED_BY if name in files.views)
-    best = contents["best"] = _best(shown, ranked_by)
-    # Before and after, or the only model.
-    able = [name for name in PICTURED if name in shown[best]["layers"]]
-    contents["pictured"] = able[: 2 if "extended" in able else 1]
-    remark = f"Images are shown in blocks of {block} × {block} px, so that the page stays small." if block > 1 else ""
+    block = _choose_block(files, places, full_scale)
+    factors = median_factors(files.views)
+    packed: list[str] = []
+    frames: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
+    for place, (_, frame) in zip(places, cells, strict=True):
+        images = _read_images(files, place)
+        layers = _make_layers(images, full_scale, block)
+        packed.append(pack_layers(layers))
+        shown = _describe_frame(files, place, frame, layers)
+        record = _frame_record(files.frames, frame)
+        remarks = "; ".join(_list_remarks(files, place, record, images, shown["spot"], factors))
+        frames.append(shown | {"remarks": remarks})
+        rows.append(_tabulate_frame(shown, remarks, len(rows), int(record["maximum"])))
+    index = _index_frames(files, dims, frames, block, full_scale)
     ranked_in = "rms" if all(row["left"] is None for row in rows) else "left"
-    # A frame of which nothing is left, for it could not be used, comes last.
+    # Frames without a residual, which no model could use, come last.
     rows.sort(key=lambda row: -np.inf if row[ranked_in] is None else row[ranked_in], reverse=True)
-    return Frames(contents, texts, rows, ranked_by, ranked_in, remark)
+    remark = f"Images are reduced to means of {block} × {block} px, to limit the size of the page." if block > 1 else ""
+    return FrameSection(index, packed, rows, _ranking_model(files), ranked_in, remark)
 
 
-def _step(name: str, full_scale: float, block: int) -> float:
-    return 1.0 if name == "measured" and block == 1 else step_of(full_scale)
+def _choose_block(files: FrameFiles, places: Sequence[Place], full_scale: float) -> int:
+    """Return the side of the blocks of pixels [px], estimated from a sample of frames."""
+    chosen = np.unique(np.linspace(0, len(places) - 1, SAMPLE).astype(int))
+    sample = [_read_images(files, places[k]) for k in chosen]
+
+    def mean_size(block: int) -> float:
+        return float(np.mean([len(pack_layers(_make_layers(images, full_scale, block))) for images in sample]))
+
+    return choose_block(mean_size, len(places))
 
 
-def _images(files: Files, at: dict[str, int]) -> dict[str, np.ndarray]:
-    """Readings [row, column] that there are of a frame: measured, models, and the extended model without each
-    effect."""
-    views = files.views.isel(at)
-    images = {"measured": files.crops["image"].sel(centring="light").isel(at).values.astype(float)}
+def _read_images(files: FrameFiles, place: Place) -> Images:
+    """Return the images of a frame: measured, by each model, and by the extended model without each of its effects."""
+    views = files.views.isel(place)
+    images = {"measured": files.crops["image"].sel(centring="light").isel(place).values.astype(float)}
     images |= {name: views[name].values for name in MODELS if name in views}
     if "extended_without" in views:
-        names = [f"{WITHOUT}{own}" for own in views["without"].values]
+        names = [f"{WITHOUT}{effect}" for effect in views["without"].values]
         images |= dict(zip(names, views["extended_without"].values, strict=True))
-    return {name: own for name, own in images.items() if np.isfinite(own).any()}
+    return {name: image for name, image in images.items() if np.isfinite(image).any()}
 
 
-def _layers(images: dict[str, np.ndarray], full_scale: float, block: int) -> dict[str, Layer]:
-    """The same as they are packed."""
+def _make_layers(images: Images, full_scale: float, block: int) -> dict[str, Layer]:
+    """Return the images of a frame as layers to be packed, reduced to means of blocks [px]."""
     return {
         name: Layer(
-            thinned(own, block),
-            _step(name, full_scale, block),
-            name != "measured",
-            "extended" if name.startswith(WITHOUT) else "",
+            readings=block_means(image, block),
+            step=_layer_step(name, full_scale, block),
+            is_smooth=name != "measured",
+            base="extended" if name.startswith(WITHOUT) else "",
         )
-        for name, own in images.items()
+        for name, image in images.items()
     }
 
 
-def _shown(files: Files, at: dict[str, int], frame: Frame, layers: dict[str, Layer]) -> dict[str, Any]:
-    """What frames.js has to know of a frame; places and widths are in px of the crop."""
-    crop, fit = files.crops.sel(centring="light").isel(at), preferred(files.fits).isel(at)
+def _layer_step(name: str, full_scale: float, block: int) -> float:
+    """Return the step of a layer [DN]; measured readings are integers unless they are averaged."""
+    return 1.0 if name == "measured" and block == 1 else choose_step(full_scale)
+
+
+def _describe_frame(files: FrameFiles, place: Place, frame: Frame, layers: Mapping[str, Layer]) -> dict[str, Any]:
+    """Return the data of a frame for frames.js; the spot's centre and width are in px of the crop."""
+    crop, fit = files.crops.sel(centring="light").isel(place), preferred(files.fits).isel(place)
     left, top = int(crop["left"]), int(crop["top"])
-    centre, middle = (float(fit["x_centre"]) - left, float(fit["y_centre"]) - top), (crop.sizes["x"] - 1) / 2
-    centre = centre if np.isfinite(centre).all() else (middle, middle)
-    width = float(fit["sigma_mean"])
-    gaps = bool(np.isnan(layers["measured"].readings).any()) if "measured" in layers else False
+    centre = np.array([float(fit["x_centre"]) - left, float(fit["y_centre"]) - top])
+    if not np.isfinite(centre).all():
+        centre[:] = (crop.sizes["x"] - 1) / 2
+    models = [name for name in MODELS if name in layers]
     return {
-        "at": list(at.values()),
-        "label": label_of(files.crops, at) or frame.label,
+        "at": list(place.values()),
+        "label": cell_label(files.crops, place) or frame.label,
         "file": frame.label,
         "layers": list(layers),
-        "gaps": gaps,
+        "has_gaps": "measured" in layers and bool(np.isnan(layers["measured"].readings).any()),
         "corner": [left, top],
-        "spot": [round(own, 3) for own in centre],
-        "sigma": round(width, 3) if np.isfinite(width) else None,
-        "rms": {name: _number(files.views[f"{name}_rms"].isel(at)) for name in MODELS if name in layers},
-        "left": {name: _number(files.views[f"{name}_left"].isel(at)) for name in MODELS if name in layers},
+        "spot": [round(float(coordinate), 3) for coordinate in centre],
+        "sigma": round(float(fit["sigma_mean"]), 3) if np.isfinite(fit["sigma_mean"]) else None,
+        "rms": {name: _rounded(files.views[f"{name}_rms"].isel(place)) for name in models},
+        "left": {name: _rounded(files.views[f"{name}_left"].isel(place)) for name in models},
     }
 
 
-def label_of(ds: xr.Dataset, at: dict[str, int]) -> str:
-    """A frame by its place on the grid: `90°, 900 µs, repeat 3`."""
-    return ", ".join(filter(None, (series.value_text(ds, dim, k) for dim, k in at.items())))
+def cell_label(ds: xr.Dataset, place: Place) -> str:
+    """Return the conditions of a cell of the grid, such as `90°, 900 µs, repeat 3`; "" if none was recorded."""
+    return ", ".join(filter(None, (series.value_text(ds, dim, k) for dim, k in place.items())))
 
 
-def _axes(crops: xr.Dataset, dims: tuple[str, ...]) -> list[dict[str, Any]]:
-    """What a control offers for each axis of the grid."""
-    return [
-        {
-            "name": dim,
-            "label": axis_name(dim).replace("$", ""),
-            "values": [series.value_text(crops, dim, k) for k in range(crops.sizes[dim])],
-        }
-        for dim in dims
-    ]
+def _frame_record(frames: xr.Dataset, frame: Frame) -> xr.Dataset:
+    """Return the record of a frame in frames.nc."""
+    is_same = (frames["file"] == frame.file) & (frames["page"] == (frame.page or 0))
+    return frames.isel(frame=int(np.argmax(is_same.values)))
 
 
-def _row(
-    files: Files,
-    at: dict[str, int],
-    frame: Frame,
-    number: int,
-    shown: dict[str, Any],
-    images: dict[str, np.ndarray],
-    usual: dict[str, float],
-) -> dict[str, Any]:
-    """A row of the table of frames."""
-    fit, views = preferred(files.fits).isel(at), files.views
-    same = (files.frames["file"] == frame.file) & (files.frames["page"] == (frame.page or 0))
-    record = files.frames.isel(frame=int(np.argmax(same.values)))
+def _list_remarks(
+    files: FrameFiles,
+    place: Place,
+    record: xr.Dataset,
+    images: Images,
+    centre: tuple[float, float],
+    factors: Mapping[str, float],
+) -> list[str]:
+    """Return remarks on a frame: flags, deviations from the other frames, and the largest residual."""
+    fit, views = preferred(files.fits).isel(place), files.views
     left_out = str(fit["left_out"].values) if "left_out" in fit else ""
-    why = flags_text(int(fit["status"]), left_out, int(record["at_full_scale"]))
-    why += deviations_text(deviations_of(views, at, usual))
-    known = [name for name in RANKED_BY if shown["left"].get(name) is not None]
-    model = next((name for name in RANKED_BY if name in images), None)
+    remarks = describe_flags(int(fit["status"]), left_out, int(record["at_full_scale"]))
+    remarks += describe_deviations(read_deviations(views, place, factors))
+    model = next((name for name in RANKING_MODELS if name in images), None)
     if model is not None and "measured" in images:
-        mean, line = images[model], NoiseLine(float(views["noise_at_zero"]), float(views["noise_slope"]))
-        text = place_text(images["measured"] - mean, line.variance(mean), shown["spot"])
-        why += [text] if text else []
+        noise = NoiseLine(float(views["noise_at_zero"]), float(views["noise_slope"]))
+        residual = images["measured"] - images[model]
+        remarks.append(describe_residual(residual, noise.variance(images[model]), centre))
+    return list(filter(None, remarks))
+
+
+def _tabulate_frame(shown: Mapping[str, Any], remarks: str, number: int, maximum: int) -> dict[str, Any]:
+    """Return a row of the table of frames; `number` is that of the frame in frames.js."""
+    left, rms = shown["left"], shown["rms"]
     numbers = {
-        "left": shown["left"][known[0]] if known else None,
-        "before": shown["left"].get("declared"),
-        "rms": shown["rms"].get(model) if model else None,
+        "left": next((left[name] for name in RANKING_MODELS if left.get(name) is not None), None),
+        "before": left.get("declared"),
+        "rms": next((rms[name] for name in RANKING_MODELS if name in rms), None),
     }
-    texts = {"rms_text": number_text(numbers["rms"])}
-    texts |= {f"{name}_text": over_noise_text(numbers[name]) for name in ("left", "before")}
-    return (
-        numbers
-        | texts
-        | {
-            "number": number,
-            "label": shown["label"],
-            "file": frame.label,
-            "maximum": int(record["maximum"]),
-            "why": "; ".join(why) or NOTHING,
-        }
-    )
+    return {
+        **numbers,
+        "left_text": over_noise_text(numbers["left"]),
+        "before_text": over_noise_text(numbers["before"]),
+        "rms_text": number_text(numbers["rms"]),
+        "number": number,
+        "label": shown["label"],
+        "file": shown["file"],
+        "maximum": maximum,
+        "remarks": remarks or NO_REMARK,
+    }
 
 
-def _best(shown: list[dict[str, Any]], ranked_by: str) -> int:
-    """The frame in which the disagreement is seen best: where most goes with what was added, else where most is
-    left."""
+def _index_frames(
+    files: FrameFiles, dims: Sequence[str], frames: list[dict[str, Any]], block: int, full_scale: float
+) -> dict[str, Any]:
+    """Return the data of frames.js."""
+    layers = list(dict.fromkeys(name for frame in frames for name in frame["layers"]))
+    first = _choose_first(frames, _ranking_model(files))
+    # Before and after, or the only model.
+    models = [name for name in PICTURE_MODELS if name in frames[first]["layers"]]
+    return {
+        "block": block,
+        "side": files.crops.sizes["x"] // block,
+        "names": {name: NAMES.get(name) or f"extended model {name}" for name in layers},
+        "steps": {name: _layer_step(name, full_scale, block) for name in layers},
+        "smooth": [name for name in layers if name != "measured"],
+        "axes": [
+            {
+                "name": dim,
+                "label": axis_name(dim).replace("$", ""),
+                "values": [series.value_text(files.crops, dim, k) for k in range(files.crops.sizes[dim])],
+            }
+            for dim in dims
+        ],
+        "noise": [_rounded(files.views["noise_at_zero"]), _rounded(files.views["noise_slope"])],
+        "frames": frames,
+        "first_frame": first,
+        "first_models": models[: 2 if "extended" in models else 1],
+    }
 
-    def gain(own: dict[str, Any]) -> float:
-        before, after = (own["rms"].get(name) for name in ("declared", "extended"))
-        if ranked_by == "extended" and before is not None:
+
+def _ranking_model(files: FrameFiles) -> str:
+    """Return the model by which frames are ranked."""
+    return next(name for name in RANKING_MODELS if name in files.views)
+
+
+def _choose_first(frames: Sequence[Mapping[str, Any]], model: str) -> int:
+    """Return the frame of the first screen: the largest gain by the extended model, or else the largest residual."""
+
+    def score(frame: Mapping[str, Any]) -> float:
+        before, after = (frame["rms"].get(name) for name in ("declared", "extended"))
+        if model == "extended" and before is not None:
             return before**2 - (after or 0.0) ** 2
-        # A frame without a model comes last.
-        return (own["left"].get(ranked_by) or own["rms"].get("simulated") or 0.0) - 1e12
+        # Frames without a declared model come after all others.
+        return (frame["left"].get(model) or frame["rms"].get("simulated") or 0.0) - 1e12
 
-    return int(np.argmax([gain(own) for own in shown]))
+    return int(np.argmax([score(frame) for frame in frames]))
 
 
-def _number(value: xr.DataArray) -> float | None:
-    """A number with as many digits as anybody reads; None where it is not known."""
+def _rounded(value: xr.DataArray) -> float | None:
+    """Return a number with six digits; None if it is not finite."""
     number = float(value)
     return float(f"{number:.6g}") if np.isfinite(number) else None

@@ -1,85 +1,79 @@
-"""The gap on held-out data before and after as one bar, with the noise floor."""
+"""The gap on held-out data before and after the added effects, as a bar with the noise floor."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from spotcheck.discrepancy.words import over_noise_text, percent_text
-from spotcheck.report.pages.plots import figure
+from spotcheck.report.pages.plots import figure_json
 
-# Keys of verdict.json's gap: what each is called, and the colour of page.css in which it is drawn.
-SHOWN = {
-    "before": ("before", "simulated"),
-    "after": ("after", "measured"),
-    "noise_floor": ("noise floor", "ink"),
-}
+# Names and colours (of page.css) of the numbers in verdict.json: with added effects, and without any.
+FLOOR = {"noise_floor": ("noise floor", "ink")}
+WITH_EFFECTS = {"before": ("before", "simulated"), "after": ("after", "measured"), **FLOOR}
+WITHOUT_EFFECTS = {"before": ("residuals", "simulated"), **FLOOR}
+
+
+class GapNumber(NamedTuple):
+    """A number of the gap: mean square of block residuals over that of the noise."""
+
+    name: str  # what it is called
+    colour: str  # name of its colour in page.css
+    text: str  # the number
+    key: str  # its name for `spotcheck explain`
 
 
 class Gap(NamedTuple):
-    """The bar, what it shows in words, its numbers (name, colour, text, key), the part that is closed, and on what."""
+    """The gap for the page."""
 
-    figure: str
-    alt: str
-    numbers: list[tuple[str, str, str, str]]
-    closed: str
-    on: str
+    figure: str  # the bar, as JSON for Plotly
+    numbers: list[GapNumber]
+    closed: str  # part of the gap that is closed; "" if none
+    on: str  # the data on which it was measured
+
+    @property
+    def alt(self) -> str:
+        """Alternative text of the figure."""
+        numbers = ", ".join(f"{number.name} {number.text}" for number in self.numbers)
+        return f"Gap on {self.on}, mean square of block residuals over that of the noise: {numbers}."
 
 
-def gap_of(verdict: dict[str, Any]) -> Gap | None:
-    """The gap of a verdict; None where none was measured."""
-    own = verdict["gap"]
-    if own["before"] is None:
+def plot_gap(verdict: dict[str, Any]) -> Gap | None:
+    """Return the gap of a verdict; None if it was not measured."""
+    gap = verdict["gap"]
+    if gap["before"] is None:
         return None
-    # Where nothing was added there is no before and after.
-    added = was_added(verdict)
-    shown = SHOWN if added else {"before": ("residuals", "simulated"), "noise_floor": SHOWN["noise_floor"]}
-    numbers = [
-        (name, colour, over_noise_text(own[key]), f"verdict.gap.{key}")
-        for key, (name, colour) in shown.items()
-        if own[key] is not None
-    ]
-    is_closed = added and own["closed"] is not None and own["closed"] > 0
-    closed = percent_text(min(own["closed"], 1.0)) if is_closed else ""
-    told = ", ".join(f"{name} {text}" for name, _, text, _ in numbers)
-    alt = f"Gap on {own['on']}, mean square of block residuals over that of the noise: {told}."
-    return Gap(_figure(own, shown), alt, numbers, closed, str(own["on"]))
+    has_additions = adds_to_model(verdict)
+    looks = WITH_EFFECTS if has_additions else WITHOUT_EFFECTS
+    looks = {key: look for key, look in looks.items() if gap[key] is not None}
+    numbers = [GapNumber(*look, over_noise_text(gap[key]), f"verdict.gap.{key}") for key, look in looks.items()]
+    is_closed = has_additions and gap["closed"] is not None and gap["closed"] > 0
+    closed = percent_text(min(gap["closed"], 1.0)) if is_closed else ""
+    return Gap(_draw_bars(gap, looks), numbers, closed, str(gap["on"]))
 
 
-def was_added(verdict: dict[str, Any]) -> bool:
-    """Whether the verdict adds anything to the declared model: effects, or a learned shape of the light."""
+def adds_to_model(verdict: dict[str, Any]) -> bool:
+    """Return whether the verdict adds effects or a learned light shape to the declared model."""
     return bool(verdict["effects"]) or verdict["light"] is not None
 
 
-def _figure(own: dict[str, Any], shown: dict[str, tuple[str, str]]) -> str:
-    bars = [
-        _bar(*shown[key], own[key], height)
-        for key, height in (("before", 0.9), ("after", 0.5))
-        if key in shown and own[key] is not None
-    ]
-    floor = own["noise_floor"]
-    mark = {"type": "line", "x0": floor, "x1": floor, "y0": 0, "y1": 1, "yref": "paper",
-            "line": {"color": "var(--ink)", "width": 2, "dash": "dot"}}  # fmt: skip
+def _draw_bars(gap: Mapping[str, Any], looks: Mapping[str, tuple[str, str]]) -> str:
+    """Return overlaid bars of the gap and a line at the noise floor; `looks` are names and colours by key."""
+    bars = []
+    for key, width in (("before", 0.9), ("after", 0.5)):
+        if key in looks:
+            name, colour = looks[key]
+            trace = {"type": "bar", "orientation": "h", "name": name, "x": [gap[key]], "y": ["gap"], "width": width}
+            trace["hovertemplate"] = f"{name}: %{{x:.4~g}}<extra></extra>"
+            bars.append(trace | {"marker": {"color": f"var(--{colour})"}})
+    floor = gap["noise_floor"]
+    line = {"type": "line", "x0": floor, "x1": floor, "y0": 0, "y1": 1, "yref": "paper"}
+    line["line"] = {"color": "var(--ink)", "width": 2, "dash": "dot"}
+    title = {"text": "mean square of block residuals / noise", "standoff": 2}
     layout = {
         "barmode": "overlay",
-        "shapes": [] if floor is None else [mark],
+        "shapes": [] if floor is None else [line],
         "showlegend": False,
         "margin": {"l": 4, "r": 12, "t": 2, "b": 34},
-        "xaxis": {
-            "rangemode": "tozero",
-            "nticks": 8,
-            "title": {"text": "mean square of block residuals / noise", "standoff": 2},
-        },
+        "xaxis": {"rangemode": "tozero", "nticks": 8, "title": title},
         "yaxis": {"visible": False, "fixedrange": True},
     }
-    return figure(bars, layout)
-
-
-def _bar(words: str, colour: str, value: float, height: float) -> dict[str, Any]:
-    return {
-        "type": "bar",
-        "orientation": "h",
-        "name": words,
-        "x": [value],
-        "y": ["gap"],
-        "width": height,
-        "marker": {"color": f"var(--{colour})"},
-        "hovertemplate": f"{words}: %{{x:.4~g}}<extra></extra>",
-    }
+    return figure_json(bars, layout)

@@ -7,68 +7,88 @@ import xarray as xr
 
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.words import percent_text
-from spotcheck.report.figures.light import MIN_LIGHT, compare_shapes
-from spotcheck.report.pages.plots import colour_scales, figure
+from spotcheck.report.figures.light import MIN_LIGHT, Shapes, compare_shapes
+from spotcheck.report.pages.plots import colour_scales, figure_json
+
+# Width of a map, and of the gap between two, as parts of the figure's width.
+MAP_WIDTH, MAP_GAP = 0.3, 0.02
+# Every so many pixels of a shape are drawn in its map.
+MAP_STEP = 2
 
 
-class Shape(NamedTuple):
-    """What the page says of the light: a hint for the fold, its words, and figures of maps and lines."""
+class LightSection(NamedTuple):
+    """The section of the report on the light; without a learned shape there are no figures."""
 
-    hint: str
-    words: str
-    maps: str
-    lines: str
+    hint: str  # few words beside the title
+    text: str  # one or two sentences
+    maps: str = ""  # JSON for Plotly: maps of both shapes and their difference
+    profiles: str = ""  # JSON for Plotly: both shapes along the row and the column through the centre
 
 
-def shape_of(ds: xr.Dataset | None, verdict: dict[str, Any] | None, dataset: Dataset) -> Shape | None:
-    """The declared and the learned shape; None where no spot could be looked at."""
+def describe_light(ds: xr.Dataset | None, verdict: dict[str, Any] | None, dataset: Dataset) -> LightSection | None:
+    """Return the section on the light; None if no spot was assessed.
+
+    Parameters
+    ----------
+    ds : Dataset or None
+        Content of light.nc, also if that stage was skipped.
+    verdict : dict or None
+        Content of verdict.json.
+    dataset : Dataset
+        The dataset.
+    """
     if ds is None or verdict is None or verdict["status"] == "not_assessed":
         return None
     if "skipped" in ds.attrs or verdict["light"] is None:
-        return Shape("as declared", "The frames ask for no other light than the declared one.", "", "")
+        return LightSection("as declared", "The frames agree with the declared shape of the light.")
     shapes = compare_shapes(ds, dataset)
-    u, before, after = shapes.places, shapes.declared, shapes.learned
-    lights = ds.sizes["light"]
-    which = "" if lights == 1 else f" Of {lights} lights, one for each pose, that is shown which is least as declared."
-    words = f"{str(ds.attrs['described'])[:1].upper()}{str(ds.attrs['described'])[1:]}.{which}"
-    hint = f"{percent_text(verdict['light']['power'])} of it lies elsewhere than declared"
-    return Shape(hint, words, _maps(u, before, after), _lines(u, before, after))
+    description, count = str(ds.attrs["described"]), ds.sizes["light"]
+    selection = "" if count == 1 else f" Of {count} lights, one for each pose, the one that differs most is shown."
+    text = f"{description[:1].upper()}{description[1:]}.{selection}"
+    hint = f"{percent_text(verdict['light']['power'])} of its power lies elsewhere than declared"
+    return LightSection(hint, text, _draw_maps(shapes), _draw_profiles(shapes))
 
 
-def _maps(u: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
-    scales, end = colour_scales(), 100 * float(np.abs(after - before).max())
-    panels = (("declared", before, "coloraxis", "1"), ("learned", after, "coloraxis", "1"),
-              ("learned − declared", 100 * (after - before), "coloraxis2", "%"))  # fmt: skip
+def _draw_maps(shapes: Shapes) -> str:
+    """Return maps of both shapes on one colour scale, and of their difference on another."""
+    scales, difference = colour_scales(), 100 * (shapes.learned - shapes.declared)
+    limit, peak = float(np.abs(difference).max()), float(max(shapes.declared.max(), shapes.learned.max()))
+    maps = (("declared", shapes.declared, "coloraxis", "1"), ("learned", shapes.learned, "coloraxis", "1"),
+            ("learned − declared", difference, "coloraxis2", "%"))  # fmt: skip
+    places = shapes.places[::MAP_STEP]
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": []}
-    step = 0.3
-    for k, (title, image, scale, unit) in enumerate(panels):
-        number, start = "" if k == 0 else str(k + 1), k * (step + 0.02)
-        data.append({"type": "heatmap", "z": np.round(image[::2, ::2], 5), "x": u[::2], "y": u[::2], "coloraxis": scale,
-                     "xaxis": f"x{number}", "yaxis": f"y{number}",
+    for k, (title, image, scale, unit) in enumerate(maps):
+        axis, start = "" if k == 0 else str(k + 1), k * (MAP_WIDTH + MAP_GAP)
+        data.append({"type": "heatmap", "z": np.round(image[::MAP_STEP, ::MAP_STEP], 5), "x": places, "y": places,
+                     "coloraxis": scale, "xaxis": f"x{axis}", "yaxis": f"y{axis}",
                      "hovertemplate": f"{title}: %{{z:.3~g}} {unit} of the peak<extra></extra>"})  # fmt: skip
-        linked = {"matches": "x"} if k else {}
-        layout[f"xaxis{number}"] = {"domain": [start, start + step], "anchor": f"y{number}", "constrain": "domain",
-                                    "title": {"text": "u / σ_g"}} | linked  # fmt: skip
-        layout[f"yaxis{number}"] = {"anchor": f"x{number}", "scaleanchor": f"x{number}", "autorange": "reversed",
-                                    "constrain": "domain", "showticklabels": k == 0}  # fmt: skip
-        layout["annotations"].append({"text": title, "x": start + step / 2, "y": 1, "xref": "paper", "yref": "paper",
-                                      "yanchor": "bottom", "xanchor": "center", "showarrow": False})  # fmt: skip
-    layout["coloraxis"] = {"colorscale": scales["reading"], "cmin": 0, "cmax": float(max(before.max(), after.max())),
+        layout[f"xaxis{axis}"] = {"domain": [start, start + MAP_WIDTH], "anchor": f"y{axis}", "constrain": "domain",
+                                  "title": {"text": "u / σ_g"}} | ({"matches": "x"} if k else {})  # fmt: skip
+        layout[f"yaxis{axis}"] = {"anchor": f"x{axis}", "scaleanchor": f"x{axis}", "autorange": "reversed",
+                                  "constrain": "domain", "showticklabels": k == 0}  # fmt: skip
+        layout["annotations"].append({"text": title, "x": start + MAP_WIDTH / 2, "y": 1, "xref": "paper",
+                                      "yref": "paper", "yanchor": "bottom", "xanchor": "center",
+                                      "showarrow": False})  # fmt: skip
+    layout["coloraxis"] = {"colorscale": scales["reading"], "cmin": 0, "cmax": peak,
                            "colorbar": {"title": {"text": "peak"}, "len": 0.45, "y": 0.8, "x": 1}}  # fmt: skip
-    layout["coloraxis2"] = {"colorscale": scales["residual"], "cmin": -end, "cmax": end,
+    layout["coloraxis2"] = {"colorscale": scales["residual"], "cmin": -limit, "cmax": limit,
                             "colorbar": {"title": {"text": "%"}, "len": 0.45, "y": 0.2, "x": 1}}  # fmt: skip
-    return figure(data, layout)
+    return figure_json(data, layout)
 
 
-def _lines(u: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
-    middle, data = len(u) // 2, []
-    looks = {"learned": ("var(--measured)", "solid", after), "declared": ("var(--simulated)", "dash", before)}
-    for name, (colour, dash, image) in looks.items():
-        for number, values in (("", image[middle]), ("2", image[:, middle])):
-            data.append({"type": "scatter", "mode": "lines", "name": name, "x": u, "y": np.maximum(values, MIN_LIGHT),
-                         "line": {"color": colour, "dash": dash}, "xaxis": f"x{number}", "yaxis": f"y{number}",
-                         "legendgroup": name, "showlegend": number == "",
+def _draw_profiles(shapes: Shapes) -> str:
+    """Return both shapes along the row and the column through the centre."""
+    middle, data = len(shapes.places) // 2, []
+    styles = {
+        "learned": (shapes.learned, {"color": "var(--measured)", "dash": "solid"}),
+        "declared": (shapes.declared, {"color": "var(--simulated)", "dash": "dash"}),
+    }
+    for name, (image, line) in styles.items():
+        for axis, values in (("", image[middle]), ("2", image[:, middle])):
+            data.append({"type": "scatter", "mode": "lines", "name": name, "x": shapes.places,
+                         "y": np.maximum(values, MIN_LIGHT), "line": line, "xaxis": f"x{axis}", "yaxis": f"y{axis}",
+                         "legendgroup": name, "showlegend": axis == "",
                          "hovertemplate": f"{name}: %{{y:.3~g}} of the peak<extra></extra>"})  # fmt: skip
     log = {"type": "log", "range": [float(np.log10(MIN_LIGHT)), 0.1]}
     layout = {
@@ -77,4 +97,4 @@ def _lines(u: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
         "xaxis2": {"domain": [0.53, 1], "anchor": "y2", "title": {"text": "v / σ_g, along the column"}},
         "yaxis2": {"anchor": "x2", "showticklabels": False} | log,
     }
-    return figure(data, layout)
+    return figure_json(data, layout)

@@ -1,4 +1,4 @@
-"""Tables of the report as rows of text: the verdict, sensor, p1 and p2, fits, precision, the paper's numbers."""
+"""Tables of the results as rows of text: sensor, flats and darks, p1 and p2, fits, precision, the paper's numbers."""
 
 import csv
 from pathlib import Path
@@ -8,19 +8,11 @@ import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
-from spotcheck.characterization.photon_transfer import QUANTITIES as MEASURED
-from spotcheck.characterization.sensor_choice import QUANTITIES
+from spotcheck.characterization.photon_transfer import QUANTITIES as TRANSFER_QUANTITIES
+from spotcheck.characterization.sensor_choice import QUANTITIES as SENSOR_QUANTITIES
 from spotcheck.characterization.transfer_data import quantities_of
 from spotcheck.dataset.folder import Dataset
-from spotcheck.discrepancy.words import (
-    condition_text,
-    digits_of,
-    limit_text,
-    number_text,
-    over_noise_text,
-    percent_text,
-    value_text,
-)
+from spotcheck.discrepancy.words import number_text, value_text
 from spotcheck.errors import InputError
 from spotcheck.fitting.caustic import beam_rows
 from spotcheck.fitting.fits import preferred
@@ -28,18 +20,15 @@ from spotcheck.fitting.fitted import PARAMETERS
 from spotcheck.fitting.precision import sentence
 from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
-from spotcheck.model.effect import Effect
-from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.paper.plateau_level import estimate_plateau_levels
-from spotcheck.report.dataset_page.frames import label_of
-from spotcheck.report.dataset_page.spoken import numbers_in
-from spotcheck.report.pages.cited import Cited
+from spotcheck.report.dataset_page.frames import cell_label
+from spotcheck.report.pages.citations import Citations
 
-# Rows of the table of fits; all of them are in fits.nc.
+# Most rows of the table of fits; fits.nc has all of them.
 MOST_FITS = 200
-# Columns of the table of `ranges`, by the ends of their names in transfer.nc.
-RANGES = ("limit", "levels", "gain", "intercept")
-# What is said of the beam: variable of caustic.nc, words, factor to the unit, and the unit.
+# Columns of the table of fit ranges, by the ends of their names in transfer.nc.
+RANGE_COLUMNS = ("limit", "levels", "gain", "intercept")
+# Quantities of a beam: variable of caustic.nc, words, factor from SI to the unit, and the unit.
 BEAM = (
     ("waist_radius", "waist w0 =", 1e6, "µm"),
     ("waist_position", "at z0 =", 1e3, "mm"),
@@ -47,333 +36,240 @@ BEAM = (
     ("m2", "M² =", 1.0, ""),
 )
 
-
-def facts_of(table: xr.Dataset) -> dict[str, Any]:
-    """What frames.nc says of all frames together."""
-    kinds, counts = np.unique(table["kind"].values.astype(str), return_counts=True)
-    return {
-        "kinds": ", ".join(f"{n:,} {kind}" for kind, n in zip(kinds, counts, strict=True)),
-        "shape": f"{int(table['columns'])} × {int(table['rows'])} px",
-        "bits": int(table["container_bits"]),
-        "full_scale": int(table["full_scale"]),
-        "clipped": int((table["at_full_scale"] > 0).sum()),
-        "maximum": int(table["maximum"].max()),
-    }
+Row = dict[str, Any]
 
 
-def sensor_of(ds: xr.Dataset | None, cite: Cited) -> list[dict[str, Any]]:
-    """The sensor's numbers: that which the chain runs on, and what each source says."""
-    if ds is None:
+def summarize_frames(frames: xr.Dataset) -> str:
+    """Return the number of frames of each kind, their size and their largest reading, from frames.nc."""
+    kinds, counts = np.unique(frames["kind"].values.astype(str), return_counts=True)
+    listed = ", ".join(f"{count:,} {kind}" for kind, count in zip(kinds, counts, strict=True))
+    size = f"{int(frames['columns'])} × {int(frames['rows'])} px"
+    return f"{listed} frames of {size}, readings up to {int(frames['maximum'].max())} of {int(frames['full_scale'])} DN"
+
+
+def tabulate_sensor(sensor: xr.Dataset | None, citations: Citations) -> list[Row]:
+    """Return the quantities of the sensor: the values in use, and the values by each source."""
+    if sensor is None:
         return []
     rows = []
-    for name, (units, long_name) in QUANTITIES.items():
-        value, error = float(ds[name]), float(ds[f"{name}_stderr"])
+    for name, (unit, long_name) in SENSOR_QUANTITIES.items():
+        value, error = float(sensor[name]), float(sensor[f"{name}_stderr"])
+        text = "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}"
+        by_source = zip(
+            sensor["source"].values, sensor[f"{name}_by"].values, sensor[f"{name}_by_stderr"].values, strict=True
+        )
         rows.append(
             {
                 "name": long_name,
-                "value": cite(
-                    "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}", f"sensor.{name}"
-                ),
-                "error": "" if np.isnan(error) else cite(f"± {error:.2g}", f"sensor.{name}"),
-                "units": units,
-                "source": ds[name].attrs["source"],
-                "by": [
-                    "" if np.isnan(v) else cite(plus_minus(float(v), float(e)), f"sensor.{name}_by[source={source}]")
-                    for source, v, e in zip(
-                        ds["source"].values, ds[f"{name}_by"].values, ds[f"{name}_by_stderr"].values, strict=True
-                    )
+                "value": citations.cite(text, f"sensor.{name}"),
+                "error": "" if np.isnan(error) else citations.cite(f"± {error:.2g}", f"sensor.{name}"),
+                "units": unit,
+                "source": sensor[name].attrs["source"],
+                "by_source": [
+                    ""
+                    if np.isnan(stated)
+                    else citations.cite(plus_minus(float(stated), float(stderr)), f"sensor.{name}_by[source={source}]")
+                    for source, stated, stderr in by_source
                 ],
             }
         )
     return rows
 
 
-def transfer_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
-    """Quantities of EMVA 1288, and remarks on flats and darks."""
-    if ds is None:
+def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
+    """Return the quantities of EMVA 1288 from flats and darks, their remarks, and gains of several fit ranges."""
+    if transfer is None:
         return None
     rows = []
-    for own in quantities_of(ds).values():
-        known = np.isfinite(own.value)
+    for quantity in quantities_of(transfer).values():
+        text = plus_minus(quantity.value, quantity.stderr)
+        is_known = np.isfinite(quantity.value)
         rows.append(
             {
-                "name": MEASURED[own.name][2],
-                "symbol": own.symbol,
-                "value": cite(plus_minus(own.value, own.stderr), f"transfer.{own.name}") if known else "unknown",
-                "unit": "" if own.unit == "1" else own.unit,
-                "why": own.why,
+                "name": TRANSFER_QUANTITIES[quantity.name][2],
+                "symbol": quantity.symbol,
+                "value": citations.cite(text, f"transfer.{quantity.name}") if is_known else "unknown",
+                "unit": "" if quantity.unit == "1" else quantity.unit,
+                "why": quantity.why,
             }
         )
-    cited = [
-        [cite(text, f"transfer.range_{name}[range={k}]") for name, text in zip(RANGES, row, strict=True)]
-        for k, row in enumerate(ranges(ds))
+    ranges = [
+        [
+            citations.cite(text, f"transfer.range_{name}[range={k}]")
+            for name, text in zip(RANGE_COLUMNS, row, strict=True)
+        ]
+        for k, row in enumerate(tabulate_ranges(transfer))
     ]
-    return {"rows": rows, "remarks": store.remarks_of(ds), "ranges": cited}
+    return {"rows": rows, "remarks": store.remarks_of(transfer), "ranges": ranges}
 
 
-def ranges(ds: xr.Dataset) -> list[tuple[str, str, str, str]]:
-    """Rows of text: up to which part of saturation levels are fitted, how many they are, gain and intercept."""
-    return [
-        (
-            f"{100 * float(own['range_limit']):.3g} %",
-            f"{int(own['range_levels'])}",
-            plus_minus(float(own["range_gain"]), float(own["range_gain_error"])),
-            plus_minus(float(own["range_intercept"]), float(own["range_intercept_error"])).replace("-", "−"),
+def tabulate_ranges(transfer: xr.Dataset) -> list[tuple[str, str, str, str]]:
+    """Return, for each fit range, its upper end in parts of saturation, number of levels, gain and intercept."""
+    rows = []
+    for k in range(transfer.sizes["range"]):
+        fit = transfer.isel(range=k)
+        gain, intercept = (
+            plus_minus(float(fit[f"range_{name}"]), float(fit[f"range_{name}_error"])) for name in ("gain", "intercept")
         )
-        for own in (ds.isel(range=k) for k in range(ds.sizes["range"]))
-    ]
+        limit = f"{100 * float(fit['range_limit']):.3g} %"
+        rows.append((limit, f"{int(fit['range_levels'])}", gain, intercept.replace("-", "−")))
+    return rows
 
 
-def calibration_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
-    """p1 and p2 by each estimator."""
-    if ds is None or "skipped" in ds.attrs:
+def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
+    """Return p1 and p2 by each estimator, with standard deviations and the bias found by simulation."""
+    if calibration is None:
         return None
     rows = []
-    for name in ds["estimator"].values:
-        own = ds.sel({"estimator": name})
-        row: dict[str, Any] = {"text": ds.attrs[f"estimator_{name}"], "used": name == ds.attrs["used"]}
+    for estimator in calibration["estimator"].values:
+        values, label = calibration.sel(estimator=estimator), f"[estimator={estimator}]"
+        row: Row = {
+            "text": calibration.attrs[f"estimator_{estimator}"],
+            "is_used": estimator == calibration.attrs["used"],
+            "peak": citations.cite(number_text(float(values["peak"]), 4), f"calibration.peak{label}"),
+        }
         for p in ("p1", "p2"):
-            mean, stderr = float(own[f"{p}_mean"]), float(own[f"{p}_stderr"])
-            row[p] = {"value": cite(value_text(mean, stderr, "px"), f"calibration.{p}_mean[estimator={name}]")}
-            for key in ("sd_all", "sd_angles", "miss"):
-                # Less than a millionth of a pixel is the rounding of floats.
-                text = number_text(round(float(own[f"{p}_{key}"]), 6), 2)
-                row[p][key] = cite(text, f"calibration.{p}_{key}[estimator={name}]")
-            row[p]["sd_repeats"] = number_text(float(own[f"{p}_sd_repeats"].mean()), 2)
-        row["peak"] = cite(number_text(float(own["peak"]), 4), f"calibration.peak[estimator={name}]")
+            text = value_text(float(values[f"{p}_mean"]), float(values[f"{p}_stderr"]), "px")
+            row[p] = {"value": citations.cite(text, f"calibration.{p}_mean{label}")}
+            for name in ("sd_all", "sd_angles", "miss"):
+                # Less than a millionth of a pixel is rounding of floats.
+                text = number_text(round(float(values[f"{p}_{name}"]), 6), 2)
+                row[p][name] = citations.cite(text, f"calibration.{p}_{name}{label}")
+            row[p]["sd_repeats"] = number_text(float(values[f"{p}_sd_repeats"].mean()), 2)
         rows.append(row)
-    return {"rows": rows, "laser_width": float(ds["laser_width"]), "converged": bool(ds["likelihood_converged"])}
+    return {
+        "rows": rows,
+        "laser_width": float(calibration["laser_width"]),
+        "has_converged": bool(calibration["likelihood_converged"]),
+    }
 
 
-def fits_of(dataset: Dataset, fits: xr.Dataset | None, cite: Cited) -> list[tuple[str, list[str]]]:
-    """Frame, and its fitted values with standard errors, for the first frames of a dataset."""
+def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citations) -> list[tuple[str, list[str]]]:
+    """Return the first frames, each with its fitted values and standard errors, and reduced χ²."""
     if fits is None:
         return []
-    dims = tuple(axis.name for axis in dataset.axes)
-    own = preferred(fits).transpose(*dims)
+    chosen = preferred(fits)
     rows = []
     for index, frame in list(dataset.cells())[:MOST_FITS]:
-        at = own.isel(dict(zip(dims, index, strict=True)))
+        fit = chosen.isel({axis.name: k for axis, k in zip(dataset.axes, index, strict=True)})
         cells = []
         for name in PARAMETERS:
-            value, error = float(at[name]), float(at[f"{name}_stderr"])
+            value, error = float(fit[name]), float(fit[f"{name}_stderr"])
             digits = int(np.clip(1 - np.floor(np.log10(error)), 0, 4)) if error > 0 and np.isfinite(error) else 2
             text = f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
             # A round spot has no orientation: its error is infinite.
             is_known = np.isfinite(value) and not np.isinf(error)
-            cells.append(cite.of_frame(text, f"fits.{name}", frame.label) if is_known else "–")
-        chi2 = float(at["chi2_reduced"])
-        cells.append("–" if np.isnan(chi2) else cite.of_frame(number_text(chi2), "fits.chi2_reduced", frame.label))
+            cells.append(citations.cite_frame(text, f"fits.{name}", frame.label) if is_known else "–")
+        chi2 = number_text(float(fit["chi2_reduced"]))
+        cells.append(citations.cite_frame(chi2, "fits.chi2_reduced", frame.label))
         rows.append((frame.label, cells))
     return rows
 
 
-def fit_text(fits: xr.Dataset | None) -> str:
-    """How the spots of the table were fitted."""
+def describe_fit(fits: xr.Dataset | None) -> str:
+    """Return the method of the fits in the table."""
     return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['preferred']}"])
 
 
-def levels_of(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
-    """Readings of the paper's absolute level beside the calibrated one; None where the data sheet has not all of
-    Table 3."""
-    calibration, sensor = files.get("calibration"), files.get("sensor")
-    if calibration is None or "skipped" in calibration.attrs or sensor is None:
+def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
+    """Return peaks by readings of the paper's equations, beside the calibrated one.
+
+    None without calibration or sensor, or if the data sheet lacks a number of Table 3.
+    """
+    if "calibration" not in files or "sensor" not in files:
         return None
-    own = calibration.sel({"estimator": calibration.attrs["used"]})
-    longest = max(f.exposure_s or 0.0 for f in dataset.spots)
+    used = files["calibration"].sel(estimator=files["calibration"].attrs["used"])
+    p1, p2, gain = float(used["p1_mean"]), float(used["p2_mean"]), float(files["sensor"]["gain_dn_per_e"])
+    longest = max(frame.exposure_s or 0.0 for frame in dataset.spots)
     try:
-        rows = estimate_plateau_levels(
-            dataset.instrument, longest, float(own["p1_mean"]), float(own["p2_mean"]), float(sensor["gain_dn_per_e"])
-        )
+        rows = [
+            (text, number_text(peak))
+            for text, peak in estimate_plateau_levels(dataset.instrument, longest, p1, p2, gain)
+        ]
     except InputError:
         return None
-    told = [(text, number_text(value)) for text, value in rows]
-    return {"rows": told, "calibrated": float(own["peak"]), "exposure": value_text(longest, None, "s")}
+    return {"rows": rows, "calibrated": float(used["peak"]), "exposure": value_text(longest, None, "s")}
 
 
-def caustic_of(ds: xr.Dataset | None, cite: Cited) -> Markup | None:
-    """Waist, divergence and M² in a sentence for the mean of both axes of a round beam, or for each of them."""
-    if ds is None or "skipped" in ds.attrs:
+def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup | None:
+    """Return waist, divergence and M² in a sentence, for each axis or for the mean of both axes of a round beam."""
+    if caustic is None:
         return None
-
-    def told(own: xr.Dataset, name: str, words: str, scale: float, unit: str) -> Markup:
-        text = plus_minus(float(own[name]) * scale, float(own[f"{name}_stderr"]) * scale, unit).replace("-", "−")
-        return Markup("{} {}").format(words, cite(text, f"caustic.{name}[axis={own['axis'].item()}]"))
-
-    parts = [
-        Markup("{}: {} {}, {}, {}").format(words, *(told(own, *row) for row in BEAM))
-        for words, own in beam_rows(ds).items()
-    ]
+    parts = []
+    for words, beam in beam_rows(caustic).items():
+        quantities = []
+        for name, phrase, factor, unit in BEAM:
+            text = plus_minus(float(beam[name]) * factor, float(beam[f"{name}_stderr"]) * factor, unit)
+            key = f"caustic.{name}[axis={beam['axis'].item()}]"
+            quantities.append(Markup("{} {}").format(phrase, citations.cite(text.replace("-", "−"), key)))
+        parts.append(Markup("{}: {} {}, {}, {}").format(words, *quantities))
     return Markup(
         "The fitted widths follow a hyperbola in z ({} beam; 1/e² radii of the fitted Gaussian, standard errors); {}."
-    ).format(ds.attrs["beam"], Markup("; ").join(parts))
+    ).format(caustic.attrs["beam"], Markup("; ").join(parts))
 
 
-def precision_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
-    """The sentence, and scatter over bound of every condition."""
-    if ds is None or "skipped" in ds.attrs:
+def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
+    """Return a sentence on the precision, and for every condition scatter, bound and their ratio."""
+    if precision is None:
         return None
-    dims = [str(d) for d in ds["frames_measured"].dims]
+    dims = [str(dim) for dim in precision["frames_measured"].dims]
     rows = []
-    for at in np.ndindex(*(ds.sizes[d] for d in dims)):
-        own = ds.isel(dict(zip(dims, at, strict=True)))
-        inside = [f"{d}={own[d].item() if d in ds.coords else k}" for d, k in zip(dims, at, strict=True)]
+    for index in np.ndindex(*(precision.sizes[dim] for dim in dims)):
+        place = dict(zip(dims, index, strict=True))
+        condition = precision.isel(place)
+        labels = [f"{dim}={condition[dim].item() if dim in precision.coords else k}" for dim, k in place.items()]
         cells = []
         for source in ("measured", "simulated"):
-            told = [(f"frames_{source}", "", str(int(own[f"frames_{source}"])))]
-            told += [
-                (
-                    f"{what}_{source}",
-                    "sigma_mean",
-                    number_text(float(own[f"{what}_{source}"].sel(parameter="sigma_mean")), 2),
-                )
-                for what in ("scatter", "bound")
-            ]
-            for name in ("sigma_mean", "amplitude"):
-                ratio, error = (float(own[f"{q}_{source}"].sel(parameter=name)) for q in ("ratio", "ratio_stderr"))
-                told.append((f"ratio_{source}", name, plus_minus(ratio, error) if np.isfinite(ratio) else "–"))
-            for table, parameter, text in told:
-                labels = ",".join([*inside, *([f"parameter={parameter}"] if parameter else [])])
-                cells.append(cite(text, f"precision.{table}[{labels}]"))
-        rows.append((label_of(ds, dict(zip(dims, at, strict=True))) or "all frames", cells))
-    return {"sentence": sentence(ds), "rows": rows}
+            for table, parameter, text in _precision_texts(condition, source):
+                key = ",".join([*labels, *([f"parameter={parameter}"] if parameter else [])])
+                cells.append(citations.cite(text, f"precision.{table}_{source}[{key}]"))
+        rows.append((cell_label(precision, place) or "all frames", cells))
+    return {"sentence": sentence(precision), "rows": rows}
 
 
-def sheet_of(verdict: dict[str, Any] | None, cite: Cited) -> dict[str, Any] | None:
-    """What the data sheet states beside what the frames say."""
-    if not verdict or not verdict["sheet"]:
-        return None
-    rows = [
-        {
-            "name": own["name"].replace("_", " "),
-            "stated": cite(
-                value_text(own["stated"], own["stated_stderr"], own["unit"]), f"verdict.sheet.{own['name']}.stated"
-            ),
-            "found": cite(value_text(own["found"], own["stderr"], own["unit"]), f"verdict.sheet.{own['name']}.found"),
-            "moved": cite(
-                f"{own['stated_errors']:.2g}".replace("-", "−"), f"verdict.sheet.{own['name']}.stated_errors"
-            ),
-            "contradicts": own["contradicts"],
-        }
-        for own in verdict["sheet"]
-    ]
-    against = sum(row["contradicts"] for row in rows)
-    return {"rows": rows, "hint": f"{against} of {len(rows)} contradicted" if against else "they agree"}
+def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str, str]]:
+    """Return the numbers of a condition: name of the variable, parameter ("" for none), and text."""
+
+    def value(name: str, parameter: str) -> float:
+        return float(condition[f"{name}_{source}"].sel(parameter=parameter))
+
+    texts = [("frames", "", str(int(condition[f"frames_{source}"])))]
+    texts += [(name, "sigma_mean", number_text(value(name, "sigma_mean"), 2)) for name in ("scatter", "bound")]
+    for parameter in ("sigma_mean", "amplitude"):
+        ratio, error = value("ratio", parameter), value("ratio_stderr", parameter)
+        texts.append(("ratio", parameter, plus_minus(ratio, error) if np.isfinite(ratio) else "–"))
+    return texts
 
 
-def missing_of(verdict: dict[str, Any], cite: Cited) -> dict[str, Any]:
-    """The verdict in rows of text."""
-    # A run may leave the learned shape out of its vocabulary, but not out of its verdict.
-    known = {**built_in(), **vocabulary()}
-    effects = [
-        {
-            "name": own["name"],
-            "text": known[own["name"]].sentence,
-            "values": [
-                (key, cite(value_text(p["value"], p["stderr"], p["unit"]), f"verdict.effects.{own['name']}.{key}"))
-                for key, p in own["parameters"].items()
-            ],
-            "none": f"{neutral:g}" if np.isfinite(neutral := known[own["name"]].vanishes_at) else "",
-            "gain": cite(number_text(own["evidence"]["gain"]), f"verdict.effects.{own['name']}.evidence.gain"),
-            "z": cite(number_text(own["evidence"]["z"]), f"verdict.effects.{own['name']}.evidence.z"),
-            # A learned shape is told by all frames together, and by no cells.
-            "cells": "–" if own["evidence"]["consistency"] is None else own["evidence"]["consistency"]["cells"],
-            "rivals": [name for name in own["candidates"] if name != own["name"]],
-            "closed": cite(percent_of(_at_most_all(own["gap_closed"])), f"verdict.effects.{own['name']}.gap_closed"),
-        }
-        for own in verdict["effects"]
-    ]
-    gap = verdict["gap"]
-    shifts = [
-        (
-            name,
-            cite(_before(own), f"verdict.baseline_shift.{name}.before"),
-            cite(value_text(own["after"], own["stderr"], own["unit"]), f"verdict.baseline_shift.{name}.after"),
-        )
-        for name, own in verdict["baseline_shift"].items()
-        if own["before"] is not None and effects
-    ]
-    limits = [
-        (
-            own["effect"],
-            known[own["effect"]].sentence if own["effect"] in known else "",
-            cite.within(own["words"] or "–", _ends(own, known.get(own["effect"]))),
-            f"{own['frames']:,}" if own["frames"] else "–",
-            "; ".join(filter(None, (own["why"], own["more"]))),
-        )
-        for own in sorted(verdict["limits"], key=lambda own: not own["words"])
-    ]
-    return {
-        "status": verdict["status"].replace("_", " "),
-        "sentence": [cite.within(line, numbers_in(verdict)) for line in verdict["sentence"].splitlines()],
-        "effects": effects,
-        "gap": [cite(over_noise_text(gap[key]), f"verdict.gap.{key}") for key in ("before", "after", "noise_floor")]
-        if gap["on"]
-        else [],
-        "gap_on": gap["on"],
-        "closed": percent_of(_at_most_all(gap["closed"])),
-        "shifts": shifts,
-        "places": [
-            (own["words"], cite(number_text(own["z"]), f"verdict.where.{k}.z"))
-            for k, own in sorted(enumerate(verdict["where"]), key=lambda place: -abs(place[1]["z"]))
-        ],
-        "limits": limits,
-        "advice": [(own["frames"], condition_text(own["condition"]), own["separates"]) for own in verdict["advice"]],
-        "not_assessed": [(own["effect"], own["why"]) for own in verdict["not_assessed"]],
-        "vocabulary": verdict.get("vocabulary"),
-    }
-
-
-def _ends(own: dict[str, Any], effect: Effect | None) -> dict[str, str]:
-    """The texts of a limit's ends and their keys."""
-    key = f"verdict.limits.{own['effect']}.{own['parameter']}"
-    ends = [end for end in ("low", "high") if own[end] is not None]
-    return {limit_text(own[end], own["unit"], effect): f"{key}.{end}" for end in ends}
-
-
-def _before(own: dict[str, Any]) -> str:
-    """p1 or p2 before, to the digits of the error that it has after."""
-    error = own["stderr"]
-    text = f"{own['before']:.{max(digits_of(error), 0)}f}".replace("-", "−") if error else number_text(own["before"], 4)
-    return f"{text} {own['unit']}"
-
-
-def _at_most_all(part: float | None) -> float | None:
-    """Noise may close a gap by more than all of it."""
-    return None if part is None else min(part, 1.0)
-
-
-def percent_of(part: float | None) -> str:
-    """A part in percent, a dash where it is not known."""
-    return "–" if part is None else percent_text(part)
-
-
-def flagged_of(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
-    """Frames, or pixels of them, that something kept from use, with the flags' meanings."""
+def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
+    """Return frames that are not used, or not completely, with the meanings of their flags."""
     if fits is None:
         return []
-    own = preferred(fits).transpose(*(axis.name for axis in dataset.axes), ...)
-    status, left_out, used = own["status"].values, own["left_out"].values, store.flag("clipped") | store.flag("misfit")
-    out = []
+    chosen = preferred(fits).transpose(*(axis.name for axis in dataset.axes), ...)
+    status, left_out = chosen["status"].values, chosen["left_out"].values
+    still_used = store.flag("clipped") | store.flag("misfit")
+    rows = []
     for index, frame in dataset.cells():
         reasons = [
             left_out[index] if bit == store.flag("left_out") else text
             for bit, (_, text) in store.STATUS.items()
-            if status[index] & bit and not bit & used
+            if status[index] & bit and not bit & still_used
         ]
         if reasons:
-            out.append((frame.label, "; ".join(reasons)))
-    return out
+            rows.append((frame.label, "; ".join(reasons)))
+    return rows
 
 
-def numbers_of(path: Path) -> dict[str, Any] | None:
-    """Rows of paper_numbers.csv as text, and the shares that hold."""
+def read_paper_numbers(path: Path) -> dict[str, Any] | None:
+    """Return the rows of paper_numbers.csv by kind, and how many of the counted ones hold; None without the file."""
     if not path.exists():
         return None
-    rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
-    groups: dict[str, list[dict]] = {}
-    for row in rows:
+    groups: dict[str, list[dict[str, str]]] = {}
+    for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
         groups.setdefault(row["kind"], []).append(row)
-    counted = {kind: [r for r in own if r["counted"] == "True"] for kind, own in groups.items()}
-    shares = {kind: (sum(r["holds"] == "True" for r in own), len(own)) for kind, own in counted.items() if own}
-    return {"groups": groups, "shares": shares}
+    shares = {}
+    for kind, rows in groups.items():
+        if counted := [row["holds"] == "True" for row in rows if row["counted"] == "True"]:
+            shares[kind] = (sum(counted), len(counted))
+    holding, total = (sum(share[k] for share in shares.values()) for k in (0, 1))
+    return {"groups": groups, "shares": shares, "hint": f"{holding} of {total} hold"}

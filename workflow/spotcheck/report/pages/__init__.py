@@ -1,7 +1,7 @@
-"""Pages written by rules: tables of equations and symbols, the paper's numbers, the report.
+"""Self-contained HTML pages: comparisons, equations, symbols, the paper's numbers; and the shell of the report.
 
-All share one shell, page.html with the style of page.css; one with plots takes plots.js and Plotly besides (`plots`). A
-page is one file that fetches nothing.
+All pages share page.html and the style of page.css. A page with plots also includes plots.js and Plotly (`plots`). A
+page is one file and fetches nothing.
 """
 
 from pathlib import Path
@@ -20,5 +20,15 @@ TEMPLATES = jinja2.Environment(
 
 
 def write_page(path: str | Path, template: str, **content: Any) -> None:
-    """Render a template of this folder to a self-contained page, whole or not at all."""
+    """Write a page from a template and its variables; the file appears complete or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Page to write.
+    template : str
+        Template, relative to this folder or to the folder `report`.
+    **content
+        Variables of the template.
+    """
     store.write_text(path, TEMPLATES.get_template(template).render(**content))

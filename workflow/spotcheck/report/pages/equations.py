@@ -1,7 +1,7 @@
-"""Tables from the docstrings: which function implements each of the paper's equations, and which test holds it.
+"""Tables from docstrings: the functions that implement each of the paper's equations, and the tests that check them.
 
-A docstring claims an equation by naming it: "Eq. 12", "Eqs. 9–14", "Eqs. 16, 24 and 29". Tests claim it in the same
-way.
+A docstring cites an equation by its number: "Eq. 12", "Eqs. 9–14", "Eqs. 16, 24 and 29". Tests cite equations in the
+same way.
 """
 
 import ast
@@ -15,52 +15,78 @@ from spotcheck.io.schema import read_yaml
 from spotcheck.report.pages import write_page
 
 EQUATIONS = range(1, 41)
-_CLAIM = re.compile(r"Eqs?\.\s*(\d+(?:\s*(?:[–-]|,\s*(?:and)?|and|to)\s*\d+)*)")
+CITATION = re.compile(r"Eqs?\.\s*(\d+(?:\s*(?:[–-]|,\s*(?:and)?|and|to)\s*\d+)*)")
 
 
-class Claim(NamedTuple):
-    """A function and the first sentence of its docstring."""
+class Citation(NamedTuple):
+    """A function or class that cites an equation."""
 
-    where: str
-    sentence: str
-
-
-def equations_in(text: str) -> set[int]:
-    """Numbers of the equations that a text names; "9–14" stands for all of them."""
-    found: set[int] = set()
-    for claim in _CLAIM.findall(text):
-        for part in re.split(r",|and", claim):
-            ends = [int(n) for n in re.findall(r"\d+", part)]
-            found.update(range(ends[0], ends[-1] + 1) if ends else ())
-    return found
+    where: str  # dotted name
+    sentence: str  # first paragraph of its docstring
 
 
-def claims(root: Path, prefix: str = "", only_functions: str = "") -> dict[int, list[Claim]]:
-    """Equations named in docstrings of the functions and classes below `root`, whose names start with
-    `only_functions`."""
-    out: dict[int, list[Claim]] = {}
+def find_equations(text: str) -> set[int]:
+    """Return the numbers of the equations that a text cites; "9–14" stands for all of them."""
+    numbers: set[int] = set()
+    for citation in CITATION.findall(text):
+        for part in re.split(r",|and", citation):
+            ends = [int(digits) for digits in re.findall(r"\d+", part)]
+            numbers.update(range(ends[0], ends[-1] + 1) if ends else ())
+    return numbers
+
+
+def collect_citations(root: Path, prefix: str = "", only_functions: str = "") -> dict[int, list[Citation]]:
+    """Return who cites each equation in a docstring.
+
+    Parameters
+    ----------
+    root : Path
+        Folder of Python files, which are read recursively.
+    prefix : str
+        Dotted name of the folder.
+    only_functions : str
+        Only functions and classes whose name starts with this are read.
+    """
+    citations: dict[int, list[Citation]] = {}
     for path in sorted(root.rglob("*.py")):
         module = ".".join(filter(None, (prefix, *path.relative_to(root).with_suffix("").parts)))
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name.startswith(only_functions):
                 text = ast.get_docstring(node) or ""
-                for number in equations_in(text):
-                    sentence = " ".join(text.split("\n\n")[0].split())
-                    out.setdefault(number, []).append(Claim(f"{module}.{node.name}", sentence))
-    return out
+                sentence = " ".join(text.split("\n\n")[0].split())
+                for number in find_equations(text):
+                    citations.setdefault(number, []).append(Citation(f"{module}.{node.name}", sentence))
+    return citations
 
 
-def write(symbols: Path, tests: Path, folder: Path) -> None:
-    """Write equations.html and symbols.html. Raises `InputError` when an equation has no function or no test."""
-    code = claims(PACKAGE, PACKAGE.name)
-    held = claims(tests, tests.name, "test_")
-    for what, found in (("function", code), ("test", held)):
-        missing = [n for n in EQUATIONS if n not in found]
+def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
+    """Write equations.html and symbols.html.
+
+    Parameters
+    ----------
+    symbols : Path
+        YAML file of the paper's symbols.
+    tests : Path
+        Folder of the tests.
+    folder : Path
+        Folder of the pages.
+
+    Raises
+    ------
+    InputError
+        If an equation has no function or no test.
+    """
+    functions = collect_citations(PACKAGE, PACKAGE.name)
+    checks = collect_citations(tests, tests.name, "test_")
+    for kind, citations in (("function", functions), ("test", checks)):
+        missing = [number for number in EQUATIONS if number not in citations]
         if missing:
             raise InputError(
-                f"docstrings: no {what} names Eq. {', '.join(map(str, missing))}; every equation needs one"
+                f"docstrings: no {kind} cites Eq. {', '.join(map(str, missing))}; every equation needs a {kind} whose"
+                " docstring cites it"
             )
-    rows = [(n, code[n], held[n]) for n in EQUATIONS]
+    rows = [(number, functions[number], checks[number]) for number in EQUATIONS]
     write_page(folder / "equations.html", "equations.html", title="Equation → function → test", rows=rows)
-    entries = read_yaml(symbols)
-    write_page(folder / "symbols.html", "symbols.html", title="Symbol → name in code → unit → equation", rows=entries)
+    symbol_rows = read_yaml(symbols)
+    title = "Symbol → name in code → unit → equation"
+    write_page(folder / "symbols.html", "symbols.html", title=title, rows=symbol_rows)

@@ -1,17 +1,17 @@
-// What every page with plots shares: Plotly in the page's own colours, figures that are drawn when they come into view,
-// folds that open where a link leads, tables that sort.
+// Shared by all pages with plots: Plotly in the colours of the page, figures that are drawn when they come into view, folds
+// that open if a link leads into them, and tables that sort.
 "use strict";
 
-// What changes the page's colours: a dark ground, and paper.
-const GROUNDS = [matchMedia("(prefers-color-scheme: dark)"), matchMedia("print")];
+// Media that change the colours of the page.
+const COLOUR_SCHEMES = [matchMedia("(prefers-color-scheme: dark)"), matchMedia("print")];
 const CONFIG = { responsive: true, displaylogo: false, displayModeBar: innerWidth < 500 ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "toImage"] };
 
-/** A colour of the page by its name in page.css. */
+/** Returns a colour of the page by its name in page.css. */
 function colour(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 }
 
-/** Plotly's template in the page's colours. */
+/** Returns Plotly's template in the colours of the page. */
 function template() {
   const ink = colour("ink"), rule = colour("rule");
   const axis = { gridcolor: rule, linecolor: rule, zerolinecolor: rule, tickcolor: rule, automargin: true };
@@ -29,79 +29,83 @@ function template() {
   };
 }
 
-// Width of a figure on paper [px]: A4 and Letter hold it between their margins. null on screen, where figures fill the page.
+// Width of a figure on paper [px], which fits between the margins of A4 and Letter. `paper` is null on screen, where
+// figures fill the page.
 const PAPER_PX = 660;
 let paper = null;
 
-/** Draws or redraws a figure in an element, in the page's colours. */
+/** Draws or redraws a figure in an element, in the colours of the page. */
 function draw(element, data, layout, config = {}) {
   return Plotly.react(element, data, { ...layout, ...(paper && { width: paper }), template: template() }, { ...CONFIG, ...config });
 }
 
-/** The figure that stands as JSON behind an element; var(--name) in it is a colour of the page. */
-function drawWritten(element) {
+/** Draws the figure that is embedded as JSON for an element; var(--name) in it is a colour of the page. */
+function drawEmbedded(element) {
   const text = document.getElementById(`${element.id}-data`).textContent;
   const figure = JSON.parse(text.replace(/var\(--(\w+)\)/g, (_, name) => colour(name)));
   element.dataset.drawn = "yes";
   return draw(element, figure.data, figure.layout);
 }
 
-/** Draws elements when they come into view, and again when the ground changes. */
-function drawInView(elements, drawing) {
-  const seen = new IntersectionObserver((entries) => {
+/** Calls `drawElement` for elements when they come into view, and again when the colours change. */
+function drawInView(elements, drawElement) {
+  const observer = new IntersectionObserver((entries) => {
     for (const entry of entries) {
       if (!entry.isIntersecting) continue;
-      seen.unobserve(entry.target);
-      drawing(entry.target);
+      observer.unobserve(entry.target);
+      drawElement(entry.target);
     }
   }, { rootMargin: "200px" });
-  elements.forEach((element) => seen.observe(element));
-  // In a closed fold nothing can be measured: what is there is drawn anew when it opens.
-  const anew = () => elements.forEach((own) => own.dataset.drawn && (own.checkVisibility() ? drawing(own) : seen.observe(own)));
-  GROUNDS.forEach((ground) => ground.addEventListener("change", anew));
+  elements.forEach((element) => observer.observe(element));
+  const redraw = () => elements.forEach((element) => {
+    if (!element.dataset.drawn) return;
+    // Elements in a closed fold have no size: they are redrawn when it opens.
+    if (element.checkVisibility()) drawElement(element); else observer.observe(element);
+  });
+  COLOUR_SCHEMES.forEach((scheme) => scheme.addEventListener("change", redraw));
 }
 
-/** Opens the folds around the place that the address names. */
+/** Opens the folds around the target of the address. */
 function openTarget() {
   const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
   if (!target) return;
-  for (let own = target; own; own = own.parentElement) if (own.tagName === "DETAILS") own.open = true;
+  for (let element = target; element; element = element.parentElement) if (element.tagName === "DETAILS") element.open = true;
   target.scrollIntoView();
 }
 
-/** Sorts a table by the column of a button in its head, largest first, then the other way round. */
+/** Sorts a table by the column of a button in its head: first in descending, then in ascending order. */
 function sortBy(button) {
   const head = button.closest("th"), table = button.closest("table"), column = head.cellIndex;
-  const down = head.getAttribute("aria-sort") !== "descending";
+  const isDescending = head.getAttribute("aria-sort") !== "descending";
   for (const other of head.parentElement.cells) if (other.hasAttribute("aria-sort")) other.setAttribute("aria-sort", "none");
-  head.setAttribute("aria-sort", down ? "descending" : "ascending");
+  head.setAttribute("aria-sort", isDescending ? "descending" : "ascending");
   const key = (row) => row.cells[column].dataset.value ?? row.cells[column].textContent;
   const order = (a, b) => {
-    const [one, two] = [key(a), key(b)], numbers = [Number(one), Number(two)];
-    if (one === "" || two === "") return (one === "") - (two === ""); // what is not known comes last
-    const found = numbers.some(Number.isNaN) ? two.localeCompare(one) : numbers[1] - numbers[0];
-    return down ? found : -found;
+    const [first, second] = [key(a), key(b)], numbers = [Number(first), Number(second)];
+    if (first === "" || second === "") return (first === "") - (second === ""); // unknown values come last
+    const difference = numbers.some(Number.isNaN) ? second.localeCompare(first) : numbers[1] - numbers[0];
+    return isDescending ? difference : -difference;
   };
   for (const body of table.tBodies) body.append(...[...body.rows].sort(order));
 }
 
-const written = document.querySelectorAll("[data-plot]");
-drawInView(written, drawWritten);
-document.querySelectorAll("table.sortable th button").forEach((own) => own.addEventListener("click", () => sortBy(own)));
+const embedded = document.querySelectorAll("[data-plot]");
+drawInView(embedded, drawEmbedded);
+document.querySelectorAll("table.sortable th button").forEach((button) => button.addEventListener("click", () => sortBy(button)));
 addEventListener("hashchange", openTarget);
-document.querySelectorAll('a[href^="#"]').forEach((own) => own.addEventListener("click", () => setTimeout(openTarget)));
+document.querySelectorAll('a[href^="#"]').forEach((link) => link.addEventListener("click", () => setTimeout(openTarget)));
 
 let unfolded = [];
 addEventListener("beforeprint", () => {
   paper = PAPER_PX;
   unfolded = [...document.querySelectorAll("details:not([open])")];
-  unfolded.forEach((own) => { own.open = true; });
-  written.forEach((own) => own.dataset.drawn || drawWritten(own));
-  document.querySelectorAll(".js-plotly-plot").forEach((own) => Plotly.relayout(own, { width: paper }));
+  unfolded.forEach((fold) => { fold.open = true; });
+  embedded.forEach((element) => element.dataset.drawn || drawEmbedded(element));
+  document.querySelectorAll(".js-plotly-plot").forEach((plot) => Plotly.relayout(plot, { width: paper }));
 });
 addEventListener("afterprint", () => {
   paper = null;
-  unfolded.forEach((own) => { own.open = false; });
-  document.querySelectorAll(".js-plotly-plot").forEach((own) => Plotly.relayout(own, { width: null, autosize: true }));
+  unfolded.forEach((fold) => { fold.open = false; });
+  document.querySelectorAll(".js-plotly-plot").forEach((plot) => Plotly.relayout(plot, { width: null, autosize: true }));
 });
 openTarget();

@@ -11,32 +11,27 @@ from plotly.offline import get_plotlyjs
 
 from spotcheck.report.figures import style
 
-# Stops of a colour scale; Plotly draws straight lines between them.
+# Stops of a colour scale; Plotly interpolates linearly between them.
 STOPS = 17
 
 
-def ingredients() -> dict[str, Any]:
-    """What `write_page` needs for a page with plots: the text of plotly.js, and the scales of readings and
-    residuals."""
+def plotly_content() -> dict[str, Any]:
+    """Return the variables of `write_page` for a page with plots: the text of plotly.js and the colour scales."""
     return {"plotly": get_plotlyjs(), "scales": colour_scales()}
 
 
 def colour_scales() -> dict[str, list[tuple[float, str]]]:
-    """The scales of readings and residuals."""
-    return {"reading": _scale(style.IMAGE_MAP), "residual": _scale(style.DIVERGING_MAP)}
+    """Return the colour scales of readings and residuals in the form of Plotly: (position in 0…1, hex colour)."""
+    maps = {"reading": style.IMAGE_MAP, "residual": style.DIVERGING_MAP}
+    positions = [float(position) for position in np.linspace(0, 1, STOPS)]
+    return {name: [(p, to_hex(matplotlib.colormaps[colours](p))) for p in positions] for name, colours in maps.items()}
 
 
-def figure(data: Sequence[Mapping[str, Any]], layout: Mapping[str, Any]) -> str:
-    """A figure of Plotly as JSON that may stand inside a page. NaN becomes null; `var(--measured)` and the like are
-    colours of page.css, light or dark."""
-    return as_json({"data": data, "layout": layout})
+def figure_json(data: Sequence[Mapping[str, Any]], layout: Mapping[str, Any]) -> str:
+    """Return a Plotly figure as `embed_json` does; `var(--measured)` and the like are colours of page.css."""
+    return embed_json({"data": data, "layout": layout})
 
 
-def as_json(content: Any) -> str:
-    """Content as JSON that may stand inside a page. NaN becomes null."""
+def embed_json(content: Any) -> str:
+    """Return content as JSON that can be embedded in HTML; NaN becomes null."""
     return to_json_plotly(content).replace("<", "\\u003c")
-
-
-def _scale(name: str) -> list[tuple[float, str]]:
-    """A colour map of matplotlib as Plotly has it."""
-    return [(float(at), to_hex(matplotlib.colormaps[name](at))) for at in np.linspace(0, 1, STOPS)]

@@ -1,0 +1,84 @@
+"""Images of frames as text on the page: 16-bit integers, deflated, in base64. frames.js unpacks a frame to show it.
+
+Measured readings are stored as they are. The mean image of a model is smooth, and is stored as second differences along
+its rows. Low and high bytes are stored separately, which deflates better.
+"""
+
+import base64
+import itertools
+import zlib
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+# Integer of a pixel that was not measured.
+MISSING = 65_535
+# Smallest step of mean images [DN]: its rounding error, step/√12, is far below the noise of any converter.
+FINEST_DN = 0.25
+COMPRESSION_LEVEL = 9
+# Size of a page [byte]: 15 MB up to 96 frames, rising linearly to 40 MB for 1,000.
+FEW_FRAMES, SMALL_PAGE, BYTES_PER_FRAME, LARGE_PAGE = 96, 15_000_000, 27_650, 40_000_000
+# Part of it for everything but the frames [byte]: 4.8 MB of Plotly, pictures and tables.
+RESERVED_BYTES = 8_000_000
+
+
+class Layer(NamedTuple):
+    """An image of a frame: the measured one or that of a model."""
+
+    readings: np.ndarray  # [row, column] DN, NaN where not measured
+    step: float  # reading of the integer 1 [DN]
+    is_smooth: bool  # stored as second differences along its rows
+    base: str = ""  # name of the layer of the same step that is subtracted first; "" for none
+
+
+def choose_step(full_scale: float) -> float:
+    """Return the step of mean images [DN], a power of two; `full_scale` is the largest reading [DN]."""
+    return max(FINEST_DN, float(2.0 ** np.ceil(np.log2((full_scale + 1) / (MISSING + 1)))))
+
+
+def frames_budget(count: int) -> int:
+    """Return the size that a number of frames may have on a page together [byte]."""
+    return min(SMALL_PAGE + BYTES_PER_FRAME * max(count - FEW_FRAMES, 0), LARGE_PAGE) - RESERVED_BYTES
+
+
+def choose_block(frame_size: Callable[[int], float], count: int) -> int:
+    """Return the smallest side of a block of pixels [px] with which all frames fit on the page.
+
+    Parameters
+    ----------
+    frame_size : callable
+        Size of a packed frame [byte] as a function of the side of the blocks [px].
+    count : int
+        Number of frames.
+    """
+    return next(block for block in itertools.count(1) if count * frame_size(block) <= frames_budget(count))
+
+
+def block_means(image: np.ndarray, block: int) -> np.ndarray:
+    """Return the means of square blocks of pixels [row, column]; incomplete blocks at the far edges are omitted.
+
+    A block with a NaN is NaN.
+    """
+    rows, columns = (size // block for size in image.shape)
+    return image[: rows * block, : columns * block].reshape(rows, block, columns, block).mean(axis=(1, 3))
+
+
+def pack_layers(layers: Mapping[str, Layer]) -> str:
+    """Return the layers of one frame as text, in their order; the `base` of a layer must be among them."""
+    integers = {name: _round_readings(layer.readings, layer.step) for name, layer in layers.items()}
+    parts = []
+    for name, layer in layers.items():
+        values = integers[name] - integers[layer.base] if layer.base else integers[name]
+        if layer.is_smooth:
+            values = np.diff(values, n=2, axis=1, prepend=np.zeros((len(values), 2), np.uint16))
+        parts += [(values & 0xFF).astype(np.uint8).tobytes(), (values >> 8).astype(np.uint8).tobytes()]
+    return base64.b64encode(zlib.compress(b"".join(parts), COMPRESSION_LEVEL)).decode()
+
+
+def _round_readings(readings: np.ndarray, step: float) -> np.ndarray:
+    """Return readings [DN] in units of a step, as 16-bit integers; `MISSING` for NaN."""
+    gaps = np.isnan(readings)
+    values = np.clip(np.rint(np.where(gaps, 0.0, readings) / step), 0, MISSING - gaps.any()).astype(np.uint16)
+    values[gaps] = MISSING
+    return values

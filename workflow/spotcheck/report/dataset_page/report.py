@@ -1,0 +1,184 @@
+"""The report: one self-contained page of a dataset, from a summary of the verdict to a list of skipped stages."""
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from spotcheck.characterization.sensor_choice import SOURCES
+from spotcheck.dataset.folder import Dataset
+from spotcheck.discrepancy.words import list_text
+from spotcheck.io import store
+from spotcheck.report.dataset_page import tables
+from spotcheck.report.dataset_page.curves import draw_curves, draw_levels
+from spotcheck.report.dataset_page.evidence import tabulate_data_sheet, tabulate_evidence
+from spotcheck.report.dataset_page.frames import NAMES, NO_REMARK, FrameFiles, FrameSection, collect_frames
+from spotcheck.report.dataset_page.gap import adds_to_model, plot_gap
+from spotcheck.report.dataset_page.light import describe_light
+from spotcheck.report.dataset_page.simulation_parameters import tabulate_parameters
+from spotcheck.report.dataset_page.summary import number_keys, summarize
+from spotcheck.report.pages import plots, write_page
+from spotcheck.report.pages.citations import Citations
+
+# Larger SVG pictures [byte] are embedded as PNG, so that the page opens quickly.
+LARGEST_SVG = 400_000
+# Pictures that the viewer of frames replaces.
+FRAME_PICTURES = ("overview", "residuals", "missing-answer")
+# Results with an image for every frame; they are read frame by frame.
+FRAME_RESULTS = ("crops", "simulated", "views", "extended")
+
+Content = dict[str, Any]  # variables of the template report.html
+Stages = dict[str, xr.Dataset]  # results by the name of their stage
+
+
+def write_report(dataset: Dataset, results: Path, path: Path) -> None:
+    """Write the report of a dataset.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset.
+    results : Path
+        Its results folder.
+    path : Path
+        Page to write.
+    """
+    stages = {f.stem: store.read(f).load() for f in sorted(results.glob("*.nc")) if f.stem not in FRAME_RESULTS}
+    available = {name: ds for name, ds in stages.items() if "skipped" not in ds.attrs}
+    verdict = _read_json(results / "verdict.json")
+    citations = Citations(results)
+    content: Content = {
+        "title": dataset.title,
+        "citations": citations,
+        "facts": tables.summarize_frames(stages["frames"]),
+        "remarks": [(name, text) for name, ds in stages.items() for text in store.remarks_of(ds)],
+        "light": describe_light(stages.get("light"), verdict, dataset),
+        "chain": _embed_picture(results / "chain", "fig06"),
+        "code_versions": [(name, ds.attrs.get("code_version", "")) for name, ds in stages.items()],
+        **_describe_verdict(verdict, citations),
+        **_tabulate_results(dataset, available, citations),
+        **_collect_figures(dataset, results, available),
+        **_list_skipped(dataset, stages),
+        "numbers": tables.read_paper_numbers(results / "paper_numbers.csv"),
+    }
+    if dataset.spots:
+        content |= _collect_frames(dataset, results, stages, verdict)
+    content["links"] = _list_links(content)
+    write_page(path, "dataset_page/report.html", **plots.plotly_content(), **content)
+
+
+def _read_json(path: Path) -> Any:
+    """Return the content of a JSON file; None if there is no such file."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+def _describe_verdict(verdict: dict[str, Any] | None, citations: Citations) -> Content:
+    """Return the summary, the gap and the evidence of a verdict; nothing without one."""
+    if verdict is None:
+        return {}
+    return {
+        "summary": summarize(verdict),
+        "summary_numbers": number_keys(verdict),
+        "gap": plot_gap(verdict),
+        "evidence": tabulate_evidence(verdict, citations),
+        "sheet": tabulate_data_sheet(verdict, citations),
+    }
+
+
+def _tabulate_results(dataset: Dataset, available: Stages, citations: Citations) -> Content:
+    """Return the tables of the results."""
+    fits = available.get("fits")
+    return {
+        "sensor": tables.tabulate_sensor(available.get("sensor"), citations),
+        "sensor_sources": SOURCES,
+        "transfer": tables.tabulate_transfer(available.get("transfer"), citations),
+        "calibration": tables.tabulate_calibration(available.get("calibration"), citations),
+        "levels": tables.tabulate_levels(dataset, available),
+        "caustic": tables.describe_caustic(available.get("caustic"), citations),
+        "precision": tables.tabulate_precision(available.get("precision"), citations),
+        "fits": tables.tabulate_fits(dataset, fits, citations),
+        "fit_method": tables.describe_fit(fits),
+        "flagged": tables.list_flagged_frames(dataset, fits),
+        "parameters": tabulate_parameters(dataset, available, citations),
+    }
+
+
+def _collect_figures(dataset: Dataset, results: Path, available: Stages) -> Content:
+    """Return curves, pictures that no curve replaces, and the titles of skipped figures by their reason."""
+    curves = draw_curves(available)
+    replaced = {curve.picture for curve in curves} | set(FRAME_PICTURES if dataset.spots else ())
+    index = _read_json(results / "figures" / "index.json") or {"figures": [], "skipped": []}
+    skipped: dict[str, list[str]] = {}
+    for figure in index["skipped"]:
+        skipped.setdefault(figure["why"], []).append(figure["title"])
+    return {
+        "curves": curves,
+        "levels_curve": draw_levels(available.get("transfer")),
+        "pictures": [
+            figure | {"image": _embed_picture(results / "figures", figure["name"])}
+            for figure in index["figures"]
+            if figure["name"] not in replaced
+        ],
+        "skipped_figures": list(skipped.items()),
+    }
+
+
+def _embed_picture(folder: Path, name: str) -> str:
+    """Return a picture as a data address: SVG, or PNG if the SVG is large."""
+    vector = folder / f"{name}.svg"
+    is_small = vector.stat().st_size < LARGEST_SVG
+    path, kind = (vector, "svg+xml") if is_small else (folder / f"{name}.png", "png")
+    return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def _list_skipped(dataset: Dataset, stages: Stages) -> Content:
+    """Return skipped stages with their reasons, and axes of the grid without values in the manifest."""
+    skipped = [(name, ds.attrs["skipped"]) for name, ds in stages.items() if "skipped" in ds.attrs]
+    if not dataset.spots:
+        return {"skipped": [*skipped, ("spots", "the manifest has no frame of kind spot; crops and fits need them")]}
+    return {"skipped": skipped, "axes_without_values": [axis.name for axis in dataset.axes if axis.values is None]}
+
+
+def _collect_frames(dataset: Dataset, results: Path, stages: Stages, verdict: dict[str, Any] | None) -> Content:
+    """Return the images of the frames, texts about them, and remarks on frames that were set aside."""
+    has_additions = verdict is not None and adds_to_model(verdict)
+    with store.read(results / "crops.nc") as crops, store.read(results / "views.nc") as views:
+        # Without additions, the extended model equals the declared one.
+        omitted = [] if has_additions else [str(name) for name in views if str(name).startswith("extended")]
+        section = collect_frames(dataset, FrameFiles(stages["frames"], crops, stages["fits"], views.drop_vars(omitted)))
+        return {"frames": section, "set_aside": store.remarks_of(crops), **_describe_frames(section)}
+
+
+def _describe_frames(section: FrameSection) -> Content:
+    """Return the texts beside the pictures and the table of frames."""
+    index = section.index
+    first, worst = index["frames"][index["first_frame"]], section.rows[0]
+    models = [NAMES[name] for name in index["first_models"]]
+    criterion = "improvement by the extended model" if "extended" in index["first_models"] else "residual"
+    scales = " All readings share one colour scale, all residuals another; red means brighter than the model."
+    shown = f"measured, {list_text(models)}, and residuals.{scales}" if models else "measured."
+    remarks = f"remarks on {sum(row['remarks'] != NO_REMARK for row in section.rows)} of {len(section.rows)} frames"
+    return {
+        "first_caption": f"The frame with the largest {criterion} ({first['label'] or first['file']}): {shown}",
+        "ranking_model": NAMES[section.ranked_by],
+        "has_before": "declared" in index["names"] and section.ranked_by == "extended",
+        "table_hint": f"largest residual: {worst['label'] or worst['file']}; {remarks}",
+    }
+
+
+def _list_links(content: Content) -> list[tuple[str, str]]:
+    """Return the links of the first screen: ids and titles of sections that exist."""
+    links = (
+        ("frames", "Frames", content.get("frames")),
+        ("table", "Table of frames", content.get("frames")),
+        ("evidence", "Evidence", content.get("evidence")),
+        ("light", "Light", content["light"]),
+        ("sheet", "Data sheet", content.get("sheet")),
+        ("figures", "Figures", content["curves"]),
+        ("sensor", "Sensor", content["sensor"] or content["transfer"]),
+        ("numbers", "The paper's numbers", content["numbers"]),
+        ("skipped", "Skipped", True),
+    )
+    return [(name, title) for name, title, is_present in links if is_present]

@@ -1,0 +1,96 @@
+"""Parameters of the simulation with their sources, as in Table 3 of the paper."""
+
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.dataset.folder import Dataset
+from spotcheck.discrepancy.words import value_text
+from spotcheck.model.spot import TOP_HAT_RADIUS
+from spotcheck.report.pages.citations import Citations
+
+# Parameters of the data sheet: name, symbol, unit, key of instrument.yaml.
+STATED = (
+    ("Focal length", "f", "m", "optics.focal_length_m"),
+    ("Working distance", "d_w", "m", "optics.working_distance_m"),
+    ("Aperture f-number", "f_a", "1", "optics.f_number"),
+    ("Filter transmission", "ϱ_f", "1", "optics.filter_transmission"),
+    ("Pixel pitch", "s_px", "m", "sensor.pixel_pitch_m"),
+    ("Bits of the converter", "–", "bit", "sensor.bit_depth"),
+    ("Laser power", "P_L", "W", "laser.power_w"),
+    ("Laser wavelength", "λ_la", "m", "laser.wavelength_m"),
+    ("Laser FWHM, x", "FWHM_x", "m", "laser.fwhm_x_m"),
+    ("Laser FWHM, y", "FWHM_y", "m", "laser.fwhm_y_m"),
+    ("Material reflection", "ϱ_m", "1", "material.reflectance"),
+    ("Side of the crop", "–", "px", "crop_px"),
+    ("Photon budget", "–", "", "model.photon_budget"),
+)
+# Symbols of variables of sensor.nc.
+SENSOR = {"gain_dn_per_e": "K", "read_noise_e": "σ_d", "dark_current_e_per_s": "µ_I"}
+
+
+class ParameterRow(NamedTuple):
+    """A row of the table."""
+
+    name: str  # the parameter in words
+    symbol: tuple[str, str]  # symbol and its index
+    value: str  # value with its unit
+    source: str  # where the value is from; "" if there is none
+
+
+def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citations: Citations) -> list[ParameterRow]:
+    """Return the parameters of the simulation.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset.
+    files : dict of str to Dataset
+        Results by their names, without those that were skipped.
+    citations : Citations
+        Marks numbers with their sources.
+    """
+
+    def row(name: str, symbol: str, value: float | str | None, unit: str, source: str, key: str = "") -> ParameterRow:
+        """Return a row; a value that is text has its unit."""
+        sign, _, index = symbol.partition("_")
+        text = citations.cite(_value_text(value, unit), key)
+        return ParameterRow(name, (sign, index), text, "" if value is None else source)
+
+    instrument = dataset.instrument
+    rows = [
+        row(name, symbol, attrgetter(key)(instrument), unit, instrument.get_source(key), f"instrument.{key}")
+        for name, symbol, unit, key in STATED
+    ]
+    if instrument.model.top_hat:
+        rows.append(row("Top hat radius", "r_TH", TOP_HAT_RADIUS, "1", "Eq. 40"))
+    if "sensor" in files:
+        for name, symbol in SENSOR.items():
+            variable = files["sensor"][name]
+            words = variable.attrs["long_name"]
+            title = words[:1].upper() + words[1:]
+            unit, source = variable.attrs["units"], variable.attrs["source"]
+            rows.append(row(title, symbol, float(variable), unit, source, f"sensor.{name}"))
+    if dataset.exposures:
+        times = ", ".join(value_text(exposure, None, "s") for exposure in dataset.exposures)
+        rows.append(row("Exposure times", "t_exp", times, "", "manifest.csv"))
+    if "calibration" in files:
+        used = files["calibration"].sel(estimator=files["calibration"].attrs["used"])
+        for name, kind in (("p1", "factor"), ("p2", "offset")):
+            text = value_text(float(used[f"{name}_mean"]), float(used[f"{name}_sd_all"]), "px")
+            source, key = "calibrated; ± standard deviation over all sites", f"calibration.{name}_mean"
+            rows.append(row(f"Beam propagation {kind}", name, text, "", source, key))
+        peak = float(used["peak"])
+        rows.append(row("Peak at the longest exposure", "–", peak, "DN", "calibrated", "calibration.peak"))
+    return rows
+
+
+def _value_text(value: float | str | None, unit: str) -> str:
+    """Return a value with its unit."""
+    if value is None:
+        return "not given"
+    if isinstance(value, str):
+        return value
+    return "unknown" if np.isnan(value) else value_text(value, None, unit)

@@ -1,0 +1,169 @@
+"""The summary on the first screen of the report: the verdict, its significance, and what to measure next."""
+
+from typing import Any, NamedTuple
+
+from spotcheck.discrepancy.limits import ALREADY_PRESENT
+from spotcheck.discrepancy.sentence import effect_text, either_text
+from spotcheck.discrepancy.words import condition_text, list_text, percent_text, probability_text, value_text
+
+# A smaller p-value is given as "less than once in ten thousand measurements".
+RARE = 1e-4
+# Most effects that are listed as similar to the unexplained residual.
+MOST_SIMILAR = 3
+
+
+class Summary(NamedTuple):
+    """Sentences that summarize a verdict, each "" if there is nothing to say."""
+
+    verdict: str  # what was found
+    significance: str  # p-value, closed part of the gap, and the gain of flats
+    advice: str  # what to measure next
+
+
+def summarize(verdict: dict[str, Any]) -> Summary:
+    """Return the summary of a verdict.
+
+    Parameters
+    ----------
+    verdict : dict
+        Content of verdict.json.
+    """
+    significance, gain = _describe_significance(verdict), _describe_gain(verdict)
+    if significance and gain:
+        significance = f"{significance[:-1]}; {gain}."
+    return Summary(_describe_verdict(verdict), significance, _advise(verdict))
+
+
+def number_keys(verdict: dict[str, Any]) -> dict[str, str]:
+    """Return the keys of the numbers in the sentences of a verdict, by their texts.
+
+    A key is the name of a number for `spotcheck explain`, such as `verdict.gap.closed`.
+    """
+    detection, rest, closed = verdict["detection"], verdict["unexplained"]["size"], verdict["gap"]["closed"]
+    keys = {}
+    for effect in verdict["effects"]:
+        for name, value in effect["parameters"].items():
+            text = _value_text(value)
+            # A whole number without a unit may be a count in a sentence instead.
+            if not text.isdigit():
+                keys[text] = f"verdict.effects.{effect['name']}.{name}"
+    for name in ("straight_line", "gain_dn_per_e") if "levels" in verdict else ():
+        keys[_gain_text(verdict, name)] = f"verdict.levels.{name}"
+    for name, shift in verdict["baseline_shift"].items():
+        if shift["after"] is not None:
+            text = value_text(shift["after"], shift["stderr"], shift["unit"])
+            keys[text] = f"verdict.baseline_shift.{name}.after"
+    if detection["p_value"] is not None:
+        keys[probability_text(detection["p_value"])] = "verdict.detection.p_value"
+    if closed is not None:
+        keys[percent_text(min(closed, 1.0))] = "verdict.gap.closed"
+    if rest is not None:
+        keys[percent_text(rest)] = "verdict.unexplained.size"
+    if detection["rms_residual_percent_of_peak"] is not None:
+        rms = percent_text(detection["rms_residual_percent_of_peak"] / 100)
+        keys[rms] = "verdict.detection.rms_residual_percent_of_peak"
+    return keys
+
+
+def _value_text(parameter: dict[str, Any]) -> str:
+    """Return the value of an effect's parameter with its error and unit."""
+    return value_text(parameter["value"], parameter["stderr"], parameter["unit"])
+
+
+def _gain_text(verdict: dict[str, Any], name: str) -> str:
+    """Return one of the gains of a verdict on flats."""
+    gain = verdict["levels"][name]
+    return value_text(gain["value"], gain["stderr"], "DN/e-")
+
+
+def _describe_verdict(verdict: dict[str, Any]) -> str:
+    """Return the verdict in one sentence."""
+    status = verdict["status"]
+    if status in ("not_assessed", "not_converged"):
+        reasons = [entry["why"] for entry in verdict["not_assessed"] if entry["effect"] == "all"]
+        opening = "Nothing could be tested" if status == "not_assessed" else "No effect is named"
+        return f"{opening}: {list_text(reasons, '; ') or 'no test was possible'}."
+    data, model = ("levels", "a linear sensor") if "levels" in verdict else ("spot", "the model")
+    verb = "agree" if "levels" in verdict else "agrees"
+    if status == "consistent":
+        return f"The measured {data} {verb} with {model} within the noise."
+    opening = f"The measured {data} dis{verb} with {model}"
+    if status == "unknown":
+        return f"{opening}, and no known effect explains the difference."
+    effects = verdict["effects"]
+    if status == "ambiguous":
+        return f"{opening}: {either_text(next(e for e in effects if len(e['candidates']) > 1), verdict)}."
+    count = len(effects) - 1
+    more = {0: "", 1: ", and one more effect was detected"}.get(count, f", and {count} more effects were detected")
+    return f"{opening}: {effect_text(effects[0], verdict)}{more}."
+
+
+def _describe_significance(verdict: dict[str, Any]) -> str:
+    """Return the p-value in words and how much of the gap is closed; "" if nothing was tested."""
+    status, p, effects = verdict["status"], verdict["detection"]["p_value"], verdict["effects"]
+    if status in ("not_assessed", "not_converged") or p is None:
+        return ""
+    chance = f"in {percent_text(p)} of such measurements ({probability_text(p)})"
+    if status == "consistent":
+        return f"Noise alone causes a difference at least as large {chance}."
+    if p < RARE:
+        rarely = f"less than once in ten thousand measurements ({probability_text(p)})"
+        text = f"Noise alone causes such a difference {rarely}"
+    elif p < verdict["detection"]["alpha"]:
+        text = f"Noise alone causes such a difference {chance}"
+    else:
+        but = "tests of single effects do" if effects else "the residual exceeds the tolerance"
+        text = f"The overall test finds no disagreement ({probability_text(p)}), but {but}"
+    if status == "unknown":
+        return f"{text}."
+    if status == "ambiguous":
+        return f"{text}, but these effects cannot be told apart."
+    closed = verdict["gap"]["closed"]
+    if closed is None or closed <= 0:
+        return f"{text}, and no other known effect fits as well."
+    if len(effects) > 1:
+        closing = "these effects close"
+    else:
+        closing = "this effect closes" if verdict["light"] is None else "the learned shape closes"
+    return f"{text}, and {closing} {percent_text(min(closed, 1.0))} of the gap on {verdict['gap']['on']}."
+
+
+def _describe_gain(verdict: dict[str, Any]) -> str:
+    """Return the gain from the levels of flats; "" for a verdict on spots."""
+    if "levels" not in verdict:
+        return ""
+    line = _gain_text(verdict, "straight_line")
+    if not verdict["effects"]:
+        return f"the gain K is {line}, by a straight line (EMVA 1288)"
+    effects = "this effect" if len(verdict["effects"]) == 1 else "these effects"
+    gain = _gain_text(verdict, "gain_dn_per_e")
+    return f"the gain K is {gain} with {effects}; a straight line (EMVA 1288) gives {line}"
+
+
+def _advise(verdict: dict[str, Any]) -> str:
+    """Return what to measure next, or why there is no such advice."""
+    status, rest = verdict["status"], verdict["unexplained"]["size"]
+    if verdict["advice"]:
+        measurements = [
+            f"{advice['frames']} frame{'s' if advice['frames'] > 1 else ''} at {condition_text(advice['condition'])},"
+            f" which would separate {advice['separates'][0]} from {advice['separates'][1]}"
+            for advice in verdict["advice"]
+        ]
+        return f"Measure next: {list_text(measurements, '; ')}."
+    if status == "unknown":
+        place = f"; the residual is largest in {verdict['where'][0]['words']}" if verdict["where"] else ""
+        return f"No measurement can be advised, because no known effect predicts the difference{place}."
+    if status == "named_more_remains" and rest is not None:
+        similar = [limit["effect"] for limit in verdict["limits"] if limit["more"] == ALREADY_PRESENT][:MOST_SIMILAR]
+        but = "none of them explains it" if len(similar) > 1 else "it does not explain it"
+        nearest = f"most similar: {list_text(similar)}, but {but}" if similar else "no known effect is similar to it"
+        return (
+            "The named effects need no further measurement;"
+            f" {percent_text(rest)} of the peak remains unexplained ({nearest})."
+        )
+    return {
+        "ambiguous": "No measurement is known that would separate them.",
+        "not_converged": "No measurement can be advised before the fits converge.",
+        "not_assessed": "No measurement can be advised before that is corrected.",
+        "consistent": "No further measurement is needed; more frames would only tighten the upper limits.",
+    }.get(status, "No further measurement is needed to identify the effect.")
