@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder as dataset
 from spotcheck.fitting.calibration import USED, calibrate
 from spotcheck.io import provenance, store
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
     """Calibrate and say p1 and p2, or why not."""
     instrument = dataset.load(args.dataset).instrument
     with store.read(args.crops) as crops, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
-        found = calibrate(crops, fits, instrument, model_of(sensor))
+        found = calibrate(crops, fits, instrument, read_sensor_model(sensor))
     inputs = [args.crops, args.fits, args.sensor]
     store.write(found, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     if "skipped" in found.attrs:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck.characterization.pixel_maps import dataset_of, maps_of
+from spotcheck.characterization.pixel_maps import build_maps_dataset, measure_maps
 from spotcheck.crops.stages import without_copies
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import ingested as seen
@@ -21,8 +21,8 @@ def run(args: argparse.Namespace) -> None:
     """Map offsets and gains of the sensor's pixels."""
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table, seen.as_ingested(found, table):
-        maps = maps_of(without_copies(found, table), float(table["full_scale"]))
-    written = dataset_of(maps, found.title, found.name)
+        maps = measure_maps(without_copies(found, table), float(table["full_scale"]))
+    written = build_maps_dataset(maps, found.title, found.name)
     store.write(written, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     if isinstance(maps, str):
         print(f"no maps of pixels: {maps}")

@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder as dataset
 from spotcheck.fitting.precision import precision_of
 from spotcheck.io import provenance, store
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> None:
             calibration,
             found.instrument,
             np.array(found.exposures),
-            model_of(sensor),
+            read_sensor_model(sensor),
             found.instrument.crop_px,
         )
     inputs = [*args.fits, args.calibration, args.sensor]

@@ -3,8 +3,9 @@
 import argparse
 
 from spotcheck.characterization import sensor_choice as sensor
-from spotcheck.characterization.same_site import pairs_along
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.dark_frames import select_dark_levels
+from spotcheck.characterization.frame_pairs import iterate_pairs
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.crops import stages as crops
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
@@ -42,14 +43,14 @@ def run(args: argparse.Namespace) -> None:
             frames.Surround(*(images[name].isel(index).values for name in frames.Surround._fields))
             for index in crops.cells(images, store.grid_dims(images))
         )
-        dark = sensor.judge_darks(darks, beside, float(table["full_scale"]))
+        dark = select_dark_levels(darks, beside, float(table["full_scale"]))
         measured = {}
         for path in args.transfer:
             with store.read(path) as transfer:
-                measured = quantities_of(transfer)
-        pairs = {"exposures of a site": pairs_along(own, "exposure"), "repeats": pairs_along(own, "repeat")}
+                measured = read_quantities(transfer)
+        pairs = {"exposures of a site": iterate_pairs(own, "exposure"), "repeats": iterate_pairs(own, "repeat")}
         highest = float(table["maximum"].max())
-        settled = sensor.resolve(found, crops.end_in(table), usable, dark, measured, pairs, highest)
+        settled = sensor.choose_sensor_values(found, crops.end_in(table), usable, dark, measured, pairs, highest)
     inputs = [args.crops, args.frames, *args.transfer, *found.sheets]
     store.write(settled, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in sensor.QUANTITIES:

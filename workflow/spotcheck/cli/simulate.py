@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import folder as dataset
 from spotcheck.errors import InputError
@@ -50,7 +50,7 @@ def _paper(args: argparse.Namespace, found: dataset.Dataset) -> None:
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
         is_law_found = has_law(calibration)
         states = spot_states(found, calibration, fits)
-        model, full_scale = model_of(sensor), int(sensor["full_scale_dn"])
+        model, full_scale = read_sensor_model(sensor), int(sensor["full_scale_dn"])
     attributes = {"calibration": USED if is_law_found else "none: each frame's own fit"}
     destination = _destination(args, [args.calibration, args.fits, args.sensor])
     simulation.simulate(found, states, model, full_scale, destination, attributes)
@@ -63,7 +63,7 @@ def _extended(args: argparse.Namespace, found: dataset.Dataset) -> None:
     model = read_model(path)
     light = [path.with_name(LIGHT)] if model.lights else []
     with store.read(args.sensor) as sensor:
-        camera = model_of(sensor)
+        camera = read_sensor_model(sensor)
     if camera is None:
         raise InputError(f"{Path(args.sensor).name}: gain or read noise is unknown, and {path.name} cannot do without")
     destination = _destination(args, [args.model, args.sensor, *light, *args.effects])

@@ -2,10 +2,10 @@
 
 import argparse
 
-from spotcheck.characterization.levels import levels_of, on_response
-from spotcheck.characterization.pattern import add_patterns
-from spotcheck.characterization.photon_transfer import transfer_of
-from spotcheck.characterization.transfer_data import dataset_of, quantities_of
+from spotcheck.characterization.fixed_pattern import add_patterns
+from spotcheck.characterization.levels import list_response_remarks, measure_levels
+from spotcheck.characterization.photon_transfer import analyse_photon_transfer
+from spotcheck.characterization.transfer_data import build_transfer_dataset, read_quantities
 from spotcheck.crops.stages import without_copies
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import ingested as seen
@@ -29,12 +29,12 @@ def run(args: argparse.Namespace) -> None:
     found = dataset.load(args.dataset)
     with store.read(args.frames) as table, seen.as_ingested(found, table):
         full_scale, found = float(table["full_scale"]), without_copies(found, table)
-        transfer = transfer_of(levels_of(found, full_scale), full_scale)
-        transfer.remarks.extend(on_response(found))
-        measured = add_patterns(dataset_of(transfer, found.title, found.name), found, transfer)
+        transfer = analyse_photon_transfer(measure_levels(found, full_scale), full_scale)
+        transfer.remarks.extend(list_response_remarks(found))
+        measured = add_patterns(build_transfer_dataset(transfer, found.title, found.name), found, transfer)
         measured.attrs["response_bend"] = found.instrument.sensor.response_bend
     store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
-    for own in quantities_of(measured).values():
+    for own in read_quantities(measured).values():
         print(own)
     for remark in store.remarks_of(measured):
         print(remark)

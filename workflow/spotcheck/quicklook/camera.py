@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.characterization.by_spots import dark_level, seen_by_spots
-from spotcheck.characterization.sensor_choice import Found, spots_in_electrons
+from spotcheck.characterization.sensor_choice import SourceValue, convert_to_electrons
+from spotcheck.characterization.spot_estimates import estimate_from_spots, measure_rim
 from spotcheck.crops.clip import LEAST_PX, Top, top_of
 from spotcheck.io import progress
 from spotcheck.io.plus_minus import plus_minus
@@ -28,8 +28,8 @@ class Camera(NamedTuple):
     stop, infinite where none does; and the step [DN] that its law rounds to."""
 
     images: tuple[str, ...]
-    gain: Found | None
-    noise: Found | None
+    gain: SourceValue | None
+    noise: SourceValue | None
     how: str
     black_dn: float
     stop_dn: float
@@ -40,7 +40,7 @@ class Camera(NamedTuple):
         of stray light is part of the read noise here. None where gain or noise is unknown."""
         if self.gain is None or self.noise is None:
             return None
-        black = dark_level(pixels)
+        black = measure_rim(pixels)
         gain, black, stop = (own / self.step_dn for own in (self.gain.value, black, self.stop_dn))
         return SensorModel(gain, self.noise.value, black_level_dn=black, full_scale_dn=stop)
 
@@ -64,14 +64,14 @@ def camera_of(images: Sequence[Image]) -> Camera:
     stop = max(stops, default=np.inf)
     step = _rounded_to(images)
     read = (image.read() / step for image in progress.over(images, "looking at noise"))
-    seen = seen_by_spots(read, {}, None, stop / step)
+    seen = estimate_from_spots(read, {}, None, stop / step)
     names, lowest = tuple(image.name for image in images), step * seen.lowest_dn
-    found = spots_in_electrons(seen)
+    found = convert_to_electrons(seen)
     if not found:
         return Camera(names, None, None, UNKNOWN, lowest, stop, step)
     gain = found["gain_dn_per_e"]
     gain = gain._replace(value=step * gain.value, stderr=step * gain.stderr)
-    return Camera(names, gain, found["read_noise_e"], seen.how, lowest, stop, step)
+    return Camera(names, gain, found["read_noise_e"], seen.method, lowest, stop, step)
 
 
 def _rounded_to(images: Sequence[Image]) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.stats import chi2
 
-from spotcheck.characterization.odd_pixels import odd_pixels
+from spotcheck.characterization.outlier_pixels import find_outlier_pixels
 from spotcheck.fitting.fitted import NAMES, SpotFits
 from spotcheck.fitting.moments import AREA, Moments, second_moments
 from spotcheck.fitting.spotfit import fit_spots
@@ -106,8 +106,8 @@ def seen_on(image: Image, camera: Camera, z_m: float | None = None) -> Seen:
         sensor = camera.sensor(pixels)
         step = camera.step_dn
         noise = sensor or _noise_by_residuals(_below_stop(window, camera) / step)
-        if noise is not None and (odd := odd_pixels(window / step, noise)).mask.any():
-            left_out = odd.sentence(left, top)
+        if noise is not None and (odd := find_outlier_pixels(window / step, noise)).mask.any():
+            left_out = odd.describe(left, top)
             window = np.where(odd.mask, np.nan, window)
             pixels = pixels.copy()
             pixels[top : top + window.shape[0], left : left + window.shape[1]] = window

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.odd_pixels import odd_pixels
+from spotcheck.characterization.outlier_pixels import find_outlier_pixels
 from spotcheck.crops.stages import cells
 from spotcheck.dataset.instrument import BadPixels
 from spotcheck.io import store
@@ -29,7 +29,7 @@ def bad_in(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) -> tuple[Ba
         at = own.isel(index)
         left, top = int(at["left"]), int(at["top"])
         corners.append((left, top))
-        found = odd_pixels(at["image"].values, sensor)
+        found = find_outlier_pixels(at["image"].values, sensor)
         odd["columns"].update(left + x for x in found.columns)
         odd["rows"].update(top + y for y in found.rows)
         odd["pixels"].update((left + x, top + y) for y, x in found.pixels)

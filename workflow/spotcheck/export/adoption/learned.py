@@ -14,8 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spotcheck.characterization.sensor_choice import BY_FLATS, FLATS, NEVER_TAKEN, QUANTITIES, SPOTS, model_of
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.sensor_choice import (
+    EMVA_NAMES,
+    FLATS,
+    ONLY_FROM_SHEET,
+    QUANTITIES,
+    SPOTS,
+    read_sensor_model,
+)
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset.instrument import BadPixels, Instrument
 from spotcheck.export.adoption.bad import bad_in
 from spotcheck.io import store
@@ -88,7 +95,7 @@ def _sensor(results: Path) -> SensorModel | None:
     if not (results / "sensor.nc").is_file():
         return None
     with store.read(results / "sensor.nc") as ds:
-        return model_of(ds)
+        return read_sensor_model(ds)
 
 
 def _by_end(results: Path) -> Iterator[Learned]:
@@ -102,7 +109,7 @@ def _by_end(results: Path) -> Iterator[Learned]:
 
 def _by_numbers(results: Path) -> Iterator[Learned]:
     """Numbers of the sensor by spots, and by flats and darks, which know better."""
-    names = [name for name in BY_FLATS if name not in NEVER_TAKEN]
+    names = [name for name in EMVA_NAMES if name not in ONLY_FROM_SHEET]
     if (results / "sensor.nc").is_file():
         with store.read(results / "sensor.nc") as ds:
             for source in (SPOTS, FLATS):
@@ -111,9 +118,9 @@ def _by_numbers(results: Path) -> Iterator[Learned]:
                     yield from _number(name, value, error, f"{source} (sensor.nc)")
     elif (results / "transfer.nc").is_file():
         with store.read(results / "transfer.nc") as ds:
-            quantities = quantities_of(ds)
+            quantities = read_quantities(ds)
         for name in names:
-            own = quantities[BY_FLATS[name]]
+            own = quantities[EMVA_NAMES[name]]
             yield from _number(name, own.value, own.stderr, f"{FLATS} (transfer.nc)")
 
 

@@ -15,9 +15,9 @@ import numpy as np
 import tifffile
 
 import spotcheck
-from spotcheck.characterization.pixel_maps import SensorMaps, maps_in
-from spotcheck.characterization.sensor_choice import BY_FLATS, model_of
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.pixel_maps import SensorMaps, read_maps
+from spotcheck.characterization.sensor_choice import EMVA_NAMES, read_sensor_model
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import REQUIRED_COLUMNS, Frame
@@ -61,7 +61,7 @@ def known_in(results: Path) -> Known:
     maps = None
     if (results / "maps.nc").is_file():
         with store.read(results / "maps.nc") as ds:
-            maps = maps_in(ds)
+            maps = read_maps(ds)
     digests = {name: provenance.file_digest(results / name)[:16] for name in SOURCES if (results / name).is_file()}
     return Known(sensor, tuple(_sensor_effects(results)), maps, digests)
 
@@ -70,13 +70,13 @@ def _sensor(results: Path) -> SensorModel | None:
     """The sensor that results rest on; of flats and darks alone that of their photon transfer."""
     if (results / "sensor.nc").is_file():
         with store.read(results / "sensor.nc") as ds:
-            return model_of(ds)
+            return read_sensor_model(ds)
     if not (results / "transfer.nc").is_file():
         return None
     with store.read(results / "transfer.nc") as ds, store.read(results / "frames.nc") as table:
-        own, full_scale, bend = quantities_of(ds), float(table["full_scale"]), float(ds.attrs["response_bend"])
+        own, full_scale, bend = read_quantities(ds), float(table["full_scale"]), float(ds.attrs["response_bend"])
     gain, noise, current, black = (
-        own[BY_FLATS[name]].value
+        own[EMVA_NAMES[name]].value
         for name in ("gain_dn_per_e", "read_noise_e", "dark_current_e_per_s", "black_level_dn")
     )
     if not np.isfinite(gain + noise + black):

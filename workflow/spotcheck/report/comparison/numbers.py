@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.photon_transfer import QUANTITIES as MEASURED
+from spotcheck.characterization.emva_quantities import QUANTITIES as MEASURED
 from spotcheck.characterization.sensor_choice import FLATS, QUANTITIES, SHEET, SPOTS
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.errors import InputError
 from spotcheck.fitting.caustic import AXES
 from spotcheck.fitting.caustic import QUANTITIES as OF_BEAM
@@ -116,7 +116,7 @@ def _sensor(ds: xr.Dataset) -> Named:
 
 
 def _transfer(ds: xr.Dataset) -> Named:
-    for own in quantities_of(ds).values():
+    for own in read_quantities(ds).values():
         name = Name(BY_FLATS, f"{MEASURED[own.name][2]}, {own.symbol}")
         yield name, _number(own.value, own.stderr, own.unit, "fit to the levels", f"value: {own.name}")
 

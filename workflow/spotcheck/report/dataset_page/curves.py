@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.fitting.precision import sentence
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.model.propagation import beam_propagation
@@ -220,7 +220,7 @@ def levels(transfer: xr.Dataset | None) -> Curve | None:
     """Of flats: variance and deviation from a straight line, over the signal."""
     if transfer is None or "skipped" in transfer.attrs or "signal" not in transfer:
         return None
-    signal, found = transfer["signal"].values, quantities_of(transfer)
+    signal, found = transfer["signal"].values, read_quantities(transfer)
     hover = "signal %{x:.5~g} DN: %{y:.4~g} "
     gain, used = found["gain"].value, transfer["fitted"].values > 0
     data = [

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
-from spotcheck.characterization.photon_transfer import QUANTITIES as MEASURED
+from spotcheck.characterization.emva_quantities import QUANTITIES as MEASURED
 from spotcheck.characterization.sensor_choice import QUANTITIES
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.words import (
     condition_text,
@@ -93,7 +93,7 @@ def transfer_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
     if ds is None:
         return None
     rows = []
-    for own in quantities_of(ds).values():
+    for own in read_quantities(ds).values():
         known = np.isfinite(own.value)
         rows.append(
             {

@@ -7,8 +7,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.ticker import ScalarFormatter
 
-from spotcheck.characterization.photon_transfer import LINEAR, Quantity
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.derived_quantities import LINEARITY_RANGE
+from spotcheck.characterization.emva_quantities import Quantity
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.io.plus_minus import plus_minus
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
@@ -18,7 +19,7 @@ from spotcheck.report.figures.results import Results, Unavailable
 def _open(results: Results, *needed: str) -> tuple[xr.Dataset, dict[str, Quantity]]:
     """Levels and quantities; `Unavailable` where one that a figure lives on is unknown."""
     ds = results.get("transfer")
-    found = quantities_of(ds)
+    found = read_quantities(ds)
     for name in needed:
         if not np.isfinite(found[name].value):
             raise Unavailable(f"{found[name].symbol} is unknown: {found[name].why}")
@@ -51,7 +52,7 @@ def response_line(ds: xr.Dataset) -> Response:
     """The line of least relative squares through the levels that EMVA 1288 takes for linearity."""
     light, signal, top = _light(ds)[0], ds["signal"].values, int(ds["saturation"])
     end = signal[top] if top >= 0 else signal.max()
-    use = (signal >= LINEAR[0] * end) & (signal <= LINEAR[1] * end)
+    use = (signal >= LINEARITY_RANGE[0] * end) & (signal <= LINEARITY_RANGE[1] * end)
     # Two levels lie on any straight line.
     known = use.sum() > 2
     slope, intercept = np.polyfit(light[use], signal[use], 1, w=1 / signal[use]) if known else (np.nan, np.nan)

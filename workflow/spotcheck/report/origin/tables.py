@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.photon_transfer import QUANTITIES
+from spotcheck.characterization.emva_quantities import QUANTITIES
 from spotcheck.errors import InputError
 from spotcheck.report.origin.number import Entry
 
