@@ -216,12 +216,30 @@ def test_photons_for_some_rows_only():
     some = [replace(own, photons=np.nan) if own.kind == "flat" and k % 2 else own for k, own in enumerate(levels)]
     found = analyse_photon_transfer(some, FULL)
     assert found.quantities["quantum_efficiency"].value == pytest.approx(0.5, rel=0.02)
+    assert why(found, "saturation_photons") == "photons_per_px is not given for the flat at saturation"
     none = [replace(own, photons=np.nan) if own.kind == "flat" else own for own in levels]
     without = analyse_photon_transfer(none, FULL)
     assert why(without, "quantum_efficiency") == "photons_per_px is not given for the flats"
     assert np.isfinite(without.quantities["linearity_error"].value)
     well = without.quantities["full_well"]
     assert abs(well.value - 10000) < 4 * well.stderr
+
+
+def test_an_exposure_of_a_dark_that_is_not_given():
+    """It has no part in the dark current, which four standard errors hold."""
+    sensor = Sensor(np.random.default_rng(15), current=4000.0)
+    levels = sensor.levels()
+    levels[0] = replace(levels[0], exposure_s=np.nan)
+    current = analyse_photon_transfer(levels, FULL).quantities["dark_current"]
+    assert abs(current.value - 4000) < 4 * current.stderr
+
+
+def test_flats_that_are_darker_than_the_darks():
+    """Long darks beside short flats: no gain, no level of saturation, and the reason that holds."""
+    levels = plain(np.random.default_rng(16))
+    bright = [replace(own, mean=own.mean + 2000) if own.kind == "dark" else own for own in levels if own.photons < 9000]
+    found = analyse_photon_transfer(bright, FULL)
+    assert why(found, "gain") == "no flat lies above its dark" and found.saturation is None
 
 
 def test_light_in_some_darks():

@@ -63,11 +63,17 @@ class Contradiction(NamedTuple):
     reason: str = ""  # why these are unknown, in a few words
 
 
-class Estimate(NamedTuple):
-    """A number in the unit of its key."""
+class SourceValue(NamedTuple):
+    """A sensor value from one source: data sheet, flats and darks, or spots."""
 
-    value: float
-    stderr: float  # standard error; NaN if not stated
+    value: float  # in the unit of the quantity
+    stderr: float  # standard error; NaN if unknown
+    origin: str  # how the value was obtained
+    contradiction: str = ""  # sentence that says why the next source is used instead; "" if nothing contradicts it
+
+
+# Quantity → value of one source.
+SourceValues = Mapping[str, SourceValue]
 
 
 def describe_long_darks(dark_s: Sequence[float], frame_s: Sequence[float], kind: str) -> str:
@@ -95,7 +101,7 @@ def _format_range(ascending: Sequence[float]) -> str:
 
 
 def check_levels(
-    levels: Sequence[Level], flats: Sequence[Level], signal: np.ndarray, efficiency: Quantity | None
+    levels: Sequence[Level], flats: Sequence[Level], signal: np.ndarray, efficiency: Quantity
 ) -> list[Contradiction]:
     """Return the contradictions in exposures and photon numbers of flats and darks.
 
@@ -104,7 +110,7 @@ def check_levels(
     levels : all levels.
     flats : the levels of light with a dark.
     signal : their means over dark [DN], [flat]; empty if there are no darks.
-    efficiency : quantum efficiency from these flats; None if unknown.
+    efficiency : quantum efficiency from these flats.
     """
     contradictions = []
     exposures = {kind: [level.exposure_s for level in levels if level.kind == kind] for kind in ("dark", "flat")}
@@ -118,7 +124,7 @@ def check_levels(
         )
         reason = "photons_per_px looks like photons a second"
         contradictions.append(Contradiction(sentence, UNKNOWN_BY_PHOTONS, reason))
-    elif efficiency is not None and efficiency.value - MAX_PULL * efficiency.stderr > 1:
+    elif efficiency.value - MAX_PULL * efficiency.stderr > 1:
         sentence = (
             f"the quantum efficiency would be {plus_minus(efficiency.value, efficiency.stderr)} electrons for a photon,"
             " and no more than 1 is possible: photons_per_px of manifest.csv is too small"
@@ -139,7 +145,7 @@ def _are_photons_per_second(flats: Sequence[Level], signal: np.ndarray) -> bool:
     return by_photons > MIN_PHOTON_SPREAD and by_both * MIN_SPREAD_RATIO < by_photons
 
 
-def differ_significantly(first: Estimate, second: Estimate, factor: float) -> bool:
+def differ_significantly(first: SourceValue, second: SourceValue, factor: float) -> bool:
     """Return whether two numbers differ by more than `MAX_PULL` standard errors and by more than a factor."""
     error = float(np.hypot(np.nan_to_num(first.stderr), np.nan_to_num(second.stderr)))
     low, high = sorted((first.value, second.value))
@@ -152,7 +158,7 @@ def describe_key(instrument: Instrument, name: str, value: float) -> str:
 
 
 def compare_sources(
-    instrument: Instrument, sheet: Mapping[str, Estimate], flats: Mapping[str, Estimate], spots: Mapping[str, Estimate]
+    instrument: Instrument, sheet: SourceValues, flats: SourceValues, spots: SourceValues
 ) -> list[Contradiction]:
     """Return the contradictions between the data sheet and flats and darks, or spots if there are no flats and darks.
 
@@ -177,20 +183,20 @@ def compare_sources(
     return contradictions
 
 
-def _suggest_unit(name: str, stated: Estimate, measured: Estimate, gain: Estimate | None) -> str:
+def _suggest_unit(name: str, stated: SourceValue, measured: SourceValue, gain: SourceValue | None) -> str:
     """Return the confusion of units that explains a wrong gain or read noise, as half a sentence; "" if none does."""
     if name == "gain_dn_per_e" and stated.value > 0:
         inverse = 1 / stated.value
-        if not differ_significantly(Estimate(inverse, 0.0), measured, MAX_FACTOR_SLIP):
+        if not differ_significantly(stated._replace(value=inverse, stderr=0.0), measured, MAX_FACTOR_SLIP):
             return f"; {stated.value:g} e-/DN are {inverse:.4g} DN/e-"
     if name == "read_noise_e" and gain:
         electrons = stated.value / gain.value
-        if not differ_significantly(Estimate(electrons, 0.0), measured, MAX_FACTOR_SLIP):
+        if not differ_significantly(stated._replace(value=electrons, stderr=0.0), measured, MAX_FACTOR_SLIP):
             return f"; {stated.value:g} DN are {electrons:.4g} e-"
     return ""
 
 
-def check_black_level(instrument: Instrument, sheet: Estimate | None, darkest_dn: float) -> Contradiction | None:
+def check_black_level(instrument: Instrument, sheet: SourceValue | None, darkest_dn: float) -> Contradiction | None:
     """Return the contradiction of a black level on the data sheet that exceeds a frame's level; None if there is none.
 
     Light only adds to a reading. `darkest_dn` is the lowest level of any frame [DN].

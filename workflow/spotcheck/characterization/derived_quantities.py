@@ -9,14 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from spotcheck.characterization.emva_quantities import Quantity, QuantityTable, divide
-from spotcheck.characterization.levels import Level, collect
-from spotcheck.characterization.line_fits import (
-    MIN_ERROR,
-    MIN_POINTS,
-    extrapolate_to_zero,
-    fit_line,
-    fit_through_zero,
-)
+from spotcheck.characterization.levels import Level, collect, measure_light
+from spotcheck.characterization.line_fits import MIN_POINTS, extrapolate_to_zero, fit_line, fit_through_zero
 from spotcheck.sensor import ROUNDING_VARIANCE
 
 # Least dark variance [DN²]: below it rounding hides the noise (section 8.2).
@@ -77,23 +71,44 @@ def set_dark_electrons(quantities: QuantityTable, noisy_darks: Sequence[Level]) 
         return
     # The mean grows by K μ_I t, the variance by K² μ_I t.
     for name, column, power in (("dark_current", "mean", 1), ("dark_current_by_variance", "variance", 2)):
-        errors = np.maximum(collect(darks, f"{column}_error"), MIN_ERROR)
-        line = fit_line(exposures, collect(darks, column), errors)
+        line = fit_line(exposures, collect(darks, column), collect(darks, f"{column}_error"))
         current = line.slope / gain.value**power
         error = np.hypot(line.slope_error / gain.value**power, power * current * gain.stderr / gain.value)
         quantities.set(name, current, error)
 
 
-def set_sensitivity(quantities: QuantityTable, flats: Sequence[Level], signal: np.ndarray, fitted: np.ndarray) -> None:
-    """Enter responsivity, quantum efficiency and sensitivity thresholds (section 8.2).
+def set_light_quantities(
+    quantities: QuantityTable,
+    flats: Sequence[Level],
+    darks: Sequence[Level],
+    signal: np.ndarray,
+    fitted: np.ndarray,
+    noisiest: int,
+    is_saturated: bool,
+) -> None:
+    """Enter sensitivity, linearity, non-uniformity and saturation (sections 8.2 to 8.4).
 
     Parameters
     ----------
     quantities : table in which gain and dark noise [DN] are known.
-    flats : levels of light [flat].
-    signal : their means over dark [DN], [flat].
-    fitted : True for the levels to which the gain was fitted [flat].
+    flats, darks : each flat, by mean, and its dark [flat]; a dark may serve several flats.
+    signal : means of the flats over dark [DN], [flat].
+    fitted : True for the flats to which the gain was fitted [flat].
+    noisiest : index of the flat with the largest noise.
+    is_saturated : whether that is saturation; otherwise saturation lies above all flats.
     """
+    _set_sensitivity(quantities, flats, signal, fitted)
+    _set_linearity(quantities, flats, signal, noisiest)
+    half = int(np.argmin(np.abs(signal - signal[noisiest] / 2)))
+    _set_nonuniformity(quantities, flats[half], float(signal[half]), darks)
+    if is_saturated:
+        _set_saturation(quantities, flats, signal, noisiest)
+    else:
+        quantities.fill_unknown("no flat is saturated")
+
+
+def _set_sensitivity(quantities: QuantityTable, flats: Sequence[Level], signal: np.ndarray, fitted: np.ndarray) -> None:
+    """Enter responsivity, quantum efficiency and sensitivity thresholds (section 8.2)."""
     ratio, ratio_error = divide(quantities["dark_noise_dn"], quantities["gain"])
     # The threshold μ is the signal that equals its noise: μ² = σ² + μ, so μ = ½ + √(σ² + ¼).
     root = np.sqrt(ratio**2 + 0.25)
@@ -103,16 +118,15 @@ def set_sensitivity(quantities: QuantityTable, flats: Sequence[Level], signal: n
     if not use.any():
         quantities.set_unknown(("responsivity", "quantum_efficiency", "threshold_photons"), NO_PHOTONS)
         return
-    quantities.set("responsivity", *fit_through_zero(photons[use], signal[use], mean_errors(flats)[use]))
+    quantities.set("responsivity", *fit_through_zero(photons[use], signal[use], collect(flats, "mean_error")[use]))
     quantities.set("quantum_efficiency", *divide(quantities["responsivity"], quantities["gain"]))
     quantities.set("threshold_photons", *divide(quantities["threshold"], quantities["quantum_efficiency"]))
 
 
-def set_saturation(quantities: QuantityTable, flats: Sequence[Level], signal: np.ndarray, saturation: int) -> None:
+def _set_saturation(quantities: QuantityTable, flats: Sequence[Level], signal: np.ndarray, saturation: int) -> None:
     """Enter saturation, full well, largest signal-to-noise ratio and dynamic range (section 8.3).
 
-    Gain and sensitivity must be entered before; `saturation` is the index of the flat at saturation, whose `signal` is
-    its mean over dark [DN], [flat].
+    The gain and the sensitivity must be known.
     """
     # Saturation lies between the neighbours of the noisiest level: a uniform distribution over half a step to each
     # side.
@@ -143,21 +157,10 @@ def _step_error(values: np.ndarray, at: int) -> float:
     return float(np.mean(steps) / np.sqrt(12)) if steps.size else 0.0
 
 
-def set_linearity(
-    quantities: QuantityTable, light: np.ndarray, signal: np.ndarray, error: np.ndarray, saturation: int
-) -> None:
-    """Enter mean, lowest and highest deviation from the response line [%] (section 8.4).
-
-    The line has the least relative squares between 5 and 95 % of saturation.
-
-    Parameters
-    ----------
-    quantities : table to fill.
-    light : light in any unit [flat].
-    signal : mean over dark [DN], ascending [flat].
-    error : standard error of the mean [DN], [flat].
-    saturation : index of the flat at which the noise is largest.
-    """
+def _set_linearity(quantities: QuantityTable, flats: Sequence[Level], signal: np.ndarray, saturation: int) -> None:
+    """Enter mean, lowest and highest deviation [%] from the line of least relative squares between 5 and 95 % of
+    saturation (section 8.4)."""
+    light = measure_light(flats)
     low, high = (part * signal[saturation] for part in LINEARITY_RANGE)
     use = (signal >= low) & (signal <= high) & np.isfinite(light) & (np.arange(len(signal)) <= saturation)
     if len(np.unique(light[use])) < MIN_POINTS:
@@ -169,7 +172,7 @@ def set_linearity(
     x, y = light[use], signal[use]
     slope, offset = np.polyfit(x, y, 1, w=1 / y)
     deviation = 100 * (y / (slope * x + offset) - 1)
-    noise = 100 * error[use] / y
+    noise = 100 * collect(flats, "mean_error")[use] / y
     mean_error = np.sqrt(np.mean(noise**2) / len(deviation))
     quantities.set("linearity_error", np.mean(np.abs(deviation)), mean_error)
     lowest, highest = np.argmin(deviation), np.argmax(deviation)
@@ -177,24 +180,13 @@ def set_linearity(
     quantities.set("linearity_highest", deviation[highest], noise[highest])
 
 
-def set_nonuniformity(
-    quantities: QuantityTable, flats: Sequence[Level], darks: Sequence[Level], signal: np.ndarray, saturation: int
-) -> None:
-    """Enter DSNU of all darks and PRNU of the flat nearest to half of saturation (section 8.3).
+def _set_nonuniformity(quantities: QuantityTable, flat: Level, signal: float, darks: Sequence[Level]) -> None:
+    """Enter DSNU of all darks and PRNU of a flat near half of saturation with a `signal` over dark [DN] (section 8.3).
 
     The stated error of a pattern variance assumes white noise. With enough darks their scatter replaces it if larger,
     since noise may be correlated over many pixels.
-
-    Parameters
-    ----------
-    quantities : table in which the gain is known.
-    flats, darks : each flat and its dark [flat]; a dark may serve several flats.
-    signal : means of the flats over dark [DN], [flat].
-    saturation : index of the flat at saturation.
     """
-    gain = quantities["gain"].value
-    half = int(np.argmin(np.abs(signal - signal[saturation] / 2)))
-    to_percent = (100 / signal[half]) ** 2
+    gain, to_percent = quantities["gain"].value, (100 / signal) ** 2
     different_darks = list({id(dark): dark for dark in darks}.values())
     for suffix, part in {"": "total", "_column": "column", "_row": "row", "_pixel": "pixel"}.items():
         variances, errors = np.array([_pattern_variance(dark, part) for dark in different_darks]).T
@@ -203,7 +195,7 @@ def set_nonuniformity(
             single_error = max(single_error, float(variances.std(ddof=1)))
         dark_variance, dark_error = float(variances.mean()), single_error / np.sqrt(len(variances))
         _set_root(quantities, f"dsnu{suffix}", dark_variance / gain**2, dark_error / gain**2)
-        flat_variance, flat_error = _pattern_variance(flats[half], part)
+        flat_variance, flat_error = _pattern_variance(flat, part)
         error = float(np.sqrt(max(flat_error, single_error) ** 2 + dark_error**2))
         _set_root(quantities, f"prnu{suffix}", (flat_variance - dark_variance) * to_percent, error * to_percent)
 
@@ -226,8 +218,3 @@ def _set_root(quantities: QuantityTable, name: str, variance: float, error: floa
         return
     value = np.sqrt(max(variance, 0.0))
     quantities.set(name, value, min(error / (2 * value) if value > 0 else np.inf, np.sqrt(error)))
-
-
-def mean_errors(levels: Sequence[Level]) -> np.ndarray:
-    """Return the standard errors of the means [DN], [level], each at least `MIN_ERROR`."""
-    return np.maximum(collect(levels, "mean_error"), MIN_ERROR)

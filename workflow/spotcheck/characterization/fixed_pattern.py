@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.levels import Level, read_photons
+from spotcheck.characterization.levels import Level, group_frames
 from spotcheck.characterization.photon_transfer import Transfer
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
@@ -48,12 +48,10 @@ def select_levels(transfer: Transfer) -> dict[str, Level]:
 def measure_pattern(dataset: Dataset, level: Level) -> FixedPattern:
     """Return the pattern of one level of a dataset from all frames of the level."""
     total = np.zeros(level.shape, np.float32)
-    for frame in dataset.frames:
-        exposure_s = np.nan if frame.exposure_s is None else frame.exposure_s
-        if frame.kind == level.kind and np.array_equal(
-            [exposure_s, read_photons(frame)], [level.exposure_s, level.photons], equal_nan=True
-        ):
-            total += frames.read_good(dataset, frame).astype(np.float32)
+    for (kind, *light), frames_of_level in group_frames(dataset).items():
+        if kind == level.kind and np.array_equal(light, [level.exposure_s, level.photons], equal_nan=True):
+            for frame in frames_of_level:
+                total += frames.read_good(dataset, frame).astype(np.float32)
     mean = total / level.frames
     # Bad pixels (NaN) show no pattern.
     mean = np.nan_to_num(mean - np.nanmean(mean, dtype=float))

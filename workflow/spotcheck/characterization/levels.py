@@ -61,11 +61,7 @@ def measure_levels(dataset: Dataset, full_scale_dn: float) -> list[Level]:
     dataset : dataset whose frames are read. The response curvature of its data sheet is corrected.
     full_scale_dn : largest reading of the converter [DN].
     """
-    groups: dict[tuple[str, float, float], list[Frame]] = {}
-    for frame in dataset.frames:
-        if frame.kind in ("flat", "dark"):
-            exposure_s = np.nan if frame.exposure_s is None else frame.exposure_s
-            groups.setdefault((frame.kind, exposure_s, read_photons(frame)), []).append(frame)
+    groups = group_frames(dataset)
     # Unknown exposures and photons (NaN) come first.
     keys = sorted(
         groups, key=lambda key: (key[0] != "dark", *(-1.0 if np.isnan(value) else value for value in key[1:]))
@@ -77,6 +73,16 @@ def measure_levels(dataset: Dataset, full_scale_dn: float) -> list[Level]:
         images = (sensor.linearize(frames.read_good(dataset, frame)) for frame in groups[key])
         levels.append(measure_level(images, *key, linear_end_dn))
     return add_common_drift(levels)
+
+
+def group_frames(dataset: Dataset) -> dict[tuple[str, float, float], list[Frame]]:
+    """Return the flats and darks of a dataset by kind, exposure [s] and photons per pixel (NaN: not given)."""
+    groups: dict[tuple[str, float, float], list[Frame]] = {}
+    for frame in dataset.frames:
+        if frame.kind in ("flat", "dark"):
+            exposure_s = np.nan if frame.exposure_s is None else frame.exposure_s
+            groups.setdefault((frame.kind, exposure_s, read_photons(frame)), []).append(frame)
+    return groups
 
 
 def make_linearizing_sensor(dataset: Dataset, full_scale_dn: float) -> SensorModel:
@@ -125,6 +131,12 @@ def add_common_drift(levels: list[Level]) -> list[Level]:
 def collect(levels: Sequence[Level], field: str) -> np.ndarray:
     """Return the numbers of one field of `Level` [level]."""
     return np.array([getattr(level, field) for level in levels], float)
+
+
+def measure_light(flats: Sequence[Level]) -> np.ndarray:
+    """Return the light of each flat [flat]: photons if all flats give them, otherwise the exposure [s]."""
+    photons = collect(flats, "photons")
+    return photons if np.isfinite(photons).all() and photons.any() else collect(flats, "exposure_s")
 
 
 def _drift_scale(level: Level) -> float:

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 # Least number of different abscissae from which a line is fitted.
 MIN_POINTS = 3
-# Least standard error of a point [its unit]: it keeps the weights of points without any scatter finite.
+# Least standard error of a point [its unit]: smaller ones count as this, which keeps weights finite.
 MIN_ERROR = 1e-9
 
 
@@ -30,6 +29,7 @@ def fit_through_zero(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[f
     error : standard errors of `y` [point]. The error of the slope is inflated by √χ² per degree of freedom if the
         residuals are larger than these.
     """
+    error = np.maximum(error, MIN_ERROR)
     square = float(x @ x)
     slope = float(x @ y) / square
     residual = y - slope * x
@@ -44,6 +44,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> Line:
     The standard errors follow from `error`, the standard errors of `y`. With three points or more they are inflated by
     √χ² per degree of freedom if that exceeds 1.
     """
+    error = np.maximum(error, MIN_ERROR)
     (slope, intercept), covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
     if len(x) > 2:
         reduced_chi2 = float(np.sum(((y - intercept - slope * x) / error) ** 2)) / (len(x) - 2)
@@ -52,16 +53,16 @@ def fit_line(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> Line:
     return Line(float(slope), float(slope_error), float(intercept), float(intercept_error))
 
 
-def extrapolate_to_zero(x: ArrayLike, y: ArrayLike, error: ArrayLike) -> tuple[float, float]:
+def extrapolate_to_zero(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[float, float]:
     """Return y and its standard error at x = 0.
 
     This is the intercept of the line if x has three different values or more; otherwise the weighted mean of y at the
     smallest x. NaN in `x` counts as 0.
     """
-    abscissae, values, errors = np.nan_to_num(x), np.asarray(y, float), np.maximum(error, MIN_ERROR)
-    if len(np.unique(abscissae)) >= MIN_POINTS:
-        line = fit_line(abscissae, values, errors)
+    x = np.nan_to_num(x)
+    if len(np.unique(x)) >= MIN_POINTS:
+        line = fit_line(x, y, error)
         return line.intercept, line.intercept_error
-    lowest = abscissae == abscissae.min()
-    weight = 1 / errors[lowest] ** 2
-    return float((weight * values[lowest]).sum() / weight.sum()), float(weight.sum() ** -0.5)
+    lowest = x == x.min()
+    weight = 1 / np.maximum(error[lowest], MIN_ERROR) ** 2
+    return float(np.average(y[lowest], weights=weight)), float(weight.sum() ** -0.5)

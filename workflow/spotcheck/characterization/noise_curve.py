@@ -70,7 +70,6 @@ class GainEstimate:
     floor: float  # variance without light: read noise and rounding [DN²]
     floor_stderr: float  # standard error of the floor [DN²]
     low: float  # lower end of the 95 % interval of the gain [DN/e-], which allows for undetected texture
-    high: float  # upper end of the interval [DN/e-]
 
 
 class PixelDifferences(NamedTuple):
@@ -226,14 +225,8 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
         return None
     textured_error = float(np.hypot(np.sqrt(textured.covariance[1, 1]), deviation))
     low = min(float(textured.value[1]) - INTERVAL_SD * textured_error, gain - INTERVAL_SD * error)
-    return GainEstimate(
-        gain=gain,
-        gain_stderr=error,
-        floor=float(fit.value[0]),
-        floor_stderr=float(np.sqrt(fit.covariance[0, 0])),
-        low=max(low, 0.0),
-        high=gain + INTERVAL_SD * error,
-    )
+    floor, floor_error = float(fit.value[0]), float(np.sqrt(fit.covariance[0, 0]))
+    return GainEstimate(gain, error, floor, floor_error, max(low, 0.0))
 
 
 def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseCorrelation:

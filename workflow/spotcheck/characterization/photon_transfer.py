@@ -11,16 +11,12 @@ from scipy.stats import theilslopes
 
 from spotcheck.characterization.contradictions import check_levels
 from spotcheck.characterization.derived_quantities import (
-    mean_errors,
     set_dark_electrons,
     set_dark_quantities,
-    set_linearity,
-    set_nonuniformity,
-    set_saturation,
-    set_sensitivity,
+    set_light_quantities,
 )
 from spotcheck.characterization.emva_quantities import QUANTITIES, QuantityTable
-from spotcheck.characterization.levels import Level, collect
+from spotcheck.characterization.levels import Level, collect, measure_light
 from spotcheck.characterization.line_fits import MIN_POINTS, fit_line, fit_through_zero
 
 # Largest signal of the levels to which the gain is fitted, as a part of saturation (section 8.2).
@@ -79,9 +75,7 @@ def analyse_photon_transfer(levels: Sequence[Level], full_scale_dn: float) -> Tr
     """
     transfer = _analyse_levels(levels, full_scale_dn)
     quantities = transfer.quantities
-    efficiency = quantities["quantum_efficiency"]
-    known_efficiency = efficiency if np.isfinite(efficiency.value) else None
-    for contradiction in check_levels(levels, transfer.flats, transfer.signal, known_efficiency):
+    for contradiction in check_levels(levels, transfer.flats, transfer.signal, quantities["quantum_efficiency"]):
         transfer.remarks.append(contradiction.sentence)
         quantities.set_unknown(contradiction.unknown, contradiction.reason)
     return replace(transfer, quantities=QuantityTable({name: quantities[name] for name in QUANTITIES}))
@@ -105,9 +99,6 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     excess = np.array([flat.variance - dark.variance for flat, dark in pairs])
     error = np.array([np.hypot(flat.variance_error, dark.variance_error) for flat, dark in pairs])
     error = np.maximum(error, MIN_VARIANCE_ERROR)
-    # Saturation is where the temporal noise is largest (section 8.3).
-    noisiest = int(np.argmax(excess))
-    is_unsaturated = noisiest == len(flats) - 1 and flats[noisiest].at_full < MAX_CLIPPED_PART
     no_flat = np.zeros(len(flats), bool)
     transfer = Transfer(flats, darks, signal, excess, error, no_flat, None, quantities, remarks)
     if all(flat.is_saturated for flat in flats):
@@ -117,15 +108,19 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     if not (excess > MIN_SIGNIFICANCE * error).any():
         quantities.fill_unknown(NO_SHOT_NOISE)
         return transfer
+    # Saturation is where the temporal noise is largest (section 8.3).
+    noisiest = int(np.argmax(excess))
+    is_saturated = noisiest < len(flats) - 1 or flats[noisiest].at_full >= MAX_CLIPPED_PART
     fitted = (signal > 0) & (np.arange(len(flats)) <= noisiest)
-    if is_unsaturated:
-        remarks.append("the noise still grows at the brightest flat: saturation lies above it")
-    else:
+    if is_saturated:
         fitted &= signal <= MAX_GAIN_SIGNAL * signal[noisiest]
+    else:
+        remarks.append("the noise still grows at the brightest flat: saturation lies above it")
+    saturation = noisiest if is_saturated else None
     if not fitted.any():
         is_lit = (signal > 0).any()
         quantities.fill_unknown(f"no flat lies {'below 70 % of saturation' if is_lit else 'above its dark'}")
-        return replace(transfer, saturation=noisiest)
+        return replace(transfer, saturation=saturation)
     errors = _include_shared_dark(signal, error, fitted, paired_darks)
     gain, gain_error = fit_through_zero(signal[fitted], excess[fitted], errors)
     if not gain > MIN_SIGNIFICANCE * gain_error:
@@ -133,14 +128,8 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
         return transfer
     quantities.set("gain", gain, gain_error)
     set_dark_electrons(quantities, noisy_darks)
-    set_linearity(quantities, measure_light(flats), signal, mean_errors(flats), noisiest)
-    set_sensitivity(quantities, flats, signal, fitted)
-    set_nonuniformity(quantities, flats, paired_darks, signal, noisiest)
-    if is_unsaturated:
-        quantities.fill_unknown("no flat is saturated")
-    else:
-        set_saturation(quantities, flats, signal, noisiest)
-    return replace(transfer, fitted=fitted, saturation=None if is_unsaturated else noisiest)
+    set_light_quantities(quantities, flats, paired_darks, signal, fitted, noisiest, is_saturated)
+    return replace(transfer, fitted=fitted, saturation=saturation)
 
 
 def _select_darks(darks: list[Level], full_scale_dn: float, remarks: list[str]) -> list[Level]:
@@ -192,12 +181,6 @@ def _include_shared_dark(
     return np.sqrt(independent + shared**2 * x.sum() ** 2 / (x @ x))
 
 
-def measure_light(flats: Sequence[Level]) -> np.ndarray:
-    """Return the light of each flat [flat]: photons if all flats give them, otherwise the exposure [s]."""
-    photons = collect(flats, "photons")
-    return photons if np.isfinite(photons).all() and photons.any() else collect(flats, "exposure_s")
-
-
 def fit_ranges(transfer: Transfer) -> list[RangeFit]:
     """Return gain and response line of the levels up to each of `RANGE_LIMITS`.
 
@@ -206,7 +189,7 @@ def fit_ranges(transfer: Transfer) -> list[RangeFit]:
     """
     if transfer.saturation is None or not transfer.fitted.any():
         return []
-    light, errors = measure_light(transfer.flats), mean_errors(transfer.flats)
+    light, errors = measure_light(transfer.flats), collect(transfer.flats, "mean_error")
     is_below = (transfer.signal > 0) & (np.arange(len(transfer.flats)) <= transfer.saturation)
     ranges = []
     for limit in RANGE_LIMITS:

@@ -9,7 +9,6 @@ noise if the pixels are alike.
 flats is a polynomial of the fourth degree over the frame; finer structure is of the sensor.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.characterization.derived_quantities import MAX_PART_AT_ZERO
-from spotcheck.characterization.levels import read_photons
+from spotcheck.characterization.levels import group_frames
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
@@ -77,7 +76,7 @@ def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
 
     Frames are read one at a time. `full_scale_dn` is the largest reading of the converter [DN].
     """
-    halves = _split_in_halves(frame for frame in dataset.frames if frame.kind == "dark")
+    halves = _split_in_halves(dataset, "dark")
     if not halves[0]:
         return "there are no two darks of one exposure"
     exposures = np.array([np.nan if frame.exposure_s is None else frame.exposure_s for frame in halves[0]])
@@ -105,12 +104,10 @@ def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
     return _add_gain(maps, dataset, full_scale_dn, float(np.nanmean(means)), float(np.nanmean(slopes)))
 
 
-def _split_in_halves(frames_of_kind: Iterable[Frame]) -> tuple[list[Frame], list[Frame]]:
-    """Return frames in two halves with equal levels; the last one of an odd number in a level is left out."""
-    levels: dict[tuple, list[Frame]] = {}
-    for frame in frames_of_kind:
-        levels.setdefault((frame.exposure_s, str(read_photons(frame))), []).append(frame)
-    pairs = [level[k : k + 2] for level in levels.values() for k in range(0, len(level) - 1, 2)]
+def _split_in_halves(dataset: Dataset, kind: str) -> tuple[list[Frame], list[Frame]]:
+    """Return the frames of a kind in two halves with equal levels, without the last one of an odd number in a level."""
+    levels = [level for (level_kind, *_), level in group_frames(dataset).items() if level_kind == kind]
+    pairs = [level[k : k + 2] for level in levels for k in range(0, len(level) - 1, 2)]
     return [pair[0] for pair in pairs], [pair[1] for pair in pairs]
 
 
@@ -128,7 +125,7 @@ def _add_gain(
         return image - (maps.at(exposure_s).offset_dn + dark_level_dn + growth_s * dark_slope_dn_per_s)
 
     totals, used = [np.zeros(1), np.zeros(1)], 0
-    for pair in zip(*_split_in_halves(frame for frame in dataset.frames if frame.kind == "flat"), strict=True):
+    for pair in zip(*_split_in_halves(dataset, "flat"), strict=True):
         images = [frames.read_good(dataset, frame).astype(float) for frame in pair]
         if max(float(np.nanquantile(image, 0.999)) for image in images) < MAX_FLAT_LEVEL * full_scale_dn:
             used += 2

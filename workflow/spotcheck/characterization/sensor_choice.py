@@ -5,7 +5,6 @@ A value that none of them gives, or that contradicts another, is unknown, and th
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -13,7 +12,7 @@ import xarray as xr
 from spotcheck.characterization.contradictions import (
     MAX_PULL,
     Contradiction,
-    Estimate,
+    SourceValue,
     check_black_level,
     check_sensor_keys,
     compare_sources,
@@ -55,15 +54,6 @@ EMVA_NAMES = {
 }
 # Only the data sheet sets these: a full well in the frames is an effect for the analysis to find.
 ONLY_FROM_SHEET = ("full_well_e",)
-
-
-class SourceValue(NamedTuple):
-    """A value from one source."""
-
-    value: float  # in the unit of the quantity
-    stderr: float  # standard error; NaN if unknown
-    origin: str  # how the value was obtained
-    contradiction: str = ""  # sentence that says why the next source is used instead; "" if nothing contradicts it
 
 
 # Quantity → source → value, for the sources that give one.
@@ -239,13 +229,9 @@ def convert_to_electrons(spots: SpotEstimates) -> dict[str, SourceValue]:
     return {name: sources[SPOTS] for name, sources in values.items() if SPOTS in sources}
 
 
-def _select_source(values: SourceTable, source: str) -> dict[str, Estimate]:
+def _select_source(values: SourceTable, source: str) -> dict[str, SourceValue]:
     """Return the values of one source by quantity."""
-    return {
-        name: Estimate(sources[source].value, sources[source].stderr)
-        for name, sources in values.items()
-        if source in sources
-    }
+    return {name: sources[source] for name, sources in values.items() if source in sources}
 
 
 def _choose_source(sources: Mapping[str, SourceValue], default: float | None = None) -> SourceValue:

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from spotcheck.characterization.photon_transfer import Transfer, measure_light
+from spotcheck.characterization.levels import measure_light
+from spotcheck.characterization.photon_transfer import Transfer
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import EffectScales, Need

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.characterization.sensor_choice import SourceValue, convert_to_electrons
+from spotcheck.characterization.contradictions import SourceValue
+from spotcheck.characterization.sensor_choice import convert_to_electrons
 from spotcheck.characterization.spot_estimates import estimate_from_spots, measure_rim
 from spotcheck.crops.clip import LEAST_PX, Top, top_of
 from spotcheck.io import progress
