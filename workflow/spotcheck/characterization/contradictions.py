@@ -4,7 +4,7 @@ Each contradiction is a sentence with the keys, their values and the correction.
 become unknown.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -102,8 +102,8 @@ def _format_range(ascending: Sequence[float]) -> str:
 
 def check_levels(
     levels: Sequence[Level], flats: Sequence[Level], signal: np.ndarray, efficiency: Quantity
-) -> list[Contradiction]:
-    """Return the contradictions in exposures and photon numbers of flats and darks.
+) -> Iterator[Contradiction]:
+    """Yield the contradictions in exposures and photon numbers of flats and darks.
 
     Parameters
     ----------
@@ -112,26 +112,24 @@ def check_levels(
     signal : their means over dark [DN], [flat]; empty if there are no darks.
     efficiency : quantum efficiency from these flats.
     """
-    contradictions = []
     exposures = {kind: [level.exposure_s for level in levels if level.kind == kind] for kind in ("dark", "flat")}
     if sentence := describe_long_darks(exposures["dark"], exposures["flat"], "flats"):
         reason = "the darks last much longer than the flats"
-        contradictions.append(Contradiction(sentence, UNKNOWN_BY_LONG_DARKS, reason))
+        yield Contradiction(sentence, UNKNOWN_BY_LONG_DARKS, reason)
     if len(signal) and _are_photons_per_second(flats, signal):
         sentence = (
             "manifest.csv: photons_per_px looks like photons a second, since the flats follow photons_per_px times"
             " exposure_s; it must be photons on a pixel during the exposure"
         )
         reason = "photons_per_px looks like photons a second"
-        contradictions.append(Contradiction(sentence, UNKNOWN_BY_PHOTONS, reason))
+        yield Contradiction(sentence, UNKNOWN_BY_PHOTONS, reason)
     elif efficiency.value - MAX_PULL * efficiency.stderr > 1:
         sentence = (
             f"the quantum efficiency would be {plus_minus(efficiency.value, efficiency.stderr)} electrons for a photon,"
             " and no more than 1 is possible: photons_per_px of manifest.csv is too small"
         )
         reason = "photons_per_px is fewer than the electrons of the flats"
-        contradictions.append(Contradiction(sentence, UNKNOWN_BY_PHOTON_SCALE, reason))
-    return contradictions
+        yield Contradiction(sentence, UNKNOWN_BY_PHOTON_SCALE, reason)
 
 
 def _are_photons_per_second(flats: Sequence[Level], signal: np.ndarray) -> bool:
@@ -152,19 +150,18 @@ def differ_significantly(first: SourceValue, second: SourceValue, factor: float)
     return high - low > MAX_PULL * error and high > factor * low
 
 
-def describe_key(instrument: Instrument, name: str, value: float) -> str:
+def describe_key(instrument: Instrument, name: str) -> str:
     """Return file, key and value of a quantity of the data sheet as the start of a sentence."""
-    return f"{instrument.file_of(f'sensor.{name}')}: sensor.{name} is {value:g}"
+    return f"{instrument.file_of(f'sensor.{name}')}: sensor.{name} is {getattr(instrument.sensor, name):g}"
 
 
 def compare_sources(
     instrument: Instrument, sheet: SourceValues, flats: SourceValues, spots: SourceValues
-) -> list[Contradiction]:
-    """Return the contradictions between the data sheet and flats and darks, or spots if there are no flats and darks.
+) -> Iterator[Contradiction]:
+    """Yield the contradictions between the data sheet and flats and darks, or spots if there are no flats and darks.
 
     Only flats and darks make a quantity unknown: spots may be wrong themselves.
     """
-    contradictions = []
     for name, factor in MAX_FACTOR.items():
         source, measured = "flats and darks give", flats.get(name)
         if measured is None:
@@ -177,10 +174,9 @@ def compare_sources(
             continue
         number = plus_minus(measured.value, np.nan_to_num(measured.stderr))
         suggestion = _suggest_unit(name, stated, measured, gain)
-        sentence = f"{describe_key(instrument, name, stated.value)}, but {source} {number}{suggestion}"
+        sentence = f"{describe_key(instrument, name)}, but {source} {number}{suggestion}"
         unknown = (name,) if name in flats and name in LIKELIHOOD_QUANTITIES else ()
-        contradictions.append(Contradiction(sentence, unknown))
-    return contradictions
+        yield Contradiction(sentence, unknown)
 
 
 def _suggest_unit(name: str, stated: SourceValue, measured: SourceValue, gain: SourceValue | None) -> str:
@@ -204,7 +200,7 @@ def check_black_level(instrument: Instrument, sheet: SourceValue | None, darkest
     if sheet is None or not sheet.value > darkest_dn + READING_MARGIN_DN + MAX_PULL * np.nan_to_num(sheet.stderr):
         return None
     return Contradiction(
-        f"{describe_key(instrument, 'black_level_dn', sheet.value)}, but a frame reads {darkest_dn:.4g} DN in most of"
+        f"{describe_key(instrument, 'black_level_dn')}, but a frame reads {darkest_dn:.4g} DN in most of"
         " its pixels, and light only adds; it must be what the sensor reads without light",
         ("black_level_dn",),
     )
@@ -212,8 +208,8 @@ def check_black_level(instrument: Instrument, sheet: SourceValue | None, darkest
 
 def check_sensor_keys(
     dataset: Dataset, gain: float, black_dn: float, full_scale_dn: float, highest_dn: float
-) -> list[Contradiction]:
-    """Return the contradictions of keys of the data sheet with each other and with the readings.
+) -> Iterator[Contradiction]:
+    """Yield the contradictions of keys of the data sheet with each other and with the readings.
 
     Parameters
     ----------
@@ -222,32 +218,29 @@ def check_sensor_keys(
     full_scale_dn : largest possible reading [DN].
     highest_dn : largest reading of all frames [DN]; NaN if unknown.
     """
-    instrument, contradictions = dataset.instrument, list[Contradiction]()
-    sensor = instrument.sensor
     if not np.isfinite(gain):
-        return contradictions
+        return
+    instrument, sensor = dataset.instrument, dataset.instrument.sensor
     if sensor.full_well_e is not None:
         well_dn = black_dn + gain * sensor.full_well_e
         if highest_dn > well_dn + READING_MARGIN_DN + MAX_PULL * gain * np.sqrt(sensor.full_well_e):
             sentence = (
-                f"{describe_key(instrument, 'full_well_e', sensor.full_well_e)}, which is {well_dn:.4g} DN at a gain of"
-                f" {gain:.4g} DN/e-, but frames read up to {highest_dn:g} DN; the well must be at least"
+                f"{describe_key(instrument, 'full_well_e')}, which is {well_dn:.4g} DN at a gain of {gain:.4g} DN/e-,"
+                f" but frames read up to {highest_dn:g} DN; the well must be at least"
                 f" {(highest_dn - black_dn) / gain:.5g} e-"
             )
-            contradictions.append(Contradiction(sentence, ("full_well_e",)))
+            yield Contradiction(sentence, ("full_well_e",))
     if sensor.read_noise_e is not None and 0 < gain * sensor.read_noise_e < ROUNDING_DN:
         sentence = (
-            f"{describe_key(instrument, 'read_noise_e', sensor.read_noise_e)}, which is"
-            f" {gain * sensor.read_noise_e:.2g} DN at a gain of {gain:.4g} DN/e-: rounding adds {ROUNDING_DN:.2g} DN"
-            " and hides it"
+            f"{describe_key(instrument, 'read_noise_e')}, which is {gain * sensor.read_noise_e:.2g} DN at a gain of"
+            f" {gain:.4g} DN/e-: rounding adds {ROUNDING_DN:.2g} DN and hides it"
         )
-        contradictions.append(Contradiction(sentence))
+        yield Contradiction(sentence)
     longest_s = max((frame.exposure_s or 0.0 for frame in dataset.frames), default=0.0)
     dark_dn = gain * sensor.dark_current_e_per_s * longest_s
     if black_dn + dark_dn > full_scale_dn:
         sentence = (
-            f"{describe_key(instrument, 'dark_current_e_per_s', sensor.dark_current_e_per_s)}, which in {longest_s:g} s"
-            f" is {dark_dn:.4g} DN without any light, above the full scale of {full_scale_dn:g} DN"
+            f"{describe_key(instrument, 'dark_current_e_per_s')}, which in {longest_s:g} s is {dark_dn:.4g} DN without"
+            f" any light, above the full scale of {full_scale_dn:g} DN"
         )
-        contradictions.append(Contradiction(sentence))
-    return contradictions
+        yield Contradiction(sentence)

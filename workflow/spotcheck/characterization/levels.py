@@ -63,9 +63,7 @@ def measure_levels(dataset: Dataset, full_scale_dn: float) -> list[Level]:
     """
     groups = group_frames(dataset)
     # Unknown exposures and photons (NaN) come first.
-    keys = sorted(
-        groups, key=lambda key: (key[0] != "dark", *(-1.0 if np.isnan(value) else value for value in key[1:]))
-    )
+    keys = sorted(groups, key=lambda key: (key[0] != "dark", *np.nan_to_num(key[1:], nan=-1.0)))
     sensor = make_linearizing_sensor(dataset, full_scale_dn)
     linear_end_dn = sensor.without_curvature().full_scale_dn
     levels = []

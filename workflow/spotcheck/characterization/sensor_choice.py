@@ -182,7 +182,7 @@ def _subtract_dark_current(values: SourceTable, instrument: Instrument, exposure
     for name in ("black_level_dn", "read_noise_e"):
         values[name].pop(FLATS, None)
     return [
-        f"{describe_key(instrument, 'dark_current_e_per_s', electrons / exposure_s)}, which is {electrons:.4g} e- in"
+        f"{describe_key(instrument, 'dark_current_e_per_s')}, which is {electrons:.4g} e- in"
         f" darks of {exposure_s:g} s, but these have {' and '.join(exceeded)} only"
     ]
 
