@@ -8,7 +8,7 @@ import pytest
 import tifffile
 import xarray as xr
 
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset.instrument import RESERVED
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import PER_IMAGE
@@ -80,7 +80,7 @@ def test_simulated_frames_have_the_mean_and_variance_of_the_model(opened, small_
     n = 18 · 120² = 2.6e5; five standard errors are a false alarm in 2e6. The 2 % is for the skewness of few electrons.
     """
     with store.read(small_run / "sensor.nc") as ds:
-        sensor = model_of(ds)
+        sensor = read_sensor_model(ds)
     simulated = opened["simulated"]
     stack = tifffile.imread(small_run / "simulated" / "frames" / "simulated.tif").astype(float)
     residuals = []

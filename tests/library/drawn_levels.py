@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from spotcheck.characterization.levels import Level, Spatial, with_common_drift
-from spotcheck.characterization.photon_transfer import Transfer, transfer_of
+from spotcheck.characterization.levels import Level, PatternVariances, add_common_drift
+from spotcheck.characterization.photon_transfer import Transfer, analyse_photon_transfer
 
 FULL, GAIN, BLACK, NOISE, TOP, LONGEST = 4095.0, 6.0, 40.0, 1.0, 3000.0, 6e-3
 SHAPE = (480, 640)
@@ -19,12 +19,14 @@ def level_of(kind: str, exposure_s: float, mean: float, mean_error: float, varia
     """Return a level of two frames."""
     photons = exposure_s * 1e6 if kind == "flat" else 0.0
     return Level(kind, exposure_s, photons, 2, mean, mean_error, variance, error, 0.0, full,
-                 Spatial(0.0, 0.0, 0.0, 0.0), SHAPE)  # fmt: skip
+                 PatternVariances(0.0, 0.0, 0.0, 0.0), SHAPE)  # fmt: skip
 
 
 def transfer_with_end(levels: list[Level]) -> Transfer:
     """Return the photon transfer of levels and one more at the end of the converter, which shows saturation."""
-    return transfer_of(with_common_drift([*levels, level_of("flat", 8e-3, FULL, 0.0, 0.0, 1e-3, full=1.0)]), FULL)
+    return analyse_photon_transfer(
+        add_common_drift([*levels, level_of("flat", 8e-3, FULL, 0.0, 0.0, 1e-3, full=1.0)]), FULL
+    )
 
 
 def draw_by_moments(seed: int, *, bend=0.0, late=0.0, power=0.0, offset=0.0, lamp=0.0, wave=0.0, count=30) -> Transfer:

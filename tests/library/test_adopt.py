@@ -9,7 +9,7 @@ import pytest
 import tifffile
 import xarray as xr
 
-from spotcheck.characterization.sensor_choice import SHEET, SOURCES, stderr_of
+from spotcheck.characterization.sensor_choice import SHEET, SOURCES, read_standard_errors
 from spotcheck.cli import main, run
 from spotcheck.cli.pipeline import judge_dataset
 from spotcheck.crops.full_scale import find_full_scale, measure_extremes
@@ -159,7 +159,7 @@ def test_from_flats_to_a_dataset_of_spots(judged, tmp_path, capsys):
             )
             assert abs(value - truth) < 4.5 * error
             assert float(used[f"{name}_by"].sel(source=SHEET)) == value
-        assert min(stderr_of(used)) > 0
+        assert min(read_standard_errors(used)) > 0
 
 
 def test_nothing_is_overwritten_or_made_up(judged, shelf, tmp_path, capsys):

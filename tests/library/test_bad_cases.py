@@ -15,7 +15,7 @@ import pytest
 import tifffile
 import yaml
 
-from spotcheck.characterization.sensor_choice import judge_darks
+from spotcheck.characterization.dark_frames import select_dark_levels
 from spotcheck.cli import main
 from spotcheck.dataset.frames import ReducedFrame
 from spotcheck.discrepancy.frames import Design, FrameSet
@@ -368,7 +368,7 @@ def test_dark_frames_are_held_against_the_darkest_of_all(levels, beside, good, s
     def frame(level: float) -> ReducedFrame:
         return ReducedFrame(np.full((2, 2), level), np.full(9, level), np.full(9, level))
 
-    found = judge_darks(map(frame, levels), map(frame, beside), 1023.0)
+    found = select_dark_levels(map(frame, levels), map(frame, beside), 1023.0)
     assert found.levels == good and found.remark.startswith(said) and bool(found.remark) == bool(said)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck.characterization import levels, same_site
+from spotcheck.characterization import frame_pairs, levels
 from spotcheck.crops import spotfinding
 from spotcheck.crops.cropping import crop_spots
 from spotcheck.crops.ingest import check_dataset, ingest_frames
@@ -93,20 +93,21 @@ def test_levels_of_flats_are_those_of_the_good_pixels():
     for image in spoilt:
         image[:, 13] = np.nan
     want, got = (
-        levels.level_of(own, "flat", 1e-3, np.nan, 4095.0) for own in ([np.delete(i, 13, 1) for i in images], spoilt)
+        levels.measure_level(own, "flat", 1e-3, np.nan, 4095.0)
+        for own in ([np.delete(i, 13, 1) for i in images], spoilt)
     )
     assert (got.mean, got.variance, got.at_full) == pytest.approx((want.mean, want.variance, want.at_full), rel=1e-12)
     # The split into columns counts one column more than there is, which is a fiftieth of what columns hold.
-    np.testing.assert_allclose(got.spatial, want.spatial, atol=0.02 * want.spatial.total)
+    np.testing.assert_allclose(got.pattern, want.pattern, atol=0.02 * want.pattern.total)
 
 
 def test_a_gap_costs_pairs_of_frames_no_more_than_its_blocks():
     """Levels and squares of two frames of a site, with a pixel missing, against those with its blocks cut away."""
     one, two = (noisy(gaussian(100, 500.0, 50, 50, 20.0), seed).astype(float) for seed in (1, 2))
-    whole = same_site.tally_of(one, two, 40.0, 1023.0)[0].sum()
+    whole = frame_pairs.tally_differences(one, two, 40.0, 1023.0)[0].sum()
     one[44, 57] = np.nan
-    left = same_site.tally_of(one, two, 40.0, 1023.0)[0].sum()
-    assert whole - left == same_site.SIDE**2
+    left = frame_pairs.tally_differences(one, two, 40.0, 1023.0)[0].sum()
+    assert whole - left == frame_pairs.SIDE**2
 
 
 WRONG = {

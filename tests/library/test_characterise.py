@@ -20,8 +20,15 @@ def test_arrays_and_folder_give_the_same_sensor(there):
     other = characterise_dataset("my-flats")
     assert list(found) == list(other) and len(found) == 26
     for name, own in found.items():
-        assert own[:2] + own[4:] == other[name][:2] + other[name][4:]
-        assert own[2:4] == pytest.approx(other[name][2:4], rel=1e-12, nan_ok=True), name
+        assert (own.name, own.symbol, own.unit, own.why) == (
+            name,
+            other[name].symbol,
+            other[name].unit,
+            other[name].why,
+        )
+        assert (own.value, own.stderr) == pytest.approx(
+            (other[name].value, other[name].stderr), rel=1e-12, nan_ok=True
+        ), name
 
 
 def test_a_sensor_without_photons_and_one_exposure():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spotcheck.characterization.sensor_choice import model_of, resolve
+from spotcheck.characterization.sensor_choice import choose_sensor_values, read_sensor_model
 from spotcheck.crops.cropping import crop_spots
 from spotcheck.crops.full_scale import find_full_scale, find_reading_step, measure_extremes
 from spotcheck.crops.ingest import ingest_frames, read_full_scale
@@ -42,7 +42,7 @@ def test_a_clipped_spot_is_fitted_as_one_without_a_bit_depth(tmp_path, highest, 
     crop_spots(dataset, table, tmp_path / "crops.nc", code="", inputs=[])
     with store.read(tmp_path / "crops.nc") as images:
         end = read_full_scale(table)
-        sensor = model_of(resolve(dataset, end, []))
+        sensor = read_sensor_model(choose_sensor_values(dataset, end, []))
         fits = preferred(fit_crops(images, sensor))
     assert sensor.full_scale_dn == highest * unit
     assert set(store.status_names(fits["status"].values).ravel()) == {"clipped"}

@@ -5,7 +5,7 @@ import pytest
 import tifffile
 
 from spotcheck.characterization.characterise import characterise_dataset
-from spotcheck.characterization.same_site import pairs_along
+from spotcheck.characterization.frame_pairs import iterate_pairs
 from spotcheck.crops.cropping import crop_spots, iterate_cells
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset.conditions import (
@@ -131,4 +131,4 @@ def test_a_frame_an_exposure_is_no_walk_over_a_square(tmp_path):
         own = images.sel(centring="light")
         filled = list(iterate_cells(own, store.grid_dims(images)))
         assert [(at["exposure"], at["repeat"]) for at in filled] == [(k, k) for k in range(count)]
-        assert list(pairs_along(own, "exposure")) == []
+        assert list(iterate_pairs(own, "exposure")) == []

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from spotcheck.characterization.characterise import characterise_sensor
-from spotcheck.characterization.consistent import LONGER, too_long
-from spotcheck.characterization.photon_transfer import Quantity
-from spotcheck.characterization.sensor_choice import Darks, model_of, resolve
+from spotcheck.characterization.contradictions import MAX_EXPOSURE_RATIO, describe_long_darks
+from spotcheck.characterization.dark_frames import DarkLevels
+from spotcheck.characterization.emva_quantities import Quantity
+from spotcheck.characterization.sensor_choice import choose_sensor_values, read_sensor_model
 from spotcheck.crops.full_scale import FullScale
 from spotcheck.dataset.folder import load
 from spotcheck.io import store
@@ -55,10 +56,15 @@ def test_darks_that_last_longer_tell_no_read_noise(dark_s, known):
 
 def test_how_much_longer_darks_may_last():
     """Twice as long as the longest that they serve; not recorded exposures and bias frames are no contradiction."""
-    assert too_long([LONGER * 0.02], [0.001, 0.02], "spots") == ""
-    assert too_long([1.01 * LONGER * 0.02], [0.001, 0.02], "spots")
-    assert too_long([], [0.02], "spots") == too_long([3.0], [], "spots") == too_long([0.0], [0.02], "spots") == ""
-    assert too_long([np.nan], [0.02], "spots") == ""
+    assert describe_long_darks([MAX_EXPOSURE_RATIO * 0.02], [0.001, 0.02], "spots") == ""
+    assert describe_long_darks([1.01 * MAX_EXPOSURE_RATIO * 0.02], [0.001, 0.02], "spots")
+    assert (
+        describe_long_darks([], [0.02], "spots")
+        == describe_long_darks([3.0], [], "spots")
+        == describe_long_darks([0.0], [0.02], "spots")
+        == ""
+    )
+    assert describe_long_darks([np.nan], [0.02], "spots") == ""
 
 
 def test_photons_by_the_second_are_seen():
@@ -110,10 +116,10 @@ AGAINST_FLATS = {
 }  # fmt: skip
 
 
-def settled(base, sensor: str, rows=("frames/a.tif,spot,0,0.02,0",), darks=Darks(darkest=50.0), **options):  # noqa: B008
+def settled(base, sensor: str, rows=("frames/a.tif,spot,0,0.02,0",), darks=DarkLevels(darkest_dn=50.0), **options):  # noqa: B008
     """The sensor of a dataset of these keys and rows."""
     dataset = load(folder(base, list(rows), f"crop_px: 24\nsensor: {{bit_depth: 12, {sensor}}}", HEADER))
-    return resolve(dataset, END, [], darks, options.get("measured", MEASURED), highest_dn=3000.0)
+    return choose_sensor_values(dataset, END, [], darks, options.get("measured", MEASURED), highest_dn=3000.0)
 
 
 @pytest.mark.parametrize(("sensor", "words", "unknown"), AGAINST_FLATS.values(), ids=AGAINST_FLATS)
@@ -124,9 +130,9 @@ def test_a_data_sheet_against_flats_and_readings(tmp_path, sensor, words, unknow
     assert len(said) == 1 and all(word in said[0] for word in ("instrument.yaml", *words)), said
     if unknown:
         assert np.isnan(float(ds[unknown])) and ds[unknown].attrs["source"] == f"unknown: {said[0]}"
-        assert model_of(ds) is None
+        assert read_sensor_model(ds) is None
     else:
-        assert model_of(ds) is not None
+        assert read_sensor_model(ds) is not None
 
 
 def test_what_a_contradicted_key_leaves(tmp_path):
@@ -135,7 +141,7 @@ def test_what_a_contradicted_key_leaves(tmp_path):
     ds = settled(tmp_path / "a", "black_level_dn: 130")
     assert float(ds["black_level_dn"]) == 50 and float(ds["black_level_dn_by"].sel(source="data sheet")) == 130
     alone = settled(tmp_path / "alone", "black_level_dn: 130, black_level_dn_stderr: 2", measured={})
-    how = "instrument.yaml, though frames contradict it: nothing else tells it"
+    how = "instrument.yaml, although frames contradict it: no other source gives a value"
     assert (float(alone["black_level_dn"]), alone["black_level_dn"].attrs["source"]) == (130, how)
     ds = settled(tmp_path / "b", "full_well_e: 900")
     assert np.isinf(float(ds["full_well_e"])) and "full_well_e is 900" in ds["full_well_e"].attrs["source"]
@@ -161,7 +167,7 @@ def test_an_efficiency_that_flats_contradict_stays(tmp_path):
 def test_a_data_sheet_that_agrees_is_no_remark(tmp_path, sensor):
     """Typical values are off by some percent, and a level by its rounding."""
     ds = settled(tmp_path, sensor)
-    assert store.remarks_of(ds) == [] and model_of(ds) is not None
+    assert store.remarks_of(ds) == [] and read_sensor_model(ds) is not None
 
 
 DARK_ROWS = ("frames/a.tif,spot,0,0.02,0", "frames/d.tif,dark,,5,0", "frames/e.tif,dark,,5,1")
@@ -172,7 +178,7 @@ LONG = {"gain": MEASURED["gain"], "dark_noise": quantity("dark_noise", 41.0, 0.3
 def test_long_darks_beside_short_spots(tmp_path):
     """Neither black level nor read noise comes from darks of 5 s where spots last 20 ms; with the dark current of the
     data sheet, 320 e-/s, both do, less 1600 e-: √(41² − 1600) = 9 e- and 370 − 0.2 · 1600 = 50 DN."""
-    darks = Darks([370.0, 370.0], "", 50.0)
+    darks = DarkLevels([370.0, 370.0], "", 50.0)
     ds = settled(tmp_path / "a", "gain_dn_per_e: 0.2", DARK_ROWS, darks, measured=LONG)
     (said,) = store.remarks_of(ds)
     assert "the darks last 5 s and the spots 0.02 s" in said and said in ds["black_level_dn"].attrs["source"]

@@ -222,7 +222,10 @@ def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch)
 # Quantities of EMVA 1288, which bear the names of effects.
 EMVA = {
     "dark_offset": {
-        *(f"characterization/{module}.py" for module in ("consistent", "photon_transfer", "sensor_choice")),
+        *(
+            f"characterization/{module}.py"
+            for module in ("contradictions", "derived_quantities", "emva_quantities", "sensor_choice")
+        ),
         *("discrepancy/flat_levels.py", "report/figures/photon_transfer.py"),
     },
     "saturation": {"characterization/transfer_data.py", "report/figures/photon_transfer.py"},

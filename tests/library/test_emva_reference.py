@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 
 from spotcheck.characterization.characterise import characterise_sensor
-from spotcheck.characterization.levels import levels_of
-from spotcheck.characterization.photon_transfer import transfer_of
+from spotcheck.characterization.levels import measure_levels
+from spotcheck.characterization.photon_transfer import analyse_photon_transfer
 from spotcheck.dataset.folder import load
 from tests.conftest import SHARED
 from tests.library.shelf import flats, levels
@@ -18,7 +18,7 @@ CCD = SHARED / "data" / "emva-ccd"
 
 def ours(folder):
     found = load(folder)
-    return transfer_of(levels_of(found, 4095.0), 4095.0).quantities
+    return analyse_photon_transfer(measure_levels(found, 4095.0), 4095.0).quantities
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_dsnu_differs_and_why(ccd):
     pairs = [(b - a).mean(axis=1).var() for a, b in zip(images[::2], images[1::2], strict=True)]
     white = [(b - a).var() / a.shape[1] for a, b in zip(images[::2], images[1::2], strict=True)]
     assert np.mean(pairs) > 3 * np.mean(white)
-    totals = np.array([level.spatial.total for level in levels_of(found, 4095.0) if level.kind == "dark"])
+    totals = np.array([level.pattern.total for level in measure_levels(found, 4095.0) if level.kind == "dark"])
     one_pair = totals.std(ddof=1)
     theirs = (other["DSNU1288"] * own["gain"].value) ** 2
     assert abs(theirs - totals.mean()) < 3 * one_pair

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from spotcheck.characterization.odd_pixels import odd_pixels
+from spotcheck.characterization.outlier_pixels import find_outlier_pixels
 from spotcheck.crops.cropping import crop_spots
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.fitting.fits import TOO_HIGH, fit_crops, remarks_of
@@ -77,9 +77,9 @@ def test_single_pixels_are_left_out():
         pixels[y[keep], x[keep]] = np.where(np.arange(keep.sum()) % 2, 2000, 0)
         want = np.zeros(pixels.shape, bool)
         want[y[keep], x[keep]] = True
-        found = odd_pixels(pixels, QUIET)
+        found = find_outlier_pixels(pixels, QUIET)
         assert (found.mask == want).all() and not found.columns and not found.rows
-        assert found.sentence().endswith(" left out: no light beside explains what is read there")
+        assert found.describe().endswith(" left out: no light beside explains what is read there")
 
 
 def speckle(rng, grain) -> np.ndarray:
@@ -114,7 +114,7 @@ def test_honest_light_loses_no_pixel(sensor):
         for sigma in (1.0, 3.0, 8.0, 14.0, 25.0):
             for k, light in enumerate(lights(rng, peak, sigma)):
                 pixels = noisy(light, int(rng.integers(2**31)), sensor).astype(float)
-                assert not odd_pixels(pixels, sensor).mask.any(), (peak, sigma, k)
+                assert not find_outlier_pixels(pixels, sensor).mask.any(), (peak, sigma, k)
 
 
 @pytest.mark.parametrize("sigma", [0.7, 0.85, 1.2])
@@ -124,7 +124,7 @@ def test_a_narrow_spot_keeps_its_pixels(sigma):
     for seed in range(30):
         x, y = rng.uniform(55, 65, 2)
         pixels = noisy(gaussian(SIDE, 3000.0, x, y, sigma), seed, QUIET).astype(float)
-        assert not odd_pixels(pixels, QUIET).mask.any()
+        assert not find_outlier_pixels(pixels, QUIET).mask.any()
 
 
 def test_pairs_of_pixels_and_of_columns():
@@ -132,7 +132,7 @@ def test_pairs_of_pixels_and_of_columns():
     pixels = noisy(gaussian(SIDE, 2000.0, 60.3, 59.8, 7.0), 5, QUIET).astype(float)
     pixels[:, 66:68] = 4095
     pixels[20:22, 30:32] = 3000
-    found = odd_pixels(pixels, QUIET)
+    found = find_outlier_pixels(pixels, QUIET)
     assert found.columns == [66, 67] and not found.rows
     assert found.pixels == [(20, 30), (20, 31), (21, 30), (21, 31)]
 
@@ -143,14 +143,14 @@ def test_lines_with_offsets_of_their_own_stay(axis):
     for seed in range(20):
         offset = np.random.default_rng(seed).normal(0, 6, SIDE)
         pixels = noisy(gaussian(SIDE, 500.0, 60, 60, 10.0), seed, QUIET) + np.expand_dims(np.rint(offset), axis)
-        assert not odd_pixels(pixels, QUIET).mask.any()
+        assert not find_outlier_pixels(pixels, QUIET).mask.any()
 
 
 def test_gaps_are_no_neighbours():
     """A spot at the border of its crop, and columns that were not measured, lose nothing."""
     pixels = noisy(gaussian(SIDE, 2000.0, 60.0, 10.0, 6.0), 3, QUIET).astype(float)
     pixels[:8] = pixels[:, 61] = np.nan
-    assert not odd_pixels(pixels, QUIET).mask.any()
+    assert not find_outlier_pixels(pixels, QUIET).mask.any()
 
 
 def test_remarks_on_errors(tmp_path):

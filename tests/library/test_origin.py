@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 from spotcheck import cli
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset import folder as dataset
 from spotcheck.discrepancy.words import value_text
 from spotcheck.errors import InputError
@@ -318,7 +318,7 @@ def test_a_sensor_by_flats(tmp_path):
     levels = {"number": 40, "gain_dn_per_e": {"value": 0.3, "stderr": 0.01}, "light_scatter": 0.001}
     store.write_text(out / "verdict.json", json.dumps({"levels": levels}), code="1", inputs=[out / "frames.nc"])
     with store.read(out / "transfer.nc") as ds:
-        quantities = quantities_of(ds)
+        quantities = read_quantities(ds)
     for name, own in quantities.items():
         number = provenance.find_number(out, f"transfer.{name}")
         assert number.unit == own.unit and number.source.rule == "transfer"

@@ -143,7 +143,11 @@ def results(tmp_path) -> Results:
     for name, value in (("rows", 3072), ("columns", 4096), ("full_scale", 1023)):
         frames[name] = ((), value, {"units": "1", "long_name": name})
     store.write(frames, tmp_path / "frames.nc", code="c")
-    store.write(sensor.resolve(data, FullScale(1023, "bits of the converter"), []), tmp_path / "sensor.nc", code="c")
+    store.write(
+        sensor.choose_sensor_values(data, FullScale(1023, "bits of the converter"), []),
+        tmp_path / "sensor.nc",
+        code="c",
+    )
     return Results(data, tmp_path)
 
 

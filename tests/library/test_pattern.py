@@ -4,16 +4,22 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from spotcheck.characterization.levels import levels_of
-from spotcheck.characterization.pattern import LARGEST, add_patterns, chosen, pattern_of, spectrum
-from spotcheck.characterization.photon_transfer import transfer_of
-from spotcheck.characterization.transfer_data import dataset_of
+from spotcheck.characterization.fixed_pattern import (
+    MAX_SIDE,
+    add_patterns,
+    compute_spectrum,
+    measure_pattern,
+    select_levels,
+)
+from spotcheck.characterization.levels import measure_levels
+from spotcheck.characterization.photon_transfer import analyse_photon_transfer
+from spotcheck.characterization.transfer_data import build_transfer_dataset
 from spotcheck.dataset.folder import load
 
 
 def test_a_spectrum_of_white_noise_is_flat():
     """rms 3 at every frequency, within 2 % on average over 1024 lines (0.1 %) and 15 % at each (2.2 % each)."""
-    own = spectrum(np.random.default_rng(0).normal(0, 3, (1024, 128)))
+    own = compute_spectrum(np.random.default_rng(0).normal(0, 3, (1024, 128)))
     assert own.shape == (65,)
     assert np.sqrt((own[1:-1] ** 2).mean()) == pytest.approx(3, rel=0.02)
     assert np.abs(own[1:-1] / 3 - 1).max() < 0.15
@@ -22,7 +28,7 @@ def test_a_spectrum_of_white_noise_is_flat():
 def test_stripes_are_a_peak():
     """An amplitude a at 1/8 cycles per px is a √(N/4) there, and nothing elsewhere."""
     x = np.arange(128)
-    own = spectrum(np.tile(2 * np.cos(2 * np.pi * x / 8), (5, 1)))
+    own = compute_spectrum(np.tile(2 * np.cos(2 * np.pi * x / 8), (5, 1)))
     assert own[16] == pytest.approx(2 * np.sqrt(128 / 4))
     assert np.delete(own, 16).max() < 1e-9
 
@@ -51,11 +57,11 @@ def test_pictures_of_dark_and_half(folder):
     """The stripes' rms without light, √(1/20 · 19/20) 4 DN, in the spectrum along rows and not along columns; blocks of
     3 px keep the picture below its largest size."""
     dataset = load(folder)
-    found = transfer_of(levels_of(dataset, 4095.0), 4095.0)
-    levels = chosen(found)
+    found = analyse_photon_transfer(measure_levels(dataset, 4095.0), 4095.0)
+    levels = select_levels(found)
     assert levels["dark"].kind == "dark" and abs(levels["flat"].mean - 50 - 0.3 * 4000) < 200
-    own = pattern_of(dataset, levels["dark"])
-    assert own.side == 3 and max(own.picture.shape) <= LARGEST and abs(own.picture.mean()) < 0.05
+    own = measure_pattern(dataset, levels["dark"])
+    assert own.side == 3 and max(own.image.shape) <= MAX_SIDE and abs(own.image.mean()) < 0.05
     frequency = np.linspace(0, 0.5, len(own.along_rows))
     peak = own.along_rows[np.argmin(np.abs(frequency - 1 / 20))]
     assert peak > 3 * own.noise and own.along_columns[1:].max() < 2.5 * own.noise
@@ -64,8 +70,8 @@ def test_pictures_of_dark_and_half(folder):
 
 def test_they_are_in_the_file(folder):
     dataset = load(folder)
-    found = transfer_of(levels_of(dataset, 4095.0), 4095.0)
-    ds = add_patterns(dataset_of(found, "T", "d"), dataset, found)
+    found = analyse_photon_transfer(measure_levels(dataset, 4095.0), 4095.0)
+    ds = add_patterns(build_transfer_dataset(found, "T", "d"), dataset, found)
     assert ds["flat_picture"].shape == ds["dark_picture"].shape == (13, 200)
     assert float(ds["dark_shown_at"]) == pytest.approx(50.2, abs=0.2)
     assert ds["flat_along_rows"].sizes["flat_rows_frequency"] == 301

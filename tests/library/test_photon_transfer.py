@@ -1,10 +1,21 @@
 """Photon transfer of flats and darks: closed forms, coverage of the errors over random sensors, and bad input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from spotcheck.characterization.levels import Level, Spatial, levels_of, pattern_of, photons_of, variance_by_row
-from spotcheck.characterization.photon_transfer import QUANTITIES, line, through_zero, transfer_of
+from spotcheck.characterization.emva_quantities import QUANTITIES
+from spotcheck.characterization.levels import (
+    Level,
+    PatternVariances,
+    estimate_pattern_variances,
+    estimate_row_variances,
+    measure_levels,
+    read_photons,
+)
+from spotcheck.characterization.line_fits import fit_line, fit_through_zero
+from spotcheck.characterization.photon_transfer import analyse_photon_transfer
 from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
 
@@ -14,9 +25,9 @@ ROWS, COLUMNS, FULL = 48, 64, 4095.0
 def level(kind, exposure, photons, images, highest=FULL):
     """A level of frames that are at hand."""
     pairs = list(zip(images[::2], images[1::2], strict=False))
-    rows = np.concatenate([variance_by_row(a, b) for a, b in pairs]) if pairs else np.array([np.nan])
-    patterns = [pattern_of(a, b) for a, b in pairs]
-    pattern = Spatial(*np.mean(patterns, axis=0)) if patterns else Spatial(*[np.nan] * 4)
+    rows = np.concatenate([estimate_row_variances(a, b) for a, b in pairs]) if pairs else np.array([np.nan])
+    patterns = [estimate_pattern_variances(a, b) for a, b in pairs]
+    pattern = PatternVariances(*np.mean(patterns, axis=0)) if patterns else PatternVariances(*[np.nan] * 4)
     mean = np.mean(images)
     error = rows.std(ddof=1) / np.sqrt(rows.size) if pairs else np.nan
     return Level(kind, exposure, photons, len(images), float(mean), float(np.std(images) / np.sqrt(np.size(images))),
@@ -53,9 +64,9 @@ class Sensor:
 def test_lines():
     """Slopes and errors of points without scatter are those of the normal equations."""
     x, error = np.array([1.0, 2.0, 4.0]), np.array([0.1, 0.2, 0.1])
-    slope, own = through_zero(x, 3 * x, error)
+    slope, own = fit_through_zero(x, 3 * x, error)
     assert slope == pytest.approx(3) and own == pytest.approx(np.sqrt((x**2) @ error**2) / (x @ x))
-    found = line(x, 3 * x + 2, error)
+    found = fit_line(x, 3 * x + 2, error)
     design = np.stack([x, np.ones(3)], axis=1) / error[:, None]
     covariance = np.linalg.inv(design.T @ design)
     assert (found.slope, found.intercept) == pytest.approx((3, 2))
@@ -70,7 +81,7 @@ def test_two_frames_split_a_pattern_and_hold_no_noise():
     for _ in range(40):
         fixed = rng.normal(0, 1, (200, 300)) + rng.normal(0, 0.5, (1, 300)) + rng.normal(0, 0.3, (200, 1))
         a, b = (fixed + rng.normal(0, 3, (200, 300)) + rng.normal(0, 1, (200, 1)) for _ in range(2))
-        found.append(pattern_of(a, b))
+        found.append(estimate_pattern_variances(a, b))
     total, column, row, pixel = np.mean(found, axis=0)
     assert (total, column, pixel) == pytest.approx((1.34, 0.25, 1.0), rel=0.05)
     assert row == pytest.approx(0.09, abs=0.04)
@@ -79,9 +90,9 @@ def test_two_frames_split_a_pattern_and_hold_no_noise():
 def test_noise_in_time_is_half_of_the_difference():
     """Of equal patterns nothing is left, nor of a lamp that drifts."""
     pattern = np.random.default_rng(2).normal(0, 50, (20, 30))
-    assert variance_by_row(pattern, pattern + 7).max() == pytest.approx(0, abs=1e-20)
+    assert estimate_row_variances(pattern, pattern + 7).max() == pytest.approx(0, abs=1e-20)
     a, b = np.zeros((1, 4)), np.array([[2.0, -2.0, 2.0, -2.0]])
-    assert variance_by_row(a, b)[0] == pytest.approx(2.0)
+    assert estimate_row_variances(a, b)[0] == pytest.approx(2.0)
 
 
 @pytest.mark.slow
@@ -97,7 +108,7 @@ def test_errors_cover_random_sensors():
         well = 3600 / true["gain"]
         sensor = Sensor(rng, true["gain"], true["dark_noise"], 0.5, well, true["dark_offset"])
         photons = np.linspace(0.02, 1.1, 24) * well / 0.5
-        found = transfer_of(sensor.levels(photons), FULL).quantities
+        found = analyse_photon_transfer(sensor.levels(photons), FULL).quantities
         for name, own in pulls.items():
             own.append((found[name].value - true[name]) / found[name].stderr)
     for name, own in pulls.items():
@@ -110,7 +121,7 @@ def test_everything_of_one_sensor():
     """All quantities of a sensor that has everything: within four of their standard errors, or of a level's step."""
     rng = np.random.default_rng(5)
     sensor = Sensor(rng, gain=0.3, noise=9.0, eta=0.5, well=10000.0, black=30.0, current=4000.0, dsnu=6.0, prnu=0.02)
-    found = transfer_of(sensor.levels(frames=8), FULL)
+    found = analyse_photon_transfer(sensor.levels(frames=8), FULL)
     assert found.remarks == [] and set(found.quantities) == set(QUANTITIES)
     expected = {
         "gain": 0.3, "dark_noise": 9.0, "dark_offset": 30.0, "dark_current": 4000.0, "responsivity": 0.15,
@@ -132,12 +143,12 @@ def test_a_response_that_bends_is_told_by_the_linearity_error():
     exposures = np.linspace(1e-3, 2e-2, 20)
     light = np.linspace(200, 4000, 20)
     signal = light - 0.05 * light**2 / FULL
-    shape, none = (ROWS, COLUMNS), Spatial(0, 0, 0, 0)
+    shape, none = (ROWS, COLUMNS), PatternVariances(0, 0, 0, 0)
     dark = Level("dark", 1e-3, 0.0, 2, 30.0, 0.01, 5.0, 0.1, 0, 0, none, shape)
     variance = np.where(np.arange(20) < 19, 5 + 0.3 * signal, 1.0)
     flats = [Level("flat", t, p, 2, 30 + s, 0.01, v, 0.1, 0, 0.2 * (s > 3700), none, shape)
              for t, p, s, v in zip(exposures, light / 0.15, signal, variance, strict=True)]  # fmt: skip
-    found = transfer_of([dark, *flats], FULL)
+    found = analyse_photon_transfer([dark, *flats], FULL)
     use = (signal > 0.05 * signal[18]) & (signal < 0.95 * signal[18])
     x, y = light[use] / 0.15, signal[use]
     coefficients = np.polyfit(x, y, 1, w=1 / y)
@@ -163,25 +174,25 @@ def test_a_single_flat():
     levels = plain(np.random.default_rng(6))
     darks = [own for own in levels if own.kind == "dark"]
     flats = [own for own in levels if own.kind == "flat"]
-    single = flats[3]._replace(frames=1, variance=np.nan, variance_error=np.nan)
-    found = transfer_of([*darks, single], FULL)
+    single = replace(flats[3], frames=1, variance=np.nan, variance_error=np.nan)
+    found = analyse_photon_transfer([*darks, single], FULL)
     assert why(found, "gain") == "there are no flats in pairs" and "single frame" in found.remarks[0]
     assert np.isfinite(found.quantities["dark_noise_dn"].value)
-    pair = transfer_of([*darks, flats[3]], FULL)
+    pair = analyse_photon_transfer([*darks, flats[3]], FULL)
     assert pair.quantities["gain"].value == pytest.approx(0.3, rel=0.1)
     assert why(pair, "full_well") == "no flat is saturated"
 
 
 def test_flats_without_darks():
     flats = [own for own in plain(np.random.default_rng(7)) if own.kind == "flat"]
-    found = transfer_of(flats, FULL)
+    found = analyse_photon_transfer(flats, FULL)
     assert why(found, "gain") == why(found, "dark_noise") == "there are no dark frames in pairs"
 
 
 def test_all_saturated():
     levels = plain(np.random.default_rng(8))
-    full = [own._replace(mean=FULL, variance=0.0, at_full=1.0) if own.kind == "flat" else own for own in levels]
-    found = transfer_of(full, FULL)
+    full = [replace(own, mean=FULL, variance=0.0, at_full=1.0) if own.kind == "flat" else own for own in levels]
+    found = analyse_photon_transfer(full, FULL)
     assert why(found, "gain") == "every flat is saturated" and found.remarks == ["every flat is saturated"]
     assert np.isfinite(found.quantities["dark_offset"].value)
 
@@ -193,7 +204,7 @@ def test_one_exposure_for_all():
     photons = np.linspace(500, 24000, 20)
     levels = [level("dark", 1e-3, 0.0, [sensor.frame(0, 1e-3) for _ in range(2)])]
     levels += [level("flat", 1e-3, p, [sensor.frame(p, 1e-3) for _ in range(2)]) for p in photons]
-    found = transfer_of(levels, FULL)
+    found = analyse_photon_transfer(levels, FULL)
     assert why(found, "dark_current") == "fewer than three exposures of darks"
     own = found.quantities["gain"]
     assert abs(own.value - 0.3) < 4 * own.stderr
@@ -202,22 +213,40 @@ def test_one_exposure_for_all():
 def test_photons_for_some_rows_only():
     """Responsivity from the rows that have them; linearity then runs over exposure."""
     levels = plain(np.random.default_rng(10))
-    some = [own._replace(photons=np.nan) if own.kind == "flat" and k % 2 else own for k, own in enumerate(levels)]
-    found = transfer_of(some, FULL)
+    some = [replace(own, photons=np.nan) if own.kind == "flat" and k % 2 else own for k, own in enumerate(levels)]
+    found = analyse_photon_transfer(some, FULL)
     assert found.quantities["quantum_efficiency"].value == pytest.approx(0.5, rel=0.02)
-    none = [own._replace(photons=np.nan) if own.kind == "flat" else own for own in levels]
-    without = transfer_of(none, FULL)
+    assert why(found, "saturation_photons") == "photons_per_px is not given for the flat at saturation"
+    none = [replace(own, photons=np.nan) if own.kind == "flat" else own for own in levels]
+    without = analyse_photon_transfer(none, FULL)
     assert why(without, "quantum_efficiency") == "photons_per_px is not given for the flats"
     assert np.isfinite(without.quantities["linearity_error"].value)
     well = without.quantities["full_well"]
     assert abs(well.value - 10000) < 4 * well.stderr
 
 
+def test_an_exposure_of_a_dark_that_is_not_given():
+    """It has no part in the dark current, which four standard errors hold."""
+    sensor = Sensor(np.random.default_rng(15), current=4000.0)
+    levels = sensor.levels()
+    levels[0] = replace(levels[0], exposure_s=np.nan)
+    current = analyse_photon_transfer(levels, FULL).quantities["dark_current"]
+    assert abs(current.value - 4000) < 4 * current.stderr
+
+
+def test_flats_that_are_darker_than_the_darks():
+    """Long darks beside short flats: no gain, no level of saturation, and the reason that holds."""
+    levels = plain(np.random.default_rng(16))
+    bright = [replace(own, mean=own.mean + 2000) if own.kind == "dark" else own for own in levels if own.photons < 9000]
+    found = analyse_photon_transfer(bright, FULL)
+    assert why(found, "gain") == "no flat lies above its dark" and found.saturation is None
+
+
 def test_light_in_some_darks():
     levels = plain(np.random.default_rng(11))
-    lit = [own._replace(mean=own.mean + 40, variance=own.variance + 12) if k in (2, 9) else own
+    lit = [replace(own, mean=own.mean + 40, variance=own.variance + 12) if k in (2, 9) else own
            for k, own in enumerate(levels)]  # fmt: skip
-    found = transfer_of(lit, FULL)
+    found = analyse_photon_transfer(lit, FULL)
     assert found.remarks[0].startswith("2 of 20 dark levels hold light")
     assert found.quantities["dark_offset"].value == pytest.approx(30, abs=0.2)
     assert abs(found.quantities["gain"].value - 0.3) < 4 * found.quantities["gain"].stderr
@@ -226,21 +255,21 @@ def test_light_in_some_darks():
 def test_copies_of_one_frame():
     """Pairs without any difference hold no noise, and no gain."""
     levels = plain(np.random.default_rng(14))
-    copies = [own._replace(variance=0.0, variance_error=0.0) for own in levels]
-    found = transfer_of(copies, FULL)
+    copies = [replace(own, variance=0.0, variance_error=0.0) for own in levels]
+    found = analyse_photon_transfer(copies, FULL)
     assert why(found, "gain") == why(found, "full_well") == "the noise of the flats does not grow with their light"
 
 
 def test_darks_that_are_cut_at_zero():
-    found = transfer_of(Sensor(np.random.default_rng(12), black=0.0).levels(), FULL)
+    found = analyse_photon_transfer(Sensor(np.random.default_rng(12), black=0.0).levels(), FULL)
     assert any("read 0: part of the noise is cut off" in remark for remark in found.remarks)
 
 
 def test_photons_must_be_a_number():
-    assert np.isnan(photons_of(frame("")))
-    assert photons_of(frame("12.5")) == 12.5
+    assert np.isnan(read_photons(frame("")))
+    assert read_photons(frame("12.5")) == 12.5
     with pytest.raises(InputError, match="photons_per_px is 'many'; it must be a number, 0 or more"):
-        photons_of(frame("many"))
+        read_photons(frame("many"))
 
 
 def frame(text):
@@ -264,12 +293,12 @@ def test_levels_of_a_folder_are_grouped(tmp_path):
             rows.append(f"{name},{kind},,{exposure},{repeat + photons},{photons if kind == 'flat' else ''}")
     (tmp_path / "manifest.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "instrument.yaml").write_text("crop_px: 24\nsensor: {bit_depth: 12}\n")
-    found = levels_of(load(tmp_path), 4095.0)
+    found = measure_levels(load(tmp_path), 4095.0)
     assert [(own.kind, own.photons, own.frames) for own in found] == [
         ("dark", 0, 3),
         ("flat", 300, 3),
         ("flat", 900, 3),
     ]
     first, second = (images[f"flat300_{k}.png"].astype(float) for k in (0, 1))
-    assert found[1].variance == pytest.approx(variance_by_row(first, second).mean())
+    assert found[1].variance == pytest.approx(estimate_row_variances(first, second).mean())
     assert found[1].mean == pytest.approx(np.mean([images[f"flat300_{k}.png"].mean() for k in range(3)]))

@@ -5,7 +5,7 @@ import pytest
 import tifffile
 from scipy import stats
 
-from spotcheck.characterization.pixel_maps import maps_in, maps_of, shrunk, smooth
+from spotcheck.characterization.pixel_maps import fit_light, measure_maps, read_maps, shrink_to_mean
 from spotcheck.cli import run
 from spotcheck.dataset import folder as dataset
 from spotcheck.fitting.spotfit import fit_spots
@@ -106,12 +106,12 @@ def test_noise_makes_no_map():
     out with the error that is stated (rms of a normal law to 5 errors, 1 in 2e6)."""
     rng = np.random.default_rng(5)
     halves = rng.normal(0, 2.0, (2, *SHAPE))
-    alike = shrunk(*halves)
+    alike = shrink_to_mean(*halves)
     # Σ ab of n pairs scatters by σ²√n: four of these are a rms of 2 √(4/√n).
     assert alike.rms < 2 * np.sqrt(4 / np.sqrt(halves[0].size)) and alike.stderr <= 2 / np.sqrt(2)
     pattern = rng.normal(0, DSNU, SHAPE)
     pattern[3, 4] = 400.0
-    found = shrunk(*(pattern + halves))
+    found = shrink_to_mean(*(pattern + halves))
     assert found.values[3, 4] == pytest.approx(400, abs=5 * 2 / np.sqrt(2))
     off = np.delete((found.values - pattern).ravel(), 3 * SHAPE[1] + 4)
     assert np.std(off) == pytest.approx(found.stderr, rel=5 / np.sqrt(2 * off.size))
@@ -125,7 +125,7 @@ def test_uneven_light_is_no_pattern():
     seen = lamp.copy()
     seen[20:23, 30:35] = np.nan
     # Means of blocks of 2 px are not the polynomial's own: its curvature makes them differ by 1/8 of it.
-    assert smooth(seen) == pytest.approx(lamp, abs=0.5)
+    assert fit_light(seen) == pytest.approx(lamp, abs=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_maps_are_the_sensors_own(made):
     """Offset at an exposure and gain of each pixel, to the errors that are stated: the rms of 3072 to 6 of its errors,
     and 5 % or, of gains, 10 % for what means of frames and the lamp's polynomial take up."""
     base, offset, slope, gain = made
-    found = maps_of(dataset.load(base), 1023)
+    found = measure_maps(dataset.load(base), 1023)
     assert (found.darks, found.flats) == (12, 10)
     for t in (1e-3, 2.5e-3):
         maps, true = found.at(t), offset + t * slope
@@ -210,4 +210,4 @@ def test_darks_that_tell_no_offsets(images, why, tmp_path):
     run(["ingest", str(base), "--output", str(tmp_path / "frames.nc")])
     run(["maps", str(base), "--frames", str(tmp_path / "frames.nc"), "--output", str(tmp_path / "maps.nc")])
     with store.read(tmp_path / "maps.nc") as maps:
-        assert why in maps.attrs["skipped"] and maps_in(maps) is None
+        assert why in maps.attrs["skipped"] and read_maps(maps) is None

@@ -6,9 +6,9 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import shift as moved
 
-from spotcheck.characterization.by_spots import seen_by_spots
-from spotcheck.characterization.noise_curve import gain_from_curve
-from spotcheck.characterization.same_site import aligned, curve_of, pairs_along, tally_of
+from spotcheck.characterization.frame_pairs import align_images, convert_to_curve, iterate_pairs, tally_differences
+from spotcheck.characterization.noise_curve import fit_gain
+from spotcheck.characterization.spot_estimates import estimate_from_spots
 
 GAIN, NOISE, SIDE, TOP = 0.2, 8.0, 200, 12000.0
 FLOOR = GAIN**2 * NOISE**2 + 1 / 12
@@ -30,7 +30,7 @@ def speckled(rng, contrast=0.5, grain=1.0, width=30.0):
 
 def gain_of(pairs, black=50.0, full_scale=4095.0):
     """Gain of some pairs."""
-    return gain_from_curve(curve_of(sum(tally_of(*two, black, full_scale) for two in pairs), black), black)
+    return fit_gain(convert_to_curve(sum(tally_differences(*two, black, full_scale) for two in pairs), black), black)
 
 
 def drawn(seed, parts=(0.5, 1.0), count=4, **how):
@@ -57,10 +57,10 @@ def test_neighbouring_pixels_cannot_tell_it():
     for seed in range(6):
         pairs = drawn(seed)
         crops = [one for two in pairs for one in two]
-        both = seen_by_spots(crops, {"exposures of a site": pairs}, 50.0, 4095.0)
-        assert both.how == "differences of 4 pairs of exposures of a site"
+        both = estimate_from_spots(crops, {"exposures of a site": pairs}, 50.0, 4095.0)
+        assert both.method == "differences of 4 pairs of exposures of a site"
         assert both.gain.gain_stderr < 0.02 * GAIN
-        alone = seen_by_spots(crops, {}, 50.0, 4095.0).gain
+        alone = estimate_from_spots(crops, {}, 50.0, 4095.0).gain
         assert alone is None or alone.gain_stderr > 5 * both.gain.gain_stderr
 
 
@@ -120,7 +120,7 @@ def test_sites_that_differ_tell_nothing():
 @pytest.mark.parametrize("image", [np.full((40, 40), np.nan), np.full((40, 40), 4095.0), np.ones((6, 6))])
 def test_nothing_to_see(image):
     """Gaps, saturation all over, and crops smaller than a block: an empty curve."""
-    assert curve_of(tally_of(image, image, 0.0, 4095.0), 0.0).level.size == 0
+    assert convert_to_curve(tally_differences(image, image, 0.0, 4095.0), 0.0).level.size == 0
 
 
 def test_aligned_parts_show_the_same_pixels():
@@ -129,16 +129,16 @@ def test_aligned_parts_show_the_same_pixels():
     for down, right in ((0, 0), (3, -5), (-4, 2), (-1, -7)):
         first = whole[10:40, 12:42]
         second = whole[10 + down : 40 + down, 12 + right : 42 + right]
-        one, two = aligned(first, second, down, right)
+        one, two = align_images(first, second, down, right)
         assert (one == two).all() and one.shape == (30 - abs(down), 30 - abs(right))
 
 
 @pytest.mark.parametrize(("down", "right"), [(30, 0), (0, -31), (-45, 12), (70, 70)])
 def test_crops_far_apart_share_nothing(down, right):
     """Spots of two frames at other ends of the sensor: nothing of them is compared."""
-    one, two = aligned(np.ones((30, 30)), np.ones((30, 30)), down, right)
+    one, two = align_images(np.ones((30, 30)), np.ones((30, 30)), down, right)
     assert one.shape == two.shape and one.size == 0
-    assert not tally_of(one, two, 0.0, 4095.0).any()
+    assert not tally_differences(one, two, 0.0, 4095.0).any()
 
 
 def test_pairs_are_neighbours_and_no_frame_is_taken_twice():
@@ -148,5 +148,5 @@ def test_pairs_are_neighbours_and_no_frame_is_taken_twice():
     for name in ("top", "left"):
         grid[name] = ("exposure", np.zeros(5, int))
     grid["status"] = ("exposure", np.array([0, 0, 0, 1, 0]))
-    assert [(one[0, 0], two[0, 0]) for one, two in pairs_along(grid, "exposure")] == [(2, 4), (0, 1)]
-    assert list(pairs_along(grid, "repeat")) == []
+    assert [(one[0, 0], two[0, 0]) for one, two in iterate_pairs(grid, "exposure")] == [(2, 4), (0, 1)]
+    assert list(iterate_pairs(grid, "repeat")) == []

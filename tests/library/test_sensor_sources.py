@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from spotcheck.characterization.photon_transfer import Quantity
-from spotcheck.characterization.sensor_choice import Darks, known_beforehand, resolve
+from spotcheck.characterization.dark_frames import DarkLevels
+from spotcheck.characterization.emva_quantities import Quantity
+from spotcheck.characterization.sensor_choice import choose_sensor_values
 from spotcheck.crops.full_scale import FullScale
 from spotcheck.model.spot import elliptical_gaussian
 from spotcheck.sensor import SensorModel
@@ -18,19 +19,20 @@ FRAME = [np.full((40, 40), 60, np.uint16)]
 
 def test_a_given_key_a_default_and_an_unknown(tmp_path):
     """Each quantity says which it is."""
-    ds = resolve(loaded(tmp_path, FRAME, "crop_px: 24\nsensor: {black_level_dn: 5}"), END, [])
+    ds = choose_sensor_values(loaded(tmp_path, FRAME, "crop_px: 24\nsensor: {black_level_dn: 5}"), END, [])
     assert ds["black_level_dn"].attrs["source"] == "instrument.yaml"
     assert ds["dark_current_e_per_s"].attrs["source"] == "default"
-    assert known_beforehand(ds) == ("black_level_dn",)
     assert np.isnan(float(ds["gain_dn_per_e"])) and ds["gain_dn_per_e"].attrs["source"].startswith("unknown")
 
 
 def test_dark_frames_replace_a_missing_black_level(tmp_path):
     """Their mean, with its standard error; a given key stands."""
-    ds = resolve(loaded(tmp_path / "a", FRAME, "crop_px: 24"), END, [], Darks([59.0, 60.0, 61.0]))
+    ds = choose_sensor_values(loaded(tmp_path / "a", FRAME, "crop_px: 24"), END, [], DarkLevels([59.0, 60.0, 61.0]))
     assert float(ds["black_level_dn"]) == 60 and ds["black_level_dn"].attrs["source"] == "mean of 3 dark frames"
     assert float(ds["black_level_dn_stderr"]) == pytest.approx(1 / np.sqrt(3))
-    ds = resolve(loaded(tmp_path / "b", FRAME, "crop_px: 24\nsensor: {black_level_dn: 5}"), END, [], Darks([60.0]))
+    ds = choose_sensor_values(
+        loaded(tmp_path / "b", FRAME, "crop_px: 24\nsensor: {black_level_dn: 5}"), END, [], DarkLevels([60.0])
+    )
     assert float(ds["black_level_dn"]) == 5
 
 
@@ -44,7 +46,7 @@ def test_gain_and_read_noise_of_a_camera_without_a_data_sheet(tmp_path, seed):
         light = elliptical_gaussian(pixel[None], pixel[:, None], 400.0 + 200 * k, 50, 49, 17.0, 12.0, 0.4)
         crops.append(draw(light, 0.0, TRUTH, rng).astype(np.float32))
     text = "crop_px: 24\nsensor: {bit_depth: 12, black_level_dn: 60}"
-    ds = resolve(loaded(tmp_path, FRAME, text), END, crops)
+    ds = choose_sensor_values(loaded(tmp_path, FRAME, text), END, crops)
     for name, truth in (("gain_dn_per_e", 0.25), ("read_noise_e", 8.0)):
         value, error = float(ds[name]), float(ds[f"{name}_stderr"])
         assert abs(value - truth) < 4 * error, (name, value, error)
@@ -71,7 +73,7 @@ def test_spots_tell_where_the_signal_stops(tmp_path):
     """Twelve clipped spots: gain within 5 %, full well within 2 % and four standard errors; the chain does not take
     it, as the verdict is to find it."""
     crops = spots_that_stop(np.random.default_rng(3), 10000.0)
-    ds = resolve(loaded(tmp_path, FRAME, TEXT), END, crops)
+    ds = choose_sensor_values(loaded(tmp_path, FRAME, TEXT), END, crops)
     by_spots = {name: float(ds[f"{name}_by"].sel(source="spots")) for name in ("gain_dn_per_e", "full_well_e")}
     assert by_spots["gain_dn_per_e"] == pytest.approx(0.25, rel=0.05)
     assert by_spots["full_well_e"] * by_spots["gain_dn_per_e"] == pytest.approx(2500, rel=0.02)
@@ -83,7 +85,7 @@ def test_what_does_not_stop_has_no_full_well(tmp_path):
     free = spots_that_stop(np.random.default_rng(4), 1e9, exposures=(0.5, 0.7, 0.9))
     flat = spots_that_stop(np.random.default_rng(5), 1e9, exposures=(0.5, 1.0, 1.6), plateau=True)
     for k, crops in enumerate((free, flat)):
-        ds = resolve(loaded(tmp_path / f"{k}", FRAME, TEXT), END, crops)
+        ds = choose_sensor_values(loaded(tmp_path / f"{k}", FRAME, TEXT), END, crops)
         assert np.isnan(float(ds["full_well_e_by"].sel(source="spots")))
 
 
@@ -94,7 +96,7 @@ def test_a_plateau_of_the_light_keeps_its_noise(tmp_path, level, plateau, known)
     crops = spots_that_stop(np.random.default_rng(7), level, exposures=(1.25,) if plateau else (1.5,), plateau=plateau)
     pairs = {"repeats": list(zip(crops[::2], crops[1::2], strict=True))}
     text = TEXT + "\nmodel: {top_hat: true}"
-    ds = resolve(loaded(tmp_path, FRAME, text), END, crops, pairs=pairs)
+    ds = choose_sensor_values(loaded(tmp_path, FRAME, text), END, crops, pairs=pairs)
     full_well = float(ds["full_well_e_by"].sel(source="spots"))
     assert np.isfinite(full_well) == known
     if known:
@@ -111,12 +113,12 @@ def test_flats_speak_before_spots_and_after_the_data_sheet(tmp_path):
         "full_well": Quantity("full_well", "μ_e.sat", 9900.0, 50.0, "e-"),
     }
     crops = spots_that_stop(np.random.default_rng(6), 10000.0)
-    ds = resolve(loaded(tmp_path / "a", FRAME, TEXT), END, crops, measured=measured)
+    ds = choose_sensor_values(loaded(tmp_path / "a", FRAME, TEXT), END, crops, measured=measured)
     assert (float(ds["gain_dn_per_e"]), float(ds["read_noise_e"])) == (0.26, 8.1)
     assert float(ds["dark_current_e_per_s"]) == 0 and np.isinf(float(ds["full_well_e"]))
     assert ds["gain_dn_per_e"].attrs["source"] == "photon transfer of flats and darks"
     sheet = TEXT.replace("bit_depth: 12", "bit_depth: 12, gain_dn_per_e: 0.3")
-    ds = resolve(loaded(tmp_path / "b", FRAME, sheet), END, crops, measured=measured)
+    ds = choose_sensor_values(loaded(tmp_path / "b", FRAME, sheet), END, crops, measured=measured)
     assert float(ds["gain_dn_per_e"]) == 0.3 and float(ds["read_noise_e"]) == 8.1
     assert np.isfinite(ds["gain_dn_per_e_by"].values).all()
 
@@ -129,5 +131,5 @@ def test_black_level_goes_with_the_dark_current(tmp_path):
     cases = (({"dark_offset": offset, "dark_current": current}, "", 58.0), ({"dark_offset": offset}, "", 60.0),
              ({"dark_offset": offset, "dark_current": current}, "1 of 4 dark frames hold light", 60.0))  # fmt: skip
     for k, (measured, remark, black) in enumerate(cases):
-        ds = resolve(loaded(tmp_path / f"{k}", FRAME, text), END, [], Darks(means, remark), measured)
+        ds = choose_sensor_values(loaded(tmp_path / f"{k}", FRAME, text), END, [], DarkLevels(means, remark), measured)
         assert float(ds["black_level_dn"]) == black

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 import xarray as xr
 
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.cli import main
 from tests.conftest import SHARED, snakemake
 
@@ -50,7 +50,7 @@ def written(base: Path, flats=2, darks=2, rate=1.5e6, exposures=EXPOSURES, photo
 def test_a_sensor_comes_back(flats_run):
     """Each within 3 standard errors of what was drawn (false alarm of the four together 1 %)."""
     with xr.open_dataset(flats_run / "transfer.nc") as ds:
-        found = quantities_of(ds)
+        found = read_quantities(ds)
     # The standard's point of saturation is the last level before the noise is cut: up to one of 20 below the end.
     well = (TOP - BLACK) / GAIN
     for name, truth, margin in (("gain", GAIN, 0.0), ("dark_noise", NOISE, 0.0), ("quantum_efficiency", ETA, 0.0),
@@ -95,7 +95,7 @@ def test_bad_flats_say_what_is_wrong(case, tmp_path):
     assert sentence in said.getvalue()
     if known:
         with xr.open_dataset(out["transfer.nc"]) as ds:
-            assert np.isfinite(quantities_of(ds)[known].value)
+            assert np.isfinite(read_quantities(ds)[known].value)
     verdict = json.loads(Path(out["verdict.json"]).read_text(encoding="utf-8"))
     assert verdict["status"] in ("consistent", "not_assessed")
 
@@ -111,7 +111,7 @@ def test_a_real_ccd(tmp_path):
     assert run.returncode == 0, run.stdout + run.stderr
     results = tmp_path / source.name
     with xr.open_dataset(results / "transfer.nc") as ds:
-        found = quantities_of(ds)
+        found = read_quantities(ds)
     for name, value, part in (("gain", 0.280, 0.01), ("dark_noise", 10.9, 0.01), ("full_well", 13900, 0.02)):
         assert found[name].value == pytest.approx(value, rel=part)
     verdict = json.loads((results / "verdict.json").read_text(encoding="utf-8"))

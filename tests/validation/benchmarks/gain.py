@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from spotcheck.characterization.by_spots import seen_by_spots
-from spotcheck.characterization.levels import Level, pattern_of, variance_by_row
-from spotcheck.characterization.photon_transfer import transfer_of
+from spotcheck.characterization.levels import Level, estimate_pattern_variances, estimate_row_variances
+from spotcheck.characterization.photon_transfer import analyse_photon_transfer
+from spotcheck.characterization.spot_estimates import estimate_from_spots
 from tests.validation.benchmarks.table import Figure, Limit, Part, Table
 
 SEED, DRAWS, FRAMES, SIDE = 20261121, 24, 32, 240
@@ -44,14 +44,22 @@ def by_flats(camera: Camera, rng: np.random.Generator) -> tuple[float, float]:
     levels = []
     for light in (0.0, *np.linspace(0.05, 1, FRAMES // 2) * camera.brightest):
         first, second = (camera.frame(np.full((SIDE, SIDE), light), rng) for _ in range(2))
-        rows = variance_by_row(first, second)
+        rows = estimate_row_variances(first, second)
         mean, error = (first.mean() + second.mean()) / 2, np.sqrt(rows.mean() / 2) / SIDE
         variance, variance_error = rows.mean(), rows.std(ddof=1) / np.sqrt(rows.size)
         noise = mean, error, variance, variance_error, 0.0, 0.0
         levels.append(
-            Level("flat" if light else "dark", 1e-3, light, 2, *noise, pattern_of(first, second), (SIDE, SIDE))
+            Level(
+                "flat" if light else "dark",
+                1e-3,
+                light,
+                2,
+                *noise,
+                estimate_pattern_variances(first, second),
+                (SIDE, SIDE),
+            )
         )
-    own = transfer_of(levels, FULL).quantities["gain"]
+    own = analyse_photon_transfer(levels, FULL).quantities["gain"]
     return own.value, own.stderr
 
 
@@ -66,7 +74,7 @@ def by_spots(camera: Camera, rng: np.random.Generator, speckled: bool) -> tuple[
             light = light * _grain(rng)
         light = light * camera.brightest / light.max()
         pairs.append(tuple(camera.frame(part * light, rng) for part in (0.5, 1.0)))
-    found = seen_by_spots((one for two in pairs for one in two), {"exposures of a site": pairs}, BLACK, FULL).gain
+    found = estimate_from_spots((one for two in pairs for one in two), {"exposures of a site": pairs}, BLACK, FULL).gain
     return (found.gain, found.gain_stderr) if found else (np.nan, np.nan)
 
 

@@ -1,4 +1,4 @@
-"""A sensor by its flats and darks after EMVA 1288, from arrays or from a dataset folder."""
+"""Characterisation of a sensor by its flats and darks after EMVA 1288, from arrays or from a dataset folder."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from spotcheck.characterization.levels import Level, level_of, levels_of, on_response, with_common_drift
-from spotcheck.characterization.photon_transfer import Quantity, Transfer, transfer_of
-from spotcheck.characterization.transfer_data import dataset_of, quantities_in
+from spotcheck.characterization.emva_quantities import Quantity
+from spotcheck.characterization.levels import add_common_drift, list_response_remarks, measure_level, measure_levels
+from spotcheck.characterization.photon_transfer import Transfer, analyse_photon_transfer
+from spotcheck.characterization.transfer_data import build_transfer_dataset
 from spotcheck.crops.ingest import exclude_copies, ingest_frames
 from spotcheck.dataset.folder import load
 from spotcheck.errors import InputError
@@ -20,15 +21,15 @@ from spotcheck.io.plus_minus import plus_minus
 
 
 class Characterisation(Mapping[str, Quantity]):
-    """What flats and darks tell of a sensor: the quantities of EMVA 1288 by name.
+    """Quantities of EMVA 1288 of a sensor by name, from its flats and darks.
 
-    A mapping: `found["gain"]` has `value`, `stderr`, `unit`, `symbol` of the standard, and `why` it is not known ("" if
-    it is; the value is then NaN). `list(found)` has all names, and `print(found)` a table.
+    The value of each name has the attributes `value`, `stderr`, `unit`, `symbol` (of the standard) and `why`: the
+    reason why the value is unknown (NaN), or "" if it is known. `list(found)` gives all names, `print(found)` a table.
 
     Attributes
     ----------
     remarks : sentences on what could not be used.
-    levels : the levels of light and the dark levels that all of it rests on, with their signal and noise over dark.
+    levels : the levels of flats and darks, with their signal and noise over dark.
 
     Examples
     --------
@@ -44,31 +45,29 @@ class Characterisation(Mapping[str, Quantity]):
     def __init__(self, levels: Transfer, title: str, name: str) -> None:
         self.levels, self.remarks = levels, levels.remarks
         self._title, self._name = title, name
-        self._quantities = quantities_in(levels)
 
     def __getitem__(self, name: str) -> Quantity:
-        return self._quantities[name]
+        return self.levels.quantities[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._quantities)
+        return iter(self.levels.quantities)
 
     def __len__(self) -> int:
-        return len(self._quantities)
+        return len(self.levels.quantities)
 
     def __repr__(self) -> str:
         flats, darks = len(self.levels.flats), len(self.levels.darks)
         lines = [f"EMVA 1288 of {self._title}: {flats} levels of light, {darks} dark levels"]
-        for own in self.values():
-            known = np.isfinite(own.value)
-            unit = "" if own.unit == "1" else own.unit
-            text = plus_minus(own.value, own.stderr, unit) if known else f"unknown: {own.why}"
-            lines.append(f"{own.name:<24} {own.symbol:<9} {text}")
+        for quantity in self.values():
+            unit = "" if quantity.unit == "1" else quantity.unit
+            is_known = np.isfinite(quantity.value)
+            text = plus_minus(quantity.value, quantity.stderr, unit) if is_known else f"unknown: {quantity.why}"
+            lines.append(f"{quantity.name:<24} {quantity.symbol:<9} {text}")
         return "\n".join([*lines, *self.remarks])
 
     def to_dataset(self) -> xr.Dataset:
-        """All quantities over `quantity` and every level over `flat` and `dark`, with units and long names, as in
-        transfer.nc."""
-        return dataset_of(self.levels, self._title, self._name)
+        """Return the content of transfer.nc: quantities over `quantity`, levels over `flat` and `dark`, with units."""
+        return build_transfer_dataset(self.levels, self._title, self._name)
 
 
 def characterise_sensor(
@@ -80,23 +79,23 @@ def characterise_sensor(
     bit_depth: int,
     dark_exposure_s: ArrayLike | None = None,
 ) -> Characterisation:
-    """Characterise a sensor by pairs of evenly lit frames and pairs of dark frames (EMVA 1288 Release 4.0 Linear).
+    """Return the characterisation of a sensor by pairs of flat frames and pairs of dark frames.
 
-    Gain, dark noise, dark current, full well, quantum efficiency, sensitivity, linearity (sections 8.1 to 8.4), and
-    non-uniformity as DSNU and PRNU, each with a standard error or the reason why it is not known. The standard asks for
-    50 levels from dark to saturation; what fewer do not tell stays unknown.
+    The analysis follows EMVA 1288 Release 4.0 Linear: gain, dark noise, dark current, full well, quantum efficiency,
+    sensitivity and linearity (sections 8.1 to 8.4), and non-uniformity as DSNU and PRNU. Each quantity has a standard
+    error, or the reason why it is unknown. The standard asks for 50 levels from dark to saturation; quantities that
+    fewer levels do not determine stay unknown.
 
     Parameters
     ----------
-    bright : levels of light, each [frame, row, column] in DN with two frames or more of one light; or all in one array
-        [level, frame, row, column].
-    dark : the same without light, a level an exposure.
-    exposure_s : exposure of every level of light [s], or one number for all.
-    photons : mean number of photons on a pixel during the exposure, for every level of light. Without it nothing is
-        said of quantum efficiency, and linearity is that over exposure.
-    bit_depth : bits of the converter: readings end at 2^bit_depth − 1.
-    dark_exposure_s : exposure of every dark level [s]; not needed where there are as many as levels of light, at the
-        same exposures.
+    bright : levels of light, each [frame, row, column] in DN with two frames or more of the same light; or all levels
+        in one array [level, frame, row, column].
+    dark : dark levels in the same form, one for each exposure.
+    exposure_s : exposure of each level of light [s], or one number for all.
+    photons : mean number of photons on a pixel during the exposure, for each level of light. Without it quantum
+        efficiency and responsivity are unknown, and linearity is that over exposure.
+    bit_depth : bits of the converter, whose largest reading is 2^bit_depth − 1.
+    dark_exposure_s : exposure of each dark level [s]. It may be left out if the exposures are those of `bright`.
 
     Returns
     -------
@@ -106,8 +105,8 @@ def characterise_sensor(
     Raises
     ------
     ValueError
-        Levels that are not [frame, row, column], of different sizes, or of a single frame; exposures or photons that
-        are not one a level; readings above the bit depth. The text says which.
+        Levels are not [frame, row, column], differ in size or have a single frame; there is not one exposure or photon
+        number for each level; or readings exceed the bit depth. The message names the argument and the level.
 
     Examples
     --------
@@ -126,37 +125,47 @@ def characterise_sensor(
     >>> print(found["dark_current"])
     μ_I is unknown: fewer than three exposures of darks
     """
-    full_scale = _full_scale(bit_depth)
-    light, unlit = _stacks(bright, "bright", full_scale), _stacks(dark, "dark", full_scale)
-    sizes = {stack.shape[1:] for stack in (*light, *unlit)}
+    if not 1 <= bit_depth <= 16:
+        raise ValueError(f"bit_depth: is {bit_depth!r}; it must be from 1 to 16")
+    full_scale = 2.0**bit_depth - 1
+    flats, darks = _check_levels(bright, "bright", full_scale), _check_levels(dark, "dark", full_scale)
+    sizes = {stack.shape[1:] for stack in (*flats, *darks)}
     if len(sizes) > 1:
         shapes = " and ".join(f"{rows} × {columns}" for rows, columns in sorted(sizes)[:2])
         raise ValueError(f"bright, dark: have frames of {shapes} pixels; all must have one size")
-    seconds = _each(exposure_s, len(light), "exposure_s", "bright")
-    if dark_exposure_s is None and np.ndim(exposure_s) and len(unlit) != len(light):
-        raise ValueError(
-            f"dark_exposure_s: is missing, and dark has {len(unlit)} levels where bright has {len(light)};"
-            " give the exposure of every dark level"
-        )
-    dark_seconds = _each(exposure_s if dark_exposure_s is None else dark_exposure_s, len(unlit), "dark_exposure_s",
-                         "dark")  # fmt: skip
-    quanta = np.full(len(light), np.nan) if photons is None else _each(photons, len(light), "photons", "bright")
-    levels: list[Level] = []
-    for kind, stacks, times, numbers in (
-        ("dark", unlit, dark_seconds, np.zeros(len(unlit))),
-        ("flat", light, seconds, quanta),
-    ):
-        for stack, time, number in zip(stacks, times, numbers, strict=True):
-            levels.append(level_of(stack, kind, float(time), float(number), full_scale))
-    found = transfer_of(with_common_drift(levels), full_scale)
-    return Characterisation(found, "frames in memory", "frames in memory")
+    flat_exposures = _check_numbers(exposure_s, len(flats), "exposure_s", "bright")
+    if dark_exposure_s is None:
+        if np.ndim(exposure_s) and len(darks) != len(flats):
+            raise ValueError(
+                f"dark_exposure_s: is missing, and dark has {len(darks)} levels where bright has {len(flats)};"
+                " give the exposure of every dark level"
+            )
+        dark_exposure_s = exposure_s
+    dark_exposures = _check_numbers(dark_exposure_s, len(darks), "dark_exposure_s", "dark")
+    flat_photons = np.full(len(flats), np.nan)
+    if photons is not None:
+        flat_photons = _check_numbers(photons, len(flats), "photons", "bright")
+    levels = [
+        measure_level(stack, "dark", level_exposure_s, 0.0, full_scale)
+        for stack, level_exposure_s in zip(darks, dark_exposures, strict=True)
+    ]
+    levels += [
+        measure_level(stack, "flat", level_exposure_s, level_photons, full_scale)
+        for stack, level_exposure_s, level_photons in zip(flats, flat_exposures, flat_photons, strict=True)
+    ]
+    transfer = analyse_photon_transfer(add_common_drift(levels), full_scale)
+    return Characterisation(transfer, "frames in memory", "frames in memory")
 
 
 def characterise_dataset(folder: str | Path) -> Characterisation:
-    """Characterise the sensor of a dataset folder by its frames of kind `flat` and `dark`, as `characterise_sensor`.
+    """Return the characterisation of the sensor of a dataset folder by its flats and darks, as `characterise_sensor`.
 
-    Frames of one light (column `photons_per_px`) and one exposure are a level; two or more of each are needed. Raises
-    `InputError` for a folder that breaks the dataset contract or has neither flats nor darks.
+    Frames with the same light (column `photons_per_px`) and exposure form a level, which needs two or more.
+
+    Raises
+    ------
+    InputError
+        The folder breaks the dataset contract, or has neither flats nor darks.
 
     Examples
     --------
@@ -172,23 +181,18 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
         )
     table = ingest_frames(dataset)
     full_scale = float(table["full_scale"])
-    found = transfer_of(levels_of(exclude_copies(dataset, table), full_scale), full_scale)
-    found.remarks.extend([*on_response(dataset), *store.remarks_of(table)])
-    return Characterisation(found, dataset.title, dataset.name)
+    levels = measure_levels(exclude_copies(dataset, table), full_scale)
+    transfer = analyse_photon_transfer(levels, full_scale)
+    transfer.remarks.extend([*list_response_remarks(dataset), *store.remarks_of(table)])
+    return Characterisation(transfer, dataset.title, dataset.name)
 
 
-def _full_scale(bit_depth: int) -> float:
-    if not 1 <= bit_depth <= 16:
-        raise ValueError(f"bit_depth: is {bit_depth!r}; it must be from 1 to 16")
-    return 2.0**bit_depth - 1
-
-
-def _stacks(levels: Sequence[ArrayLike], name: str, full_scale: float) -> list[np.ndarray]:
-    """Every level as [frame, row, column]."""
-    out = [np.asarray(level) for level in levels]
-    if not out:
+def _check_levels(levels: Sequence[ArrayLike], name: str, full_scale_dn: float) -> list[np.ndarray]:
+    """Return the levels of an argument as arrays [frame, row, column]; raise ValueError if one cannot be used."""
+    stacks = [np.asarray(level) for level in levels]
+    if not stacks:
         raise ValueError(f"{name}: holds no level; give at least one pair of frames")
-    for number, stack in enumerate(out):
+    for number, stack in enumerate(stacks):
         if stack.ndim != 3 or not stack.size:
             raise ValueError(
                 f"{name}: level {number} has the shape {stack.shape}; it must be [frame, row, column] with two frames"
@@ -197,18 +201,21 @@ def _stacks(levels: Sequence[ArrayLike], name: str, full_scale: float) -> list[n
             raise ValueError(f"{name}: level {number} has a single frame, and noise needs two of one light")
         if not np.isfinite(stack).all():
             raise ValueError(f"{name}: level {number} holds NaN or infinity; every pixel must have a reading")
-        if stack.max() > full_scale:
+        if stack.max() > full_scale_dn:
             raise ValueError(
-                f"{name}: level {number} holds {stack.max():g} DN, above the {full_scale:g} of bit_depth; correct it"
+                f"{name}: level {number} holds {stack.max():g} DN, above the {full_scale_dn:g} of bit_depth; correct it"
             )
-    return out
+    return stacks
 
 
-def _each(values: ArrayLike, count: int, name: str, of: str) -> np.ndarray:
-    """One number a level, 0 or above."""
-    out = np.asarray(values, dtype=float)
-    if out.ndim > 1 or (out.ndim == 1 and len(out) != count):
-        raise ValueError(f"{name}: has the shape {out.shape}, but {of} has {count} levels; give one number a level")
-    if not (np.isfinite(out) & (out >= 0)).all():
+def _check_numbers(values: ArrayLike, count: int, name: str, levels_name: str) -> np.ndarray:
+    """Return one number of an argument for each of `count` levels; raise ValueError if they are not finite, below 0 or
+    of another number."""
+    numbers = np.asarray(values, dtype=float)
+    if numbers.ndim > 1 or (numbers.ndim == 1 and len(numbers) != count):
+        raise ValueError(
+            f"{name}: has the shape {numbers.shape}, but {levels_name} has {count} levels; give one number a level"
+        )
+    if not (np.isfinite(numbers) & (numbers >= 0)).all():
         raise ValueError(f"{name}: holds a number that is not finite, or below 0")
-    return np.broadcast_to(out, (count,))
+    return np.broadcast_to(numbers, (count,))

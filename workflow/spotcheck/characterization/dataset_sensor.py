@@ -4,9 +4,10 @@ from collections.abc import Mapping
 
 import xarray as xr
 
-from spotcheck.characterization import sensor_choice
-from spotcheck.characterization.photon_transfer import Quantity
-from spotcheck.characterization.same_site import pairs_along
+from spotcheck.characterization.dark_frames import select_dark_levels
+from spotcheck.characterization.emva_quantities import Quantity
+from spotcheck.characterization.frame_pairs import iterate_pairs
+from spotcheck.characterization.sensor_choice import choose_sensor_values
 from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.crops.ingest import read_full_scale
 from spotcheck.dataset import frames
@@ -43,7 +44,7 @@ def choose_dataset_sensor(
         frames.ReducedFrame(*(crops[name].isel(index).values for name in frames.ReducedFrame._fields))
         for index in iterate_cells(crops, store.grid_dims(crops))
     )
-    dark = sensor_choice.judge_darks(darks, surrounds, float(table["full_scale"]))
-    pairs = {"exposures of a site": pairs_along(centred, "exposure"), "repeats": pairs_along(centred, "repeat")}
+    dark = select_dark_levels(darks, surrounds, float(table["full_scale"]))
+    pairs = {"exposures of a site": iterate_pairs(centred, "exposure"), "repeats": iterate_pairs(centred, "repeat")}
     highest_dn = float(table["maximum"].max())
-    return sensor_choice.resolve(dataset, read_full_scale(table), images, dark, measured, pairs, highest_dn)
+    return choose_sensor_values(dataset, read_full_scale(table), images, dark, measured, pairs, highest_dn)

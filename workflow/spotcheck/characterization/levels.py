@@ -1,10 +1,11 @@
-"""Flats and darks, level by level: mean, noise and pattern of all frames that saw the same light for the same time.
+"""Levels of flats and darks: mean, temporal noise and fixed pattern of all frames with the same light and exposure.
 
-Noise in time comes from differences of two frames, so that no pattern of the sensor or the light counts as noise
-(EMVA 1288 Release 4.0 Linear, section 8.2). Frames are read one pair at a time.
+The temporal noise comes from differences of two frames, so that no fixed pattern counts as noise (EMVA 1288 Release 4.0
+Linear, section 8.2). Frames are read one at a time.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,92 +17,139 @@ from spotcheck.errors import InputError
 from spotcheck.io import progress
 from spotcheck.sensor import SensorModel
 
-# A level of which this part of the pixels reads full scale is saturated.
-FULL = 0.5
+# A level is saturated if at least this part of its pixels reads full scale.
+SATURATED_PART = 0.5
 
 
-class Spatial(NamedTuple):
-    """Variances of the mean image [DN²], noise in time taken off: of all pixels, and split into columns, rows and
-    single pixels (EMVA 1288 Release 4.0 Linear, section 8.3)."""
+class PatternVariances(NamedTuple):
+    """Variances of the mean image without temporal noise [DN²] (EMVA 1288 Release 4.0 Linear, section 8.3)."""
 
-    total: float
-    column: float
-    row: float
-    pixel: float
-
-
-class Level(NamedTuple):
-    """One light and one exposure: kind (`flat`, `dark`), exposure [s], photons per pixel (NaN: not given), number of
-    frames; mean [DN] and variance in time [DN²] with standard errors (variance NaN with a single frame); parts of the
-    pixels that read 0 and full scale; variances of the pattern; rows and columns."""
-
-    kind: str
-    exposure_s: float
-    photons: float
-    frames: int
-    mean: float
-    mean_error: float
-    variance: float
-    variance_error: float
-    at_zero: float
-    at_full: float
-    spatial: Spatial
-    shape: tuple[int, int]
+    total: float  # of all pixels
+    column: float  # of the columns
+    row: float  # of the rows
+    pixel: float  # of the pixels within columns and rows
 
 
-def levels_of(dataset: Dataset, full_scale_dn: float) -> list[Level]:
-    """All levels of a dataset, darks first, by exposure and light; readings end at `full_scale_dn`. What the data sheet
-    says of the response is turned round."""
+@dataclass(frozen=True)
+class Level:
+    """Statistics of all frames with the same light and exposure."""
+
+    kind: str  # "flat" or "dark"
+    exposure_s: float  # exposure [s]; NaN if not given
+    photons: float  # mean number of photons per pixel; NaN if not given, 0 for darks
+    frames: int  # number of frames
+    mean: float  # mean reading [DN]
+    mean_error: float  # standard error of the mean [DN]
+    variance: float  # temporal variance of a pixel [DN²]; NaN with a single frame
+    variance_error: float  # standard error of the temporal variance [DN²]
+    at_zero: float  # part of the pixels that read 0
+    at_full: float  # part of the pixels that read full scale
+    pattern: PatternVariances  # variances of the fixed pattern [DN²]
+    shape: tuple[int, int]  # rows and columns of a frame
+
+    @property
+    def is_saturated(self) -> bool:
+        """Whether at least half of the pixels read full scale."""
+        return self.at_full >= SATURATED_PART
+
+
+def measure_levels(dataset: Dataset, full_scale_dn: float) -> list[Level]:
+    """Return all levels of the flats and darks of a dataset, darks first, then by exposure and light.
+
+    Parameters
+    ----------
+    dataset : dataset whose frames are read. The response curvature of its data sheet is corrected.
+    full_scale_dn : largest reading of the converter [DN].
+    """
+    groups = group_frames(dataset)
+    # Unknown exposures and photons (NaN) come first.
+    keys = sorted(groups, key=lambda key: (key[0] != "dark", *np.nan_to_num(key[1:], nan=-1.0)))
+    sensor = make_linearizing_sensor(dataset, full_scale_dn)
+    linear_end_dn = sensor.without_curvature().full_scale_dn
+    levels = []
+    for key in progress.track(keys, "reading levels of flats and darks"):
+        images = (sensor.linearize(frames.read_masked_image(dataset, frame)) for frame in groups[key])
+        levels.append(measure_level(images, *key, linear_end_dn))
+    return add_common_drift(levels)
+
+
+def group_frames(dataset: Dataset) -> dict[tuple[str, float, float], list[Frame]]:
+    """Return the flats and darks of a dataset by kind, exposure [s] and photons per pixel (NaN: not given)."""
     groups: dict[tuple[str, float, float], list[Frame]] = {}
     for frame in dataset.frames:
         if frame.kind in ("flat", "dark"):
-            exposure = np.nan if frame.exposure_s is None else frame.exposure_s
-            groups.setdefault((frame.kind, exposure, photons_of(frame)), []).append(frame)
-    ordered = sorted(groups, key=lambda key: tuple(-1.0 if k != k else k for k in key[1:]))
-    ordered.sort(key=lambda key: key[0] != "dark")
-    sensor = straightening(dataset, full_scale_dn)
-    read = {key: (sensor.linearize(frames.read_masked_image(dataset, own)) for own in groups[key]) for key in ordered}
-    levels = progress.track(list(read.items()), "reading levels of flats and darks")
-    return with_common_drift(
-        [level_of(images, *key, sensor.without_curvature().full_scale_dn) for key, images in levels]
+            exposure_s = np.nan if frame.exposure_s is None else frame.exposure_s
+            groups.setdefault((frame.kind, exposure_s, read_photons(frame)), []).append(frame)
+    return groups
+
+
+def make_linearizing_sensor(dataset: Dataset, full_scale_dn: float) -> SensorModel:
+    """Return a sensor model that corrects the response curvature of the data sheet.
+
+    The curvature applies above the black level. If the data sheet gives none, it is the mean of the first dark frame.
+    """
+    sensor = dataset.instrument.sensor
+    black_dn, dark = sensor.black_level_dn, next((frame for frame in dataset.frames if frame.kind == "dark"), None)
+    if sensor.response_bend and dark is not None and "sensor.black_level_dn" not in dataset.instrument.given_keys:
+        black_dn = float(np.nanmean(frames.read_masked_image(dataset, dark)))
+    return SensorModel(
+        1.0, 0.0, black_level_dn=black_dn, full_scale_dn=full_scale_dn, response_bend=sensor.response_bend
     )
 
 
-def straightening(dataset: Dataset, full_scale_dn: float) -> SensorModel:
-    """A sensor that turns round what the data sheet says of the response. It bends what lies above black, which a dark
-    frame shows where the sheet does not say it."""
-    own = dataset.instrument.sensor
-    black, dark = own.black_level_dn, next((frame for frame in dataset.frames if frame.kind == "dark"), None)
-    if own.response_bend and dark is not None and "sensor.black_level_dn" not in dataset.instrument.given_keys:
-        black = float(np.nanmean(frames.read_masked_image(dataset, dark)))
-    return SensorModel(1.0, 0.0, black_level_dn=black, full_scale_dn=full_scale_dn, response_bend=own.response_bend)
-
-
-def on_response(dataset: Dataset) -> list[str]:
-    """A remark on a response that the data sheet says to bend."""
+def list_response_remarks(dataset: Dataset) -> list[str]:
+    """Return a remark that the response curvature of the data sheet is corrected; empty if it gives none."""
     bend, source = dataset.instrument.sensor.response_bend, dataset.instrument.get_source("sensor.response_bend")
-    return [f"the bend of the response, {bend:g} by {source}, is turned round before anything else"] if bend else []
+    return [f"all readings are corrected for the response curvature of {bend:g} ({source})"] if bend else []
 
 
-def with_common_drift(levels: list[Level]) -> list[Level]:
-    """Standard errors of the means with what lamp and offset drift from frame to frame: two frames hardly tell it, so
-    all levels of a kind do together, flats as a part of their light."""
+def add_common_drift(levels: list[Level]) -> list[Level]:
+    """Return levels, darks first, whose standard errors of the mean include the drift from frame to frame.
+
+    Two frames do not determine the drift, so that of all levels of a kind is pooled: the absolute drift of the offset
+    for darks, the relative drift of the light for flats.
+    """
     out = []
     for kind in ("dark", "flat"):
-        own = [level for level in levels if level.kind == kind]
-        size = np.array([level.mean if kind == "flat" else 1.0 for level in own])
-        # Where all pixels are at the end of the converter, nothing drifts.
-        told = [k for k, level in enumerate(own) if level.frames > 1 and level.at_full < FULL]
-        common = float(np.mean([(own[k].mean_error / size[k]) ** 2 * own[k].frames for k in told])) if told else 0.0
-        for level, scale in zip(own, size, strict=True):
+        same_kind = [level for level in levels if level.kind == kind]
+        # A saturated level shows no drift.
+        drifts = [
+            (level.mean_error / _drift_scale(level)) ** 2 * level.frames
+            for level in same_kind
+            if level.frames > 1 and not level.is_saturated
+        ]
+        common = float(np.mean(drifts)) if drifts else 0.0
+        for level in same_kind:
             noise = np.nan_to_num(level.variance) / (level.frames * level.shape[0] * level.shape[1])
-            drift = common * scale**2 / level.frames if level.at_full < FULL else 0.0
-            out.append(level._replace(mean_error=float(np.sqrt(max(noise, drift)))))
+            drift = 0.0 if level.is_saturated else common * _drift_scale(level) ** 2 / level.frames
+            out.append(replace(level, mean_error=float(np.sqrt(max(noise, drift)))))
     return out
 
 
-def photons_of(frame: Frame) -> float:
-    """Photons per pixel of a flat; NaN where they are not given, 0 for a dark."""
+def collect(levels: Sequence[Level], field: str) -> np.ndarray:
+    """Return the numbers of one field of `Level` [level]."""
+    return np.array([getattr(level, field) for level in levels], float)
+
+
+def measure_light(flats: Sequence[Level]) -> np.ndarray:
+    """Return the light of each flat [flat]: photons if all flats give them, otherwise the exposure [s]."""
+    photons = collect(flats, "photons")
+    return photons if np.isfinite(photons).all() and photons.any() else collect(flats, "exposure_s")
+
+
+def _drift_scale(level: Level) -> float:
+    """Return what the drift of a level is proportional to: the mean of a flat, 1 for a dark."""
+    return level.mean if level.kind == "flat" else 1.0
+
+
+def read_photons(frame: Frame) -> float:
+    """Return the photons per pixel that the manifest gives for a frame; NaN if it gives none, 0 for a dark.
+
+    Raises
+    ------
+    InputError
+        The cell is not a finite number of at least 0.
+    """
     if frame.kind == "dark":
         return 0.0
     text = (frame.extra.get(PHOTONS) or "").strip()
@@ -116,59 +164,77 @@ def photons_of(frame: Frame) -> float:
     return photons
 
 
-def level_of(images: Iterable[np.ndarray], kind: str, exposure_s: float, photons: float, full_scale_dn: float) -> Level:
-    """Statistics of the images of one level, two at a time; of an odd number the last one counts for the mean alone."""
-    before: np.ndarray | None = None
-    rows_of_squares: list[np.ndarray] = []
-    patterns: list[Spatial] = []
-    means: list[float] = []
-    zeros = full = pixels = 0
-    shape = (0, 0)
+def measure_level(
+    images: Iterable[np.ndarray], kind: str, exposure_s: float, photons: float, full_scale_dn: float
+) -> Level:
+    """Return the statistics of the images [rows, columns] of one level, of which two are held in memory.
+
+    Frames form consecutive pairs. The last one of an odd number contributes to the mean only.
+    """
+    means, row_variances, patterns = list[float](), list[np.ndarray](), list[PatternVariances]()
+    pixels_at_zero = pixels_at_full = pixels = 0
+    previous = np.zeros((0, 0))
     for number, frame in enumerate(images):
         image = frame.astype(float)
-        shape = (image.shape[0], image.shape[1])
         means.append(float(np.nanmean(image)))
-        zeros += int(np.count_nonzero(image <= 0))
-        full += int(np.count_nonzero(image >= full_scale_dn))
+        pixels_at_zero += int(np.count_nonzero(image <= 0))
+        pixels_at_full += int(np.count_nonzero(image >= full_scale_dn))
         pixels += int(np.count_nonzero(~np.isnan(image)))
-        if number % 2 and before is not None:
-            rows_of_squares.append(variance_by_row(before, image))
-            patterns.append(pattern_of(before, image))
-        before = image
-    variance = error = np.nan
-    if rows_of_squares:
-        rows = np.concatenate(rows_of_squares)
-        variance, error = float(rows.mean()), float(rows.std(ddof=1) / np.sqrt(max(rows.size, 2)))
-    mean_error = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else np.nan
-    pattern = Spatial(*np.mean(patterns, axis=0).tolist()) if patterns else Spatial(*[np.nan] * 4)
-    return Level(kind, exposure_s, photons, len(means), float(np.mean(means)), mean_error, variance, error,
-                 zeros / pixels, full / pixels, pattern, shape)  # fmt: skip
+        if number % 2:
+            row_variances.append(estimate_row_variances(previous, image))
+            patterns.append(estimate_pattern_variances(previous, image))
+        previous = image
+    variance = variance_error = mean_error = np.nan
+    pattern = PatternVariances(*[np.nan] * 4)
+    if len(means) > 1:
+        rows = np.concatenate(row_variances)
+        variance, variance_error = float(rows.mean()), float(rows.std(ddof=1) / np.sqrt(max(rows.size, 2)))
+        mean_error = float(np.std(means, ddof=1) / np.sqrt(len(means)))
+        pattern = PatternVariances(*np.mean(patterns, axis=0).tolist())
+    return Level(
+        kind=kind,
+        exposure_s=exposure_s,
+        photons=photons,
+        frames=len(means),
+        mean=float(np.mean(means)),
+        mean_error=mean_error,
+        variance=variance,
+        variance_error=variance_error,
+        at_zero=pixels_at_zero / pixels,
+        at_full=pixels_at_full / pixels,
+        pattern=pattern,
+        shape=(previous.shape[0], previous.shape[1]),
+    )
 
 
-def variance_by_row(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Variance in time [DN²] by row of two frames of equal light: half of that of their difference, without what a
-    lamp drifts between them. Pixels that are NaN do not count, nor do rows of nothing else."""
+def estimate_row_variances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the temporal variance [DN²] of each row [row] from two frames [rows, columns] of equal light.
+
+    It is half of the variance of their difference, from which the mean is subtracted since a lamp may drift between
+    the frames. NaN pixels do not count, and rows without any other pixel are left out.
+    """
     difference = first - second
-    rows = frames.average_good_pixels((difference - np.nanmean(difference)) ** 2, axis=1) / 2
-    return rows[~np.isnan(rows)]
+    variances = frames.average_good_pixels((difference - np.nanmean(difference)) ** 2, axis=1) / 2
+    return variances[~np.isnan(variances)]
 
 
-def pattern_of(first: np.ndarray, second: np.ndarray) -> Spatial:
-    """Variances of what two frames share: their covariance holds no noise in time, not even that of whole rows.
+def estimate_pattern_variances(first: np.ndarray, second: np.ndarray) -> PatternVariances:
+    """Return the variances of the fixed pattern from the covariance of two frames [rows, columns] of equal light.
 
-    Column and row means hold part of the pixels' own pattern; the three are solved for, s² = s²_col + s²_row + s²_pix.
-    Pixels that are NaN do not count.
+    The covariance contains no temporal noise, not even noise of whole rows. Means of columns and rows contain part of
+    the pixel pattern, so the three variances are solved for with s² = s²_col + s²_row + s²_pix. NaN pixels do not
+    count. The split is NaN for frames of a single row or column.
     """
     a, b = first - np.nanmean(first), second - np.nanmean(second)
     rows, columns = a.shape
     total = float(np.nanmean(a * b))
-    of_columns, of_rows = (
-        float(np.nanmean(frames.average_good_pixels(a, k) * frames.average_good_pixels(b, k))) for k in (0, 1)
+    column_mean, row_mean = (
+        float(np.nanmean(frames.average_good_pixels(a, axis) * frames.average_good_pixels(b, axis))) for axis in (0, 1)
     )
-    rest = rows * columns - rows - columns
-    if rest <= 0:
-        return Spatial(total, np.nan, np.nan, np.nan)
-    column = (rows * columns - rows) / rest * of_columns - columns / rest * (total - of_rows)
-    row = (rows * columns - columns) / rest * of_rows - rows / rest * (total - of_columns)
-    pixel = rows * columns / rest * (total - of_columns - of_rows)
-    return Spatial(total, column, row, pixel)
+    degrees = rows * columns - rows - columns
+    if degrees <= 0:
+        return PatternVariances(total, np.nan, np.nan, np.nan)
+    column = (rows * columns - rows) / degrees * column_mean - columns / degrees * (total - row_mean)
+    row = (rows * columns - columns) / degrees * row_mean - rows / degrees * (total - column_mean)
+    pixel = rows * columns / degrees * (total - column_mean - row_mean)
+    return PatternVariances(total, column, row, pixel)

@@ -1,228 +1,257 @@
-"""Gain and noise floor from the differences of neighbouring pixels, for frames without a data sheet.
+"""Gain and noise floor from differences of neighbouring pixels: an image of a spot without any data sheet is enough.
 
-One frame is enough. Of each four pixels a b / c e the difference d = (a − b − c + e)/2 has the variance of one pixel;
-what varies along rows or columns alone drops out, and so does the mean of the nine such differences around, in which
-all pixels but four corners cancel. Over the grey level L above black the variance follows floor + K L + (c L)²: read
-noise and rounding, shot noise, and texture such as unlike pixels or speckle, whose contrast c is fitted where it is
-seen. A level is the four pixels' own mean: it shares nothing with d, and of Poisson electrons with one mean the
-variance given their sum is that of the sum. Read noise tells no light: the darkest pixels are one bin.
+Let a b / c e be four neighbouring pixels. Their difference d = (a − b − c + e)/2 has the variance of one pixel, and
+light that varies along rows or along columns alone cancels. Curvature is removed with the mean of the nine differences
+around, in which all pixels but four corners cancel. The variance over the grey level L above black is
+floor + K L + (c L)²: read noise and rounding, shot noise, and texture (unlike pixels or speckle of contrast c), which
+is fitted if it is significant. A level is the mean of the same four pixels. It is independent of d: given their sum,
+the variance of Poisson electrons with one mean is that of the sum. Read noise does not depend on the light, so the
+darkest pixels form one bin.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-# Bins are even in the root of the level, on which shot noise is even.
+# Number of bins. They are uniform in the root of the level, as shot noise is.
 BINS = 25
-# Fewest differences in a bin: the variance of a bin is then known to 15 %.
-FEWEST = 200
-# Noise is whole where the level is this many standard deviations above 0, and below full scale.
+# Least number of differences in a bin: its variance is then known to 15 %.
+MIN_COUNT = 200
+# The noise is complete if the level is this number of standard deviations above 0 and below full scale.
 CUT_AT_SD = 3.5
-# Differences beyond so many standard deviations are hot pixels or edges, not noise: one in 5e8 is.
-OUTLIER_SD, TRIMS = 6.0, 6
-# Within so many DN of the darkest level noise is left out where it is finer than this [DN]: rounding then adds more or
-# less than 1/12 DN².
-NEAR_DARK, FINE = 5.0, 0.6
-# The darkest level is that below which this part of the pixels lie; the first bin reaches so many standard errors of a
-# level beyond it, so that it holds all pixels without light.
-DARK_PART, DARK_SD = 0.05, 5.0
-# Neighbouring differences overlap: 1 + 4/4 + 4/16 squared correlations, so that a variance of n of them is known to
-# √(2 · 2.25/n).
+# Differences beyond this number of standard deviations are hot pixels or edges (noise: one in 5e8); and the largest
+# number of iterations to find them.
+OUTLIER_SD, MAX_ITERATIONS = 6.0, 6
+# Levels within the first number of DN of the darkest are left out if their noise [DN] is below the second: rounding
+# then does not add 1/12 DN².
+NEAR_DARK_DN, MIN_NOISE_DN = 5.0, 0.6
+# The darkest level is this quantile of all levels. The first bin extends to this number of standard errors of a level
+# above it, so that it contains all pixels without light.
+DARK_QUANTILE, DARK_SD = 0.05, 5.0
+# Neighbouring differences overlap: the sum of squared correlations is 1 + 4/4 + 4/16, so that n of them determine a
+# variance to √(2 · 2.25/n).
 OVERLAP = 2.25
-# A bin whose variance is below this part of what the bins below it let expect, by this many standard errors, is where
-# the signal stops: it and all above go, and the one below, part of which has stopped.
-COLLAPSE, COLLAPSE_Z, FIRST = 0.6, 5.0, 6
-# Texture is a term of the fit where it is seen at this many standard errors: its freedom costs the gain half of its
-# precision. ASSUME: it follows (c L)² to this part of itself.
-TEXTURE_Z, FORM = 5.0, 0.01
-# Ends of the gain's interval in standard errors.
-ENDS = 2.0
-
-# Neighbours' noise is looked at as far as this [px]; a correlation of differences that is off white noise's by this
-# much is one; by as much as `NOT_WHITE` between next neighbours, the differences do not tell the noise.
-FARTHEST, CORRELATED, NOT_WHITE = 16, 0.06, 0.15
+# Saturation: the variance of a bin is below this part of what the lower bins predict, by this number of standard
+# errors; it is looked for from this bin on.
+COLLAPSED_PART, COLLAPSED_SD, FIRST_BIN = 0.6, 5.0, 6
+# Texture is fitted if it is significant by this number of standard errors, since its term doubles the error of the
+# gain. ASSUME: it follows (c L)² to this part of itself.
+TEXTURE_SD, TEXTURE_ERROR = 5.0, 0.01
+# A gain is significant from this number of standard errors on.
+MIN_GAIN_SD = 3.0
+# Least number of bins to fit a gain to.
+MIN_BINS = 5
+# Half-width of the interval of the gain in standard errors.
+INTERVAL_SD = 2.0
+# Least error of a bin [DN²], and least variance [DN²] that scales its relative error.
+BIN_ERROR, MIN_VARIANCE = 1e-3, 1e-3
+# Correlation of differences: largest lag [px], least deviation from white noise that counts, and least deviation
+# between next neighbours that makes differences useless as a measure of noise.
+MAX_LAG, MIN_DEVIATION, MAX_DEVIATION = 16, 0.06, 0.15
+# Correlation of neighbouring differences of white noise.
+WHITE_CORRELATION = -0.5
 
 
 class NoiseCurve(NamedTuple):
-    """Variance [DN²] of single pixels against grey level [DN], with the standard error of each variance."""
+    """Temporal variance of a pixel against its grey level."""
 
-    level: np.ndarray
-    variance: np.ndarray
-    stderr: np.ndarray
-
-
-class Gain(NamedTuple):
-    """K [DN/e-] and noise floor [DN²] (read noise and rounding) with standard errors; and the ends of the interval that
-    holds K in 95 of 100, whatever texture the frames may have: what is too little to be seen counts as gain."""
-
-    gain: float
-    gain_stderr: float
-    floor: float
-    floor_stderr: float
-    low: float
-    high: float
+    level: np.ndarray  # grey level [DN], [bin]
+    variance: np.ndarray  # variance of a single pixel [DN²], [bin]
+    stderr: np.ndarray  # standard error of the variance [DN²], [bin]
 
 
-class Differences(NamedTuple):
-    """Differences of four neighbours [DN], and their levels [DN], both [row, column]; NaN at gaps."""
+@dataclass(frozen=True)
+class GainEstimate:
+    """Gain and noise floor from a noise curve."""
 
-    level: np.ndarray
-    difference: np.ndarray
-
-
-def differences(image: np.ndarray) -> Differences:
-    """Of all fours of an image that have a rim of one pixel around them."""
-    image = np.asarray(image, float)
-    if min(image.shape) < 4:
-        return Differences(np.empty((0, 0)), np.empty((0, 0)))
-    a, b, c, e = image[1:-2, 1:-2], image[1:-2, 2:-1], image[2:-1, 1:-2], image[2:-1, 2:-1]
-    # The mean of nine differences is that of the four corners of the rim: it tells what bends at 1/81 of the variance.
-    bent = (image[:-3, :-3] - image[:-3, 3:] - image[3:, :-3] + image[3:, 3:]) / 18
-    return Differences((a + b + c + e) / 4, ((a - b - c + e) / 2 - bent) / np.sqrt(1 + 1 / 81))
+    gain: float  # K [DN/e-]
+    gain_stderr: float  # standard error of the gain [DN/e-]
+    floor: float  # variance without light: read noise and rounding [DN²]
+    floor_stderr: float  # standard error of the floor [DN²]
+    low: float  # lower end of the 95 % interval of the gain [DN/e-], which allows for undetected texture
 
 
-def noise_curve(image: np.ndarray, full_scale: float) -> NoiseCurve:
-    """Noise against level of one image [rows, columns]; what touches a clip or a gap is left out."""
-    rows = [(level, own.variance, own.stderr) for level, own in _bins(differences(image), full_scale)]
-    return _unstopped(NoiseCurve(*np.array(rows).reshape(-1, 3).T))
+class PixelDifferences(NamedTuple):
+    """Differences of four neighbouring pixels, NaN at gaps of the image."""
+
+    level: np.ndarray  # mean of the four pixels [DN], [row, column]
+    difference: np.ndarray  # difference with the variance of one pixel [DN], [row, column]
+
+
+class NoiseCorrelation(NamedTuple):
+    """Correlation of the noise of neighbouring pixels."""
+
+    range_px: int  # largest distance with a correlation other than that of white noise [px]; 0 if there is none
+    is_white: bool  # whether differences of next neighbours measure the noise of single pixels all the same
 
 
 class _Bin(NamedTuple):
-    """Variance [DN²] with its error, and which differences (flat) are of the bin and no outliers."""
+    """Differences of one bin of level, without outliers."""
 
-    variance: float
-    stderr: float
-    which: np.ndarray
+    level: float  # mean level of all pixels of the bin [DN]
+    variance: float  # [DN²]
+    stderr: float  # standard error of the variance [DN²]
+    members: np.ndarray  # indices of the differences in the flat image
 
 
-def _bins(seen: Differences, full_scale: float) -> list[tuple[float, _Bin]]:
-    """Bins of level, from the darkest on, whose noise is whole."""
-    level, difference = seen.level.ravel(), seen.difference.ravel()
+class _CurveFit(NamedTuple):
+    """Terms floor, K and c² of a noise curve."""
+
+    value: np.ndarray  # [term]
+    covariance: np.ndarray  # [term, term]
+
+
+def compute_differences(image: np.ndarray) -> PixelDifferences:
+    """Return the differences of all groups of four pixels of an image [rows, columns] with a rim of one pixel."""
+    image = np.asarray(image, float)
+    if min(image.shape) < 4:
+        return PixelDifferences(np.empty((0, 0)), np.empty((0, 0)))
+    a, b, c, e = image[1:-2, 1:-2], image[1:-2, 2:-1], image[2:-1, 1:-2], image[2:-1, 2:-1]
+    # The mean of the nine differences around is that of the four corners of the rim. It measures curvature with 1/81
+    # of the variance.
+    curvature = (image[:-3, :-3] - image[:-3, 3:] - image[3:, :-3] + image[3:, 3:]) / 18
+    return PixelDifferences((a + b + c + e) / 4, ((a - b - c + e) / 2 - curvature) / np.sqrt(1 + 1 / 81))
+
+
+def measure_noise_curve(image: np.ndarray, full_scale_dn: float) -> NoiseCurve:
+    """Return noise against level of one image [rows, columns] in DN.
+
+    Levels near 0, near `full_scale_dn` and above a saturation are left out, as are pixels beside NaN. The curve may be
+    empty.
+    """
+    bins = _sort_into_bins(compute_differences(image), full_scale_dn)
+    rows = [(level_bin.level, level_bin.variance, level_bin.stderr) for level_bin in bins]
+    return _cut_at_saturation(NoiseCurve(*np.array(rows).reshape(-1, 3).T))
+
+
+def _sort_into_bins(differences: PixelDifferences, full_scale_dn: float) -> list[_Bin]:
+    """Return the bins with complete noise, from the darkest on."""
+    level, difference = differences.level.ravel(), differences.difference.ravel()
     known = np.flatnonzero(np.isfinite(difference))
-    if known.size < 2 * FEWEST:
+    if known.size < 2 * MIN_COUNT:
         return []
     ordered = np.sort(level[known])
-    dark, low, top = np.quantile(ordered, DARK_PART), ordered[0], ordered[-FEWEST]
-    near = known[level[known] < dark + NEAR_DARK]
-    noise = float(np.sqrt(_trimmed(difference[near])[0])) if near.size else 0.0
-    if near.size < FEWEST or noise < FINE:
-        low = dark + NEAR_DARK
+    dark, low, top = np.quantile(ordered, DARK_QUANTILE), ordered[0], ordered[-MIN_COUNT]
+    near_dark = known[level[known] < dark + NEAR_DARK_DN]
+    noise = float(np.sqrt(_trim_outliers(difference[near_dark])[0])) if near_dark.size else 0.0
+    if near_dark.size < MIN_COUNT or noise < MIN_NOISE_DN:
+        low = dark + NEAR_DARK_DN
+    # A level is the mean of four pixels, so its standard error is half of the noise.
     first = max(low, dark + DARK_SD * noise / 2)
     if top <= first:
         return []
     edges = np.concatenate([[low], first + (top - first) * np.linspace(0, 1, BINS) ** 2])
     known = known[(level[known] >= low) & (level[known] <= top)]
-    place = np.minimum(np.searchsorted(edges, level[known], side="right") - 1, BINS - 1)
-    out = []
+    number = np.minimum(np.searchsorted(edges, level[known], side="right") - 1, BINS - 1)
+    bins = []
     for k in range(BINS):
-        own = known[place == k]
-        if own.size < FEWEST:
+        members = known[number == k]
+        if members.size < MIN_COUNT:
             continue
-        variance, kept = _trimmed(difference[own])
-        middle, reach = float(level[own].mean()), CUT_AT_SD * np.sqrt(variance)
-        # The whole bin goes where a clip has cut the noise, since single fours would be picked by their noise.
-        if variance == 0 or middle < reach or middle > full_scale - reach:
+        variance, is_inlier = _trim_outliers(difference[members])
+        mean_level, margin = float(level[members].mean()), CUT_AT_SD * np.sqrt(variance)
+        # Clipped noise rejects a whole bin: a choice among its differences would depend on their noise.
+        if variance == 0 or mean_level < margin or mean_level > full_scale_dn - margin:
             continue
-        error = variance * np.sqrt(2 * OVERLAP / own.size) + 1e-3
-        out.append((middle, _Bin(variance, error, own[kept])))
-    return out
+        error = variance * np.sqrt(2 * OVERLAP / members.size) + BIN_ERROR
+        bins.append(_Bin(mean_level, variance, error, members[is_inlier]))
+    return bins
 
 
-def _trimmed(difference: np.ndarray) -> tuple[float, np.ndarray]:
-    """Mean square without outliers, and which are none."""
-    kept = np.ones(difference.size, bool)
+def _trim_outliers(difference: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the mean square of differences without outliers, and a mask of those that are none."""
+    is_inlier = np.ones(difference.size, bool)
     square = difference**2
-    for _ in range(TRIMS):
-        variance = float(square[kept].mean())
-        kept = square <= OUTLIER_SD**2 * variance
-        if kept.all() or variance == 0:
+    for _ in range(MAX_ITERATIONS):
+        variance = float(square[is_inlier].mean())
+        is_inlier = square <= OUTLIER_SD**2 * variance
+        if is_inlier.all() or variance == 0:
             break
-    return float(square[kept].mean()), kept
+    return float(square[is_inlier].mean()), is_inlier
 
 
-def _unstopped(curve: NoiseCurve) -> NoiseCurve:
-    """A curve up to where its noise collapses."""
-    for k in range(FIRST, curve.level.size):
+def _cut_at_saturation(curve: NoiseCurve) -> NoiseCurve:
+    """Return a curve without the levels from which its noise collapses, and without the last level below, of which a
+    part may be saturated."""
+    for k in range(FIRST_BIN, curve.level.size):
         below = NoiseCurve(*(part[:k] for part in curve))
-        fitted = _fitted(below, curve.level[0], 2)
-        expected = max(fitted.value[0] + fitted.value[1] * (curve.level[k] - curve.level[0]), curve.variance[:k].max())
+        floor, gain = _fit_curve(below, curve.level[0], 2).value
+        expected = max(floor + gain * (curve.level[k] - curve.level[0]), below.variance.max())
         error = curve.stderr[k] / curve.variance[k] * expected
-        if curve.variance[k] < COLLAPSE * expected and expected - curve.variance[k] > COLLAPSE_Z * error:
+        deficit = expected - curve.variance[k]
+        if curve.variance[k] < COLLAPSED_PART * expected and deficit > COLLAPSED_SD * error:
             return NoiseCurve(*(part[: k - 1] for part in curve))
     return curve
 
 
-class _Fit(NamedTuple):
-    """Terms of a curve [floor, K, c²] and their covariance."""
+def _fit_curve(curve: NoiseCurve, black_dn: float, terms: int) -> _CurveFit:
+    """Return the first terms of a noise curve by weighted least squares.
 
-    value: np.ndarray
-    covariance: np.ndarray
-
-
-def _fitted(curve: NoiseCurve, black_level: float, terms: int) -> _Fit:
-    """Least squares; where the scatter of the bins is more than stated, so are the errors."""
-    level = curve.level - black_level
-    design = np.stack([np.ones_like(level), level, level**2], axis=1)[:, :terms]
-    # Errors of the bins are relative ones; they follow the fitted curve, since a bin that fell low by chance must not
-    # pull harder.
-    relative, model = curve.stderr / curve.variance, curve.variance
-    for _ in range(4):
-        error = relative * np.maximum(model, 1e-3)
-        weighted, target = design / error[:, None], curve.variance / error
-        solution, *_ = np.linalg.lstsq(weighted, target, rcond=None)
-        model = design @ solution
-    residual = weighted @ solution - target
-    inflation = max(1.0, float(residual @ residual) / max(level.size - terms, 1))
-    return _Fit(solution, np.linalg.pinv(weighted.T @ weighted) * inflation)
-
-
-def gain_from_curve(curve: NoiseCurve, black_level: float) -> Gain | None:
-    """Fit floor + K L + (c L)² to a curve; None where K is not seen at three standard errors."""
-    if curve.level.size < 5:
-        return None
-    plain, textured = (_fitted(curve, black_level, terms) for terms in (2, 3))
-    seen = textured.value[2] > TEXTURE_Z * np.sqrt(textured.covariance[2, 2])
-    fit = textured if seen else plain
-    # The rest of a texture that does not follow its law exactly counts as gain.
-    form = FORM * abs(textured.value[2]) * float(np.mean(curve.level - black_level)) if seen else 0.0
-    gain, error = float(fit.value[1]), float(np.hypot(np.sqrt(fit.covariance[1, 1]), form))
-    if not gain > 3 * error:
-        return None
-    least = float(textured.value[1]) - ENDS * float(np.hypot(np.sqrt(textured.covariance[1, 1]), form))
-    low, high = min(least, gain - ENDS * error), gain + ENDS * error
-    return Gain(gain, error, float(fit.value[0]), float(np.sqrt(fit.covariance[0, 0])), max(low, 0.0), high)
-
-
-class Correlated(NamedTuple):
-    """How far apart [px] along rows or columns differences of pixels share what white noise would not let them share,
-    0 where they do not; and whether they tell the noise all the same."""
-
-    reach_px: int
-    tells: bool
-
-
-def correlated_px(image: np.ndarray, full_scale: float) -> Correlated:
-    """Whether an image's noise is white. Compression and grain of few pixels make it another.
-
-    Of white noise neighbouring differences correlate by −1/2, those further apart not at all.
+    The covariance is inflated by χ² per degree of freedom if that exceeds 1.
     """
-    seen = differences(image)
-    unit = np.full(seen.difference.size, np.nan)
-    for _, own in _bins(seen, full_scale):
-        unit[own.which] = seen.difference.ravel()[own.which] / np.sqrt(own.variance)
-    image_of_units = unit.reshape(seen.difference.shape)
-    if np.isfinite(unit).sum() < 2 * FEWEST:
-        return Correlated(0, True)
-    farthest, tells = 0, True
-    for grid in (image_of_units, image_of_units.T):
-        for lag in range(1, min(FARTHEST, len(grid) - 1) + 1):
-            product = grid[:-lag] * grid[lag:]
+    level = curve.level - black_dn
+    design = np.stack([np.ones_like(level), level, level**2], axis=1)[:, :terms]
+    # Errors are relative to the fitted curve: relative to the data, a bin that is low by chance would have more weight.
+    relative_error, fitted = curve.stderr / curve.variance, curve.variance
+    for _ in range(4):
+        error = relative_error * np.maximum(fitted, MIN_VARIANCE)
+        weighted, target = design / error[:, None], curve.variance / error
+        coefficients, *_ = np.linalg.lstsq(weighted, target, rcond=None)
+        fitted = design @ coefficients
+    residual = weighted @ coefficients - target
+    inflation = max(1.0, float(residual @ residual) / max(level.size - terms, 1))
+    return _CurveFit(coefficients, np.linalg.pinv(weighted.T @ weighted) * inflation)
+
+
+def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
+    """Return gain and noise floor of a noise curve from a fit of floor + K L + (c L)²; None without a significant gain.
+
+    Parameters
+    ----------
+    curve : noise against level.
+    black_dn : black level [DN], from which L is counted.
+    """
+    if curve.level.size < MIN_BINS:
+        return None
+    linear, textured = (_fit_curve(curve, black_dn, terms) for terms in (2, 3))
+    texture = textured.value[2]
+    has_texture = texture > TEXTURE_SD * np.sqrt(textured.covariance[2, 2])
+    fit = textured if has_texture else linear
+    # A texture that deviates from its law counts as gain.
+    deviation = TEXTURE_ERROR * abs(texture) * float(np.mean(curve.level - black_dn)) if has_texture else 0.0
+    gain, error = float(fit.value[1]), float(np.hypot(np.sqrt(fit.covariance[1, 1]), deviation))
+    if not gain > MIN_GAIN_SD * error:
+        return None
+    textured_error = float(np.hypot(np.sqrt(textured.covariance[1, 1]), deviation))
+    low = min(float(textured.value[1]) - INTERVAL_SD * textured_error, gain - INTERVAL_SD * error)
+    floor, floor_error = float(fit.value[0]), float(np.sqrt(fit.covariance[0, 0]))
+    return GainEstimate(gain, error, floor, floor_error, max(low, 0.0))
+
+
+def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseCorrelation:
+    """Return how far the noise of an image [rows, columns] in DN is correlated, as by compression or fine grain.
+
+    Neighbouring differences of white noise have the correlation −1/2, more distant ones 0. Too few pixels count as
+    white noise.
+    """
+    differences = compute_differences(image)
+    unit = np.full(differences.difference.size, np.nan)
+    for level_bin in _sort_into_bins(differences, full_scale_dn):
+        unit[level_bin.members] = differences.difference.ravel()[level_bin.members] / np.sqrt(level_bin.variance)
+    if np.isfinite(unit).sum() < 2 * MIN_COUNT:
+        return NoiseCorrelation(0, True)
+    normalized = unit.reshape(differences.difference.shape)
+    range_px, is_white = 0, True
+    for lines in (normalized, normalized.T):
+        for lag in range(1, min(MAX_LAG, len(lines) - 1) + 1):
+            product = lines[:-lag] * lines[lag:]
             product = product[np.isfinite(product)]
-            if product.size < FEWEST:
+            if product.size < MIN_COUNT:
                 break
-            off = float(product.mean()) + (0.5 if lag == 1 else 0.0)
+            deviation = abs(float(product.mean()) - (WHITE_CORRELATION if lag == 1 else 0.0))
             # Three standard errors of a mean of products of white differences, which overlap.
-            if abs(off) > CORRELATED + 3 * np.sqrt(OVERLAP / product.size):
-                farthest = max(farthest, lag)
-                tells &= lag > 1 or abs(off) < NOT_WHITE
-    return Correlated(farthest, bool(tells))
+            if deviation > MIN_DEVIATION + 3 * np.sqrt(OVERLAP / product.size):
+                range_px = max(range_px, lag)
+                is_white &= lag > 1 or deviation < MAX_DEVIATION
+    return NoiseCorrelation(range_px, bool(is_white))

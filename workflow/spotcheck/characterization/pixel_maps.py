@@ -1,194 +1,226 @@
-"""Maps of a sensor's pixels from its own darks and flats, with what they are uncertain by.
+"""Maps of offset and gain of a sensor's pixels from its darks and flats, with their standard errors.
 
-Frames of each level take turns in two halves, which share a pattern but no noise: what the halves have in common is the
-sensor's, what they differ by is the noise of their mean. A pixel is then moved towards all others by as much as noise
-could have set it apart (Wiener's filter), so that maps of few frames bring in no noise where pixels are alike.
+The frames of each level are assigned alternately to two halves. The halves share the pattern of the sensor but no
+noise, so their covariance is the variance of the pattern, and their difference is the noise. Each pixel is then shrunk
+towards the mean of all pixels by the part of its variance that is noise (Wiener filter): maps from few frames add no
+noise if the pixels are alike.
 
-# ASSUME: offsets are linear in exposure (dark current), and as quiet as the others'. Flats are lit by light whose
-# unevenness is a polynomial of the fourth degree over the frame; what is finer is the sensor's.
+# ASSUME: offsets are linear in exposure (dark current), and all have the same noise. The unevenness of the light of
+flats is a polynomial of the fourth degree over the frame; finer structure is of the sensor.
 """
 
-from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.levels import photons_of
-from spotcheck.characterization.photon_transfer import MOST_AT_ZERO
+from spotcheck.characterization.derived_quantities import MAX_PART_AT_ZERO
+from spotcheck.characterization.levels import group_frames
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.sensor.pixel_maps import PixelMaps
 
-# Flats above this part of full scale may be bent or cut.
-BRIGHTEST = 0.7
-# A pixel that is this many scatters of all pixels off is itself, and not moved: hot ones are.
-ALONE = 6.0
-# Degree of the polynomial that light of flats is.
-DEGREE = 4
-# Blocks a side on which it is fitted.
-BLOCKS = 32
+# Flats that exceed this part of full scale may be nonlinear or clipped.
+MAX_FLAT_LEVEL = 0.7
+# A pixel that deviates from the mean by this number of standard deviations, as hot ones do, is not shrunk.
+OUTLIER_SD = 6.0
+# Degree of the polynomial for the unevenness of light, and number of blocks per side to which it is fitted.
+DEGREE, BLOCKS = 4, 32
+# Degrees (j, k) in y and x of its terms.
+TERMS = [(j, k) for j in range(DEGREE + 1) for k in range(DEGREE + 1 - j)]
 
-
-class Field(NamedTuple):
-    """Numbers of pixels [rows, columns], 0 on average; the standard error of one, and how far they differ (rms)."""
-
-    values: np.ndarray
-    stderr: float
-    rms: float
-
-
-class SensorMaps(NamedTuple):
-    """Offsets [DN] at the mean exposure [s] of the darks, their slope [DN/s], and gains less 1 (None: not known), each
-    less its mean; and how many darks and flats they are from."""
-
-    offset: Field
-    slope: Field | None
-    exposure_s: float
-    gain: Field | None
-    darks: int
-    flats: int
-
-    def at(self, exposure_s: float | None) -> PixelMaps:
-        """The maps at an exposure [s]; where it is not known, at that of the darks."""
-        values, variance = self.offset.values, self.offset.stderr**2
-        apart = 0.0 if exposure_s is None else exposure_s - self.exposure_s
-        if self.slope is not None and np.isfinite(apart):
-            values, variance = values + apart * self.slope.values, variance + (apart * self.slope.stderr) ** 2
-        if self.gain is None:
-            return PixelMaps(values, np.where(np.isnan(values), np.nan, 1.0), float(np.sqrt(variance)))
-        return PixelMaps(values, 1 + self.gain.values, float(np.sqrt(variance)), self.gain.stderr)
-
-
-def halves_of(own: Sequence[Frame]) -> tuple[list[Frame], list[Frame]]:
-    """Frames of one kind in two halves of equal levels; the last one of an odd number in a level is left out."""
-    levels: dict[tuple, list[Frame]] = {}
-    for frame in own:
-        levels.setdefault((frame.exposure_s, str(photons_of(frame))), []).append(frame)
-    pairs = [level[k : k + 2] for level in levels.values() for k in range(0, len(level) - 1, 2)]
-    return [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-
-
-def maps_of(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
-    """Maps by the darks and flats of a dataset, or why there are none. Frames are read one at a time."""
-    darks = halves_of([own for own in dataset.frames if own.kind == "dark"])
-    if not darks[0]:
-        return "there are no two darks of one exposure"
-    times = np.array([np.nan if own.exposure_s is None else own.exposure_s for own in darks[0]])
-    spread = times - times.mean() if np.isfinite(times).all() else np.zeros(len(times))
-    weights = spread / max(float(spread @ spread), 1e-300)
-    means, slopes, zeros, pixels = [], [], 0, 0
-    for half in darks:
-        mean = growth = np.zeros(1)
-        for frame, weight in zip(half, weights, strict=True):
-            image = frames.read_masked_image(dataset, frame).astype(float)
-            zeros, pixels = zeros + int(np.count_nonzero(image <= 0)), pixels + image.size
-            mean, growth = mean + image / len(half), growth + weight * image
-        means.append(mean)
-        slopes.append(growth)
-    if zeros > MOST_AT_ZERO * pixels:
-        return f"{100 * zeros / pixels:.1f} % of the darks' pixels read 0, so that their offsets are not known"
-    offset = shrunk(*(own - np.nanmean(own) for own in means))
-    slope = shrunk(*(own - np.nanmean(own) for own in slopes)) if spread.any() else None
-    found = SensorMaps(offset, slope, float(times.mean()), None, 2 * len(darks[0]), 0)
-    level = (float(np.nanmean(means)), float(np.nanmean(slopes)))
-
-    def dark(exposure_s: float | None) -> np.ndarray:
-        apart = 0.0 if exposure_s is None or not spread.any() else exposure_s - found.exposure_s
-        return found.at(exposure_s).offset_dn + level[0] + apart * level[1]
-
-    return _with_flats(found, dataset, full_scale_dn, dark)
-
-
-def _with_flats(
-    found: SensorMaps, dataset: Dataset, full_scale_dn: float, dark: Callable[[float | None], np.ndarray]
-) -> SensorMaps:
-    """The maps with gains, where flats tell them."""
-    flats = halves_of([own for own in dataset.frames if own.kind == "flat"])
-    totals, used = [np.zeros(1), np.zeros(1)], 0
-    for pair in zip(*flats, strict=True):
-        images = [frames.read_masked_image(dataset, own).astype(float) for own in pair]
-        if max(float(np.nanquantile(image, 0.999)) for image in images) < BRIGHTEST * full_scale_dn:
-            used += 2
-            totals = [total + image - dark(own.exposure_s) for total, image, own in
-                      zip(totals, images, pair, strict=True)]  # fmt: skip
-    if not used:
-        return found
-    even = smooth(totals[0] + totals[1]) / 2
-    if not (even > 0).all():
-        return found
-    ratios = [total / even for total in totals]
-    return found._replace(gain=shrunk(*(own / np.nanmean(own) - 1 for own in ratios)), flats=used)
-
-
-def shrunk(first: np.ndarray, second: np.ndarray) -> Field:
-    """The field that two halves share, each pixel moved towards 0 by the part of its variance that is noise. Both
-    halves are 0 on average, with NaN where a pixel is not known."""
-    mean, apart = (first + second) / 2, (first - second) / 2
-    scatter = 1.4826 * float(np.nanmedian(np.abs(mean)))
-    alone = np.abs(mean) > ALONE * scatter if scatter > 0 else np.zeros(mean.shape, bool)
-    usual = np.isfinite(mean) & ~alone
-    noise, own = float(np.mean(apart[usual] ** 2)), max(float(np.mean((first * second)[usual])), 0.0)
-    part = own / (own + noise) if own > 0 else 0.0
-    return Field(np.where(alone, mean, part * mean), float(np.sqrt(part * noise)), float(np.sqrt(own)))
-
-
-def smooth(image: np.ndarray) -> np.ndarray:
-    """The polynomial in x and y that an image is by least squares, fitted on its blocks; NaN pixels do not count."""
-    side = max(1, min(image.shape) // BLOCKS)
-    blocks = frames.average_blocks(image, side)
-    y, x = (side * np.arange(n) + (side - 1) / 2 for n in blocks.shape)
-    known = np.isfinite(blocks)
-    basis = [_basis(own, n) for own, n in zip((y, x), image.shape, strict=True)]
-    columns = [np.outer(a, b)[known] for j, a in enumerate(basis[0]) for b in basis[1][: DEGREE + 1 - j]]
-    values, *_ = np.linalg.lstsq(np.array(columns).T, blocks[known])
-    coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
-    coefficients[[j for j in range(DEGREE + 1) for _ in range(DEGREE + 1 - j)],
-                 [k for j in range(DEGREE + 1) for k in range(DEGREE + 1 - j)]] = values  # fmt: skip
-    rows, across = (_basis(np.arange(n, dtype=float), n) for n in image.shape)
-    return rows.T @ coefficients @ across
-
-
-def _basis(place: np.ndarray, length: int) -> np.ndarray:
-    """Legendre polynomials over a side of so many pixels [degree, place]."""
-    return np.polynomial.legendre.legvander((2 * place + 1) / length - 1, DEGREE).T
-
-
-# As a file.
-
-NAMES = {
+# Map → (unit, meaning).
+MAPS = {
     "offset": ("DN", "how far each pixel reads above all on average, at the mean exposure of the darks"),
     "slope": ("DN/s", "by how much that grows with exposure"),
     "gain": ("1", "how much more of the light than the average each pixel turns into electrons"),
 }
 
 
-def dataset_of(found: SensorMaps | str, title: str, name: str) -> xr.Dataset:
-    """maps.nc; with the attribute `skipped` where there are none."""
+class MapEstimate(NamedTuple):
+    """A map of deviations of the pixels from their mean."""
+
+    values: np.ndarray  # deviation of each pixel [rows, columns]; NaN if unknown
+    stderr: float  # standard error of the deviation of one pixel
+    rms: float  # standard deviation of the pixels, without noise
+
+
+@dataclass(frozen=True)
+class SensorMaps:
+    """Maps of the pixels of a sensor."""
+
+    offset: MapEstimate  # offset at `exposure_s` [DN]
+    slope: MapEstimate | None  # derivative of the offset by exposure [DN/s]; None without different exposures
+    exposure_s: float  # mean exposure of the darks [s]; NaN if unknown
+    gain: MapEstimate | None  # relative gain less 1; None without usable flats
+    darks: int  # number of darks used
+    flats: int  # number of flats used
+
+    def at(self, exposure_s: float | None) -> PixelMaps:
+        """Return the maps at an exposure [s]; at that of the darks if it is None."""
+        offset, variance = self.offset.values, self.offset.stderr**2
+        difference_s = 0.0 if exposure_s is None else exposure_s - self.exposure_s
+        if self.slope is not None and np.isfinite(difference_s):
+            offset = offset + difference_s * self.slope.values
+            variance = variance + (difference_s * self.slope.stderr) ** 2
+        stderr = float(np.sqrt(variance))
+        if self.gain is None:
+            return PixelMaps(offset, np.where(np.isnan(offset), np.nan, 1.0), stderr)
+        return PixelMaps(offset, 1 + self.gain.values, stderr, self.gain.stderr)
+
+
+def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
+    """Return the maps from darks and flats of a dataset, or the reason why there are none.
+
+    Frames are read one at a time. `full_scale_dn` is the largest reading of the converter [DN].
+    """
+    halves = _split_in_halves(dataset, "dark")
+    if not halves[0]:
+        return "there are no two darks of one exposure"
+    exposures = np.array([np.nan if frame.exposure_s is None else frame.exposure_s for frame in halves[0]])
+    deviations = exposures - exposures.mean() if np.isfinite(exposures).all() else np.zeros(len(exposures))
+    slope_weights = deviations / max(float(deviations @ deviations), 1e-300)
+    means, slopes, pixels_at_zero, pixels = [], [], 0, 0
+    for half in halves:
+        mean = slope = np.zeros(1)
+        for frame, weight in zip(half, slope_weights, strict=True):
+            image = frames.read_masked_image(dataset, frame).astype(float)
+            pixels_at_zero, pixels = pixels_at_zero + int(np.count_nonzero(image <= 0)), pixels + image.size
+            mean, slope = mean + image / len(half), slope + weight * image
+        means.append(mean)
+        slopes.append(slope)
+    if pixels_at_zero > MAX_PART_AT_ZERO * pixels:
+        return f"{100 * pixels_at_zero / pixels:.1f} % of the darks' pixels read 0, so that their offsets are not known"
+    maps = SensorMaps(
+        offset=shrink_to_mean(*(mean - np.nanmean(mean) for mean in means)),
+        slope=shrink_to_mean(*(slope - np.nanmean(slope) for slope in slopes)) if deviations.any() else None,
+        exposure_s=float(exposures.mean()),
+        gain=None,
+        darks=2 * len(halves[0]),
+        flats=0,
+    )
+    return _add_gain(maps, dataset, full_scale_dn, float(np.nanmean(means)), float(np.nanmean(slopes)))
+
+
+def _split_in_halves(dataset: Dataset, kind: str) -> tuple[list[Frame], list[Frame]]:
+    """Return the frames of a kind in two halves with equal levels, without the last one of an odd number in a level."""
+    levels = [level for (level_kind, *_), level in group_frames(dataset).items() if level_kind == kind]
+    pairs = [level[k : k + 2] for level in levels for k in range(0, len(level) - 1, 2)]
+    return [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+
+
+def _add_gain(
+    maps: SensorMaps, dataset: Dataset, full_scale_dn: float, dark_level_dn: float, dark_slope_dn_per_s: float
+) -> SensorMaps:
+    """Return maps with the gain from the flats of a dataset, if any are usable.
+
+    The mean over all pixels of a dark is `dark_level_dn` at the exposure of the maps, and grows by
+    `dark_slope_dn_per_s`.
+    """
+
+    def subtract_dark(image: np.ndarray, exposure_s: float | None) -> np.ndarray:
+        growth_s = 0.0 if exposure_s is None or maps.slope is None else exposure_s - maps.exposure_s
+        return image - (maps.at(exposure_s).offset_dn + dark_level_dn + growth_s * dark_slope_dn_per_s)
+
+    totals, used = [np.zeros(1), np.zeros(1)], 0
+    for pair in zip(*_split_in_halves(dataset, "flat"), strict=True):
+        images = [frames.read_masked_image(dataset, frame).astype(float) for frame in pair]
+        if max(float(np.nanquantile(image, 0.999)) for image in images) < MAX_FLAT_LEVEL * full_scale_dn:
+            used += 2
+            totals = [
+                total + subtract_dark(image, frame.exposure_s)
+                for total, image, frame in zip(totals, images, pair, strict=True)
+            ]
+    if not used:
+        return maps
+    light = fit_light(totals[0] + totals[1]) / 2
+    if not (light > 0).all():
+        return maps
+    ratios = [total / light for total in totals]
+    return replace(maps, gain=shrink_to_mean(*(ratio / np.nanmean(ratio) - 1 for ratio in ratios)), flats=used)
+
+
+def shrink_to_mean(first: np.ndarray, second: np.ndarray) -> MapEstimate:
+    """Return the map that two halves [rows, columns] share, shrunk by a Wiener filter.
+
+    Both halves have the mean 0, and NaN where a pixel is unknown. With the variances s² of the pattern (covariance of
+    the halves) and v of the noise of their mean, the mean of the halves is multiplied by w = s²/(s² + v), which leaves
+    the standard error √(w v). Outliers are kept as they are.
+    """
+    mean, half_difference = (first + second) / 2, (first - second) / 2
+    # 1.4826 median absolute values are the standard deviation of a normal distribution.
+    scatter = 1.4826 * float(np.nanmedian(np.abs(mean)))
+    is_outlier = np.abs(mean) > OUTLIER_SD * scatter if scatter > 0 else np.zeros(mean.shape, bool)
+    usual = np.isfinite(mean) & ~is_outlier
+    noise_variance = float(np.mean(half_difference[usual] ** 2))
+    variance = max(float(np.mean((first * second)[usual])), 0.0)
+    factor = variance / (variance + noise_variance) if variance > 0 else 0.0
+    values = np.where(is_outlier, mean, factor * mean)
+    return MapEstimate(values, float(np.sqrt(factor * noise_variance)), float(np.sqrt(variance)))
+
+
+def fit_light(image: np.ndarray) -> np.ndarray:
+    """Return the least-squares polynomial of degree `DEGREE` through an image [rows, columns], at all of its pixels.
+
+    It is fitted to means of blocks, without NaN pixels.
+    """
+    side = max(1, min(image.shape) // BLOCKS)
+    blocks = frames.average_blocks(image, side)
+    known = np.isfinite(blocks)
+    in_y, in_x = (
+        _evaluate_legendre(side * np.arange(count) + (side - 1) / 2, length)
+        for count, length in zip(blocks.shape, image.shape, strict=True)
+    )
+    design = np.array([np.outer(in_y[j], in_x[k])[known] for j, k in TERMS]).T
+    coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
+    coefficients[tuple(zip(*TERMS, strict=True))] = np.linalg.lstsq(design, blocks[known])[0]
+    rows, columns = (_evaluate_legendre(np.arange(length, dtype=float), length) for length in image.shape)
+    return rows.T @ coefficients @ columns
+
+
+def _evaluate_legendre(position: np.ndarray, length: int) -> np.ndarray:
+    """Return Legendre polynomials [degree, position] at positions [px] along a side of `length` pixels."""
+    return np.polynomial.legendre.legvander((2 * position + 1) / length - 1, DEGREE).T
+
+
+def build_maps_dataset(maps: SensorMaps | str, title: str, name: str) -> xr.Dataset:
+    """Return maps.nc; if there are no maps, the reason is in the attribute `skipped`."""
     ds = xr.Dataset(attrs={"title": title, "dataset": name})
-    if isinstance(found, str):
-        return ds.assign_attrs(skipped=found)
-    for key, (units, long_name) in NAMES.items():
-        own = getattr(found, key)
-        if own is None:
+    if isinstance(maps, str):
+        return ds.assign_attrs(skipped=maps)
+    for key, (units, long_name) in MAPS.items():
+        estimate: MapEstimate | None = getattr(maps, key)
+        if estimate is None:
             continue
-        ds[key] = (("row", "column"), own.values.astype("f4"), {"units": units, "long_name": long_name})
-        for part, text in (("stderr", "standard error of a pixel of"), ("rms", "how far pixels differ in")):
-            ds[f"{key}_{part}"] = ((), getattr(own, part), {"units": units, "long_name": f"{text} the map {key}"})
-    for key, units, long_name in (("exposure_s", "s", "mean exposure of the darks"), ("darks", "1", "number of darks"),
-                                  ("flats", "1", "number of flats")):  # fmt: skip
-        ds[key] = ((), getattr(found, key), {"units": units, "long_name": long_name})
+        ds[key] = (("row", "column"), estimate.values.astype("f4"), {"units": units, "long_name": long_name})
+        for suffix, text in (("stderr", "standard error of a pixel of"), ("rms", "how far pixels differ in")):
+            attributes = {"units": units, "long_name": f"{text} the map {key}"}
+            ds[f"{key}_{suffix}"] = ((), getattr(estimate, suffix), attributes)
+    for key, units, long_name in (
+        ("exposure_s", "s", "mean exposure of the darks"),
+        ("darks", "1", "number of darks"),
+        ("flats", "1", "number of flats"),
+    ):
+        ds[key] = ((), getattr(maps, key), {"units": units, "long_name": long_name})
     return ds
 
 
-def maps_in(ds: xr.Dataset) -> SensorMaps | None:
-    """The maps of a file; None where it says why there are none."""
+def read_maps(ds: xr.Dataset) -> SensorMaps | None:
+    """Return the maps of maps.nc; None if it has none."""
     if "skipped" in ds.attrs:
         return None
-    fields = [
-        Field(ds[key].values.astype(float), float(ds[f"{key}_stderr"]), float(ds[f"{key}_rms"])) if key in ds else None
-        for key in NAMES
-    ]
-    assert fields[0] is not None
-    return SensorMaps(fields[0], fields[1], float(ds["exposure_s"]), fields[2], int(ds["darks"]), int(ds["flats"]))
+    estimates = {
+        key: MapEstimate(ds[key].values.astype(float), float(ds[f"{key}_stderr"]), float(ds[f"{key}_rms"]))
+        for key in MAPS
+        if key in ds
+    }
+    return SensorMaps(
+        offset=estimates["offset"],
+        slope=estimates.get("slope"),
+        exposure_s=float(ds["exposure_s"]),
+        gain=estimates.get("gain"),
+        darks=int(ds["darks"]),
+        flats=int(ds["flats"]),
+    )

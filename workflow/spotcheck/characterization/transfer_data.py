@@ -1,15 +1,15 @@
-"""Photon transfer as a file: every level with its statistics, every quantity with its standard error."""
-
-from collections.abc import Sequence
+"""transfer.nc: the statistics of every level of flats and darks, and all quantities of EMVA 1288."""
 
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.levels import Level, Spatial
-from spotcheck.characterization.photon_transfer import QUANTITIES, Quantity, Transfer, by_range, unknown
+from spotcheck.characterization.emva_quantities import Quantity
+from spotcheck.characterization.levels import PatternVariances, collect
+from spotcheck.characterization.photon_transfer import Transfer, fit_ranges
 from spotcheck.io import store
 
-COLUMNS = {
+# Variable over levels → (unit, meaning, attribute of `Level`).
+LEVEL_VARIABLES = {
     "exposure": ("s", "exposure", "exposure_s"),
     "photons": ("1", "photons per pixel", "photons"),
     "frames": ("1", "number of frames", "frames"),
@@ -20,64 +20,63 @@ COLUMNS = {
     "at_zero": ("1", "part of the pixels that read 0", "at_zero"),
     "at_full": ("1", "part of the pixels that read full scale", "at_full"),
 }
+# Attribute of `RangeFit` → (unit, meaning).
+RANGE_VARIABLES = {
+    "limit": ("1", "part of saturation up to which levels are fitted"),
+    "levels": ("1", "number of levels fitted"),
+    "gain": ("DN/e-", "overall gain of these levels"),
+    "gain_error": ("DN/e-", "standard error of the gain of these levels"),
+    "intercept": ("DN", "intercept of the response of these levels"),
+    "intercept_error": ("DN", "standard error of the intercept of these levels"),
+}
+# Attribute of `Quantity` → (type, meaning).
+QUANTITY_VARIABLES = {
+    "value": (float, "value in its own unit"),
+    "stderr": (float, "standard error in its own unit"),
+    "symbol": (object, "symbol of EMVA 1288"),
+    "unit": (object, "unit"),
+    "why": (object, "why it is not known"),
+}
 
 
-def dataset_of(found: Transfer, title: str, name: str) -> xr.Dataset:
-    """Variables over `dark` and `flat` (levels), and over `quantity`; title and name of what was measured."""
-    ds = store.add_remarks(xr.Dataset(attrs={"title": title, "dataset": name}), found.remarks)
-    for kind, levels in (("dark", found.darks), ("flat", found.flats)):
-        for name, (units, long_name, field) in COLUMNS.items():
-            values = np.array([getattr(own, field) for own in levels], float)
-            ds[f"{kind}_{name}"] = (kind, values, {"units": units, "long_name": f"{long_name} of a {kind} level"})
-        _add_patterns(ds, kind, levels)
-    size = len(found.flats)
-    for name, values, units, long_name in (
-        ("signal", found.signal, "DN", "mean reading over dark"),
-        ("excess", found.excess, "DN2", "variance in time over dark"),
-        ("excess_stderr", found.excess_error, "DN2", "standard error of the variance over dark"),
-        ("fitted", found.fitted.astype(float), "1", "1 where the gain is fitted to the level"),
+def build_transfer_dataset(transfer: Transfer, title: str, name: str) -> xr.Dataset:
+    """Return transfer.nc, with title and name of the dataset.
+
+    Its variables are over `dark` and `flat` (levels), over `range` (parts of saturation) and over `quantity`.
+    """
+    ds = store.add_remarks(xr.Dataset(attrs={"title": title, "dataset": name}), transfer.remarks)
+    for kind, levels in (("dark", transfer.darks), ("flat", transfer.flats)):
+        for variable, (units, long_name, field) in LEVEL_VARIABLES.items():
+            attributes = {"units": units, "long_name": f"{long_name} of a {kind} level"}
+            ds[f"{kind}_{variable}"] = (kind, collect(levels, field), attributes)
+        for part in PatternVariances._fields:
+            values = np.array([getattr(level.pattern, part) for level in levels], float)
+            attributes = {"units": "DN2", "long_name": f"variance of the pattern, {part}"}
+            ds[f"{kind}_pattern_{part}"] = (kind, values, attributes)
+    for variable, values, units, long_name in (
+        ("signal", transfer.signal, "DN", "mean reading over dark"),
+        ("excess", transfer.excess, "DN2", "variance in time over dark"),
+        ("excess_stderr", transfer.excess_error, "DN2", "standard error of the variance over dark"),
+        ("fitted", transfer.fitted.astype(float), "1", "1 where the gain is fitted to the level"),
     ):
-        ds[name] = ("flat", values if values.size else np.full(size, np.nan), {"units": units, "long_name": long_name})
-    saturation = -1 if found.saturation is None else found.saturation
+        values = values if values.size else np.full(len(transfer.flats), np.nan)
+        ds[variable] = ("flat", values, {"units": units, "long_name": long_name})
+    saturation = -1 if transfer.saturation is None else transfer.saturation
     ds["saturation"] = ((), saturation, {"units": "1", "long_name": "number of the flat at saturation; -1: none"})
-    ranges = by_range(found)
-    for name, units, long_name in (
-        ("limit", "1", "part of saturation up to which levels are fitted"),
-        ("levels", "1", "number of levels fitted"),
-        ("gain", "DN/e-", "overall gain of these levels"),
-        ("gain_error", "DN/e-", "standard error of the gain of these levels"),
-        ("intercept", "DN", "intercept of the response of these levels"),
-        ("intercept_error", "DN", "standard error of the intercept of these levels"),
-    ):
-        values = np.array([getattr(own, name) for own in ranges], float)
-        ds[f"range_{name}"] = ("range", values, {"units": units, "long_name": long_name})
-    own = list(quantities_in(found).values())
-    ds["quantity"] = ("quantity", np.array(list(QUANTITIES), object), {"units": "1", "long_name": "name of a quantity"})
-    for name, values, long_name in (
-        ("value", np.array([q.value for q in own], float), "value in its own unit"),
-        ("stderr", np.array([q.stderr for q in own], float), "standard error in its own unit"),
-        ("symbol", np.array([q.symbol for q in own], object), "symbol of EMVA 1288"),
-        ("unit", np.array([q.unit for q in own], object), "unit"),
-        ("why", np.array([q.why for q in own], object), "why it is not known"),
-    ):
-        ds[name] = ("quantity", values, {"units": "1", "long_name": long_name})
+    ranges = fit_ranges(transfer)
+    for field, (units, long_name) in RANGE_VARIABLES.items():
+        values = np.array([getattr(range_fit, field) for range_fit in ranges], float)
+        ds[f"range_{field}"] = ("range", values, {"units": units, "long_name": long_name})
+    names = np.array(list(transfer.quantities), object)
+    ds["quantity"] = ("quantity", names, {"units": "1", "long_name": "name of a quantity"})
+    for field, (dtype, long_name) in QUANTITY_VARIABLES.items():
+        values = np.array([getattr(quantity, field) for quantity in transfer.quantities.values()], dtype)
+        ds[field] = ("quantity", values, {"units": "1", "long_name": long_name})
     return ds
 
 
-def quantities_in(found: Transfer) -> dict[str, Quantity]:
-    """All quantities in the order of the standard."""
-    # What nothing was said of had nothing to be told from.
-    return {name: found.quantities.get(name) or unknown(name, "there are no frames for it") for name in QUANTITIES}
-
-
-def _add_patterns(ds: xr.Dataset, kind: str, levels: Sequence[Level]) -> None:
-    for part in Spatial._fields:
-        values = np.array([getattr(own.spatial, part) for own in levels], float)
-        ds[f"{kind}_pattern_{part}"] = (kind, values, {"units": "DN2", "long_name": f"variance of the pattern, {part}"})
-
-
-def quantities_of(ds: xr.Dataset) -> dict[str, Quantity]:
-    """The quantities of a file, by name."""
+def read_quantities(ds: xr.Dataset) -> dict[str, Quantity]:
+    """Return the quantities of transfer.nc by name."""
     columns = [ds[name].values for name in ("quantity", "symbol", "value", "stderr", "unit", "why")]
     return {
         str(name): Quantity(str(name), str(symbol), float(value), float(stderr), str(unit), str(why))

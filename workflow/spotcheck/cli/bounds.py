@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder
 from spotcheck.fitting.bounds import bounds_of
 from spotcheck.io import provenance, store
@@ -26,6 +26,8 @@ def run(args: argparse.Namespace) -> None:
     dataset = folder.load(args.dataset)
     exposures = np.array(dataset.exposures)
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
-        result = bounds_of(calibration, dataset.instrument, exposures, model_of(sensor), dataset.instrument.crop_px)
+        result = bounds_of(
+            calibration, dataset.instrument, exposures, read_sensor_model(sensor), dataset.instrument.crop_px
+        )
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor])
     print(result.attrs.get("skipped", f"bounds at {result.sizes.get('fine_exposure', 0)} exposures"))

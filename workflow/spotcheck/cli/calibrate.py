@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder
 from spotcheck.fitting.calibration import USED, calibrate
 from spotcheck.io import provenance, store
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> None:
     """Calibrate, and print p1 and p2 or why they are unknown."""
     instrument = folder.load(args.dataset).instrument
     with store.read(args.crops) as crops, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
-        calibration = calibrate(crops, fits, instrument, model_of(sensor))
+        calibration = calibrate(crops, fits, instrument, read_sensor_model(sensor))
     inputs = [args.crops, args.fits, args.sensor]
     store.write(calibration, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     if "skipped" in calibration.attrs:

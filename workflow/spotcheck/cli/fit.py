@@ -2,8 +2,8 @@
 
 import argparse
 
-from spotcheck.characterization.pixel_maps import maps_in
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.pixel_maps import read_maps
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder
 from spotcheck.fitting.fits import fit_crops, preferred, reasons_text
 from spotcheck.io import provenance, store
@@ -27,9 +27,11 @@ def run(args: argparse.Namespace) -> None:
     maps = None
     for path in args.maps:
         with store.read(path) as content:
-            maps = maps_in(content)
+            maps = read_maps(content)
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
-        fits = fit_crops(crops, model_of(sensor), instrument.model.top_hat, instrument.optics.pixel_integration, maps)
+        fits = fit_crops(
+            crops, read_sensor_model(sensor), instrument.model.top_hat, instrument.optics.pixel_integration, maps
+        )
     inputs = [args.crops, args.sensor, *args.maps]
     store.write(fits, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     is_present = (fits["status"] & store.flag("missing")) == 0

@@ -2,7 +2,7 @@
 
 import argparse
 
-from spotcheck.characterization.pixel_maps import dataset_of, maps_of
+from spotcheck.characterization.pixel_maps import build_maps_dataset, measure_maps
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
@@ -21,8 +21,8 @@ def run(args: argparse.Namespace) -> None:
     """Map offsets and gains of the sensor's pixels."""
     dataset = folder.load(args.dataset)
     with store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
-        maps = maps_of(exclude_copies(dataset, table), float(table["full_scale"]))
-    content = dataset_of(maps, dataset.title, dataset.name)
+        maps = measure_maps(exclude_copies(dataset, table), float(table["full_scale"]))
+    content = build_maps_dataset(maps, dataset.title, dataset.name)
     store.write(content, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     if isinstance(maps, str):
         print(f"no maps of pixels: {maps}")

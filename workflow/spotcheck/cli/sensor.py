@@ -4,7 +4,7 @@ import argparse
 
 from spotcheck.characterization.dataset_sensor import choose_dataset_sensor
 from spotcheck.characterization.sensor_choice import QUANTITIES
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
 
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
     measured = {}
     for path in args.transfer:
         with store.read(path) as transfer:
-            measured = quantities_of(transfer)
+            measured = read_quantities(transfer)
     with store.read(args.crops) as crops, store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
         chosen = choose_dataset_sensor(dataset, crops, table, measured)
     inputs = [args.crops, args.frames, *args.transfer, *dataset.instrument_files]

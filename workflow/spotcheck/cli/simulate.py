@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import folder
 from spotcheck.errors import InputError
@@ -49,7 +49,7 @@ def _simulate_paper_model(args: argparse.Namespace, dataset: folder.Dataset) -> 
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
         source = USED if has_law(calibration) else "none: each frame's own fit"
         states = spot_states(dataset, calibration, fits)
-        model, full_scale = model_of(sensor), int(sensor["full_scale_dn"])
+        model, full_scale = read_sensor_model(sensor), int(sensor["full_scale_dn"])
     destination = _make_destination(args, [args.calibration, args.fits, args.sensor])
     simulation.simulate(dataset, states, model, full_scale, destination, {"calibration": source})
 
@@ -62,7 +62,7 @@ def _simulate_extended_model(args: argparse.Namespace, dataset: folder.Dataset) 
     model = read_model(path)
     light = [path.with_name(LIGHT)] if model.lights else []
     with store.read(args.sensor) as sensor:
-        camera = model_of(sensor)
+        camera = read_sensor_model(sensor)
     if camera is None:
         raise InputError(f"{Path(args.sensor).name}: gain or read noise is unknown, but {path.name} needs them")
     destination = _make_destination(args, [args.model, args.sensor, *light, *args.effects])

@@ -2,10 +2,10 @@
 
 import argparse
 
-from spotcheck.characterization.levels import levels_of, on_response
-from spotcheck.characterization.pattern import add_patterns
-from spotcheck.characterization.photon_transfer import transfer_of
-from spotcheck.characterization.transfer_data import dataset_of, quantities_of
+from spotcheck.characterization.fixed_pattern import add_patterns
+from spotcheck.characterization.levels import list_response_remarks, measure_levels
+from spotcheck.characterization.photon_transfer import analyse_photon_transfer
+from spotcheck.characterization.transfer_data import build_transfer_dataset, read_quantities
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
@@ -25,12 +25,12 @@ def run(args: argparse.Namespace) -> None:
     dataset = folder.load(args.dataset)
     with store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
         full_scale, dataset = float(table["full_scale"]), exclude_copies(dataset, table)
-        transfer = transfer_of(levels_of(dataset, full_scale), full_scale)
-        transfer.remarks.extend(on_response(dataset))
-        measured = add_patterns(dataset_of(transfer, dataset.title, dataset.name), dataset, transfer)
+        transfer = analyse_photon_transfer(measure_levels(dataset, full_scale), full_scale)
+        transfer.remarks.extend(list_response_remarks(dataset))
+        measured = add_patterns(build_transfer_dataset(transfer, dataset.title, dataset.name), dataset, transfer)
         measured.attrs["response_bend"] = dataset.instrument.sensor.response_bend
     store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
-    for quantity in quantities_of(measured).values():
+    for quantity in read_quantities(measured).values():
         print(quantity)
     for remark in store.remarks_of(measured):
         print(remark)

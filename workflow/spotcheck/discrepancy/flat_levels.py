@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from spotcheck.characterization.photon_transfer import Transfer, light_of
+from spotcheck.characterization.levels import measure_light
+from spotcheck.characterization.photon_transfer import Transfer
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import EffectScales, Need
@@ -69,7 +70,7 @@ def collect_levels(transfer: Transfer, full_scale_dn: float) -> FlatLevels | Non
     """Return the levels that can be assessed; None if there are too few of different light, or no gain."""
     if np.isnan(transfer.quantities["gain"].value):
         return None
-    light = light_of(transfer.flats)
+    light = measure_light(transfer.flats)
     clipped = np.array([level.at_full for level in transfer.flats])
     usable = np.flatnonzero((clipped <= MOST_CLIPPED) & (transfer.signal > 0) & (light > 0))
     usable = usable[np.argsort(light[usable], kind="stable")]

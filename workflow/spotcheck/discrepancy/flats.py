@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 from scipy.stats import norm
 
-from spotcheck.characterization.levels import levels_of, straightening
-from spotcheck.characterization.photon_transfer import Transfer, transfer_of
+from spotcheck.characterization.levels import make_linearizing_sensor, measure_levels
+from spotcheck.characterization.photon_transfer import Transfer, analyse_photon_transfer
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.candidates import list_starts, value_is_one_sided
@@ -81,9 +81,9 @@ def analyse_flats(
     """
     full_scale_dn = float(frames_table["full_scale"])
     dataset = exclude_copies(dataset, frames_table)
-    transfer = transfer_of(levels_of(dataset, full_scale_dn), full_scale_dn)
+    transfer = analyse_photon_transfer(measure_levels(dataset, full_scale_dn), full_scale_dn)
     # Levels are those of readings whose stated curvature was removed.
-    linear_end = straightening(dataset, full_scale_dn).without_curvature().full_scale_dn
+    linear_end = make_linearizing_sensor(dataset, full_scale_dn).without_curvature().full_scale_dn
     return analyse_levels(transfer, linear_end, effects, log)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.sensor_choice import model_of, stderr_of
+from spotcheck.characterization.sensor_choice import read_sensor_model, read_standard_errors
 from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
@@ -70,7 +70,7 @@ def prepare_dataset(
     unusable = describe_unusable(dataset, crops)
     if not cells:
         return unusable
-    model = model_of(sensor)
+    model = read_sensor_model(sensor)
     if model is None:
         return UNKNOWN_SENSOR
     if not dataset.exposures:
@@ -94,7 +94,7 @@ def prepare_dataset(
     if isinstance(spots, str):
         return spots
     names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
-    stderr = dict(zip(names, stderr_of(sensor), strict=True))
+    stderr = dict(zip(names, read_standard_errors(sensor), strict=True))
     setting = Setting(baseline, model, float(dataset.instrument.crop_px), stderr)
     return ReadyFrames(frames, tuple(cells), spots, setting, tuple(filter(None, remarks)))
 

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.odd_pixels import odd_pixels
+from spotcheck.characterization.outlier_pixels import find_outlier_pixels
 from spotcheck.crops.cropping import iterate_cells
 from spotcheck.dataset.instrument import BadPixels
 from spotcheck.io import store
@@ -40,7 +40,7 @@ def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) ->
         crop = centred.isel(index)
         left, top = int(crop["left"]), int(crop["top"])
         corners.append((left, top))
-        outlying = odd_pixels(crop["image"].values, sensor)
+        outlying = find_outlier_pixels(crop["image"].values, sensor)
         columns.update(left + x for x in outlying.columns)
         rows.update(top + y for y in outlying.rows)
         pixels.update((left + x, top + y) for y, x in outlying.pixels)

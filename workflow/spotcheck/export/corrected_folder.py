@@ -15,9 +15,9 @@ import numpy as np
 import tifffile
 
 import spotcheck
-from spotcheck.characterization.pixel_maps import SensorMaps, maps_in
-from spotcheck.characterization.sensor_choice import BY_FLATS
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.pixel_maps import SensorMaps, read_maps
+from spotcheck.characterization.sensor_choice import EMVA_NAMES
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import REQUIRED_COLUMNS, Frame
@@ -66,7 +66,7 @@ def read_calibration(results: Path) -> Calibration:
     maps = None
     if (results / "maps.nc").is_file():
         with store.read(results / "maps.nc") as ds:
-            maps = maps_in(ds)
+            maps = read_maps(ds)
     digests = {name: provenance.file_digest(results / name)[:16] for name in SOURCES if (results / name).is_file()}
     return Calibration(sensor, tuple(_read_sensor_effects(results)), maps, digests)
 
@@ -76,13 +76,13 @@ def _read_transfer_sensor(results: Path) -> SensorModel | None:
     if not (results / "transfer.nc").is_file():
         return None
     with store.read(results / "transfer.nc") as ds, store.read(results / "frames.nc") as table:
-        quantities, full_scale = quantities_of(ds), float(table["full_scale"])
+        quantities, full_scale = read_quantities(ds), float(table["full_scale"])
         curvature = float(ds.attrs["response_bend"])
     names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
-    values = {name: quantities[BY_FLATS[name]].value for name in names}
+    values = {name: quantities[EMVA_NAMES[name]].value for name in names}
     if not np.isfinite(list(values.values())).all():
         return None
-    dark_current = max(np.nan_to_num(quantities[BY_FLATS["dark_current_e_per_s"]].value), 0.0)
+    dark_current = max(np.nan_to_num(quantities[EMVA_NAMES["dark_current_e_per_s"]].value), 0.0)
     return SensorModel(**values, dark_current_e_per_s=dark_current, full_scale_dn=full_scale, response_bend=curvature)
 
 

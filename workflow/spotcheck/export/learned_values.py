@@ -14,8 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spotcheck.characterization.sensor_choice import BY_FLATS, FLATS, NEVER_TAKEN, QUANTITIES, SPOTS, model_of
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.sensor_choice import (
+    EMVA_NAMES,
+    FLATS,
+    ONLY_FROM_SHEET,
+    QUANTITIES,
+    SPOTS,
+    read_sensor_model,
+)
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.crops.full_scale import FROM_FRAMES
 from spotcheck.dataset.instrument import BadPixels, Instrument
 from spotcheck.export.bad_pixels import find_bad_pixels
@@ -100,7 +107,7 @@ def read_sensor(results: Path) -> SensorModel | None:
     if not (results / "sensor.nc").is_file():
         return None
     with store.read(results / "sensor.nc") as ds:
-        return model_of(ds)
+        return read_sensor_model(ds)
 
 
 def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
@@ -114,7 +121,7 @@ def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
 
 def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
     """Yield the sensor parameters from spots, then those from flats and darks, which are more accurate."""
-    names = [name for name in BY_FLATS if name not in NEVER_TAKEN]
+    names = [name for name in EMVA_NAMES if name not in ONLY_FROM_SHEET]
     estimates, file = [], "sensor.nc"
     if (results / "sensor.nc").is_file():
         with store.read(results / "sensor.nc") as ds:
@@ -125,9 +132,9 @@ def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
     elif (results / "transfer.nc").is_file():
         file = "transfer.nc"
         with store.read(results / "transfer.nc") as ds:
-            quantities = quantities_of(ds)
+            quantities = read_quantities(ds)
         for name in names:
-            quantity = quantities[BY_FLATS[name]]
+            quantity = quantities[EMVA_NAMES[name]]
             estimates.append((name, quantity.value, quantity.stderr, FLATS))
     for name, value, stderr, source in estimates:
         if np.isfinite(value):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.odd_pixels import Odd, odd_pixels
+from spotcheck.characterization.outlier_pixels import OutlierPixels, find_outlier_pixels
 from spotcheck.characterization.pixel_maps import SensorMaps
 from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.fitting.by_maps import ByMaps
@@ -77,7 +77,7 @@ def fit_crops(
             value[(*at, k)], stderr[(*at, k)] = fit.value, fit.stderr
             chi2[(*at, k)] = fit.chi2_reduced
             status[(*at, k)] |= int(fit.flags) | remarks_of(fit) | (store.flag("left_out") if odd else 0)
-            left_out[(*at, k)] = odd.sentence(int(origin[1][at]), int(origin[2][at])) if odd else ""
+            left_out[(*at, k)] = odd.describe(int(origin[1][at]), int(origin[2][at])) if odd else ""
             for axis, start in origin.items():
                 value[(*at, k, axis)] += start[at]
     keep = [name for name in crops.coords if set(crops[name].dims) <= set(dims)]
@@ -135,7 +135,7 @@ def reasons_text(status: np.ndarray) -> str:
 
 def _both(
     image: np.ndarray, sensor: SensorModel | None, top_hat: bool, integrated: bool, maps: PixelMaps | None
-) -> tuple[dict[int, SpotFits], Odd | None]:
+) -> tuple[dict[int, SpotFits], OutlierPixels | None]:
     """Fits of an image in the order of `FITS`, and the odd pixels that they leave out."""
     equal = partial(fit_spots, sensor=sensor, weighting="equal", integrated=integrated)
     if sensor is None:
@@ -145,7 +145,7 @@ def _both(
     excess = float(first.chi2_reduced) - 1
     noise = np.sqrt(2 / np.count_nonzero(np.isfinite(image)))
     if not excess <= SECOND_LOOK * noise:
-        odd = odd_pixels(image, sensor)
+        odd = find_outlier_pixels(image, sensor)
         if odd.mask.any():
             good = np.where(odd.mask, np.nan, image)
             again = likely(good)

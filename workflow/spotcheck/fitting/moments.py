@@ -18,7 +18,7 @@ import numpy as np
 from scipy import ndimage
 from skimage.measure import label
 
-from spotcheck.characterization.noise_curve import differences
+from spotcheck.characterization.noise_curve import compute_differences
 from spotcheck.crops.spotfinding import find_light_centroid
 
 # Sides of the area of integration in widths (ISO 11146-1, clause 7).
@@ -267,7 +267,7 @@ def _with_errors(pixels: np.ndarray, gone: np.ndarray, ellipse: _Ellipse, change
 
 def _variances(window: np.ndarray) -> np.ndarray:
     """What each pixel's noise is by the differences of its neighbours [DN²]: right on average, not one by one."""
-    own = differences(window).difference ** 2
+    own = compute_differences(window).difference ** 2
     if not own.size:
         return np.full(window.shape, float(np.var(window)))
     return np.pad(own, ((1, 2), (1, 2)), mode="edge")

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spotcheck.characterization.by_spots import dark_level, seen_by_spots
-from spotcheck.characterization.sensor_choice import Found, spots_in_electrons
+from spotcheck.characterization.contradictions import SourceValue
+from spotcheck.characterization.sensor_choice import convert_to_electrons
+from spotcheck.characterization.spot_estimates import estimate_from_spots, measure_rim
 from spotcheck.crops.full_scale import MIN_PLATEAU_PX, measure_extremes
 from spotcheck.io import progress
 from spotcheck.quicklook.images import Image
@@ -28,8 +29,8 @@ class Camera:
     """Properties of one camera."""
 
     images: tuple[str, ...]  # names of the images that were taken with it
-    gain: Found | None  # gain [DN/e-]; None if unknown
-    read_noise: Found | None  # read noise [e-]; None if unknown
+    gain: SourceValue | None  # gain [DN/e-]; None if unknown
+    read_noise: SourceValue | None  # read noise [e-]; None if unknown
     method: str  # how gain and read noise were estimated, or why they are unknown
     black_level_dn: float  # lowest border level of all images [DN], an upper limit because it includes stray light
     clip_level_dn: float  # reading at which images clip [DN]; infinite if none clips
@@ -45,7 +46,7 @@ class Camera:
         return SensorModel(
             self.gain.value / self.step_dn,
             self.read_noise.value,
-            black_level_dn=dark_level(pixels) / self.step_dn,
+            black_level_dn=measure_rim(pixels) / self.step_dn,
             full_scale_dn=self.clip_level_dn / self.step_dn,
         )
 
@@ -67,13 +68,13 @@ def estimate_camera(images: Sequence[Image]) -> Camera:
     clip_level = max((level for level in clip_levels if np.isfinite(level)), default=np.inf)
     step = _estimate_step(images)
     scaled = (image.read() / step for image in progress.track(images, "estimating noise"))
-    estimate = seen_by_spots(scaled, {}, None, clip_level / step)
-    quantities = spots_in_electrons(estimate)
+    estimate = estimate_from_spots(scaled, {}, None, clip_level / step)
+    quantities = convert_to_electrons(estimate)
     gain, method = None, UNKNOWN_GAIN
     if quantities:
         gain = quantities["gain_dn_per_e"]
         gain = gain._replace(value=step * gain.value, stderr=step * gain.stderr)
-        method = estimate.how
+        method = estimate.method
     names = tuple(image.name for image in images)
     return Camera(
         names, gain, quantities.get("read_noise_e"), method, step * estimate.lowest_dn, clip_level, step

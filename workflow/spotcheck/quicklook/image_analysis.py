@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.stats import chi2
 
-from spotcheck.characterization.odd_pixels import odd_pixels
+from spotcheck.characterization.outlier_pixels import find_outlier_pixels
 from spotcheck.fitting.fitted import NAMES, SpotFits
 from spotcheck.fitting.moments import AREA, Moments, second_moments
 from spotcheck.fitting.spotfit import fit_spots
@@ -143,8 +143,8 @@ def analyse_image(image: Image, camera: Camera, z_m: float | None = None) -> Ima
         top, left, window = _cut_window(pixels, moments)
         sensor = camera.sensor_model(pixels)
         noise = sensor or _estimate_noise(_mask_clip(window, camera) / camera.step_dn)
-        if noise is not None and (outliers := odd_pixels(window / camera.step_dn, noise)).mask.any():
-            outlier_text = outliers.sentence(left, top)
+        if noise is not None and (outliers := find_outlier_pixels(window / camera.step_dn, noise)).mask.any():
+            outlier_text = outliers.describe(left, top)
             # The window is a view of the pixels, which lose their outliers too.
             window[outliers.mask] = np.nan
             moments = second_moments(pixels)

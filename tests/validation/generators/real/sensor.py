@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.characterization.photon_transfer import QUANTITIES
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.emva_quantities import QUANTITIES
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.cli import main as command
 from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
@@ -55,7 +55,7 @@ def page(verdicts: dict[str, dict[str, Any]]) -> str:
             command(["ingest", str(SOURCE), "--output", frames])
             command(["transfer", str(SOURCE), "--frames", frames, "--output", transfer])
         with store.read(transfer) as ds:
-            own = quantities_of(ds)
+            own = read_quantities(ds)
             by_range = tabulate_ranges(ds)
     said = verdicts[""]
     other, by_spots = reference(SOURCE, HALF), gain.measure().tables[0]

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.characterization import photon_transfer, sensor_choice
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.errors import InputError
 from spotcheck.fitting import caustic
 from spotcheck.fitting.fits import preferred
@@ -28,9 +28,9 @@ PSNR = {"registration": "fitted", "data_range": "sensor"}
 NO_ERROR = store.flag("misfit") | store.flag("no_error")
 UNKNOWN_ERROR = "no error known"
 # Groups of quantities, in the order in which they are shown.
-LAW, SENSOR, BY_FLATS, FOUND = "p1 and p2", "Sensor", "Flats and darks", "What was added to the model"
+LAW, SENSOR, EMVA_NAMES, FOUND = "p1 and p2", "Sensor", "Flats and darks", "What was added to the model"
 BEAM, SPOT, METRICS = "Beam", "Spots", "Metrics"
-GROUPS = (LAW, SENSOR, BY_FLATS, FOUND, BEAM, SPOT, METRICS)
+GROUPS = (LAW, SENSOR, EMVA_NAMES, FOUND, BEAM, SPOT, METRICS)
 
 
 class Condition(NamedTuple):
@@ -144,8 +144,8 @@ def _read_sensor(ds: xr.Dataset) -> NamedMeasurements:
 
 def _read_transfer(ds: xr.Dataset) -> NamedMeasurements:
     """Yield the quantities of EMVA 1288 from flats and darks."""
-    for quantity in quantities_of(ds).values():
-        name = QuantityName(BY_FLATS, f"{photon_transfer.QUANTITIES[quantity.name][2]}, {quantity.symbol}")
+    for quantity in read_quantities(ds).values():
+        name = QuantityName(EMVA_NAMES, f"{photon_transfer.QUANTITIES[quantity.name][2]}, {quantity.symbol}")
         source = f"value: {quantity.name}"
         yield name, _measure(quantity.value, quantity.stderr, quantity.unit, "fit to the levels", source)
 

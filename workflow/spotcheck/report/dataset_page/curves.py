@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.fitting.precision import sentence
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.model.propagation import beam_propagation
@@ -228,7 +228,7 @@ def draw_levels(transfer: xr.Dataset | None) -> Curve | None:
     signal, hover = transfer["signal"].values, "signal %{x:.5~g} DN: %{y:.4~g} "
     excess, error = transfer["excess"].values, transfer["excess_stderr"].values
     data = [_points("variance", signal, excess, error, hovertemplate=f"{hover}DN²<extra></extra>")]
-    gain, is_fitted = quantities_of(transfer)["gain"].value, transfer["fitted"].values > 0
+    gain, is_fitted = read_quantities(transfer)["gain"].value, transfer["fitted"].values > 0
     if np.isfinite(gain) and is_fitted.any():
         ends = np.array([0.0, signal[is_fitted].max()])
         data.append(_line("straight line of the gain K", ends, gain * ends, "var(--simulated)", "dash"))

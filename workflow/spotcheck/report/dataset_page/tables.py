@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from markupsafe import Markup
 
-from spotcheck.characterization.photon_transfer import QUANTITIES as TRANSFER_QUANTITIES
+from spotcheck.characterization.emva_quantities import QUANTITIES as TRANSFER_QUANTITIES
 from spotcheck.characterization.sensor_choice import QUANTITIES as SENSOR_QUANTITIES
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.words import number_text, value_text
 from spotcheck.errors import InputError
@@ -81,7 +81,7 @@ def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict
     if transfer is None:
         return None
     rows = []
-    for quantity in quantities_of(transfer).values():
+    for quantity in read_quantities(transfer).values():
         text = plus_minus(quantity.value, quantity.stderr)
         is_known = np.isfinite(quantity.value)
         rows.append(

@@ -9,8 +9,9 @@ import xarray as xr
 from matplotlib.colors import Normalize
 from matplotlib.ticker import ScalarFormatter
 
-from spotcheck.characterization.photon_transfer import LINEAR, Quantity
-from spotcheck.characterization.transfer_data import quantities_of
+from spotcheck.characterization.derived_quantities import LINEARITY_RANGE
+from spotcheck.characterization.emva_quantities import Quantity
+from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.io.plus_minus import plus_minus
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
@@ -32,7 +33,7 @@ DASHED = (0, (4, 2))
 def _read_quantities(results: Results, *required: str) -> tuple[xr.Dataset, dict[str, Quantity]]:
     """Return the levels and the quantities. Raises `Unavailable` if a required quantity is unknown."""
     ds = results.get("transfer")
-    quantities = quantities_of(ds)
+    quantities = read_quantities(ds)
     for name in required:
         if not np.isfinite(quantities[name].value):
             raise Unavailable(f"{quantities[name].symbol} is unknown: {quantities[name].why}")
@@ -73,7 +74,7 @@ def fit_response_line(ds: xr.Dataset) -> ResponseLine:
     """Fit a line by least relative squares to the levels that EMVA 1288 uses for linearity."""
     light, signal, saturated = _read_light(ds)[0], ds["signal"].values, int(ds["saturation"])
     saturation = signal[saturated] if saturated >= 0 else signal.max()
-    is_used = (signal >= LINEAR[0] * saturation) & (signal <= LINEAR[1] * saturation)
+    is_used = (signal >= LINEARITY_RANGE[0] * saturation) & (signal <= LINEARITY_RANGE[1] * saturation)
     slope, offset = np.nan, np.nan
     if is_used.sum() >= MIN_LEVELS:
         slope, offset = np.polyfit(light[is_used], signal[is_used], 1, w=1 / signal[is_used])

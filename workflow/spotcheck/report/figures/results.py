@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.sensor_choice import model_of
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset.folder import Dataset, load
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting.caustic import CONDITION as CAUSTIC_AXIS
@@ -112,6 +112,6 @@ class Results:
     def _sensor_model(self) -> SensorModel | None:
         """Return the sensor of sensor.nc; None if its gain or read noise is unknown, or if there is no file."""
         try:
-            return model_of(self.get("sensor"))
+            return read_sensor_model(self.get("sensor"))
         except Unavailable:
             return None

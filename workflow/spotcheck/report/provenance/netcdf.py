@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.photon_transfer import QUANTITIES
+from spotcheck.characterization.emva_quantities import QUANTITIES
 from spotcheck.errors import InputError
 from spotcheck.report.provenance.records import CatalogEntry, StoredNumber
 

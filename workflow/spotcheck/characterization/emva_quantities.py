@@ -1,0 +1,82 @@
+"""Quantities of EMVA 1288: their symbols and units, and their values with standard errors or why they are unknown."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from spotcheck.io.plus_minus import plus_minus
+
+# Name → (symbol of the standard, unit, meaning), in the order in which they are listed.
+QUANTITIES = {
+    "gain": ("K", "DN/e-", "overall gain"),
+    "dark_offset": ("μ_y.dark", "DN", "dark offset at the shortest exposure"),
+    "dark_noise_dn": ("σ_y.dark", "DN", "noise without light, with rounding"),
+    "dark_noise": ("σ_d", "e-", "noise without light"),
+    "dark_current": ("μ_I", "e-/s", "dark current, by the mean"),
+    "dark_current_by_variance": ("μ_I.var", "e-/s", "dark current, by the noise"),
+    "responsivity": ("R", "DN/p", "responsivity"),
+    "quantum_efficiency": ("η", "1", "quantum efficiency"),
+    "saturation_dn": ("μ_y.sat", "DN", "reading at saturation"),
+    "saturation_photons": ("μ_p.sat", "p", "photons at saturation"),
+    "full_well": ("μ_e.sat", "e-", "saturation capacity (full well)"),
+    "snr_max": ("SNR_max", "1", "largest signal-to-noise ratio"),
+    "threshold_photons": ("μ_p.min", "p", "absolute sensitivity threshold, photons"),
+    "threshold": ("μ_e.min", "e-", "absolute sensitivity threshold"),
+    "dynamic_range": ("DR", "1", "dynamic range"),
+    "linearity_error": ("LE", "%", "linearity error, mean"),
+    "linearity_lowest": ("LE_min", "%", "linearity error, lowest"),
+    "linearity_highest": ("LE_max", "%", "linearity error, highest"),
+    "dsnu": ("DSNU", "e-", "dark signal non-uniformity"),
+    "dsnu_column": ("DSNU_col", "e-", "dark signal non-uniformity of columns"),
+    "dsnu_row": ("DSNU_row", "e-", "dark signal non-uniformity of rows"),
+    "dsnu_pixel": ("DSNU_pix", "e-", "dark signal non-uniformity of pixels"),
+    "prnu": ("PRNU", "%", "photo response non-uniformity"),
+    "prnu_column": ("PRNU_col", "%", "photo response non-uniformity of columns"),
+    "prnu_row": ("PRNU_row", "%", "photo response non-uniformity of rows"),
+    "prnu_pixel": ("PRNU_pix", "%", "photo response non-uniformity of pixels"),
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured quantity of EMVA 1288."""
+
+    name: str  # key of `QUANTITIES`
+    symbol: str  # symbol of the standard
+    value: float  # value [unit]; NaN if unknown
+    stderr: float  # standard error of the value [unit]; NaN if unknown
+    unit: str  # "1" if dimensionless
+    why: str = ""  # reason why the value is unknown; "" if it is known
+
+    def __str__(self) -> str:
+        if not np.isfinite(self.value):
+            return f"{self.symbol} is unknown: {self.why}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.symbol} = {plus_minus(self.value, self.stderr)}{unit}"
+
+
+class QuantityTable(dict[str, Quantity]):
+    """Quantities by name, filled one after the other."""
+
+    def set(self, name: str, value: float, stderr: float) -> None:
+        """Enter a value and its standard error, both in the unit of the quantity."""
+        symbol, unit, _ = QUANTITIES[name]
+        self[name] = Quantity(name, symbol, float(value), float(stderr), unit)
+
+    def set_unknown(self, names: Iterable[str], reason: str) -> None:
+        """Mark quantities as unknown for a reason."""
+        for name in names:
+            symbol, unit, _ = QUANTITIES[name]
+            self[name] = Quantity(name, symbol, np.nan, np.nan, unit, reason)
+
+    def fill_unknown(self, reason: str) -> None:
+        """Mark all quantities that have no entry yet as unknown for a reason."""
+        self.set_unknown([name for name in QUANTITIES if name not in self], reason)
+
+
+def divide(numerator: Quantity, denominator: Quantity) -> tuple[float, float]:
+    """Return the quotient of two independent quantities and its standard error."""
+    ratio = numerator.value / denominator.value
+    error = np.hypot(numerator.stderr / denominator.value, ratio * denominator.stderr / denominator.value)
+    return ratio, float(error)

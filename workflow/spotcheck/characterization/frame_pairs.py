@@ -1,0 +1,242 @@
+"""Temporal noise from two frames of the same pixels: the pattern that both share cancels in their difference.
+
+Differences of neighbouring pixels cannot tell grain as fine as the pixels from noise. Two exposures of a site share the
+grain. Let r be the brightness ratio of the second to the first and S₁, S₂ the light's readings. Then y₂ − r y₁ is noise
+with the variance floor (1 + r²) + K (S₂ + r² S₁). Divided by (1 + r²), this is the noise of a single pixel,
+floor + K L, at the level L = (S₂ + r² S₁)/(1 + r²).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+from scipy.ndimage import minimum_filter, uniform_filter
+
+from spotcheck.characterization.noise_curve import BIN_ERROR, CUT_AT_SD, MIN_COUNT, NoiseCurve
+from spotcheck.crops.cropping import is_usable, iterate_cells
+from spotcheck.io import store
+
+# Side of a block [px].
+SIDE = 10
+
+
+def evaluate_quadratic(down: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the six terms of a quadratic [term, …] at positions […]: constant, two linear and three quadratic ones."""
+    return np.stack([np.ones_like(down), down, right, down**2, down * right, right**2])
+
+
+# Positions of the pixels of a block from its centre [px], [pixel].
+DOWN, RIGHT = np.mgrid[:SIDE, :SIDE].reshape(2, -1) - (SIDE - 1) / 2
+# Projection [pixel, pixel] that removes the least-squares quadratic from the values of a block.
+WITHOUT_QUADRATIC = np.eye(SIDE**2) - np.linalg.pinv(evaluate_quadratic(DOWN, RIGHT)) @ evaluate_quadratic(DOWN, RIGHT)
+# Part of a pixel's variance that the projection leaves [pixel].
+LEFT_VARIANCE = (WITHOUT_QUADRATIC**2).sum(axis=0)
+# Numbers of terms of a constant, a plane and a quadratic.
+TERMS = (1, 3, 6)
+# A block determines r if its light exceeds this number of its own standard errors; otherwise there is no grain to
+# subtract.
+MIN_LIGHT_SD = 5.0
+# Edges of the bins of reading and of level [DN], ten per decade; the first bin contains everything below.
+EDGES = np.geomspace(1e-1, 1e6, 71)
+# A tally of no pixels: [sum, bin of reading, bin of level], see `tally_differences`.
+EMPTY_TALLY = np.zeros((4, len(EDGES), len(EDGES)))
+
+
+def _multiply_by_neighbours(residual: np.ndarray) -> np.ndarray:
+    """Return each residual [block, pixel] times the mean of its right and lower neighbours; 0 at the last row and
+    column of a block."""
+    image = residual.reshape(-1, SIDE, SIDE)
+    product = np.zeros_like(image)
+    product[:, :-1, :-1] = image[:, :-1, :-1] * (image[:, :-1, 1:] + image[:, 1:, :-1]) / 2
+    return product.reshape(residual.shape)
+
+
+# Sum of these products over that of squares for white noise; it is not 0, as the quadratic was removed.
+WHITE_COVARIANCE = float(_multiply_by_neighbours(WITHOUT_QUADRATIC).trace() / WITHOUT_QUADRATIC.trace())
+# Products above that by this number of standard errors are not white noise: the light moved, or has finer structure.
+MAX_COVARIANCE_SD = 3.0
+# If this part of the levels has such products, all levels are rejected.
+MAX_CORRELATED_PART = 0.1
+
+
+def iterate_pairs(images: xr.Dataset, axis: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield pairs of images [rows, columns] of the same pixels, neighbours along an axis of a grid of crops.
+
+    No frame is in two pairs. Pairs are formed from the end of the axis, where the brightest exposure is. Nothing is
+    yielded if the grid does not have the axis.
+    """
+    dims = store.grid_dims(images)
+    if axis not in dims:
+        return
+    for index in iterate_cells(images, tuple(dim for dim in dims if dim != axis)):
+        row = images.isel(index)
+        usable_places = [place for place, status in enumerate(row["status"].values) if is_usable(status)][::-1]
+        for place, other in zip(usable_places[1::2], usable_places[::2], strict=False):
+            first, second = row.isel({axis: place}), row.isel({axis: other})
+            down, right = (int(second[name]) - int(first[name]) for name in ("top", "left"))
+            yield align_images(first["image"].values, second["image"].values, down, right)
+
+
+def align_images(first: np.ndarray, second: np.ndarray, down: int, right: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parts of two images [rows, columns] that show the same pixels of the sensor.
+
+    Parameters
+    ----------
+    first, second : two crops of the sensor.
+    down, right : position of the corner of the second one relative to that of the first [px].
+    """
+    rows, columns = (min(sizes) for sizes in zip(first.shape, second.shape, strict=True))
+    # Crops that are further apart than their size share nothing.
+    height, width = max(rows - abs(down), 0), max(columns - abs(right), 0)
+
+    def cut(image: np.ndarray, top: int, left: int) -> np.ndarray:
+        return image[max(top, 0) : max(top, 0) + height, max(left, 0) : max(left, 0) + width]
+
+    return cut(first, down, right), cut(second, -down, -right)
+
+
+def tally_differences(first: np.ndarray, second: np.ndarray, black_dn: float, full_scale_dn: float) -> np.ndarray:
+    """Return sums over the pixels that two images share [sum, bin of reading, bin of level]; tallies can be added.
+
+    The four sums are the number of pixels, their levels over black [DN], the squares of the residuals of y₂ − r y₁
+    [DN²], and the products of neighbouring residuals [DN²]; both are divided by (1 + r²). A quadratic and a common
+    motion are removed from the residuals of each block. Bins are of the reading of the darker image and of the level.
+    Neighbouring pixels decide on the bin, so that no pixel is selected by its own noise.
+
+    Parameters
+    ----------
+    first, second : images of the same pixels [rows, columns] in DN. The second may have moved by a part of a pixel.
+    black_dn : black level [DN].
+    full_scale_dn : blocks that reach this reading [DN] are left out, as are blocks with NaN.
+    """
+    if min(first.shape) < SIDE:
+        return EMPTY_TALLY
+    first, second = (image.astype(float) - black_dn for image in (first, second))
+    around_first, around_second = _average_around(first), _average_around(second)
+    # A minimum, since grain makes pixels darker than their surroundings.
+    darkest = minimum_filter(np.minimum(around_first, around_second), 3) + black_dn
+    images = (first, second, around_first, around_second, darkest, *np.gradient(first))
+    blocks = np.stack([_cut_blocks(image) for image in images])
+    known = np.isfinite(blocks).all(axis=(0, 3)) & (blocks[:2].max(axis=(0, 3)) + black_dn < full_scale_dn)
+    y1, y2, around_y1, around_y2, darkest, *slopes = blocks[:, known]
+    ratio, is_scaled = (part[known] for part in _fit_ratio(*np.where(known[..., None], blocks[:2], np.nan)))
+    residual = (y2 - ratio * y1) @ WITHOUT_QUADRATIC
+    # The ratio of a scaled block makes its sum vanish, and with it the mean effect of a motion.
+    light = np.where(is_scaled, y1.mean(axis=1), np.inf)
+    motion = np.stack([slope - (slope.mean(axis=1) / light)[:, None] * y1 for slope in slopes])
+    residual = _remove_motion(residual, motion @ WITHOUT_QUADRATIC)
+
+    def combine(level_1: np.ndarray, level_2: np.ndarray) -> np.ndarray:
+        return (level_2 + ratio**2 * level_1) / (1 + ratio**2)
+
+    # The projection mixes the noise of all pixels of a block, so the level is mixed in the same way.
+    level = combine(y1, y2) @ WITHOUT_QUADRATIC**2 / LEFT_VARIANCE
+    square, product = (
+        part / LEFT_VARIANCE / (1 + ratio**2) for part in (residual**2, _multiply_by_neighbours(residual))
+    )
+    bins = tuple(np.searchsorted(EDGES[1:], image.ravel()) for image in (darkest, combine(around_y1, around_y2)))
+    tally = EMPTY_TALLY.copy()
+    for sums, image in zip(tally, (np.ones_like(level), level, square, product), strict=True):
+        np.add.at(sums, bins, image.ravel())
+    return tally
+
+
+def _fit_ratio(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the brightness ratio r of two images at each pixel, and whether a block scales it with its own light.
+
+    Spots are nearly Gaussian, so ln r is a quadratic in position over all blocks. Each block whose light is significant
+    then scales its r. It does not fit slopes, which would absorb a part of its noise.
+
+    Parameters
+    ----------
+    first, second : the images [block row, block column, pixel] in DN over black; NaN in blocks that are left out.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        r of the same shape, 1 if no block is significant; and a mask [block row, block column].
+    """
+    light, light_2 = first.mean(axis=2), second.mean(axis=2)
+    is_significant = (light > MIN_LIGHT_SD * _estimate_noise(first) / SIDE) & (light_2 > 0)
+    if not is_significant.any():
+        return np.ones_like(first), is_significant
+    centre = SIDE * (np.indices(light.shape) - np.reshape(light.shape, (2, 1, 1)) / 2)
+    # At least two blocks for each term: with fewer, the terms would follow the noise.
+    terms = max(count for count in TERMS if count == 1 or 2 * count <= is_significant.sum())
+    log_ratio = np.log(light_2[is_significant] / light[is_significant])
+    # Shot noise gives ln r an error in proportion to one over the root of the light.
+    weight = np.sqrt(light[is_significant])
+    # The ratio of a block applies at the centroid of its light, which is off its centre beside a narrow spot.
+    centroid = np.stack([(first[is_significant] * place).mean(axis=1) / light[is_significant]
+                         for place in (DOWN, RIGHT)])  # fmt: skip
+    places = centre[:, is_significant] + np.clip(centroid, -SIDE / 2, SIDE / 2)
+    design = evaluate_quadratic(*places)[:terms]
+    coefficients = np.linalg.lstsq((design * weight).T, log_ratio * weight, rcond=None)[0]
+    at_pixels = evaluate_quadratic(centre[0, ..., None] + DOWN, centre[1, ..., None] + RIGHT)[:terms]
+    fitted = np.tensordot(coefficients, at_pixels, axes=1)
+    ratio = np.exp(np.clip(fitted, log_ratio.min() - 1, log_ratio.max() + 1))
+    scale = light_2[is_significant] / (ratio * first).mean(axis=2)[is_significant]
+    ratio[is_significant] *= scale[:, None]
+    return ratio, is_significant
+
+
+def _estimate_noise(blocks: np.ndarray) -> np.ndarray:
+    """Return the noise of a pixel [DN] of each block [block row, block column, pixel] from differences of four
+    neighbours, in which slopes of the spot cancel."""
+    image = blocks.reshape(*blocks.shape[:2], SIDE, SIDE)
+    difference = image[..., 1:, 1:] - image[..., 1:, :-1] - image[..., :-1, 1:] + image[..., :-1, :-1]
+    return np.sqrt((difference**2).mean(axis=(2, 3))) / 2
+
+
+def _remove_motion(residual: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Return residuals [block, pixel] without the effect of one common motion, whose derivatives are the slopes of the
+    light [axis, block, pixel]."""
+    weight = 1 / np.maximum((residual**2).mean(axis=1), 1e-300)
+    normal = np.einsum("abp,cbp,b->ac", slopes, slopes, weight)
+    motion = np.linalg.lstsq(normal, np.einsum("abp,bp,b->a", slopes, residual, weight), rcond=None)[0]
+    return residual - np.tensordot(motion, slopes, axes=1)
+
+
+def convert_to_curve(tally: np.ndarray, black_dn: float) -> NoiseCurve:
+    """Return the noise curve of a tally, without readings whose noise is cut at 0 DN.
+
+    The curve is empty if neighbouring residuals correlate: they are then not noise of single pixels.
+    """
+    lowest = 0
+    while lowest < len(EDGES) and EDGES[lowest] <= CUT_AT_SD * _estimate_noise_at(tally[:, lowest]):
+        lowest += 1
+    sums = tally[:, lowest:].sum(axis=1)
+    pixels, level, square, product = sums[:, sums[0] >= MIN_COUNT]
+    # The mean product of a pixel and two neighbours has half of the variance of the product of two pixels, which is
+    # the square of a pixel's variance.
+    is_correlated = product - WHITE_COVARIANCE * square > MAX_COVARIANCE_SD * square / np.sqrt(2 * pixels)
+    if is_correlated.any() and is_correlated.sum() >= MAX_CORRELATED_PART * is_correlated.size:
+        return NoiseCurve(*np.empty((3, 0)))
+    variance = square / pixels
+    return NoiseCurve(black_dn + level / pixels, variance, variance * np.sqrt(2 / pixels) + BIN_ERROR)
+
+
+def _estimate_noise_at(tally: np.ndarray) -> float:
+    """Return the noise [DN] of one bin of reading of a tally [sum, bin of level]; infinite if the bin is empty.
+
+    Only the lower half of the levels counts: higher ones are of pixels that grain makes brighter.
+    """
+    pixels, _, square, _ = tally
+    if not pixels.any():
+        return np.inf
+    is_low = np.cumsum(pixels) <= max(pixels.sum() / 2, pixels[np.flatnonzero(pixels)[0]])
+    return float(np.sqrt(square[is_low].sum() / pixels[is_low].sum()))
+
+
+def _average_around(image: np.ndarray) -> np.ndarray:
+    """Return the mean of the eight pixels around each pixel; NaN if one of the nine is NaN."""
+    # The running sums of the filter would carry a NaN to the end of its row and column.
+    has_gap = uniform_filter(np.isnan(image).astype(float), 3, mode="nearest") > 0.5 / 9
+    return (9 * np.where(has_gap, np.nan, uniform_filter(np.nan_to_num(image), 3, mode="nearest")) - image) / 8
+
+
+def _cut_blocks(image: np.ndarray) -> np.ndarray:
+    """Return the pixels of each whole block of an image [block row, block column, pixel]."""
+    rows, columns = (size // SIDE for size in image.shape)
+    blocks = image[: rows * SIDE, : columns * SIDE].reshape(rows, SIDE, columns, SIDE)
+    return blocks.swapaxes(1, 2).reshape(rows, columns, SIDE**2)
