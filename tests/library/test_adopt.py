@@ -19,7 +19,7 @@ from spotcheck.export.adoption.bad import bad_in
 from spotcheck.export.adoption.chosen import choices_of
 from spotcheck.export.adoption.learned import Learned, learned_of
 from spotcheck.export.adoption.written import write
-from spotcheck.fitting.fits import fit_crops
+from spotcheck.fitting.crop_fits import fit_crops
 from spotcheck.io import store
 from spotcheck.io.schema import breach_of
 from spotcheck.model.baseline import Baseline

@@ -10,7 +10,7 @@ from spotcheck.crops import stages as crops
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
 from spotcheck.errors import InputError
-from spotcheck.fitting.fits import fit_crops
+from spotcheck.fitting.crop_fits import fit_crops
 from spotcheck.io import store
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 

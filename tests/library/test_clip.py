@@ -7,7 +7,7 @@ from spotcheck.characterization.sensor_choice import model_of, resolve
 from spotcheck.crops import stages as crops
 from spotcheck.crops.clip import end_of, step_of, top_of
 from spotcheck.dataset.instrument import Instrument, Sensor
-from spotcheck.fitting.fits import fit_crops, preferred
+from spotcheck.fitting.crop_fits import fit_crops, select_preferred_fits
 from spotcheck.io import store
 from spotcheck.model.spot import elliptical_gaussian
 from tests.library.conftest import loaded
@@ -42,7 +42,7 @@ def test_a_clipped_spot_is_fitted_as_one_without_a_bit_depth(tmp_path, highest, 
     with store.read(tmp_path / "crops.nc") as images:
         end = crops.end_in(table)
         sensor = model_of(resolve(dataset, end, []))
-        fits = preferred(fit_crops(images, sensor))
+        fits = select_preferred_fits(fit_crops(images, sensor))
     assert sensor.full_scale_dn == highest * unit
     assert set(store.status_names(fits["status"].values).ravel()) == {"clipped"}
     for name, truth in (("amplitude", amplitude * unit), ("sigma_major", 8.0), ("sigma_minor", 6.0)):

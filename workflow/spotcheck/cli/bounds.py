@@ -6,7 +6,7 @@ import numpy as np
 
 from spotcheck.characterization.sensor_choice import model_of
 from spotcheck.dataset import folder as dataset
-from spotcheck.fitting.bounds import bounds_of
+from spotcheck.fitting.bounds import compute_bounds
 from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
@@ -29,6 +29,6 @@ def run(args: argparse.Namespace) -> None:
     found = dataset.load(args.dataset)
     exposures = np.array(found.exposures)
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
-        result = bounds_of(calibration, found.instrument, exposures, model_of(sensor), found.instrument.crop_px)
+        result = compute_bounds(calibration, found.instrument, exposures, model_of(sensor), found.instrument.crop_px)
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor])
     print(result.attrs.get("skipped", f"bounds at {result.sizes.get('fine_exposure', 0)} exposures"))

@@ -4,7 +4,7 @@ import argparse
 
 from spotcheck.characterization.sensor_choice import model_of
 from spotcheck.dataset import folder as dataset
-from spotcheck.fitting.calibration import USED, calibrate
+from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR, calibrate
 from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> None:
     if "skipped" in found.attrs:
         print(f"skipped: {found.attrs['skipped']}")
     else:
-        own = found.sel(estimator=USED)
+        own = found.sel(estimator=SIMULATION_ESTIMATOR)
         for p in ("p1", "p2"):
             spread = float(own[f"{p}_sd_all"])
             print(

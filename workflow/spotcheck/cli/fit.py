@@ -5,7 +5,7 @@ import argparse
 from spotcheck.characterization.pixel_maps import maps_in
 from spotcheck.characterization.sensor_choice import model_of
 from spotcheck.dataset import folder as dataset
-from spotcheck.fitting.fits import fit_crops, preferred, reasons_text
+from spotcheck.fitting.crop_fits import count_failure_reasons, fit_crops, select_preferred_fits
 from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
@@ -38,11 +38,11 @@ def run(args: argparse.Namespace) -> None:
     for name in fits["fit"].values:
         own = fits["amplitude"].sel(fit=name)
         fitted, known = int(own.notnull().sum()), there.sel(fit=name)
-        why = reasons_text(fits["status"].sel(fit=name).where(own.isnull() & known, 0).values)
+        why = count_failure_reasons(fits["status"].sel(fit=name).where(own.isnull() & known, 0).values)
         print(
             f"{fitted} of {int(known.sum())} crops fitted by {str(name).replace('_', ' ')}{f': {why}' if why else ''}"
         )
-    for sentence in dict.fromkeys(filter(None, preferred(fits)["left_out"].values.ravel())):
+    for sentence in dict.fromkeys(filter(None, select_preferred_fits(fits)["left_out"].values.ravel())):
         print(sentence)
     for remark in store.remarks_of(fits):
         print(remark)

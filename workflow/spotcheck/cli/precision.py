@@ -6,7 +6,7 @@ import numpy as np
 
 from spotcheck.characterization.sensor_choice import model_of
 from spotcheck.dataset import folder as dataset
-from spotcheck.fitting.precision import precision_of
+from spotcheck.fitting.precision import compute_precision
 from spotcheck.io import provenance, store
 
 EXAMPLE = """Example:
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> None:
     found = dataset.load(args.dataset)
     fits = {name: store.read(path) for name, path in zip(("measured", "simulated"), args.fits, strict=True)}
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
-        result = precision_of(
+        result = compute_precision(
             fits,
             calibration,
             found.instrument,

@@ -7,8 +7,8 @@ from spotcheck.characterization.sensor_choice import model_of
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import folder as dataset
 from spotcheck.errors import InputError
-from spotcheck.fitting.calibration import USED
-from spotcheck.fitting.spot_states import has_law, spot_states
+from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR, read_width_law
+from spotcheck.fitting.spot_states import list_spot_states
 from spotcheck.io import provenance, store
 from spotcheck.model import simulation
 from spotcheck.model.light_shape import LIGHT
@@ -48,10 +48,10 @@ def _paper(args: argparse.Namespace, found: dataset.Dataset) -> None:
     if not args.calibration or not args.fits:
         raise InputError("simulate: what to simulate is missing; give --calibration and --fits, or --model")
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
-        is_law_found = has_law(calibration)
-        states = spot_states(found, calibration, fits)
+        is_law_found = read_width_law(calibration) is not None
+        states = list_spot_states(found, calibration, fits)
         model, full_scale = model_of(sensor), int(sensor["full_scale_dn"])
-    attributes = {"calibration": USED if is_law_found else "none: each frame's own fit"}
+    attributes = {"calibration": SIMULATION_ESTIMATOR if is_law_found else "none: each frame's own fit"}
     destination = _destination(args, [args.calibration, args.fits, args.sensor])
     simulation.simulate(found, states, model, full_scale, destination, attributes)
 

@@ -5,7 +5,7 @@ import xarray as xr
 
 from spotcheck.crops.stages import cells, usable
 from spotcheck.errors import InputError
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import progress, store
 from spotcheck.metrics import crop_metrics as metrics
 from spotcheck.metrics.crop_metrics import PER_IMAGE
@@ -91,7 +91,7 @@ def _registered(crops: dict, fits: dict, index: dict[str, int]) -> tuple[np.ndar
     """Measured crop, and the simulated one moved so that both fitted centres coincide."""
     images, centres = [], []
     for source in SOURCES:
-        own, fit = crops[source].sel(centring="light").isel(index), preferred(fits[source]).isel(index)
+        own, fit = crops[source].sel(centring="light").isel(index), select_preferred_fits(fits[source]).isel(index)
         images.append(own["image"].values)
         centres.append((float(fit["y_centre"]) - float(own["top"]), float(fit["x_centre"]) - float(own["left"])))
     rows, columns = (measured - simulated for measured, simulated in zip(*centres, strict=True))

@@ -37,7 +37,7 @@ def spot(one: Seen) -> style.Drawing:
     size = 4 * float(fit.sigma_major), 4 * float(fit.sigma_minor)
     line = Ellipse(centre, *size, angle=angle, fill=False, edgecolor=ON_IMAGE["fit"], linestyle=(0, (4, 2)))
     image.add_patch(line)
-    if own.measured:
+    if own.is_measured:
         around = Ellipse((own.x, own.y), own.major, own.minor, angle=own.azimuth, fill=False, linewidth=1.3)
         around.set_edgecolor(ON_IMAGE["moments"])
         image.add_patch(around)
@@ -50,7 +50,7 @@ def spot(one: Seen) -> style.Drawing:
     style.legend_above(figure, handles, labels, len(handles))
     caption = (
         f"{one.name}. Left: root of the readings, contour at 1/e² of the fitted Gaussian (white, dashed)"
-        + (", ellipse of D4σ (green) and the area that its moments are summed over (dotted)" if own.measured else "")
+        + (", ellipse of D4σ (green) and the area that its moments are summed over (dotted)" if own.is_measured else "")
         + ". Right: readings through the fitted centre, and the fit."
     )
     return style.Drawing(figure, caption)

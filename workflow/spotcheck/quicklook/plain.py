@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from spotcheck.fitting.caustic import QUANTITIES
-from spotcheck.fitting.fitted import NAMES, PARAMETERS
+from spotcheck.fitting.fit_results import NAMES, PARAMETERS
 from spotcheck.quicklook import words
 from spotcheck.quicklook.camera import Camera
 from spotcheck.quicklook.scan import METHODS, Beam
@@ -41,7 +41,8 @@ def _image(one: Seen, pitch: float | None) -> dict[str, Any]:
         **_lengths(widths, pitch),
         "azimuth_deg": own.azimuth, "azimuth_stderr_deg": own.azimuth_stderr,
         "background_dn": own.background, "background_stderr_dn": own.background_stderr,
-        "area_inside": own.inside, "whole": own.whole, "settled": own.settled, "measured": own.measured,
+        "area_inside": own.area_fraction, "whole": own.is_whole, "settled": own.has_converged,
+        "measured": own.is_measured,
     }  # fmt: skip
     return {
         "name": one.name, "rows": one.rows, "columns": one.columns, "z_m": one.z_m,

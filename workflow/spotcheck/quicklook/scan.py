@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.fitting.beam_axes import Widths, along, axes_of
-from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, fit_caustic, turned_text
+from spotcheck.fitting.beam_axes import SpotWidths, fit_beam_axes, project_widths
+from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, describe_axis_rotation, fit_caustic
 from spotcheck.quicklook.seen import Seen
 
 METHODS = {"second moments": "second_moments", "Gaussian fit": "gaussian_fit"}
@@ -33,7 +33,7 @@ def beams_of(images: Sequence[Seen], pitch_m: float, wavelength_m: float) -> lis
 
 def _of_moments(one: Seen) -> tuple[float, ...] | None:
     own = one.moments
-    if not (own.measured and own.whole):
+    if not (own.is_measured and own.is_whole):
         return None
     return own.major / 4, own.minor / 4, own.azimuth, own.major_stderr / 4, own.minor_stderr / 4, own.azimuth_stderr
 
@@ -55,13 +55,13 @@ def _beam(method: str, widths: Callable, images: Sequence[Seen], pitch_m: float,
     if (positions := len(np.unique(z))) < FEWEST_POSITIONS:
         why = f"M² needs widths at {FEWEST_POSITIONS} positions or more, and {positions} have one"
         return Beam(method, z, {}, {}, {}, why, left_out)
-    spots = Widths(*np.array([own for _, own in known], float).T)
-    axes = axes_of(spots)
-    if axes.turned is not None:
-        return Beam(method, z, {}, {}, {}, turned_text(axes, z), left_out)
+    spots = SpotWidths(*np.array([own for _, own in known], float).T)
+    axes = fit_beam_axes(spots)
+    if axes.rotated_spot is not None:
+        return Beam(method, z, {}, {}, {}, describe_axis_rotation(axes, z), left_out)
     if np.isfinite(axes.azimuth_stderr):
         directions = {f"axis at {round(axes.azimuth + turn)}°": axes.azimuth + turn for turn in (0, 90)}
-        found = {words: along(spots, azimuth) for words, azimuth in directions.items()}
+        found = {words: project_widths(spots, azimuth) for words, azimuth in directions.items()}
     else:
         mean = (spots.major + spots.minor) / 2
         found = {"mean of both axes": (mean, np.hypot(spots.major_stderr, spots.minor_stderr) / 2)}

@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.stats import chi2
 
 from spotcheck.characterization.odd_pixels import odd_pixels
-from spotcheck.fitting.fitted import NAMES, SpotFits
+from spotcheck.fitting.fit_results import NAMES, SpotFits
 from spotcheck.fitting.moments import AREA, Moments, second_moments
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.model import spot

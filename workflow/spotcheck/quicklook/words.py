@@ -111,7 +111,7 @@ def rows(one: Seen, pitch: float | None) -> list[tuple[str, str]]:
     return [
         ("centre", f"x {x}, y {y}"),
         ("Gaussian fit", f"4σ {_pair(fit_widths(one), pitch)}{_direction(*one.fitted_to('orientation'))}"),
-        ("second moments", moments if own.measured else "no width: its error is as large as it is"),
+        ("second moments", moments if own.is_measured else "no width: its error is as large as it is"),
         ("peak", f"{peak} over {offset}; highest reading {one.highest_dn:.5g} DN"),
         ("shape", "; ".join(shape(one))),
         ("clipped", f"{clip.value}; {clip.sentence}" if (clip := clipped(one)) else _unclipped(one)),
@@ -128,7 +128,7 @@ def fit_widths(one: Seen) -> Widths:
 def moment_widths(one: Seen) -> Widths:
     """D4σ along the longer and the shorter axis with errors [px]; NaN where it was not measured."""
     own = one.moments
-    if not own.measured:
+    if not own.is_measured:
         return [(math.nan, math.nan)] * 2
     return [(own.major, own.major_stderr), (own.minor, own.minor_stderr)]
 
@@ -139,7 +139,7 @@ def shape(one: Seen) -> list[str]:
     if fit is None:
         return []
     # ISO 11146-1 judges by second moments; without them the fit has to do.
-    by_moments = one.moments.measured
+    by_moments = one.moments.is_measured
     (major, major_error), (minor, minor_error) = moment_widths(one) if by_moments else fit_widths(one)
     ratio = minor / major
     error = ratio * math.hypot(minor_error / minor, major_error / major)
@@ -179,10 +179,10 @@ def beware(one: Seen) -> list[Remark]:
     if one.fit is not None and one.noise_known and one.fit.chi2_reduced > NO_GAUSSIAN:
         why = "no Gaussian, so that the fit's width depends on how it weighs pixels, which its error holds; χ²"
         out.append(Remark(why, f"{one.fit.chi2_reduced:.3g}"))
-    if own.measured and not own.whole:
+    if own.is_measured and not own.is_whole:
         why = f"{UNCERTAIN} D4σ is uncertain, as its area of integration reaches beyond the frame; part inside:"
-        out.append(Remark(why, f"{100 * own.inside:.0f} %"))
-    if own.measured and not own.settled:
+        out.append(Remark(why, f"{100 * own.area_fraction:.0f} %"))
+    if own.is_measured and not own.has_converged:
         out.append(Remark("D4σ does not settle: it goes on changing with its area of integration"))
     if (excess := _excess(one)) > 0:
         why = "light in the wings, a second spot or an uneven background"
@@ -201,7 +201,7 @@ def _excess(one: Seen) -> float:
         means.append(((a + b) / 2, math.hypot(a_error, b_error) / 2))
     (wide, wide_error), (own, own_error) = means
     excess = wide / one.widened / own - 1
-    if excess < 0 and not one.moments.whole:
+    if excess < 0 and not one.moments.is_whole:
         return 0.0
     return excess if abs(excess) > max(BEYOND * math.hypot(wide_error, own_error) / own, PART) else 0.0
 
@@ -238,7 +238,7 @@ def table(images: Sequence[Seen], pitch: float | None) -> tuple[list[str], list[
     for one in images:
         row = [one.name if len(one.name) <= LONGEST else f"…{one.name[1 - LONGEST :]}"]
         row += ["" if one.z_m is None else f"{1e3 * one.z_m:.6g}"] if with_z else []
-        beyond = UNCERTAIN if one.moments.measured and not one.moments.whole else ""
+        beyond = UNCERTAIN if one.moments.is_measured and not one.moments.is_whole else ""
         for widths, mark in ((moment_widths(one), beyond), (fit_widths(one), "")):
             row += [plus_minus(factor * value, factor * error) + mark for value, error in widths]
         body.append(row + _of_fit(one))

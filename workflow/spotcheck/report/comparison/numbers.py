@@ -14,7 +14,7 @@ from spotcheck.characterization.transfer_data import quantities_of
 from spotcheck.errors import InputError
 from spotcheck.fitting.caustic import AXES
 from spotcheck.fitting.caustic import QUANTITIES as OF_BEAM
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 
@@ -132,7 +132,7 @@ def _caustic(ds: xr.Dataset) -> Named:
 
 
 def _fits(ds: xr.Dataset) -> Named:
-    fits = preferred(ds)
+    fits = select_preferred_fits(ds)
     good = (fits["status"] & store.UNTRUSTED) == 0
     # Where a fit's residuals are above the noise, its error grows with them, after the Particle Data Group (Review of
     # Particle Physics, Introduction 5.2.2).

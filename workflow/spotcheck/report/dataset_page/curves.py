@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.characterization.transfer_data import quantities_of
-from spotcheck.fitting.precision import sentence
+from spotcheck.fitting.precision import summarize_precision
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.model.propagation import beam_propagation
 from spotcheck.report.figures import series, style
@@ -163,7 +163,9 @@ def precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
         "xaxis": axis(style.label(style.NAMES["exposure"], unit), type="log", dtick=1),
         "yaxis": axis("standard deviation of σ̄ / px", type="log"),
     }
-    return Curve("curve-precision", "How precisely a frame measures", figure(data, layout), sentence(ds), "precision")
+    return Curve(
+        "curve-precision", "How precisely a frame measures", figure(data, layout), summarize_precision(ds), "precision"
+    )
 
 
 def bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:

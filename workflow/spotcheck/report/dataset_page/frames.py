@@ -8,7 +8,7 @@ import xarray as xr
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.words import number_text, over_noise_text
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
 from spotcheck.report.dataset_page.packed import Layer, block_of, packed, step_of, thinned
 from spotcheck.report.dataset_page.ranking import deviations_of, deviations_text, flags_text, place_text, usual_of
@@ -128,7 +128,7 @@ def _layers(images: dict[str, np.ndarray], full_scale: float, block: int) -> dic
 
 def _shown(files: Files, at: dict[str, int], frame: Frame, layers: dict[str, Layer]) -> dict[str, Any]:
     """What frames.js has to know of a frame; places and widths are in px of the crop."""
-    crop, fit = files.crops.sel(centring="light").isel(at), preferred(files.fits).isel(at)
+    crop, fit = files.crops.sel(centring="light").isel(at), select_preferred_fits(files.fits).isel(at)
     left, top = int(crop["left"]), int(crop["top"])
     centre, middle = (float(fit["x_centre"]) - left, float(fit["y_centre"]) - top), (crop.sizes["x"] - 1) / 2
     centre = centre if np.isfinite(centre).all() else (middle, middle)
@@ -175,7 +175,7 @@ def _row(
     usual: dict[str, float],
 ) -> dict[str, Any]:
     """A row of the table of frames."""
-    fit, views = preferred(files.fits).isel(at), files.views
+    fit, views = select_preferred_fits(files.fits).isel(at), files.views
     same = (files.frames["file"] == frame.file) & (files.frames["page"] == (frame.page or 0))
     record = files.frames.isel(frame=int(np.argmax(same.values)))
     left_out = str(fit["left_out"].values) if "left_out" in fit else ""

@@ -22,10 +22,10 @@ from spotcheck.discrepancy.words import (
     value_text,
 )
 from spotcheck.errors import InputError
-from spotcheck.fitting.caustic import beam_rows
-from spotcheck.fitting.fits import preferred
-from spotcheck.fitting.fitted import PARAMETERS
-from spotcheck.fitting.precision import sentence
+from spotcheck.fitting.caustic import select_beam_rows
+from spotcheck.fitting.crop_fits import select_preferred_fits
+from spotcheck.fitting.fit_results import PARAMETERS
+from spotcheck.fitting.precision import summarize_precision
 from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
 from spotcheck.model.effect import Effect
@@ -150,7 +150,7 @@ def fits_of(dataset: Dataset, fits: xr.Dataset | None, cite: Cited) -> list[tupl
     if fits is None:
         return []
     dims = tuple(axis.name for axis in dataset.axes)
-    own = preferred(fits).transpose(*dims)
+    own = select_preferred_fits(fits).transpose(*dims)
     rows = []
     for index, frame in list(dataset.cells())[:MOST_FITS]:
         at = own.isel(dict(zip(dims, index, strict=True)))
@@ -202,7 +202,7 @@ def caustic_of(ds: xr.Dataset | None, cite: Cited) -> Markup | None:
 
     parts = [
         Markup("{}: {} {}, {}, {}").format(words, *(told(own, *row) for row in BEAM))
-        for words, own in beam_rows(ds).items()
+        for words, own in select_beam_rows(ds).items()
     ]
     return Markup(
         "The fitted widths follow a hyperbola in z ({} beam; 1/e² radii of the fitted Gaussian, standard errors); {}."
@@ -236,7 +236,7 @@ def precision_of(ds: xr.Dataset | None, cite: Cited) -> dict[str, Any] | None:
                 labels = ",".join([*inside, *([f"parameter={parameter}"] if parameter else [])])
                 cells.append(cite(text, f"precision.{table}[{labels}]"))
         rows.append((label_of(ds, dict(zip(dims, at, strict=True))) or "all frames", cells))
-    return {"sentence": sentence(ds), "rows": rows}
+    return {"sentence": summarize_precision(ds), "rows": rows}
 
 
 def sheet_of(verdict: dict[str, Any] | None, cite: Cited) -> dict[str, Any] | None:
@@ -352,7 +352,7 @@ def flagged_of(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str
     """Frames, or pixels of them, that something kept from use, with the flags' meanings."""
     if fits is None:
         return []
-    own = preferred(fits).transpose(*(axis.name for axis in dataset.axes), ...)
+    own = select_preferred_fits(fits).transpose(*(axis.name for axis in dataset.axes), ...)
     status, left_out, used = own["status"].values, own["left_out"].values, store.flag("clipped") | store.flag("misfit")
     out = []
     for index, frame in dataset.cells():

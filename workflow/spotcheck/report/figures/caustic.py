@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from spotcheck.fitting.caustic import CONDITION, Hyperbola, beam_rows, half_width
+from spotcheck.fitting.caustic import CONDITION, Hyperbola, compute_interval_half_width, select_beam_rows
 from spotcheck.io.plus_minus import plus_minus
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
@@ -41,7 +41,7 @@ def draw(results: Results) -> style.Drawing:
             int(own["degrees_of_freedom"]),
         )
         curve, error = fit.radius(reach)
-        error = half_width(error, fit.degrees)
+        error = compute_interval_half_width(error, fit.degrees)
         (line,) = top.plot(reach * factor, curve * size, color=colour, linestyle=dashes)
         if (name == "mean") == round_:
             low, high = (curve - error) * size, (curve + error) * size
@@ -66,7 +66,7 @@ def draw(results: Results) -> style.Drawing:
 
 
 def _caption(ds: xr.Dataset, factor: float, unit: str) -> str:
-    scatters = " and ".join(f"{100 * float(own['scatter']):.2g} %" for own in beam_rows(ds).values())
+    scatters = " and ".join(f"{100 * float(own['scatter']):.2g} %" for own in select_beam_rows(ds).values())
     azimuth = plus_minus(float(ds["azimuth"]), float(ds["azimuth_stderr"]))
     direction = (
         f"The beam's axes lie at ({azimuth})° and across it, from +x towards +y, in all frames"
@@ -85,7 +85,7 @@ def _caption(ds: xr.Dataset, factor: float, unit: str) -> str:
         f" of the fit and the scatter that brings χ² to 1 per degree of freedom ({scatters} of the radius). Grey: 68 %"
         " interval of the hyperbola."
     )
-    return " ".join([text, *(_of_axis(words, own, factor, unit) for words, own in beam_rows(ds).items())]) + (
+    return " ".join([text, *(_of_axis(words, own, factor, unit) for words, own in select_beam_rows(ds).items())]) + (
         " The standard asks for ten positions, half of them near the waist and half far."
     )
 

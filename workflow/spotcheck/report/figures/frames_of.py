@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.crops.stages import usable
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
 from spotcheck.metrics import crop_metrics as metrics
 from spotcheck.report.figures.results import Results, Unavailable
@@ -41,7 +41,7 @@ def crop(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray | None:
 
 def spot(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> Spot | None:
     """The fitted spot in the light-centred crop of one cell, or None without a fit."""
-    own, fit = crops.sel(centring="light").isel(index), preferred(fits).isel(index)
+    own, fit = crops.sel(centring="light").isel(index), select_preferred_fits(fits).isel(index)
     numbers = [float(fit[n]) for n in ("y_centre", "x_centre", "sigma_major", "sigma_minor", "orientation")]
     if not np.isfinite(numbers).all() or int(fit["status"]) & UNTRUSTED:
         return None

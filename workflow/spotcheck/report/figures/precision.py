@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from spotcheck.fitting.precision import SCATTERED, pooled_ratio, sentence
+from spotcheck.fitting.precision import SCATTERED, pool_ratios, summarize_precision
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
@@ -24,7 +24,7 @@ LOOKS = {"measured": (style.MEASURED, "o", True), "simulated": (style.SIMULATED,
 def draw(results: Results) -> style.Drawing:
     """Left: standard deviation of the width from one frame, bound and scatter; right: scatter over bound."""
     ds = results.get("precision")
-    scattered = [s for s in LOOKS if np.isfinite(pooled_ratio(ds, s, "sigma_mean")[0])]
+    scattered = [s for s in LOOKS if np.isfinite(pool_ratios(ds, s, "sigma_mean")[0])]
     design = "fine_exposure" in ds
     if not design and not scattered:
         raise Unavailable(f"{ds.attrs['no_design']}; and no condition has two usable repeats")
@@ -36,7 +36,7 @@ def draw(results: Results) -> style.Drawing:
     if scattered:
         handles |= _ratios(panels[-1], ds, scattered)
     style.legend_above(figure, list(handles.values()), list(handles), 4)
-    caption = sentence(ds)
+    caption = summarize_precision(ds)
     if design:
         caption += " Left: the bound of one frame along the calibrated law, all five numbers of a round spot unknown,"
         caption += " noise, rounding and clips as the sensor has them; grey bars: the dataset's exposures; points:"
@@ -87,7 +87,7 @@ def _ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
     ax.axvline(1.0, color="black", linewidth=0.9)
     for k, source in enumerate(sources):
         colour, marker, filled = LOOKS[source]
-        ratio, error = np.array([pooled_ratio(ds, source, name) for name in SCATTERED]).T
+        ratio, error = np.array([pool_ratios(ds, source, name) for name in SCATTERED]).T
         handles[source] = ax.errorbar(
             ratio,
             y + 0.12 * (k - (len(sources) - 1) / 2),
