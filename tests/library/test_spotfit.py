@@ -379,11 +379,11 @@ REFUSED = {
     ),
     "no width": (
         {"fixed": {"sigma_major": 0.1}},
-        "fixed: sigma_major is 0.1; a finite number, and for a width at least 0.2 px",
+        "fixed: sigma_major is 0.1; give a finite number, and for a width at least 0.2 px",
     ),
     "no number": (
         {"fixed": {"offset": np.nan}},
-        "fixed: offset is nan; a finite number, and for a width at least 0.2 px",
+        "fixed: offset is nan; give a finite number, and for a width at least 0.2 px",
     ),
     "flat": ({"integrated": True, "top_hat": True}, "integrated: not together with a top hat or a fixed amplitude"),
     "peak": (

@@ -351,7 +351,7 @@ def _check_m2(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
         ]
     if low := list_low_axes(1.0):
         return [
-            f"M² is below 1 ({low}), so do not quote it: a Gaussian fit leaves out light beside the Gaussian, which M²"
+            f"M² is below 1 ({low}), so do not quote it: a Gaussian fit leaves out light outside the Gaussian, which M²"
             " after ISO 11146 includes; take M² by second moments, which `spotcheck look` gives"
         ]
     return []

@@ -55,12 +55,12 @@ class _NormalEquations:
     site_information: np.ndarray  # of the centres [site, 2, 2]
     misfit: float  # χ² per pixel
 
-    def schur_complement(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the law's information [3, 3] with the centres eliminated, and the weights [site, 3, 2] for that."""
+    def eliminate_centres(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the Schur complement, the information [3, 3] without the centres, and its weights [site, 3, 2]."""
         weight = np.einsum("sij,sjk->sik", self.cross_information, np.linalg.inv(self.site_information))
         return self.information - np.einsum("sij,skj->ik", weight, self.cross_information), weight
 
-    def slope_along(self, steps: tuple[np.ndarray, np.ndarray]) -> float:
+    def compute_slope(self, steps: tuple[np.ndarray, np.ndarray]) -> float:
         """Return the derivative of the log-likelihood along steps of the law and of the centres."""
         return float(self.score @ steps[0] + np.sum(self.site_score * steps[1]))
 
@@ -88,16 +88,16 @@ def fit_baseline(
     shrink, previous_steps, expected_gain = 1.0, None, 0.0
     for _ in range(MAX_ITERATIONS):
         sums = _sum_frames(frames, baseline, sensor, law, sites)
-        schur, weight = sums.schur_complement()
+        schur, weight = sums.eliminate_centres()
         if not np.isfinite(schur).all() or np.linalg.matrix_rank(schur, hermitian=True) < 3:
             return failure
         step = np.linalg.solve(schur, sums.score - np.einsum("sij,sj->i", weight, sums.site_score))
         rest = sums.site_score - np.einsum("sij,i->sj", sums.cross_information, step)
         steps = step, np.linalg.solve(sums.site_information, rest[..., None])[..., 0]
-        decrement = sums.slope_along(steps)
+        decrement = sums.compute_slope(steps)
         if previous_steps is not None:
             # Far from the root full steps overshoot; the slope that is left along the last step measures by how much.
-            slope = sums.slope_along(previous_steps)
+            slope = sums.compute_slope(previous_steps)
             is_reduced = slope < expected_gain
             shrink = float(np.clip(shrink * expected_gain / (expected_gain - slope), 0.05, 1.0)) if is_reduced else 1.0
         is_converged = decrement < CONVERGED_DECREMENT * max(sums.misfit, 1.0)

@@ -177,7 +177,9 @@ def _build_design(fixed: dict[str, float], is_circular: bool, top_hat: bool, int
         raise ValueError("integrated: not together with a top hat or a fixed amplitude")
     for name, value in fixed.items():
         if not np.isfinite(value) or (name.startswith("sigma") and value < NARROWEST):
-            raise ValueError(f"fixed: {name} is {value!r}; a finite number, and for a width at least {NARROWEST} px")
+            raise ValueError(
+                f"fixed: {name} is {value!r}; give a finite number, and for a width at least {NARROWEST} px"
+            )
     free = np.array([name not in fixed for name in NAMES[:7]])
     values = np.array([fixed.get(name, 0.0) for name in NAMES[:7]], dtype=float)
     values[5] = np.radians(values[5])
