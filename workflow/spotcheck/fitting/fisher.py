@@ -134,9 +134,3 @@ def information_from_curvature(second: np.ndarray, probability: np.ndarray) -> n
 def cramer_rao_bounds(matrix: np.ndarray) -> np.ndarray:
     """Return the bounds on the variances of the parameters: the diagonal of I(θ)⁻¹ (Eq. 38)."""
     return np.diag(np.linalg.inv(matrix)).copy()
-
-
-def invert_information(matrix: np.ndarray) -> np.ndarray:
-    """Return I(θ)⁻¹ of a positive definite matrix, scaled by its diagonal first: units differ by many powers of ten."""
-    scale = 1 / np.sqrt(np.diag(matrix))
-    return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.fitting import fisher
+from spotcheck.fitting.spotfit import invert_information
 from spotcheck.model import spot
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import check_sensor, dark_signal
@@ -109,7 +110,7 @@ def spot_bounds(
     block = np.ix_(determined, determined)
     covariance = np.full((7, 7), np.inf)
     if _is_positive_definite(matrix[block]):
-        covariance[block] = fisher.invert_information(matrix[block])
+        covariance[block] = invert_information(matrix[block])
     error = np.sqrt(np.diag(covariance))
     error[5] = np.degrees(error[5])
     mean = np.sqrt((covariance[3, 3] + covariance[4, 4] + 2 * covariance[3, 4]) / 4)

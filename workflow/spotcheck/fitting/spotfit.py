@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.fitting.fisher import invert_information
 from spotcheck.fitting.fit_results import NAMES, SpotFits
 from spotcheck.fitting.initial_estimate import estimate_start
 from spotcheck.fitting.optimization import (
@@ -217,6 +216,12 @@ def _fit_image(pixels: np.ndarray, law: ReadingLaw, weighting: int, has_sensor: 
     elif weighting == EQUAL:
         covariance, chi2 = covariance * chi2 / degrees, np.nan
     return point, covariance, chi2 / degrees
+
+
+def invert_information(matrix: np.ndarray) -> np.ndarray:
+    """Return I(θ)⁻¹ of a positive definite matrix, scaled by its diagonal first: units differ by many powers of ten."""
+    scale = 1 / np.sqrt(np.diag(matrix))
+    return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
 
 
 def _convert_to_parameters(
