@@ -54,11 +54,7 @@ def compute_peak_bounds(
 
 
 def compute_bounds(
-    calibration: xr.Dataset,
-    instrument: Instrument,
-    exposures: np.ndarray,
-    sensor: SensorModel | None,
-    side: int,
+    calibration: xr.Dataset, instrument: Instrument, exposures: np.ndarray, sensor: SensorModel | None, side: int
 ) -> xr.Dataset:
     """Return bounds.nc; only the attribute `skipped` with the reason without a calibration or a sensor.
 

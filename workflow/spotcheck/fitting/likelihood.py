@@ -66,11 +66,7 @@ class _NormalEquations:
 
 
 def fit_baseline(
-    frames: Sequence[SiteFrame],
-    baseline: Baseline,
-    sensor: SensorModel,
-    start: np.ndarray,
-    centres: np.ndarray,
+    frames: Sequence[SiteFrame], baseline: Baseline, sensor: SensorModel, start: np.ndarray, centres: np.ndarray
 ) -> JointFit:
     """Return p1, p2, the peak and the centres of maximum likelihood by Fisher scoring.
 
