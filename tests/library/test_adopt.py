@@ -19,7 +19,7 @@ from spotcheck.export.bad_pixels import find_bad_pixels
 from spotcheck.export.instrument_file import write_instrument_file
 from spotcheck.export.learned_values import LearnedValue, collect_learned_values
 from spotcheck.export.value_choice import choose_values
-from spotcheck.fitting.fits import fit_crops
+from spotcheck.fitting.crop_fits import fit_crops
 from spotcheck.io import store
 from spotcheck.io.schema import find_violation
 from spotcheck.model.baseline import Baseline

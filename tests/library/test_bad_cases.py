@@ -21,8 +21,8 @@ from spotcheck.dataset.frames import ReducedFrame
 from spotcheck.discrepancy.frames import Design, FrameSet
 from spotcheck.discrepancy.ready_frames import find_shared_spots
 from spotcheck.discrepancy.written import breach_of_verdict
-from spotcheck.fitting.reading_kernel import law_of
-from spotcheck.fitting.scoring import LIKELIHOOD, one_pass
+from spotcheck.fitting.reading_kernel import build_reading_law
+from spotcheck.fitting.spot_score import LIKELIHOOD, score_spot
 from spotcheck.io import store
 from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 from tests.library.conftest import HEADER, folder
@@ -377,6 +377,6 @@ def test_a_reading_that_the_model_excludes_weighs_no_more_than_its_distance():
     powers of ten: else that is all that is heard of it."""
     image = np.full((20, 20), 24.0)
     theta = np.array([1e-6, 10.0, 10.0, 0.04, 0.0, 0.04, 12.0])
-    score, _, _, _ = one_pass(image, theta, LIKELIHOOD, law_of(SENSOR), False)
+    score, _, _, _ = score_spot(image, theta, LIKELIHOOD, build_reading_law(SENSOR), False)
     plain = image.size * 12.0 / ((0.11 * 6.0) ** 2 + ROUNDING_VARIANCE)
     assert score[6] == pytest.approx(plain, rel=0.02)

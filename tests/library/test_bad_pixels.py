@@ -11,7 +11,7 @@ from spotcheck.crops.ingest import check_dataset, ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
 from spotcheck.errors import InputError
-from spotcheck.fitting.fits import fit_crops
+from spotcheck.fitting.crop_fits import fit_crops
 from spotcheck.io import store
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 

@@ -6,7 +6,7 @@ import xarray as xr
 
 from spotcheck.dataset.instrument import Instrument, Laser, Sensor
 from spotcheck.fitting import caustic
-from spotcheck.fitting.beam_axes import Widths, along, axes_of
+from spotcheck.fitting.beam_axes import SpotWidths, fit_beam_axes, project_widths
 from spotcheck.io import store
 
 WAVELENGTH, PITCH = 1.064e-6, 4.4e-6
@@ -33,7 +33,7 @@ def matrices(z, waists, positions, m2s, degrees) -> np.ndarray:
     return turn @ diagonal @ turn.transpose(0, 2, 1)
 
 
-def fitted(covariance, part, rng=None) -> Widths:
+def fitted(covariance, part, rng=None) -> SpotWidths:
     """Widths as a fit gives them: sorted by size, from Σ with noise. `part`: standard error of a width over itself."""
     trace = np.trace(covariance, axis1=1, axis2=2)
     noise = np.zeros_like(covariance)
@@ -51,10 +51,10 @@ def fitted(covariance, part, rng=None) -> Widths:
     # As `fit_spots` has it: no direction where round within noise, χ² of 2 degrees of freedom at 1e-3.
     round_ = (major**2 - minor**2) ** 2 / (2 * error**2) < 13.8
     unknown = np.where(round_, np.inf, np.degrees(between))
-    return Widths(major, minor, degrees, error / (2 * major), error / (2 * minor), unknown)
+    return SpotWidths(major, minor, degrees, error / (2 * major), error / (2 * minor), unknown)
 
 
-def scan(spots: Widths) -> xr.Dataset:
+def scan(spots: SpotWidths) -> xr.Dataset:
     """A fits file of them, over z."""
     attrs = {"title": "scan", "dataset": "scan", "not_recorded": "exposure", "preferred": "likelihood"}
     ds = xr.Dataset(attrs=attrs)
@@ -64,7 +64,7 @@ def scan(spots: Widths) -> xr.Dataset:
     dims, shape = ("angle", "exposure", "repeat", "z_m", "centring", "fit"), (1, 1, 1, len(Z), 1, 1)
     mean = (spots.major + spots.minor) / 2, np.hypot(spots.major_stderr, spots.minor_stderr) / 2
     names = [f"{name}{suffix}" for suffix in ("", "_stderr") for name in caustic.PARAMETERS]
-    for name, values in zip([*names, "sigma_mean", "sigma_mean_stderr"], [*spots, *mean], strict=True):
+    for name, values in zip([*names, "sigma_mean", "sigma_mean_stderr"], [*vars(spots).values(), *mean], strict=True):
         ds[name] = (dims, values.reshape(shape), {"units": "pixel", "long_name": name})
     ds["status"] = (dims, np.zeros(shape, "i4"), store.status_attributes())
     return ds
@@ -84,14 +84,14 @@ BEAMS = {
 def test_each_axis_gives_its_beam_back(beam):
     """Exact widths: waist, place and M² of both axes, and their direction."""
     waists, positions, m2s, degrees = beam
-    found = caustic.caustic_of(scan(fitted(matrices(Z, *beam), 1e-6)), INSTRUMENT)
+    found = caustic.compute_caustic(scan(fitted(matrices(Z, *beam), 1e-6)), INSTRUMENT)
     # The axis nearer to +x comes first.
     order = [0, 1] if abs(degrees) < 45 else [1, 0]
     assert float(found["azimuth"]) == pytest.approx((degrees + 45) % 90 - 45, abs=1e-4)
     for name, want in (("waist_radius", waists), ("waist_position", positions), ("m2", m2s)):
         np.testing.assert_allclose(found[name].values[:2], np.array(want)[order], rtol=1e-4)
     assert found.attrs["beam"] == "simple astigmatic" and np.isnan(found["m2"].values[2])
-    assert next(iter(caustic.beam_rows(found))) == f"axis at {float(found['azimuth']):.1f}°"
+    assert next(iter(caustic.select_beam_rows(found))) == f"axis at {float(found['azimuth']):.1f}°"
 
 
 def test_errors_are_those_of_repeated_scans():
@@ -104,7 +104,7 @@ def test_errors_are_those_of_repeated_scans():
     truth = matrices(Z, *beam)
     pulls = []
     for _ in range(100):
-        found = caustic.caustic_of(scan(fitted(truth, 0.005, rng)), INSTRUMENT)
+        found = caustic.compute_caustic(scan(fitted(truth, 0.005, rng)), INSTRUMENT)
         m2 = (found["m2"].values[:2] - np.array(beam[2])[[1, 0]]) / found["m2_stderr"].values[:2]
         pulls.append([*m2, (float(found["azimuth"]) + 19) / float(found["azimuth_stderr"])])
     mean, rms = np.mean(pulls, axis=0), np.sqrt(np.mean(np.square(pulls), axis=0))
@@ -118,9 +118,9 @@ def test_a_round_beam_has_an_m2_of_its_mean():
     rng = np.random.default_rng(5)
     for waists, rows in (((80e-6, 80e-6), ["mean of both axes"]), ((80e-6, 81e-6), ["axis at 2", "axis at 1"])):
         truth = matrices(Z, waists, (0.1, 0.1), (1.2, 1.2), 25.0)
-        found = caustic.caustic_of(scan(fitted(truth, 0.002, rng)), INSTRUMENT)
+        found = caustic.compute_caustic(scan(fitted(truth, 0.002, rng)), INSTRUMENT)
         mean = found.sel(axis="mean")
-        own = list(caustic.beam_rows(found))
+        own = list(caustic.select_beam_rows(found))
         assert found.attrs["beam"] == "stigmatic" and len(own) == len(rows)
         assert all(words.startswith(want) for words, want in zip(own, rows, strict=True))
         assert abs(float(mean["m2"]) - 1.2) < 4.5 * float(mean["m2_stderr"]) + 1e-3
@@ -131,10 +131,10 @@ def test_a_scan_of_round_spots_has_no_axes():
     direction then have no bias, which the sorted ones have (0.8 errors). 4.5 standard errors, false alarm 7e-6."""
     rng, truth = np.random.default_rng(6), matrices(Z, (80e-6, 80e-6), (0.1, 0.1), (1.0, 1.0), 0.0)
     spots = [fitted(truth, 0.01, rng) for _ in range(300)]
-    assert sum(np.isfinite(axes_of(own).azimuth_stderr) for own in spots) <= 4
+    assert sum(np.isfinite(fit_beam_axes(own).azimuth_stderr) for own in spots) <= 4
     pulls = []
     for own in spots:
-        width, stderr = along(own, 12.0)
+        width, stderr = project_widths(own, 12.0)
         pulls.append((width**2 - truth[:, 0, 0]) / (2 * width * stderr))
     assert abs(np.mean(pulls)) < 4.5 / np.sqrt(300 * len(Z)) and np.std(pulls) == pytest.approx(1, abs=0.05)
 
@@ -144,7 +144,7 @@ def test_axes_that_turn_have_no_m2():
     beam = BEAMS["waists apart"][:3]
     for turn, refused in ((60.0, True), (8.0, False)):
         twisted = matrices(Z, *beam, np.linspace(0, turn, len(Z)))
-        found = caustic.caustic_of(scan(fitted(twisted, 1e-3)), INSTRUMENT)
+        found = caustic.compute_caustic(scan(fitted(twisted, 1e-3)), INSTRUMENT)
         assert ("skipped" in found.attrs) == refused
         if refused:
             assert "turn along z" in found.attrs["skipped"] and "ISO 11146-2" in found.attrs["skipped"]

@@ -7,11 +7,11 @@ import xarray as xr
 from spotcheck.crops.cropping import CENTRINGS, crop_spots
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset.instrument import Instrument, ModelChoice
-from spotcheck.fitting import propagation
+from spotcheck.fitting import width_law
 from spotcheck.fitting.calibration import calibrate
-from spotcheck.fitting.fits import FITS, fit_crops, fit_in_crop, preferred
-from spotcheck.fitting.fitted import NAMES
-from spotcheck.fitting.propagation import law_light, peak_from_maxima, regress, simulate_and_fit
+from spotcheck.fitting.crop_fits import FITS, fit_crops, read_fit_in_crop, select_preferred_fits
+from spotcheck.fitting.fit_results import NAMES
+from spotcheck.fitting.width_law import WidthLaw, find_peak, fit_simulated_widths, regress_widths, render_spot
 from spotcheck.io import store
 from spotcheck.model.baseline import Baseline
 from spotcheck.sensor import ReadingDistribution, SensorModel
@@ -24,10 +24,10 @@ def test_regress_recovers_exact_widths():
     """Eqs. 7–8 backwards: widths on the line give p1 and p2 back, whatever the laser's own width."""
     p1, p2 = np.array([[2.48, 1.0], [0.0, -0.5]]), np.array([[34.55, 20.0], [9.0, 4.0]])
     width = p1[..., None] * np.log(EXPOSURES) + p2[..., None] + 1.19
-    got = regress(width, EXPOSURES, 1.19)
+    got = regress_widths(width, EXPOSURES, 1.19)
     np.testing.assert_allclose(got, [p1, p2], atol=1e-11)
     # Nothing subtracted: p2 takes the laser's width.
-    np.testing.assert_allclose(regress(width, EXPOSURES, 0.0)[1], p2 + 1.19, atol=1e-11)
+    np.testing.assert_allclose(regress_widths(width, EXPOSURES, 0.0)[1], p2 + 1.19, atol=1e-11)
 
 
 def test_regress_is_the_straight_line_of_least_squares():
@@ -35,7 +35,7 @@ def test_regress_is_the_straight_line_of_least_squares():
     width = np.random.default_rng(1).normal(15, 2, (6, 3))
     width[1, 0] = np.nan
     width[2, :2] = np.nan
-    got = np.array(regress(width, EXPOSURES, 1.0)).T
+    got = np.array(regress_widths(width, EXPOSURES, 1.0)).T
     for own, w in zip(got, width, strict=True):
         known = np.isfinite(w)
         if known.sum() < 2:
@@ -128,28 +128,28 @@ def test_peak_from_maxima_round_trip(top_hat, sensor):
     own, side = Baseline(1.19, "spot_area", top_hat, 9e-4), 120
     maxima = []
     for t in EXPOSURES:
-        light = law_light(own, 2.48, 34.55, 700.0, t, side)
+        light = render_spot(own, WidthLaw(2.48, 34.55, 700.0), t, side)
         maxima.append(ReadingDistribution(sensor, t).expected_maximum(light) if sensor else light.max())
     args = own, 2.48, 34.55, EXPOSURES
     # xtol of the root is 1e-3 DN.
-    assert peak_from_maxima(*args, maxima, sensor, side) == pytest.approx(700, abs=0.01)
-    assert peak_from_maxima(*args, [5.0, *maxima[1:]], sensor, side) == pytest.approx(700, abs=0.01)
+    assert find_peak(*args, maxima, sensor, side) == pytest.approx(700, abs=0.01)
+    assert find_peak(*args, [5.0, *maxima[1:]], sensor, side) == pytest.approx(700, abs=0.01)
 
 
 def test_maxima_at_full_scale_say_nothing():
     """Left out; when all are, there is no peak."""
     own = Baseline(0.0, "linear", False, 9e-4)
     args = own, 0.6, 10.0, EXPOSURES
-    assert np.isnan(peak_from_maxima(*args, [1023.0] * 3, SENSOR, 60))
-    assert np.isnan(peak_from_maxima(*args, [np.nan] * 3, SENSOR, 60))
-    assert np.isfinite(peak_from_maxima(*args, [300.0, 1023.0, 1023.0], SENSOR, 60))
+    assert np.isnan(find_peak(*args, [1023.0] * 3, SENSOR, 60))
+    assert np.isnan(find_peak(*args, [np.nan] * 3, SENSOR, 60))
+    assert np.isfinite(find_peak(*args, [300.0, 1023.0, 1023.0], SENSOR, 60))
 
 
 @pytest.mark.parametrize("top_hat", [False, True])
 def test_simulate_and_fit_misses_its_input_under_a_top_hat_only(top_hat):
     """Without a top hat the fit of a mean image returns σ_g; with it, some 4 % more (Eqs. 39–40)."""
     own = Baseline(1.19, "spot_area", top_hat, 9e-4)
-    got = simulate_and_fit(own, 2.48, 34.55, 700.0, EXPOSURES, 240)
+    got = fit_simulated_widths(own, WidthLaw(2.48, 34.55, 700.0), EXPOSURES, 240)
     want = (2.48 * np.log(EXPOSURES) + 34.55 + 1.19) * (1.043 if top_hat else 1.0)
     # Steps of 1e-6 of a width; with the top hat, the third digit of 1.043 and the grid of its rim.
     np.testing.assert_allclose(got, want, rtol=3e-3 if top_hat else 1e-5)
@@ -171,7 +171,7 @@ def test_the_whole_stage_on_frames_of_the_model(tmp_path):
         out = calibrate(own, fits, ds.instrument, SENSOR)
         for k, name in enumerate(FITS):
             cell = dict(zip(("angle", "exposure", "repeat", "centring"), (0, 2, 0, 0), strict=True))
-            again, stored = fit_in_crop(fits.isel(fit=k), own, cell), fits.sel(fit=name).isel(cell)
+            again, stored = read_fit_in_crop(fits.isel(fit=k), own, cell), fits.sel(fit=name).isel(cell)
             shift = np.zeros(8)
             shift[1], shift[2] = int(own["left"].isel(cell)), int(own["top"].isel(cell))
             np.testing.assert_allclose(again.value + shift, [float(stored[n]) for n in NAMES], rtol=1e-12)
@@ -186,7 +186,7 @@ def test_the_whole_stage_on_frames_of_the_model(tmp_path):
     for name, want in (("x_centre", 52.4), ("y_centre", 58.7), ("sigma_mean", sigma[2]), ("amplitude", peak)):
         at = fits.isel(angle=0, exposure=2, repeat=0).sel(centring="light")
         assert (np.abs(at[name] - want) < 4 * at[f"{name}_stderr"]).all()
-    xr.testing.assert_identical(preferred(fits), fits.sel(centring="light", fit="likelihood"))
+    xr.testing.assert_identical(select_preferred_fits(fits), fits.sel(centring="light", fit="likelihood"))
     joint = out.sel(estimator="likelihood")
     assert int(out["likelihood_converged"]) == 1
     for name, want in (("p1", p1), ("p2", p2)):
@@ -204,7 +204,7 @@ def test_widths_come_with_no_sensor_as_well():
     ds = calibrate(crops_of(width.shape), fits_of(width), Instrument(), None)
     assert float(ds["p1_mean"].sel(estimator="regression")) == pytest.approx(1.0)
     assert np.isnan(float(ds["p1_mean"].sel(estimator="likelihood")))
-    assert isinstance(SENSOR, SensorModel) and propagation.regress is regress
+    assert isinstance(SENSOR, SensorModel) and width_law.regress_widths is regress_widths
 
 
 def test_fits_of_a_sensor_that_is_unknown_and_of_an_empty_frame(tmp_path):
@@ -215,11 +215,11 @@ def test_fits_of_a_sensor_that_is_unknown_and_of_an_empty_frame(tmp_path):
     with store.read(tmp_path / "crops.nc") as own:
         fits = store.check(fit_crops(own, None), "fits")
         cell = {"angle": 0, "exposure": 0, "repeat": 0, "centring": 0}
-        assert fit_in_crop(fits.sel(fit="likelihood"), own, cell) is None
-        assert fit_in_crop(fits.sel(fit="least_squares"), own, cell | {"repeat": 1}) is None
-        known = fit_in_crop(fits.sel(fit="least_squares"), own, cell)
+        assert read_fit_in_crop(fits.sel(fit="likelihood"), own, cell) is None
+        assert read_fit_in_crop(fits.sel(fit="least_squares"), own, cell | {"repeat": 1}) is None
+        known = read_fit_in_crop(fits.sel(fit="least_squares"), own, cell)
         assert known.value[7] == pytest.approx(6.0, abs=0.05) and np.isnan(known.chi2_reduced) and known.status == 0
-    assert fits.attrs["preferred"] == "least_squares" and preferred(fits)["fit"].item() == "least_squares"
+    assert fits.attrs["preferred"] == "least_squares" and select_preferred_fits(fits)["fit"].item() == "least_squares"
     assert (fits["status"].sel(fit="likelihood") & store.flag("no_noise")).all()
     assert not (fits["status"].sel(fit="least_squares") & store.flag("no_noise")).any()
     assert np.isnan(fits["sigma_mean"].sel(fit="likelihood")).all()

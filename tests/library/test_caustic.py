@@ -27,7 +27,7 @@ def test_exact_widths_give_the_beam_back(m2):
     z = np.linspace(-0.4, 0.6, 11)
     radius, truth = tem00(z, 120e-6, 0.07, m2)
     fit = caustic.fit_hyperbola(z, radius, np.full_like(z, 1e-8))
-    values, _ = caustic.beam(fit, WAVELENGTH)
+    values, _ = caustic.derive_beam_parameters(fit, WAVELENGTH)
     np.testing.assert_allclose(values, truth, rtol=1e-7)
     assert fit.scatter == 0.0
     np.testing.assert_allclose(fit.radius(z)[0], radius, rtol=1e-9)
@@ -38,7 +38,7 @@ def test_m2_agrees_with_the_diameter_form_of_the_standard():
     z = np.linspace(0.1, 0.9, 9)
     radius, _ = tem00(z, 90e-6, 0.4, 1.3)
     c, b, a = np.polyfit(z, (2 * radius) ** 2, 2)
-    values, _ = caustic.beam(caustic.fit_hyperbola(z, radius, np.full_like(z, 1e-8)), WAVELENGTH)
+    values, _ = caustic.derive_beam_parameters(caustic.fit_hyperbola(z, radius, np.full_like(z, 1e-8)), WAVELENGTH)
     assert values[4] == pytest.approx(np.pi / (8 * WAVELENGTH) * np.sqrt(4 * a * c - b * b), rel=1e-7)
     assert values[0] == pytest.approx(np.sqrt((4 * a * c - b * b) / c) / 4, rel=1e-7)
 
@@ -60,7 +60,7 @@ def test_slopes_of_the_derived_quantities_match_complex_steps():
 
     step = 1e-30
     slopes = np.array([np.imag(derived(coefficients + 1j * step * np.eye(3)[k])) / step for k in range(3)]).T
-    _, own = caustic.beam(fit, WAVELENGTH)
+    _, own = caustic.derive_beam_parameters(fit, WAVELENGTH)
     np.testing.assert_allclose(own, slopes @ covariance @ slopes.T, rtol=1e-10)
 
 
@@ -77,9 +77,9 @@ def test_noisy_widths_give_the_beam_back_within_its_intervals(stderr, scatter):
     for _ in range(300):
         drawn = radius * (1 + scatter * rng.normal(size=z.size)) + stderr * rng.normal(size=z.size)
         fit = caustic.fit_hyperbola(z, drawn, np.full_like(z, stderr))
-        values, covariance = caustic.beam(fit, WAVELENGTH)
+        values, covariance = caustic.derive_beam_parameters(fit, WAVELENGTH)
         error = np.sqrt(np.diag(covariance))
-        inside += np.abs(values - truth) < caustic.half_width(error, fit.degrees)
+        inside += np.abs(values - truth) < caustic.compute_interval_half_width(error, fit.degrees)
         pulls.append((values - truth) / error)
     slack = 0.03
     low = stats.binom.ppf(5e-4, 300, caustic.LEVEL - slack)
@@ -107,7 +107,7 @@ def test_scatter_brings_chi_square_to_one():
 def test_no_waist_is_nan_not_a_number():
     z = np.linspace(0, 1, 6)
     fit = caustic.fit_hyperbola(z, np.sqrt(2e-8 - 1e-8 * z**2), np.full(6, 1e-9))
-    values, covariance = caustic.beam(fit, WAVELENGTH)
+    values, covariance = caustic.derive_beam_parameters(fit, WAVELENGTH)
     assert np.isnan(values).all() and np.isnan(covariance).all()
 
 
@@ -139,7 +139,7 @@ def test_file_keeps_the_contract_and_leaves_flagged_fits_out(tmp_path):
     for name in (*caustic.PARAMETERS, "sigma_mean"):
         fits[name][0, 0, 0, 3] = 500.0
     fits["status"][0, 0, 0, 3] = store.flag("at_limit")
-    found = caustic.caustic_of(fits, instrument)
+    found = caustic.compute_caustic(fits, instrument)
     store.write(found, tmp_path / "caustic.nc", code="0")
     with store.read(tmp_path / "caustic.nc") as own:
         values = [float(own[name].sel(axis="mean")) for name in NAMES]
@@ -162,12 +162,12 @@ def test_file_keeps_the_contract_and_leaves_flagged_fits_out(tmp_path):
 def test_skipped_with_its_reason(change, reason):
     fits, instrument = scan(np.linspace(0, 1, 6), np.full(6, 10.0))
     given = {"conditions": ("z_m",), "laser": instrument.laser, "sensor": instrument.sensor} | change
-    assert reason in caustic.caustic_of(fits, Instrument(**given)).attrs["skipped"]
+    assert reason in caustic.compute_caustic(fits, Instrument(**given)).attrs["skipped"]
 
 
 def test_three_positions_are_too_few():
     fits, instrument = scan([0.0, 0.1, 0.2], [10.0, 9.0, 10.0])
-    assert "3 have one" in caustic.caustic_of(fits, instrument).attrs["skipped"]
+    assert "3 have one" in caustic.compute_caustic(fits, instrument).attrs["skipped"]
 
 
 def test_a_beam_of_known_m2():

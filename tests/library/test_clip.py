@@ -8,7 +8,7 @@ from spotcheck.crops.cropping import crop_spots
 from spotcheck.crops.full_scale import find_full_scale, find_reading_step, measure_extremes
 from spotcheck.crops.ingest import ingest_frames, read_full_scale
 from spotcheck.dataset.instrument import Instrument, Sensor
-from spotcheck.fitting.fits import fit_crops, preferred
+from spotcheck.fitting.crop_fits import fit_crops, select_preferred_fits
 from spotcheck.io import store
 from spotcheck.model.spot import elliptical_gaussian
 from tests.library.conftest import loaded
@@ -43,7 +43,7 @@ def test_a_clipped_spot_is_fitted_as_one_without_a_bit_depth(tmp_path, highest, 
     with store.read(tmp_path / "crops.nc") as images:
         end = read_full_scale(table)
         sensor = read_sensor_model(choose_sensor_values(dataset, end, []))
-        fits = preferred(fit_crops(images, sensor))
+        fits = select_preferred_fits(fit_crops(images, sensor))
     assert sensor.full_scale_dn == highest * unit
     assert set(store.status_names(fits["status"].values).ravel()) == {"clipped"}
     for name, truth in (("amplitude", amplitude * unit), ("sigma_major", 8.0), ("sigma_minor", 6.0)):

@@ -139,7 +139,7 @@ def test_bounds_of_an_isolated_gaussian(sigma, efficiency):
     """
     peak, side = 500.0, 2 * int(9 * sigma) + 1
     sensor = SensorModel(0.11, 0.0, 0.0, quantum_efficiency=efficiency)
-    got = bounds.peak_bounds(peak, sigma, 1e-4, sensor, side)
+    got = bounds.compute_peak_bounds(peak, sigma, 1e-4, sensor, side)
     electrons = 2 * math.pi * sigma**2 * efficiency * peak
     want = np.array([2 * peak**2 / electrons, sigma**2 / (4 * electrons)])
     # σ ≥ 3 px: samples sum to integrals within 2 exp(−2π²·9); the border is 9 σ away.
@@ -152,9 +152,9 @@ def test_bounds_of_an_isolated_gaussian(sigma, efficiency):
 
 def test_read_noise_and_dark_current_cost_information():
     """Eq. 38: each nuisance widens both bounds."""
-    clean = bounds.peak_bounds(500.0, 6.0, 1e-4, SensorModel(0.11, 0.0), 61)[0]
+    clean = bounds.compute_peak_bounds(500.0, 6.0, 1e-4, SensorModel(0.11, 0.0), 61)[0]
     for worse in (SensorModel(0.11, 5.0), SensorModel(0.11, 0.0, 1e5)):
-        assert (bounds.peak_bounds(500.0, 6.0, 1e-4, worse, 61)[0] > 1.01 * clean).all()
+        assert (bounds.compute_peak_bounds(500.0, 6.0, 1e-4, worse, 61)[0] > 1.01 * clean).all()
 
 
 def test_an_estimator_meets_the_bound():
@@ -163,12 +163,12 @@ def test_an_estimator_meets_the_bound():
     matrix = fisher.information(np.ones((1, pixels)), fisher.poisson_information(np.full(pixels, mean)))
     estimates = np.random.default_rng(9).poisson(mean, (trials, pixels)).mean(axis=1)
     # Standard error of a variance √(2/n); five of them: false alarm 6e-7.
-    assert estimates.var() == pytest.approx(fisher.bounds(matrix)[0], rel=5 * math.sqrt(2 / trials))
+    assert estimates.var() == pytest.approx(fisher.cramer_rao_bounds(matrix)[0], rel=5 * math.sqrt(2 / trials))
 
 
 def test_bounds_are_the_diagonal_of_the_inverse():
     """Eq. 38 by hand for a 2 × 2 matrix: I_22/det and I_11/det."""
-    np.testing.assert_allclose(fisher.bounds(np.array([[4.0, 2.0], [2.0, 3.0]])), [3 / 8, 4 / 8], rtol=1e-12)
+    np.testing.assert_allclose(fisher.cramer_rao_bounds(np.array([[4.0, 2.0], [2.0, 3.0]])), [3 / 8, 4 / 8], rtol=1e-12)
 
 
 def test_information_of_a_gaussian_by_integral():
@@ -197,7 +197,7 @@ def test_bounds_of_an_isolated_elliptical_gaussian():
     """
     peak, major, minor, turn = 400.0, 8.0, 5.0, 0.6
     at = (peak, 0.2, -0.3, major, minor, turn)
-    matrix = fisher.of_mean(ellipse(161), at, lambda mean: 1 / np.maximum(mean, 1e-290))
+    matrix = fisher.information_of_mean(ellipse(161), at, lambda mean: 1 / np.maximum(mean, 1e-290))
     electrons = 2 * math.pi * major * minor * peak
     c, s = math.cos(turn), math.sin(turn)
     want = [
@@ -209,7 +209,7 @@ def test_bounds_of_an_isolated_elliptical_gaussian():
         (major * minor / (major**2 - minor**2)) ** 2,
     ]
     # The border is 10 σ away and σ ≥ 5 px: sampling and truncation are below 1e-20 of the light.
-    np.testing.assert_allclose(fisher.bounds(matrix), np.array(want) / electrons, rtol=1e-6)
+    np.testing.assert_allclose(fisher.cramer_rao_bounds(matrix), np.array(want) / electrons, rtol=1e-6)
 
 
 # picassosr 0.11.3, picasso.fitting.precision._gauss_crlb(rotated=True): standard deviations of photons, x, y, σ_1, σ_2,
@@ -232,11 +232,15 @@ def test_bounds_of_another_package(read):
 
     at = (18000.0, 30.0, 30.0, 6.0, 4.0, 3.0, 0.5)
     # Its law is the shifted Poisson one: 1/(ν + σ²).
-    matrix = fisher.of_mean(mean, at, lambda nu: 1 / (nu + read**2))
-    np.testing.assert_allclose(np.sqrt(fisher.bounds(matrix)), PICASSO[read], rtol=1e-6)
+    matrix = fisher.information_of_mean(mean, at, lambda nu: 1 / (nu + read**2))
+    np.testing.assert_allclose(np.sqrt(fisher.cramer_rao_bounds(matrix)), PICASSO[read], rtol=1e-6)
     # The law of a reading, for a fine converter far from its clips, has no less information, and not much more.
     sensor = SensorModel(10.0, read, black_level_dn=500.0)
-    exact = np.sqrt(fisher.bounds(fisher.of_mean(mean, at, lambda nu: fisher.reading_information(nu, sensor))))
+    exact = np.sqrt(
+        fisher.cramer_rao_bounds(
+            fisher.information_of_mean(mean, at, lambda nu: fisher.reading_information(nu, sensor))
+        )
+    )
     # 2 %: the background of three electrons is where read noise and Poisson noise are not yet one normal law.
     np.testing.assert_allclose(exact, PICASSO[read], rtol=0.02)
 
@@ -300,8 +304,8 @@ def test_information_on_parameters_of_the_sensor():
     """Slepian–Bangs for N readings of one mean: var(σ²) ≥ 2σ⁴/N for the variance, and V/N for the mean."""
     count, noise = 5000, 9.0
     one, none = np.ones(count), np.zeros(count)
-    matrix = fisher.of_moments(noise * one, np.stack([one, none]), np.stack([none, one]))
-    np.testing.assert_allclose(fisher.bounds(matrix), [noise / count, 2 * noise**2 / count], rtol=1e-12)
+    matrix = fisher.information_of_moments(noise * one, np.stack([one, none]), np.stack([none, one]))
+    np.testing.assert_allclose(fisher.cramer_rao_bounds(matrix), [noise / count, 2 * noise**2 / count], rtol=1e-12)
 
 
 def test_information_on_the_read_noise_of_a_spot():
@@ -317,7 +321,7 @@ def test_information_on_the_read_noise_of_a_spot():
     sensor = SensorModel(gain, 10.0, black_level_dn=60.0, full_scale_dn=1023.0)
     model = ForwardModel(Baseline(0.0, "free", False, 1e-3), sensor, None, (excess,))
     slopes = model.jacobian(frame, ["excess_read_noise.total", "peak_dn"])
-    matrix = fisher.of_moments(model.expected(frame).variance, *slopes)
+    matrix = fisher.information_of_moments(model.expected(frame).variance, *slopes)
     light = gaussian(41, peak, 20.0, 20.0, 5.0)
     variance = gain * light + (gain * noise) ** 2 + 1 / 12
     mean_slopes = np.stack([0 * light, light / peak])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck.fitting.fitted import PARAMETERS, SpotFits
+from spotcheck.fitting.fit_results import PARAMETERS, SpotFits
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.io import store
 from tests.library.conftest import noisy

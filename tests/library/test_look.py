@@ -347,7 +347,7 @@ def test_nine_images_of_a_real_beam(tmp_path):
     folder = SHARED / "data" / "hene-zscan" / "frames"
     found = spotcheck.look(folder, pixel_pitch_m=3.75e-6, wavelength_m=632.8e-9)
     assert [round(1e3 * one.z_m) for one in found.images] == [168, 210, 280, 348, 414, 495, 580, 666, 770]
-    assert all(one.has_reliable_fit and one.moments.measured for one in found.images)
+    assert all(one.has_reliable_fit and one.moments.is_measured for one in found.images)
     moments, fits = found.beams
     assert moments.left_out == tuple(f"t-{z}mm.pgm" for z in (168, 210, 280, 348))
     for beam in moments.caustics.values():

@@ -33,7 +33,9 @@ def test_of_a_gaussian_d4sigma_is_four_sigma(major, minor, azimuth):
     assert (found.x, found.y) == pytest.approx(CENTRE, abs=1e-5)
     assert (found.major, found.minor) == pytest.approx((4 * major, 4 * minor), rel=1e-6)
     assert found.azimuth == pytest.approx(azimuth, abs=1e-4)
-    assert found.background == pytest.approx(37, abs=1e-6) and found.settled and found.whole and found.measured
+    assert (
+        found.background == pytest.approx(37, abs=1e-6) and found.has_converged and found.is_whole and found.is_measured
+    )
 
 
 @pytest.mark.parametrize("half", [(20, 12), (15, 14)])
@@ -66,8 +68,8 @@ def test_a_frame_that_cuts_the_area_says_so():
     image = 300 * gaussian(12, 12, 0)[:, 80:] + 5
     found = second_moments(image)
     half = AREA * found.major / 2
-    assert found.inside == pytest.approx((half + found.x + 0.5) / (2 * half), abs=0.02)
-    assert not found.whole
+    assert found.area_fraction == pytest.approx((half + found.x + 0.5) / (2 * half), abs=0.02)
+    assert not found.is_whole
 
 
 def test_pixels_that_were_not_measured():
@@ -79,14 +81,14 @@ def test_pixels_that_were_not_measured():
     assert second_moments(single).major == pytest.approx(36, rel=0.01)
     half = image.copy()
     half[:, 120:] = np.nan
-    assert not second_moments(half).whole
+    assert not second_moments(half).is_whole
 
 
 @pytest.mark.parametrize("image", [np.zeros((1, 1)), np.full((40, 40), 7.0), np.full((9, 9), np.nan)])
 def test_without_a_spot_there_is_nothing(image):
     """No width, no error, and nothing raised."""
     found = second_moments(image)
-    assert np.isnan(found.major) and not found.measured and not found.settled
+    assert np.isnan(found.major) and not found.is_measured and not found.has_converged
 
 
 # Peak [DN], widths and direction, gain [DN/e-], noise [DN]: bright and faint, wide and narrow.
@@ -114,7 +116,7 @@ def test_errors_cover(name):
     for _ in range(FRAMES):
         image = np.rint(gain * rng.poisson(light / gain) + rng.normal(10, noise, light.shape))
         own = second_moments(image)
-        assert own.measured
+        assert own.is_measured
         errors = [own.x_stderr, own.y_stderr, own.major_stderr, own.minor_stderr, own.azimuth_stderr]
         z.append((np.array([own.x, own.y, own.major, own.minor, own.azimuth]) - true) / errors)
     z = np.array(z)[np.isfinite(z).all(axis=1)]

@@ -9,7 +9,7 @@ from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames
 from spotcheck.errors import InputError
 from spotcheck.fitting.calibration import calibrate
-from spotcheck.fitting.fits import fit_crops
+from spotcheck.fitting.crop_fits import fit_crops
 from spotcheck.io.formats import pgm
 from spotcheck.io.store import read
 from spotcheck.sensor import ReadingDistribution

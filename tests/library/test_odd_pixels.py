@@ -9,7 +9,7 @@ from scipy import ndimage
 from spotcheck.characterization.outlier_pixels import find_outlier_pixels
 from spotcheck.crops.cropping import crop_spots
 from spotcheck.crops.ingest import ingest_frames
-from spotcheck.fitting.fits import TOO_HIGH, fit_crops, remarks_of
+from spotcheck.fitting.crop_fits import TOO_HIGH, fit_crops, flag_doubtful_errors
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.io import store
 from spotcheck.sensor import SensorModel
@@ -161,5 +161,7 @@ def test_remarks_on_errors(tmp_path):
         status = fits["status"].sel(fit="likelihood").values[0]
         assert flags(status) == want and not status & store.UNTRUSTED
     fit = fit_spots(image, QUIET)
-    assert flags(remarks_of(replace(fit, chi2_reduced=np.asarray(2 * TOO_HIGH)))) == {"misfit"}
-    assert flags(remarks_of(replace(fit, stderr=np.where(np.arange(8) == 3, 0.0, fit.stderr)))) == {"no_error"}
+    assert flags(flag_doubtful_errors(replace(fit, chi2_reduced=np.asarray(2 * TOO_HIGH)))) == {"misfit"}
+    assert flags(flag_doubtful_errors(replace(fit, stderr=np.where(np.arange(8) == 3, 0.0, fit.stderr)))) == {
+        "no_error"
+    }

@@ -10,9 +10,9 @@ from spotcheck.crops.cropping import crop_spots
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset.folder import load
 from spotcheck.errors import InputError
-from spotcheck.fitting.fits import fit_crops, preferred
+from spotcheck.fitting.crop_fits import fit_crops, select_preferred_fits
 from spotcheck.fitting.likelihood import SiteFrame, fit_baseline
-from spotcheck.fitting.propagation import simulate_and_fit
+from spotcheck.fitting.width_law import WidthLaw, fit_simulated_widths
 from spotcheck.io import store
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.conditions import PixelGrid
@@ -75,7 +75,7 @@ def test_a_fit_gives_the_width_of_the_light(tmp_path, sigma):
     crop_spots(dataset, ingest_frames(dataset), tmp_path / "crops.nc", code="", inputs=[])
     with store.read(tmp_path / "crops.nc") as images:
         for integrated, truth in ((True, sigma), (False, np.hypot(sigma, 12**-0.5))):
-            own = preferred(fit_crops(images, SENSOR, integrated=integrated))["sigma_mean"].values.ravel()
+            own = select_preferred_fits(fit_crops(images, SENSOR, integrated=integrated))["sigma_mean"].values.ravel()
             error = own.std(ddof=1) / np.sqrt(own.size)
             assert abs(own.mean() - truth) < 4 * error + 2e-3 * truth, (integrated, own.mean(), error)
 
@@ -96,10 +96,10 @@ def test_calibration_gives_the_law_of_the_light():
             pixels = draw(over_pixels(SIDE, bright, *centres[-1], width), t, SENSOR, rng).astype(float)
             frames.append(SiteFrame(site, t, 0, 0, lambda pixels=pixels: pixels))
     found = fit_baseline(frames, baseline, SENSOR, np.array([0.2, 3.0, 2000.0]), np.array(centres))
-    assert found.converged
+    assert found.has_converged
     assert (np.abs(found.value[:2] - (p1, p2)) < 4 * found.stderr[:2] + 1e-3).all()
     assert abs(found.value[2] - peak) < 4 * found.stderr[2] + 1e-3 * peak
-    widths = simulate_and_fit(baseline, p1, p2, peak, np.array(times), SIDE)
+    widths = fit_simulated_widths(baseline, WidthLaw(p1, p2, peak), np.array(times), SIDE)
     assert widths == pytest.approx(p1 * np.log(times) + p2, rel=2e-3)
 
 

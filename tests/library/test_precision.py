@@ -7,9 +7,16 @@ import pytest
 import xarray as xr
 
 from spotcheck.dataset.instrument import Instrument
-from spotcheck.fitting.calibration import USED
-from spotcheck.fitting.fitted import NAMES
-from spotcheck.fitting.precision import ENOUGH, SCATTERED, frame_bounds, pooled_ratio, precision_of, sentence
+from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR
+from spotcheck.fitting.fit_results import NAMES
+from spotcheck.fitting.precision import (
+    BOUND_TOLERANCE,
+    SCATTERED,
+    compute_frame_bounds,
+    compute_precision,
+    pool_ratios,
+    summarize_precision,
+)
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.io import store
 from spotcheck.model.baseline import Baseline
@@ -44,7 +51,9 @@ def fits_of(excess: float, frames: int = FRAMES, flagged: int = 0) -> xr.Dataset
 def calibration_of(p1: float, p2: float, peak: float) -> xr.Dataset:
     """A calibration with these three numbers."""
     one = ("estimator", [1.0])
-    ds = xr.Dataset({name: one for name in ("p1_mean", "p2_mean", "peak")}, coords={"estimator": [USED]})
+    ds = xr.Dataset(
+        {name: one for name in ("p1_mean", "p2_mean", "peak")}, coords={"estimator": [SIMULATION_ESTIMATOR]}
+    )
     for name, value in (("p1_mean", p1), ("p2_mean", p2), ("peak", peak)):
         ds[name] = ds[name] * value
     return ds
@@ -54,7 +63,7 @@ def found(excess=(1.0, 1.0), sensor=SENSOR, calibration=None, **options) -> xr.D
     fits = dict(zip(("measured", "simulated"), (fits_of(e, **options) for e in excess), strict=True))
     if calibration is None:
         calibration = calibration_of(0.5, 16.0, 900.0)
-    return precision_of(fits, calibration, Instrument(), EXPOSURES, sensor, 141)
+    return compute_precision(fits, calibration, Instrument(), EXPOSURES, sensor, 141)
 
 
 def test_ratio_is_the_excess_of_the_scatter():
@@ -66,7 +75,7 @@ def test_ratio_is_the_excess_of_the_scatter():
         np.testing.assert_allclose(ds[f"ratio_stderr_{source}"], ds[f"ratio_{source}"] / np.sqrt(2 * (FRAMES - 1)))
         np.testing.assert_allclose(ds[f"scatter_{source}"] / ds[f"bound_{source}"], ds[f"ratio_{source}"])
         assert list(ds["parameter"].values) == list(SCATTERED)
-        pooled, error = pooled_ratio(ds, source, "sigma_mean")
+        pooled, error = pool_ratios(ds, source, "sigma_mean")
         assert error == pytest.approx(pooled / np.sqrt(2 * 3 * (FRAMES - 1)))
         assert pooled == pytest.approx(want, abs=5 * error)
 
@@ -82,8 +91,8 @@ def test_one_frame_has_no_scatter():
     """With a single repeat nothing scatters: ratios are NaN, and the sentence does not speak of them."""
     ds = found(frames=1)
     assert np.isnan(ds["ratio_measured"]).all()
-    assert np.isnan(pooled_ratio(ds, "measured", "sigma_mean")).all()
-    assert "scatter" not in sentence(ds) and "One frame" in sentence(ds)
+    assert np.isnan(pool_ratios(ds, "measured", "sigma_mean")).all()
+    assert "scatter" not in summarize_precision(ds) and "One frame" in summarize_precision(ds)
 
 
 def test_unknown_noise_and_no_law_are_said():
@@ -91,7 +100,7 @@ def test_unknown_noise_and_no_law_are_said():
     assert "gain and read noise" in found(sensor=None).attrs["skipped"]
     ds = found(calibration=xr.Dataset(attrs={"skipped": "no exposure times"}))
     assert ds.attrs["no_design"].endswith("no exposure times") and "best_exposure" not in ds
-    assert sentence(ds).startswith("Measured widths scatter")
+    assert summarize_precision(ds).startswith("Measured widths scatter")
 
 
 def test_frame_bounds_against_the_closed_form():
@@ -102,7 +111,7 @@ def test_frame_bounds_against_the_closed_form():
     """
     sensor = SensorModel(5.0, 0.0)
     amplitude, sigma = 20000.0, 6.0
-    got = frame_bounds(Baseline(0.0, "linear", False, 1.0), amplitude, sigma, 1.0, sensor, 121)
+    got = compute_frame_bounds(Baseline(0.0, "linear", False, 1.0), amplitude, sigma, 1.0, sensor, 121)
     electrons = 2 * np.pi * sigma**2 * amplitude / 5.0
     want = [amplitude * np.sqrt(2 / electrons), *(2 * [sigma / np.sqrt(electrons)]), sigma / np.sqrt(4 * electrons)]
     np.testing.assert_allclose(got[:4], want, rtol=0.01)
@@ -125,7 +134,7 @@ def test_the_fit_reaches_the_bound_of_a_frame(top_hat, full_scale):
     fits = fit_spots(images, sensor, top_hat=top_hat)
     assert (fits.status == "ok").all()
     scatter = fits.value[:, [0, 1, 2, 7]].std(axis=0, ddof=1)
-    bound = frame_bounds(baseline, amplitude, sigma, 1e-3, sensor, side)[:4]
+    bound = compute_frame_bounds(baseline, amplitude, sigma, 1e-3, sensor, side)[:4]
     np.testing.assert_allclose(scatter / bound, 1.0, atol=0.23)
     np.testing.assert_allclose(np.median(fits.stderr[:, [0, 1, 2, 7]], axis=0) / bound, 1.0, atol=0.02)
 
@@ -142,7 +151,7 @@ def test_the_bound_stops_falling_where_the_sensor_saturates():
     assert 9e-4 < best < 3.6e-3 and enough <= best
     assert (np.diff(bound[fine < 8e-4]) < 0).all()
     assert bound[-1] > bound.min()
-    assert (bound[fine < enough] > (1 + ENOUGH) * bound.min()).all()
+    assert (bound[fine < enough] > (1 + BOUND_TOLERANCE) * bound.min()).all()
     endless = found(sensor=replace(SENSOR, full_scale_dn=np.inf))
     assert float(endless["best_exposure"]) == pytest.approx(3.6e-3)
-    assert "the longest that was looked at" in sentence(endless)
+    assert "the longest that was looked at" in summarize_precision(endless)

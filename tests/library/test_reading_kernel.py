@@ -6,7 +6,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from spotcheck.fitting.reading_kernel import Law, law_of, likelihood_weights, normal_below, reading_variances
+from spotcheck.fitting.reading_kernel import (
+    ReadingLaw,
+    build_reading_law,
+    compute_row_variances,
+    find_clipping_onset,
+    score_row_by_likelihood,
+)
 from spotcheck.sensor import ReadingDistribution, SensorModel
 from spotcheck.sensor.pixel_maps import PixelMaps
 from tests.library.test_faint import SENSORS as FAINT_SENSORS
@@ -20,12 +26,14 @@ RELATIVE = 1e-10
 NOTHING = 1e-280
 
 
-def by_kernel(readings: np.ndarray, electrons: np.ndarray, law: Law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def by_kernel(
+    readings: np.ndarray, electrons: np.ndarray, law: ReadingLaw
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return score, information and χ² of each pair; χ² is NaN where the kernel counts none."""
     score, information, chi2 = np.empty((3, readings.size))
     for k in range(readings.size):
         one = slice(k, k + 1)
-        total, used = likelihood_weights(
+        total, used = score_row_by_likelihood(
             readings[one], electrons[one], False, 0, None, law, information[one], score[one]
         )
         chi2[k] = total if used else np.nan
@@ -60,8 +68,8 @@ def assert_equal(got, want: list[Pixel], electrons: np.ndarray, tables: Tables, 
 
 def assert_kernel_is_numpy(sensor: SensorModel, rng: np.random.Generator, count: int) -> None:
     """Compare the kernel with plain numpy for some pixels of a sensor."""
-    tables, law = tables_of(sensor), law_of(sensor)
-    assert law.highest == tables.highest
+    tables, law = tables_of(sensor), build_reading_law(sensor)
+    assert law.highest_level == tables.highest
     readings, electrons = some_pixels(sensor, tables, rng, count)
     want = [one_pixel(float(y), float(nu), tables) for y, nu in zip(readings, electrons, strict=True)]
     assert_equal(by_kernel(readings, electrons, law), want, electrons, tables, sensor)
@@ -105,16 +113,16 @@ def test_rows_without_clips_are_the_same():
     rng = np.random.default_rng(5)
     for _ in range(50):
         sensor = random_sensor(rng).without_curvature()
-        tables, law = tables_of(sensor), law_of(sensor)
-        top = normal_below(law)
-        if top <= law.highest:
+        tables, law = tables_of(sensor), build_reading_law(sensor)
+        top = find_clipping_onset(law)
+        if top <= law.highest_level:
             continue
-        electrons = rng.uniform(law.highest, top, 40)
+        electrons = rng.uniform(law.highest_level, top, 40)
         sd = sensor.gain_dn_per_e * np.sqrt(electrons + tables.noise)
         readings = np.rint(sensor.black_level_dn + sensor.gain_dn_per_e * electrons + sd * rng.uniform(-3, 3, 40))
         readings[3] = np.nan
         score, weight = np.empty((2, 40))
-        chi2, used = likelihood_weights(readings, electrons, True, 0, None, law, weight, score)
+        chi2, used = score_row_by_likelihood(readings, electrons, True, 0, None, law, weight, score)
         variance = electrons + tables.noise
         residual = np.nan_to_num(tables.signal(readings) - electrons)
         residual[3] = 0.0
@@ -130,7 +138,7 @@ def test_pixels_with_offsets_and_gains_of_their_own(stderr):
     for _ in range(40):
         sensor = random_sensor(rng).without_curvature()
         maps = PixelMaps(rng.normal(0, 3, shape), rng.normal(1, 0.05, shape), *stderr)
-        law, tables = law_of(sensor, maps), tables_of(sensor)
+        law, tables = build_reading_law(sensor, maps), tables_of(sensor)
         readings, electrons = some_pixels(sensor, tables, rng, 9)
         readings, electrons = readings[:30], np.maximum(electrons[:30], 0.0)
         got = np.full((3, 30), np.nan)
@@ -142,7 +150,7 @@ def test_pixels_with_offsets_and_gains_of_their_own(stderr):
                     offsets=np.ascontiguousarray(maps.offset_dn[:, one]), gains=np.ascontiguousarray(maps.gain[:, one])
                 )
             )
-            total, used = likelihood_weights(
+            total, used = score_row_by_likelihood(
                 readings[one], electrons[one], False, 1, own.maps, own, got[1, one], got[0, one]
             )
             got[2, k] = total if used else np.nan
@@ -158,12 +166,12 @@ def test_variances_are_those_of_the_numpy_version():
     rng = np.random.default_rng(7)
     for _ in range(200):
         sensor = random_sensor(rng).without_curvature()
-        tables, law = tables_of(sensor), law_of(sensor)
+        tables, law = tables_of(sensor), build_reading_law(sensor)
         readings, electrons = some_pixels(sensor, tables, rng, 7)
         electrons = np.maximum(electrons, tables.faint.lowest_e)
         weight, score = np.empty((2, readings.size))
         mean = sensor.black_level_dn + sensor.gain_dn_per_e * electrons
-        reading_variances(readings, mean, electrons, law, weight, score)
+        compute_row_variances(readings, mean, electrons, law, weight, score)
         want = [reading_variance(float(nu), tables) for nu in electrons]
         # Far above full scale it is what is left of numbers as large as the variance without a clip.
         np.testing.assert_allclose(weight, want, rtol=RELATIVE, atol=RELATIVE, err_msg=str(sensor))
@@ -186,7 +194,7 @@ CAMERAS = {
 def lights_of(sensor: SensorModel) -> dict[str, np.ndarray]:
     """Return mean electrons [e-] by regime."""
     end = min((sensor.full_scale_dn - sensor.black_level_dn) / sensor.gain_dn_per_e, sensor.full_well_e)
-    highest, sd = law_of(sensor).highest, np.sqrt(end + sensor.read_noise_e**2)
+    highest, sd = build_reading_law(sensor).highest_level, np.sqrt(end + sensor.read_noise_e**2)
     return {
         # The step of the table from there to no light joins two laws, without and with electrons.
         "below black": -sensor.read_noise_e * np.array([4.0, 3.0, 2.0, 1.0, 0.5, 0.3]),
@@ -210,7 +218,7 @@ class Distance:
 
 def distance_of(sensor: SensorModel, electrons: np.ndarray) -> Distance:
     """Return the distance of the kernel from the exact distribution at mean electrons [e-]."""
-    exact, law = ReadingDistribution(sensor), law_of(sensor)
+    exact, law = ReadingDistribution(sensor), build_reading_law(sensor)
     rows = []
     for nu in electrons:
         codes = exact.probabilities(np.array([nu]))

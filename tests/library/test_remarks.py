@@ -10,8 +10,8 @@ from spotcheck.cli import main
 from spotcheck.crops.cropping import crop_spots
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.fitting import caustic
-from spotcheck.fitting.fits import TOO_HIGH, TOO_LOW, fit_crops, preferred
-from spotcheck.fitting.precision import sentence
+from spotcheck.fitting.crop_fits import TOO_HIGH, TOO_LOW, fit_crops, select_preferred_fits
+from spotcheck.fitting.precision import summarize_precision
 from spotcheck.io import store
 from tests.library.conftest import SENSOR, gaussian, loaded, noisy
 from tests.library.test_caustic import PITCH, scan, tem00
@@ -32,7 +32,7 @@ def test_a_chi_square_far_from_one_is_flagged_and_said(tmp_path, gain, noise, wo
     stated = replace(SENSOR, gain_dn_per_e=gain, read_noise_e=noise)
     with store.read(tmp_path / "crops.nc") as images:
         fits = fit_crops(images, stated)
-    own = preferred(fits)
+    own = select_preferred_fits(fits)
     flagged = (own["status"].values & store.flag("misfit")) > 0
     assert (flagged == bool(words)).all()
     chi2 = own["chi2_reduced"].values
@@ -72,7 +72,7 @@ def test_a_beam_better_than_a_gaussian_is_impossible(tmp_path, wrong_by, said):
     z = np.linspace(-0.3, 0.5, 9)
     radius, _ = tem00(z, 120e-6, 0.1)
     fits, instrument = scan(z, radius / 2 / PITCH / wrong_by * wrong_by**2)
-    found = caustic.caustic_of(fits, instrument)
+    found = caustic.compute_caustic(fits, instrument)
     assert float(found["m2"].sel(axis="mean")) == pytest.approx(wrong_by**2, rel=0.01)
     texts = store.remarks_of(found)
     assert len(texts) == said
@@ -102,4 +102,4 @@ def test_copies_of_a_frame_have_no_scatter_to_speak_of():
     """Repeats that are copies: the sentence does without them."""
     ds = precision_file(excess=(0.0, 1.0))
     assert (ds["ratio_measured"] == 0).all()
-    assert "measured widths" not in sentence(ds).lower() and "simulated widths" in sentence(ds)
+    assert "measured widths" not in summarize_precision(ds).lower() and "simulated widths" in summarize_precision(ds)

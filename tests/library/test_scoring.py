@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from spotcheck.fitting.reading_kernel import law_of
-from spotcheck.fitting.scoring import EQUAL, LIKELIHOOD, VARIANCE, one_pass
+from spotcheck.fitting.reading_kernel import build_reading_law
+from spotcheck.fitting.spot_score import EQUAL, LIKELIHOOD, VARIANCE, score_spot
 from spotcheck.model import spot
 from spotcheck.model.baseline import jacobian
 from spotcheck.sensor import SensorModel
@@ -67,7 +67,9 @@ def seen(natural, sensor, top_hat=False):
 
 def assert_is_sum(image, natural, weighting, sensor, top_hat, score, weight, rtol):
     """One pass equals Σ s ∂µ and Σ w ∂µ ∂µᵀ, each within `rtol` of the sum of its terms' sizes."""
-    got_score, got_information, chi2, used = one_pass(image, theta_of(*natural), weighting, law_of(sensor), top_hat)
+    got_score, got_information, chi2, used = score_spot(
+        image, theta_of(*natural), weighting, build_reading_law(sensor), top_hat
+    )
     assert np.isfinite(got_score).all() and np.isfinite(got_information).all() and np.isfinite(chi2)
     known = np.isfinite(image).ravel()
     slopes = jacobian(lambda *p: mean_of(*p, top_hat=top_hat), natural)[:, known]
@@ -129,15 +131,15 @@ def test_likelihood_of_clipped_and_faint_light(sensor, top_hat):
 def test_an_image_is_the_sum_of_its_pixels(weighting, sensor, top_hat):
     """Whatever the regime of a pixel, which the tests below take one by one: each has its own place in the sums."""
     natural = (250.0 if sensor is WELL else 300.0, 24.3, 18.6, 6.5, 4.8, 0.5, 0.0 if sensor is FAINT else 60.0)
-    image, theta, law = seen(natural, sensor, top_hat), theta_of(*natural), law_of(sensor)
+    image, theta, law = seen(natural, sensor, top_hat), theta_of(*natural), build_reading_law(sensor)
     parts = []
     for j, k in np.ndindex(image.shape):
         # The coordinates of this pixel are 0.
         own = theta - [0, k, j, 0, 0, 0, 0]
-        parts.append(one_pass(image[j : j + 1, k : k + 1], own, weighting, law, top_hat))
+        parts.append(score_spot(image[j : j + 1, k : k + 1], own, weighting, law, top_hat))
     want = [sum(part[i] for part in parts) for i in range(4)]
     size = np.sqrt(np.diag(want[1]))
-    got = one_pass(image, theta, weighting, law, top_hat)
+    got = score_spot(image, theta, weighting, law, top_hat)
     np.testing.assert_allclose(got[0] / size, want[0] / size, rtol=1e-10, atol=1e-9)
     np.testing.assert_allclose(got[1] / np.outer(size, size), want[1] / np.outer(size, size), rtol=1e-10, atol=1e-12)
     # Five to six deviations below the well, where nothing is cut yet, χ² takes in a pixel or not by its row.
@@ -145,14 +147,14 @@ def test_an_image_is_the_sum_of_its_pixels(weighting, sensor, top_hat):
         assert got[2] == pytest.approx(want[2], rel=1e-10) and got[3] == want[3]
 
 
-tables = cache(law_of)
+tables = cache(build_reading_law)
 
 
 def pixel(y, electrons, sensor, weighting=LIKELIHOOD):
     """Score [1/e-], information [1/e-²], χ² and its pixels of one reading y."""
     law = tables(sensor)
-    theta = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, law.gain * electrons + law.black])
-    score, information, chi2, used = one_pass(np.array([[float(y)]]), theta, weighting, law, False)
+    theta = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, law.gain * electrons + law.black_level])
+    score, information, chi2, used = score_spot(np.array([[float(y)]]), theta, weighting, law, False)
     return score[6] * law.gain, information[6, 6] * law.gain**2, chi2, used
 
 
@@ -264,11 +266,11 @@ TABLES = {
 @pytest.mark.parametrize("sensor", TABLES.values(), ids=TABLES)
 def test_levels_of_the_faint_table(sensor):
     """Score ∂ ln P/∂ν of each reading, Σ (∂P)²/P, and χ² by mean and variance, all from sums over every count."""
-    own = law_of(sensor)
+    own = build_reading_law(sensor)
     # From −5 read noises on; below, nearly all readings are 0 and differences of their chance have no digits.
-    lowest = max(np.ceil((-5 * sensor.read_noise_e - own.lowest) / own.step), 0)
-    for k in np.unique(np.linspace(lowest, own.inverse.size - 2, 7).astype(int)):
-        electrons = own.lowest + k * own.step
+    lowest = max(np.ceil((-5 * sensor.read_noise_e - own.lowest_level) / own.step), 0)
+    for k in np.unique(np.linspace(lowest, own.inverse_information.size - 2, 7).astype(int)):
+        electrons = own.lowest_level + k * own.step
         if abs(electrons) < own.step / 2:
             continue  # Light of 0 is where both halves of the law meet: no slope by differences.
         law = reading_law(electrons, sensor)
@@ -294,9 +296,9 @@ def test_between_levels_of_the_faint_table(sensor):
 
     In the first step from 0, where the chance of a single electron decides, of the information its order alone.
     """
-    own, rng = law_of(sensor), np.random.default_rng(2)
+    own, rng = build_reading_law(sensor), np.random.default_rng(2)
     near = rng.uniform(0.0, 2 * own.step, 4)
-    for electrons in [*rng.uniform(own.lowest / 2, own.highest + 3 * own.step, 12), *near]:
+    for electrons in [*rng.uniform(own.lowest_level / 2, own.highest_level + 3 * own.step, 12), *near]:
         if -own.step < electrons < 0 or (electrons < 0 and sensor.read_noise_e == 0):
             continue  # Levels on either side of 0 hold two laws, without and with electrons.
         law = reading_law(electrons, sensor)
@@ -320,8 +322,8 @@ def test_variances_near_a_clip(sensor, light, _):
 @pytest.mark.parametrize("sensor", TABLES.values(), ids=TABLES)
 def test_variances_of_faint_light(sensor):
     """Those of every reading, at levels of the table and between them: 1 % and at least 1/12."""
-    own, rng = law_of(sensor), np.random.default_rng(4)
-    for electrons in rng.uniform(max(own.lowest, -5 * sensor.read_noise_e), own.highest, 8):
+    own, rng = build_reading_law(sensor), np.random.default_rng(4)
+    for electrons in rng.uniform(max(own.lowest_level, -5 * sensor.read_noise_e), own.highest_level, 8):
         want = max(moments(reading_law(electrons, sensor))[1], 1 / 12)
         got = pixel(1, electrons, sensor, VARIANCE)[1] / sensor.gain_dn_per_e**2
         assert got == pytest.approx(want, rel=0.01), electrons

@@ -10,8 +10,8 @@ from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames, template
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.errors import InputError
-from spotcheck.fitting.fits import FITS, fit_crops
-from spotcheck.fitting.spot_states import spot_states
+from spotcheck.fitting.crop_fits import FITS, fit_crops
+from spotcheck.fitting.spot_states import list_spot_states
 from spotcheck.io import store
 from spotcheck.metrics import crop_metrics as metrics
 from spotcheck.metrics.metrics_table import SOURCES, compute_metrics
@@ -47,7 +47,7 @@ FULL_SCALE = 1023
 
 def simulate(ds, law, fits, sensor, base, seed=3) -> xr.Dataset:
     """Run the stage; the folder is `base`, and what comes back is the file of mean images, checked on reading."""
-    states = spot_states(ds, law, fits)
+    states = list_spot_states(ds, law, fits)
     path = base.with_suffix(".nc")
     simulation.simulate(ds, states, sensor, FULL_SCALE, simulation.Destination(base, path, seed, "c", []), {})
     with store.read(path) as out:

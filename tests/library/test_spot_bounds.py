@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spotcheck.fitting.reading_kernel import law_of
-from spotcheck.fitting.scoring import LIKELIHOOD, one_pass
-from spotcheck.fitting.search import precision_of
+from spotcheck.fitting.optimization import convert_widths
+from spotcheck.fitting.reading_kernel import build_reading_law
 from spotcheck.fitting.spot_bounds import spot_bounds
+from spotcheck.fitting.spot_score import LIKELIHOOD, score_spot
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.sensor import SensorModel
 from tests.library.shelf import CAMERA
@@ -45,13 +45,13 @@ def test_the_bound_is_of_the_law_that_the_fit_uses(scene, top_hat):
     """Information of one pass of the fit over the expected image, inverted: equal to 1e-6, derivatives being exact in
     both; near full scale to 1 %, where that of the pass follows the reading."""
     sensor, amplitude, offset = scene
-    theta = np.array([amplitude, 24.3, 19.6, *precision_of(6.0, 4.2, 0.5), offset])
+    theta = np.array([amplitude, 24.3, 19.6, *convert_widths(6.0, 4.2, 0.5), offset])
     bounds = spot_bounds(
         sensor, (40, 50), amplitude=amplitude, sigma_major=6.0, sigma_minor=4.2, orientation=np.degrees(0.5),
         offset=offset, x_centre=24.3, y_centre=19.6, top_hat=top_hat,
     )  # fmt: skip
     flat = np.full((40, 50), offset)
-    _, information, _, _ = one_pass(flat, theta, LIKELIHOOD, law_of(sensor), top_hat)
+    _, information, _, _ = score_spot(flat, theta, LIKELIHOOD, build_reading_law(sensor), top_hat)
     want = np.sqrt(np.diag(np.linalg.inv(information)))
     got = [bounds.amplitude, bounds.x_centre, bounds.y_centre, bounds.offset]
     np.testing.assert_allclose(got, want[[0, 1, 2, 6]], rtol=1e-6)

@@ -9,10 +9,10 @@ from scipy.optimize import curve_fit
 from scipy.special import ndtr
 from scipy.stats import ncx2
 
-from spotcheck.fitting.fitted import NAMES, PARAMETERS
-from spotcheck.fitting.reading_kernel import law_of
-from spotcheck.fitting.scoring import LIKELIHOOD, one_pass
-from spotcheck.fitting.spotfit import fit_spots, model_image
+from spotcheck.fitting.fit_results import NAMES, PARAMETERS
+from spotcheck.fitting.reading_kernel import build_reading_law
+from spotcheck.fitting.spot_score import LIKELIHOOD, score_spot
+from spotcheck.fitting.spotfit import fit_spots, render_fit
 from spotcheck.io.store import flag
 from spotcheck.model import spot
 from spotcheck.sensor import SensorModel
@@ -192,7 +192,7 @@ def distance(data, value, sensor) -> float:
     """How many standard errors are left to the root of the likelihood: the length of a step of Fisher scoring."""
     a = np.linalg.inv(covariance_of(*value[3:6]))
     theta = np.array([*value[:3], a[0, 0], a[0, 1], a[1, 1], value[6]])
-    score, information, _, _ = one_pass(np.asarray(data, float), theta, LIKELIHOOD, law_of(sensor), False)
+    score, information, _, _ = score_spot(np.asarray(data, float), theta, LIKELIHOOD, build_reading_law(sensor), False)
     return float(np.sqrt(score @ np.linalg.solve(information, score)))
 
 
@@ -243,7 +243,7 @@ def test_orientation_turns_from_x_towards_y(degrees):
     truth[5] = degrees
     fits = fit_spots([image_of(truth)], None, weighting="equal")
     assert np.abs(missed(fits, truth)[0, 5]) < 1e-3 and 0 <= fits.value[0, 5] < 180
-    np.testing.assert_allclose(model_image(fits.value[0], SIDE), image_of(truth), atol=0.01)
+    np.testing.assert_allclose(render_fit(fits.value[0], SIDE), image_of(truth), atol=0.01)
 
 
 def test_a_gaussian_fitted_to_a_top_hat():
@@ -258,7 +258,7 @@ def test_a_gaussian_fitted_to_a_top_hat():
     assert fits.value[0, 0] / (1000 * spot.TOP_HAT_LEVEL) == pytest.approx(1.17, abs=0.01)
     fits = fit_spots([light], None, weighting="equal", top_hat=True)
     np.testing.assert_allclose(fits.value[0, [0, 1, 2, 7]], [1000, 120, 120, 15], rtol=1e-5)
-    side = model_image(fits.value[0], 240, top_hat=True)
+    side = render_fit(fits.value[0], 240, top_hat=True)
     np.testing.assert_allclose(side, light, atol=0.01)
 
 
@@ -379,11 +379,11 @@ REFUSED = {
     ),
     "no width": (
         {"fixed": {"sigma_major": 0.1}},
-        "fixed: sigma_major is 0.1; a finite number, and for a width at least 0.2 px",
+        "fixed: sigma_major is 0.1; give a finite number, and for a width at least 0.2 px",
     ),
     "no number": (
         {"fixed": {"offset": np.nan}},
-        "fixed: offset is nan; a finite number, and for a width at least 0.2 px",
+        "fixed: offset is nan; give a finite number, and for a width at least 0.2 px",
     ),
     "flat": ({"integrated": True, "top_hat": True}, "integrated: not together with a top hat or a fixed amplitude"),
     "peak": (

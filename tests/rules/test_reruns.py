@@ -66,7 +66,7 @@ def test_edit_of_one_leaf(checkout, leaf, expected):
     jobs = set(plan(checkout))
     path.write_text(before)
     downstream = AFTER_FIT if "calibrate" in expected else set()
-    # USED of the calibration is imported by what follows it, so that its code counts there too.
+    # `read_width_law` of the calibration is imported by what follows it, so that its code counts there too.
     assert expected <= jobs <= expected | downstream, jobs
     assert not jobs & {"ingest", "crop", "sensor", "fit"}
 

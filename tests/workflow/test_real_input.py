@@ -9,7 +9,7 @@ import tifffile
 import xarray as xr
 from PIL import Image
 
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from tests.conftest import ROOT, SHARED, snakemake
 
 pytestmark = pytest.mark.slow
@@ -62,7 +62,7 @@ def test_without_exposures_there_are_fits_and_metrics(zscan):
         assert fits.attrs["not_recorded"] == "exposure"
         assert "exposure" not in fits.coords and fits.sizes["exposure"] == 1
         # Least squares needs no noise, which frames of 48 px do not tell.
-        assert np.isfinite(preferred(fits)["sigma_mean"]).all()
+        assert np.isfinite(select_preferred_fits(fits)["sigma_mean"]).all()
         assert np.isfinite(metrics["psnr"].sel(registration="fitted")).all()
 
 

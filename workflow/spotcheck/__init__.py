@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from spotcheck.dataset.frames import read_image
     from spotcheck.errors import InputError
     from spotcheck.fitting.caustic import Caustic, fit_caustic
-    from spotcheck.fitting.fitted import SpotFits
+    from spotcheck.fitting.fit_results import SpotFits
     from spotcheck.fitting.spot_bounds import SpotBounds, spot_bounds
     from spotcheck.fitting.spotfit import fit_spots
     from spotcheck.model.design import simulate_dataset
@@ -59,7 +59,7 @@ else:
         "PixelMaps": "sensor.pixel_maps.PixelMaps",
         "SensorModel": "sensor.model.SensorModel",
         "SpotBounds": "fitting.spot_bounds.SpotBounds",
-        "SpotFits": "fitting.fitted.SpotFits",
+        "SpotFits": "fitting.fit_results.SpotFits",
         "characterise_dataset": "characterization.characterise.characterise_dataset",
         "characterise_sensor": "characterization.characterise.characterise_sensor",
         "fit_caustic": "fitting.caustic.fit_caustic",

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.fitting.fitted import SpotFits
+from spotcheck.fitting.fit_results import SpotFits
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.sensor import SensorModel
 from tests.validation.benchmarks import spots

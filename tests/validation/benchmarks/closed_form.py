@@ -37,7 +37,7 @@ def numeric(shape, truth, widest: float) -> np.ndarray:
     half = int(np.ceil(REACH * widest))
     x, y = np.arange(-half, half + 1.0)[None, :], np.arange(-half, half + 1.0)[:, None]
     derivatives = jacobian(lambda *theta: shape(x, y, *theta), truth)
-    return fisher.bounds(fisher.information(derivatives, fisher.poisson_information(shape(x, y, *truth))))
+    return fisher.cramer_rao_bounds(fisher.information(derivatives, fisher.poisson_information(shape(x, y, *truth))))
 
 
 def measure() -> Part:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from spotcheck.fitting.fitted import SpotFits
+from spotcheck.fitting.fit_results import SpotFits
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.model.forward import RandomStreams
 from spotcheck.sensor import ReadingDistribution

@@ -6,7 +6,7 @@ import numpy as np
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder
-from spotcheck.fitting.bounds import bounds_of
+from spotcheck.fitting.bounds import compute_bounds
 from spotcheck.io import provenance, store
 
 EXAMPLES = """spotcheck bounds my-frames --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc \\
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> None:
     dataset = folder.load(args.dataset)
     exposures = np.array(dataset.exposures)
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
-        result = bounds_of(
+        result = compute_bounds(
             calibration, dataset.instrument, exposures, read_sensor_model(sensor), dataset.instrument.crop_px
         )
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor])

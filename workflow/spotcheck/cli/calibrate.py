@@ -5,7 +5,7 @@ import math
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder
-from spotcheck.fitting.calibration import USED, calibrate
+from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR, calibrate
 from spotcheck.io import provenance, store
 
 EXAMPLES = """spotcheck calibrate my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> None:
     if "skipped" in calibration.attrs:
         print(f"skipped: {calibration.attrs['skipped']}")
     else:
-        used = calibration.sel(estimator=USED)
+        used = calibration.sel(estimator=SIMULATION_ESTIMATOR)
         for name in ("p1", "p2"):
             scatter = float(used[f"{name}_sd_all"])
             error = " px (one site)" if math.isnan(scatter) else f" ± {scatter:.3f} px"

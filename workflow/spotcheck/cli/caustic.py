@@ -3,7 +3,7 @@
 import argparse
 
 from spotcheck.dataset import folder
-from spotcheck.fitting.caustic import beam_rows, caustic_of
+from spotcheck.fitting.caustic import compute_caustic, select_beam_rows
 from spotcheck.io import provenance, store
 from spotcheck.io.plus_minus import plus_minus
 
@@ -21,12 +21,12 @@ def run(args: argparse.Namespace) -> None:
     """Fit the hyperbolas and print M², or why there is none."""
     instrument = folder.load(args.dataset).instrument
     with store.read(args.fits) as fits:
-        caustic = caustic_of(fits, instrument)
+        caustic = compute_caustic(fits, instrument)
     store.write(caustic, args.output, code=provenance.code_digest(__name__), inputs=[args.fits])
     if "skipped" in caustic.attrs:
         print(f"skipped: {caustic.attrs['skipped']}")
     else:
-        for axis, row in beam_rows(caustic).items():
+        for axis, row in select_beam_rows(caustic).items():
             print(f"M² = {plus_minus(float(row['m2']), float(row['m2_stderr']))} ({axis})")
     for remark in store.remarks_of(caustic):
         print(remark)

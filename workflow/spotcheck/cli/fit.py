@@ -5,7 +5,7 @@ import argparse
 from spotcheck.characterization.pixel_maps import read_maps
 from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder
-from spotcheck.fitting.fits import fit_crops, preferred, reasons_text
+from spotcheck.fitting.crop_fits import count_failure_reasons, fit_crops, select_preferred_fits
 from spotcheck.io import provenance, store
 
 EXAMPLES = """spotcheck fit my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
@@ -38,10 +38,10 @@ def run(args: argparse.Namespace) -> None:
     for name in fits["fit"].values:
         amplitude, present = fits["amplitude"].sel(fit=name), is_present.sel(fit=name)
         failed = fits["status"].sel(fit=name).where(amplitude.isnull() & present, 0).values
-        reasons = f": {text}" if (text := reasons_text(failed)) else ""
+        reasons = f": {text}" if (text := count_failure_reasons(failed)) else ""
         fitted = f"{int(amplitude.notnull().sum())} of {int(present.sum())} crops"
         print(f"{fitted} fitted by {str(name).replace('_', ' ')}{reasons}")
-    for sentence in dict.fromkeys(filter(None, preferred(fits)["left_out"].values.ravel())):
+    for sentence in dict.fromkeys(filter(None, select_preferred_fits(fits)["left_out"].values.ravel())):
         print(sentence)
     for remark in store.remarks_of(fits):
         print(remark)

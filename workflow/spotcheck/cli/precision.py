@@ -6,7 +6,7 @@ import numpy as np
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder
-from spotcheck.fitting.precision import precision_of
+from spotcheck.fitting.precision import compute_precision
 from spotcheck.io import provenance, store
 
 EXAMPLES = """spotcheck precision my-frames --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc \\
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> None:
     fits = {name: store.read(path) for name, path in zip(("measured", "simulated"), args.fits, strict=True)}
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
         exposures, crop_px = np.array(dataset.exposures), dataset.instrument.crop_px
-        result = precision_of(fits, calibration, dataset.instrument, exposures, read_sensor_model(sensor), crop_px)
+        result = compute_precision(fits, calibration, dataset.instrument, exposures, read_sensor_model(sensor), crop_px)
     inputs = [*args.fits, args.calibration, args.sensor]
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     print(result.attrs.get("skipped") or result.attrs.get("no_design") or "scatter and bounds written")

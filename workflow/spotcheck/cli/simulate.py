@@ -7,8 +7,8 @@ from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.cli import vocabulary
 from spotcheck.dataset import folder
 from spotcheck.errors import InputError
-from spotcheck.fitting.calibration import USED
-from spotcheck.fitting.spot_states import has_law, spot_states
+from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR, read_width_law
+from spotcheck.fitting.spot_states import list_spot_states
 from spotcheck.io import provenance, store
 from spotcheck.model import simulation
 from spotcheck.model.light_shape import LIGHT
@@ -47,8 +47,8 @@ def _simulate_paper_model(args: argparse.Namespace, dataset: folder.Dataset) -> 
     if not args.calibration or not args.fits:
         raise InputError("simulate: the model is missing; give --calibration and --fits, or --model")
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
-        source = USED if has_law(calibration) else "none: each frame's own fit"
-        states = spot_states(dataset, calibration, fits)
+        source = SIMULATION_ESTIMATOR if read_width_law(calibration) is not None else "none: each frame's own fit"
+        states = list_spot_states(dataset, calibration, fits)
         model, full_scale = read_sensor_model(sensor), int(sensor["full_scale_dn"])
     destination = _make_destination(args, [args.calibration, args.fits, args.sensor])
     simulation.simulate(dataset, states, model, full_scale, destination, {"calibration": source})

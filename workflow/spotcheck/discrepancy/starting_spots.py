@@ -15,7 +15,7 @@ from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixel
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import is_law
 from spotcheck.discrepancy.normal_equations import invert_information
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.moments import second_moments
 from spotcheck.io import store
 from spotcheck.model.effect import AppliedEffect, RandomStep
@@ -90,7 +90,7 @@ def has_trusted_fit(fits: xr.Dataset, cells: Iterable[tuple[tuple[int, ...], Fra
 
 def _trusted_fits(fits: xr.Dataset, cells: Iterable[tuple[tuple[int, ...], Frame]]) -> list[np.ndarray | None]:
     """Return peak [DN], width [px], column and row of each frame; None without a trusted fit."""
-    fit, dims = preferred(fits), store.grid_dims(fits)
+    fit, dims = select_preferred_fits(fits), store.grid_dims(fits)
     status = fit["status"].transpose(*dims).values
     values = np.stack([fit[name].transpose(*dims).values.astype(float) for name in FITTED], axis=-1)
     rows: list[np.ndarray | None] = []

@@ -1,4 +1,4 @@
-"""The calibrate stage: p1, p2 and the peak by three methods, and how far each misses its own input."""
+"""The calibrate stage: p1, p2 and the peak by three estimators, and the deviation of each from its own input."""
 
 from dataclasses import replace
 from functools import partial
@@ -8,9 +8,10 @@ import xarray as xr
 
 from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.dataset.instrument import Instrument
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.likelihood import JointFit, SiteFrame, fit_baseline
-from spotcheck.fitting.propagation import peak_from_maxima, regress, simulate_and_fit
+from spotcheck.fitting.variables import add_variable
+from spotcheck.fitting.width_law import WidthLaw, find_peak, fit_simulated_widths, regress_widths
 from spotcheck.io import store
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.sensor import SensorModel
@@ -20,13 +21,24 @@ ESTIMATORS = {
     "regression_of_width": "straight line over ln t of the fitted width, nothing subtracted (Eq. 8)",
     "likelihood": "maximum likelihood of the baseline model on all frames",
 }
-# What the simulation runs on: the paper's own estimator.
-USED = "regression"
+# The simulation uses the estimator of the paper.
+SIMULATION_ESTIMATOR = "regression"
 
 
 def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, sensor: SensorModel | None) -> xr.Dataset:
-    """Calibration file; with `skipped` and its reason in the attributes where the design does not support a law in
-    t."""
+    """Return calibration.nc: p1, p2 and the peak by each of `ESTIMATORS`, with averages over sites and deviations.
+
+    Parameters
+    ----------
+    crops, fits : crops.nc and fits.nc of the dataset.
+    instrument : optics, laser and photon budget.
+    sensor : model of the sensor; without it there is no likelihood.
+
+    Returns
+    -------
+    xr.Dataset
+        Results; only the attribute `skipped` with the reason if the design does not support a law over exposure time.
+    """
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
     if "exposure" not in fits.coords:
         return ds.assign_attrs(skipped="p1 and p2 need exposure times, and the manifest gives none")
@@ -34,158 +46,145 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     baseline = of_instrument(instrument, exposures)
     if baseline.photon_budget == "free":
         return ds.assign_attrs(skipped="model.photon_budget is free: every frame has its own width, no law in t")
-    light, site_dims = _widths(fits)
-    if (np.isfinite(light.values).sum(axis=-1) < 2).all():
+    widths, site_dims = _select_widths(fits)
+    if (np.isfinite(widths.values).sum(axis=-1) < 2).all():
         return ds.assign_attrs(skipped="p1 and p2 need usable spots of one site at two exposures or more")
 
-    ds["estimator"] = (
-        "estimator",
-        np.array(list(ESTIMATORS), dtype=object),
-        {"units": "1", "long_name": "how p1 and p2 were found"},
-    )
+    names = np.array(list(ESTIMATORS), dtype=object)
+    add_variable(ds, "estimator", "estimator", names, "1", "how p1 and p2 were found")
     ds = ds.assign_coords({d: fits[d] for d in site_dims if d in fits.coords})
-    per_site = {}
-    for estimator, laser in (("regression", baseline.laser_px), ("regression_of_width", 0.0)):
-        per_site[estimator] = regress(light.values, exposures, laser)
-    blank = np.full_like(per_site[USED][0], np.nan)
-    for k, name in enumerate(("p1", "p2")):
-        values = np.stack([per_site[m][k] if m in per_site else blank for m in ESTIMATORS])
-        ds[name] = (("estimator", *site_dims), values, _attrs(f"{name} of each site"))
-    _averages(ds, site_dims)
+    without_laser = replace(baseline, laser_px=0.0)
+    models = dict(zip(ESTIMATORS, (baseline, without_laser, baseline), strict=True))
+    _add_site_values(ds, widths.values, exposures, models, site_dims)
+    _add_averages(ds, site_dims)
 
-    results = {m: np.array([ds["p1_mean"].sel(estimator=m), ds["p2_mean"].sel(estimator=m)], float) for m in per_site}
-    maximum = _maxima(crops)
-    side = crops.sizes["x"]
-    peaks, converged = {}, False
-    for estimator, (p1, p2) in results.items():
-        model = baseline if estimator == USED else replace(baseline, laser_px=0.0)
-        peaks[estimator] = peak_from_maxima(model, p1, p2, exposures, maximum, sensor, side)
-    if sensor is not None and np.isfinite(peaks[USED]):
-        start = np.array([*results[USED], peaks[USED]])
-        joint = _likelihood(crops, fits, baseline, sensor, start, site_dims)
-        converged = joint.converged
+    side, maxima = crops.sizes["x"], _average_maxima(crops)
+    laws = {}
+    for estimator in ("regression", "regression_of_width"):
+        p1, p2 = (float(ds[name].sel(estimator=estimator)) for name in ("p1_mean", "p2_mean"))
+        peak = find_peak(models[estimator], p1, p2, exposures, maxima, sensor, side)
+        laws[estimator] = WidthLaw(p1, p2, peak)
+    start, converged = laws[SIMULATION_ESTIMATOR], False
+    if sensor is not None and np.isfinite(start.peak):
+        joint = _fit_all_frames(crops, fits, baseline, sensor, start, site_dims)
+        converged = joint.has_converged
         if converged:
-            results["likelihood"], peaks["likelihood"] = joint.value[:2], joint.value[2]
+            laws["likelihood"] = WidthLaw(*joint.value)
             for k, name in enumerate(("p1", "p2")):
                 ds[f"{name}_mean"].loc[{"estimator": "likelihood"}] = joint.value[k]
                 ds[f"{name}_stderr"].loc[{"estimator": "likelihood"}] = joint.stderr[k]
-    ds["peak"] = (
-        "estimator",
-        [peaks.get(m, np.nan) for m in ESTIMATORS],
-        _attrs("peak of the Gaussian at the longest exposure", "DN"),
+    peaks = [laws[name].peak if name in laws else np.nan for name in ESTIMATORS]
+    add_variable(ds, "peak", "estimator", peaks, "DN", "peak of the Gaussian at the longest exposure")
+    _add_deviations(ds, models, laws, exposures, side)
+    add_variable(ds, "likelihood_converged", (), int(converged), "1", "1 if the joint fit converged")
+    add_variable(
+        ds, "laser_width", (), baseline.laser_px, "pixel", "M sigma_la/s_px, the laser's own width on the sensor"
     )
-    _misses(ds, baseline, results, peaks, exposures, side)
-    ds["likelihood_converged"] = (
-        (),
-        int(converged),
-        {"units": "1", "long_name": "1 if the joint fit converged"},
+    return ds.assign_attrs(
+        used=SIMULATION_ESTIMATOR, **{f"estimator_{name}": text for name, text in ESTIMATORS.items()}
     )
-    ds["laser_width"] = (
-        (),
-        baseline.laser_px,
-        _attrs("M sigma_la/s_px, the laser's own width on the sensor"),
-    )
-    return ds.assign_attrs(used=USED, **{f"estimator_{name}": text for name, text in ESTIMATORS.items()})
 
 
-def _attrs(long_name: str, units: str = "pixel") -> dict[str, str]:
-    return {"units": units, "long_name": long_name}
+def read_width_law(calibration: xr.Dataset) -> WidthLaw | None:
+    """Return the law of calibration.nc that the simulation uses; None if no p1, p2 and peak were found."""
+    if "skipped" in calibration.attrs:
+        return None
+    row = calibration.sel(estimator=SIMULATION_ESTIMATOR)
+    law = WidthLaw(*(float(row[name]) for name in ("p1_mean", "p2_mean", "peak")))
+    return law if np.isfinite(law.peak) else None
 
 
-def _widths(fits: xr.Dataset) -> tuple[xr.DataArray, tuple[str, ...]]:
-    """σ̄ of usable fits [site dims..., exposure] from the crops centred on the light, and the site dims."""
-    own = fits.sel(centring="light", fit="least_squares")
-    good = (own["status"] & store.UNTRUSTED) == 0
-    width = own["sigma_mean"].where(good)
+def _select_widths(fits: xr.Dataset) -> tuple[xr.DataArray, tuple[str, ...]]:
+    """Return σ̄ [site dims, exposure] of usable least-squares fits in crops centred on the light, and the site dims."""
+    rows = fits.sel(centring="light", fit="least_squares")
+    width = rows["sigma_mean"].where((rows["status"] & store.UNTRUSTED) == 0)
     site_dims = tuple(str(d) for d in width.dims if d != "exposure")
     return width.transpose(*site_dims, "exposure"), site_dims
 
 
-def _averages(ds: xr.Dataset, site_dims: tuple[str, ...]) -> None:
-    """Means and standard deviations (n − 1) over repeats, over angles (of their means), and over all sites."""
+def _add_site_values(
+    ds: xr.Dataset, widths: np.ndarray, exposures: np.ndarray, models: dict[str, Baseline], site_dims: tuple[str, ...]
+) -> None:
+    """Add p1 and p2 [estimator, site dims...] of the two regressions; the likelihood has none of single sites."""
+    regressions = [
+        regress_widths(widths, exposures, models[name].laser_px) for name in ("regression", "regression_of_width")
+    ]
+    for k, name in enumerate(("p1", "p2")):
+        values = [line[k] for line in regressions]
+        values.append(np.full_like(values[0], np.nan))
+        add_variable(ds, name, ("estimator", *site_dims), np.stack(values), "pixel", f"{name} of each site")
+
+
+def _add_averages(ds: xr.Dataset, site_dims: tuple[str, ...]) -> None:
+    """Add means and standard deviations (n − 1) over repeats, over angles (of their means), and over all sites."""
+    repeat_dims = [d for d in site_dims if d != "angle"]
     for name in ("p1", "p2"):
-        own = ds[name]
-        ds[f"{name}_mean"] = own.mean(site_dims).assign_attrs(_attrs(f"mean of {name} over all sites"))
-        ds[f"{name}_sd_all"] = own.std(site_dims, ddof=1).assign_attrs(
-            _attrs(f"standard deviation of {name} over all sites")
-        )
-        ds[f"{name}_by_angle"] = own.mean([d for d in site_dims if d != "angle"]).assign_attrs(
-            _attrs(f"mean of {name} at each angle")
-        )
-        ds[f"{name}_sd_repeats"] = own.std([d for d in site_dims if d != "angle"], ddof=1).assign_attrs(
-            _attrs(f"standard deviation of {name} over the repeats of an angle")
-        )
-        ds[f"{name}_sd_angles"] = (
-            ds[f"{name}_by_angle"]
-            .std("angle", ddof=1)
-            .assign_attrs(_attrs(f"standard deviation over angles of the means of {name}"))
-        )
-        count = own.notnull().sum(site_dims)
-        ds[f"{name}_stderr"] = (ds[f"{name}_sd_all"] / np.sqrt(count)).assign_attrs(
-            _attrs(f"standard error of the mean of {name}")
-        )
+        values = ds[name]
+        mean, by_angle, sd_all = values.mean(site_dims), values.mean(repeat_dims), values.std(site_dims, ddof=1)
+        stderr = sd_all / np.sqrt(values.notnull().sum(site_dims))
+        sd_repeats, sd_angles = values.std(repeat_dims, ddof=1), by_angle.std("angle", ddof=1)
+        for suffix, statistic, long_name in (
+            ("mean", mean, f"mean of {name} over all sites"),
+            ("sd_all", sd_all, f"standard deviation of {name} over all sites"),
+            ("by_angle", by_angle, f"mean of {name} at each angle"),
+            ("sd_repeats", sd_repeats, f"standard deviation of {name} over the repeats of an angle"),
+            ("sd_angles", sd_angles, f"standard deviation over angles of the means of {name}"),
+            ("stderr", stderr, f"standard error of the mean of {name}"),
+        ):
+            add_variable(ds, f"{name}_{suffix}", statistic.dims, statistic.values, "pixel", long_name)
 
 
-def _maxima(crops: xr.Dataset) -> np.ndarray:
-    """Mean of the crops' maxima at each exposure [DN]."""
+def _average_maxima(crops: xr.Dataset) -> np.ndarray:
+    """Return the mean of the crops' maxima at each exposure [DN], NaN if no crop is usable."""
     dims = store.grid_dims(crops)
-    own = crops.sel(centring="maximum")
+    centred = crops.sel(centring="maximum")
     maxima: list[list[float]] = [[] for _ in range(crops.sizes["exposure"])]
     for index in iterate_cells(crops, dims):
-        if is_usable(own["status"].isel(index)):
-            maxima[index["exposure"]].append(float(np.nanmax(own["image"].isel(index).values)))
+        if is_usable(centred["status"].isel(index)):
+            maxima[index["exposure"]].append(float(np.nanmax(centred["image"].isel(index).values)))
     return np.array([np.mean(values) if values else np.nan for values in maxima])
 
 
-def _likelihood(
+def _fit_all_frames(
     crops: xr.Dataset,
     fits: xr.Dataset,
     baseline: Baseline,
     sensor: SensorModel,
-    start: np.ndarray,
+    start: WidthLaw,
     site_dims: tuple[str, ...],
 ) -> JointFit:
-    """Joint fit of all usable frames, one centre a site, started at the fitted centres."""
-    own_crops, own_fits = crops.sel(centring="light"), preferred(fits)
+    """Fit the baseline to all usable frames at once, with one centre for each site, starting at the fitted centres."""
+    light_crops, light_fits = crops.sel(centring="light"), select_preferred_fits(fits)
     frames: list[SiteFrame] = []
     centres: list[tuple[float, float]] = []
     for site in iterate_cells(crops, site_dims):
-        x, y = (own_fits[name].isel(site).values for name in ("x_centre", "y_centre"))
-        good = [k for k in range(crops.sizes["exposure"]) if np.isfinite(x[k])]
-        if not good:
-            continue
-        for k in good:
+        x, y = (light_fits[name].isel(site).values for name in ("x_centre", "y_centre"))
+        exposure_indices = [k for k in range(crops.sizes["exposure"]) if np.isfinite(x[k])]
+        for k in exposure_indices:
             index = site | {"exposure": k}
-            frames.append(
-                SiteFrame(
-                    site=len(centres),
-                    exposure_s=float(crops["exposure"][k]),
-                    left=int(own_crops["left"].isel(index)),
-                    top=int(own_crops["top"].isel(index)),
-                    pixels=partial(_pixels, own_crops, index),
-                )
-            )
-        centres.append((x[good[-1]], y[good[-1]]))
-    return fit_baseline(frames, baseline, sensor, start, np.array(centres))
+            left, top = (int(light_crops[name].isel(index)) for name in ("left", "top"))
+            exposure_s, read_pixels = float(crops["exposure"][k]), partial(_read_pixels, light_crops, index)
+            frames.append(SiteFrame(len(centres), exposure_s, left, top, read_pixels))
+        if exposure_indices:
+            centres.append((x[exposure_indices[-1]], y[exposure_indices[-1]]))
+    return fit_baseline(frames, baseline, sensor, np.array(start), np.array(centres))
 
 
-def _pixels(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray:
+def _read_pixels(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray:
     return crops["image"].isel(index).values
 
 
-def _misses(ds: xr.Dataset, baseline: Baseline, results: dict, peaks: dict, exposures: np.ndarray, side: int) -> None:
-    """Simulate at each estimator's p1 and p2, fit, regress in the same way: output less input."""
-    miss = np.full((len(ESTIMATORS), 2), np.nan)
+def _add_deviations(
+    ds: xr.Dataset, models: dict[str, Baseline], laws: dict[str, WidthLaw], exposures: np.ndarray, side: int
+) -> None:
+    """Add output less input of p1 and p2 when the model is simulated, fitted and regressed, for each estimator."""
+    deviations = np.full((len(ESTIMATORS), 2), np.nan)
     for k, estimator in enumerate(ESTIMATORS):
-        if estimator in results and np.isfinite(peaks.get(estimator, np.nan)):
-            model = replace(baseline, laser_px=0.0) if estimator == "regression_of_width" else baseline
-            p1, p2 = results[estimator]
-            widths = simulate_and_fit(model, p1, p2, peaks[estimator], exposures, side)
-            again = regress(widths[None, :], exposures, model.laser_px)
-            miss[k] = [again[0][0] - p1, again[1][0] - p2]
+        law, model = laws.get(estimator), models[estimator]
+        if law is not None and np.isfinite(law.peak):
+            widths = fit_simulated_widths(model, law, exposures, side)
+            p1, p2 = regress_widths(widths[None, :], exposures, model.laser_px)
+            deviations[k] = [p1[0] - law.p1, p2[0] - law.p2]
     for k, name in enumerate(("p1", "p2")):
-        ds[f"{name}_miss"] = (
-            "estimator",
-            miss[:, k],
-            _attrs(f"{name} after simulate and fit, less {name} put in"),
-        )
+        long_name = f"{name} after simulate and fit, less {name} put in"
+        add_variable(ds, f"{name}_miss", "estimator", deviations[:, k], "pixel", long_name)

@@ -1,18 +1,19 @@
 """The caustic of a beam: hyperbola through fitted widths at several distances, waist, divergence, M² (ISO 11146-1).
 
-ISO 11146-1:2021, clause 9, fits d²(z) = a + b z + c z² to beam diameters; here w²(z) with the radius w = d/2 = 2σ of a
-Gaussian (its 1/e² radius), so that every root of a coefficient is half of the standard's.
+ISO 11146-1:2021, clause 9, fits d²(z) = a + b z + c z² to beam diameters. This module fits w²(z) with the radius
+w = d/2 = 2σ of a Gaussian (its 1/e² radius), so that every root of a coefficient is half of the standard's.
 
-# ASSUME: the fitted Gaussian stands for the beam. The standard takes second moments, which see side lobes and halo that
-# a Gaussian fit passes over: for a beam that is not Gaussian, M² from fits is too small.
+# ASSUME: the fitted Gaussian stands for the beam. The standard takes second moments, which include side lobes and halo
+# that a Gaussian fit leaves out: for a beam that is not Gaussian, M² from fits is too small.
 
-A scan has a hyperbola for each of the two axes of the beam, which keep their direction (`beam_axes`), and one for the
-mean of both widths. The mean of an astigmatic beam is no hyperbola, and has no M²; a beam whose axes turn has none at
-all: that takes the measurements of ISO 11146-2.
+A scan has one hyperbola for each of the two axes of the beam, which keep their direction (`beam_axes`), and one for the
+mean of both widths. The mean of an astigmatic beam is no hyperbola and has no M². A beam whose axes rotate along z has
+no M² here; it needs the measurements of ISO 11146-2.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,11 +22,13 @@ from numpy.typing import ArrayLike
 from scipy import optimize, stats
 
 from spotcheck.dataset.instrument import Instrument
-from spotcheck.fitting.beam_axes import Axes, Widths, along, axes_of
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.beam_axes import BeamAxes, SpotWidths, fit_beam_axes, project_widths
+from spotcheck.fitting.crop_fits import select_preferred_fits
+from spotcheck.fitting.variables import add_variable
 from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
 
+# Declared condition of a dataset that holds the distance along the beam [m].
 CONDITION = "z_m"
 PARAMETERS = ("sigma_major", "sigma_minor", "orientation")
 AXES = {
@@ -33,11 +36,16 @@ AXES = {
     "y": "axis of the beam across it",
     "mean": "mean of the longer and the shorter width of each frame",
 }
-# Three coefficients, and one position more is the least that shows how the points scatter about the hyperbola.
+# Three coefficients, and one position more to estimate the scatter of the points about the hyperbola.
 FEWEST_POSITIONS = 4
+# Confidence level of the intervals of the file and the figure.
 LEVEL = 0.6827
-# M² below 1 by this many standard errors is impossible, and no longer chance (1 of 700 scans of a perfect beam).
-IMPOSSIBLE = 3.0
+# M² below 1 by this many standard errors means a wrong input: a perfect beam gives it in 1 of 700 scans.
+IMPOSSIBLE_SIGMAS = 3.0
+# Least relative scatter [1] of the radii, which stands for 0, and the largest that is tried.
+LEAST_SCATTER, LARGEST_SCATTER = 1e-9, 10.0
+# Iterations of the weights, which follow the fitted curve.
+MAX_ITERATIONS = 20
 QUANTITIES = {
     "waist_radius": ("m", "1/e2 radius w0 at the waist"),
     "waist_position": ("m", "distance z0 of the waist"),
@@ -47,21 +55,19 @@ QUANTITIES = {
 }
 
 
-class Hyperbola(NamedTuple):
-    """w²(z) = a + b (z − origin) + c (z − origin)²: coefficients, covariance, relative scatter of w, reduced χ².
+@dataclass(frozen=True, eq=False)
+class Hyperbola:
+    """The fitted squared radius w²(z) = a + b (z − origin) + c (z − origin)²."""
 
-    `covariance` holds the widths' own errors and the scatter; `chi2_reduced` is that of the own errors alone.
-    """
-
-    origin: float
-    coefficients: np.ndarray
-    covariance: np.ndarray
-    scatter: float
-    chi2_reduced: float
-    degrees: int
+    origin: float  # distance that the coefficients count from [m]
+    coefficients: np.ndarray  # a, b, c [m², m, 1]
+    covariance: np.ndarray  # [3, 3] of the coefficients, by the errors of the radii and their scatter
+    scatter: float  # relative scatter of the radii in addition to their errors [1]
+    chi2_reduced: float  # χ² per degree of freedom by the errors of the radii alone
+    degrees: int  # degrees of freedom, points less three
 
     def radius(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """w and its standard error [m] at distances z [m]."""
+        """Return w and its standard error [m] at distances z [m]; NaN where w² is not positive."""
         powers = np.vander(z - self.origin, 3, increasing=True)
         square = powers @ self.coefficients
         error = np.sqrt(np.einsum("ij,jk,ik->i", powers, self.covariance, powers))
@@ -70,77 +76,83 @@ class Hyperbola(NamedTuple):
 
 
 def fit_hyperbola(z: np.ndarray, radius: np.ndarray, stderr: np.ndarray) -> Hyperbola:
-    """Weighted least squares of w² [m²] over z [m]; stderr is that of w [m].
+    """Return the weighted least-squares fit of w² over z.
 
-    When the points scatter more than their errors allow, a relative scatter of w, one for all points, is added in
-    quadrature so that χ² per degree of freedom becomes 1. Weights follow the fitted curve, not the points, since a
-    point that fell low by chance must not pull harder.
+    If the points scatter by more than their errors, one relative scatter of w is added in quadrature to all errors so
+    that χ² per degree of freedom becomes 1. Weights follow the fitted curve, not the points: a point that is low by
+    chance must not weigh more.
+
+    Parameters
+    ----------
+    z : distances [point] in m.
+    radius, stderr : radii w and their standard errors [point] in m.
     """
     origin = float(np.mean(z))
     powers = np.vander(z - origin, 3, increasing=True)
     degrees = len(z) - 3
     square = radius**2
 
-    def solve(scatter: float) -> tuple[np.ndarray, np.ndarray, float]:
+    def fit_with_scatter(scatter: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Coefficients, their covariance, and χ² per degree of freedom for a relative scatter."""
         model = square
-        for _ in range(20):
+        for _ in range(MAX_ITERATIONS):
             sd = 2 * np.sqrt(model) * np.hypot(stderr, scatter * np.sqrt(model))
             weighted = powers / sd[:, None]
             covariance = np.linalg.inv(weighted.T @ weighted)
             coefficients = covariance @ weighted.T @ (square / sd)
-            before, model = model, np.maximum(powers @ coefficients, 1e-6 * square)
-            if np.allclose(before, model, rtol=1e-12, atol=0):
+            previous, model = model, np.maximum(powers @ coefficients, 1e-6 * square)
+            if np.allclose(previous, model, rtol=1e-12, atol=0):
                 break
         return coefficients, covariance, float(np.sum(((square - powers @ coefficients) / sd) ** 2) / degrees)
 
-    tiny = 1e-9
-    own = solve(tiny)
+    coefficients, covariance, chi2_reduced = fit_with_scatter(LEAST_SCATTER)
     scatter = 0.0
-    if own[2] > 1:
-        scatter = float(np.exp(optimize.brentq(lambda s: np.log(solve(np.exp(s))[2]), np.log(tiny), np.log(10.0))))
-    coefficients, covariance, _ = solve(max(scatter, tiny))
-    return Hyperbola(origin, coefficients, covariance, scatter, own[2], degrees)
+    if chi2_reduced > 1:
+        ends = np.log(LEAST_SCATTER), np.log(LARGEST_SCATTER)
+        scatter = float(np.exp(optimize.brentq(lambda s: np.log(fit_with_scatter(np.exp(s))[2]), *ends)))
+        coefficients, covariance, _ = fit_with_scatter(max(scatter, LEAST_SCATTER))
+    return Hyperbola(origin, coefficients, covariance, scatter, chi2_reduced, degrees)
 
 
-def beam(fit: Hyperbola, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Values and covariance of `QUANTITIES` from a hyperbola; all NaN where it has no waist.
+def derive_beam_parameters(fit: Hyperbola, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values [5] and covariance [5, 5] of `QUANTITIES`; all NaN if the hyperbola has no waist.
 
     With D = 4ac − b²: w0² = D/4c, z0 = −b/2c, θ = √c, z_R = √D/2c, M² = π w0 θ/λ = π √D/2λ.
     """
     a, b, c = fit.coefficients
-    power = 4 * a * c - b * b
-    if not (c > 0 and power > 0):
+    discriminant = 4 * a * c - b * b
+    if not (c > 0 and discriminant > 0):
         return np.full(5, np.nan), np.full((5, 5), np.nan)
-    root = np.sqrt(power)
+    root = np.sqrt(discriminant)
     waist, theta, rayleigh = root / (2 * np.sqrt(c)), np.sqrt(c), root / (2 * c)
-    quality = np.pi * root / (2 * wavelength_m)
-    values = np.array([waist, fit.origin - b / (2 * c), theta, rayleigh, quality])
-    of_root = np.array([2 * c, -b, 2 * a]) / root  # d√D / d(a, b, c)
-    of_c = np.array([0.0, 0.0, 1.0])
+    m2 = np.pi * root / (2 * wavelength_m)
+    values = np.array([waist, fit.origin - b / (2 * c), theta, rayleigh, m2])
+    root_slopes = np.array([2 * c, -b, 2 * a]) / root  # d√D / d(a, b, c)
+    c_slopes = np.array([0.0, 0.0, 1.0])
     slopes = np.array(
         [
-            of_root / (2 * np.sqrt(c)) - waist / (2 * c) * of_c,
+            root_slopes / (2 * np.sqrt(c)) - waist / (2 * c) * c_slopes,
             [0.0, -1 / (2 * c), b / (2 * c * c)],
-            of_c / (2 * theta),
-            of_root / (2 * c) - rayleigh / c * of_c,
-            np.pi * of_root / (2 * wavelength_m),
+            c_slopes / (2 * theta),
+            root_slopes / (2 * c) - rayleigh / c * c_slopes,
+            np.pi * root_slopes / (2 * wavelength_m),
         ]
     )
     return values, slopes @ fit.covariance @ slopes.T
 
 
 class Caustic(NamedTuple):
-    """A beam along its axis, each number with a standard error (`m2_stderr`); NaN where the radii have no waist.
+    """Parameters of a beam along its axis with standard errors such as `m2_stderr`; NaN if the radii have no waist.
 
     Attributes
     ----------
     waist_radius : 1/e² radius of the waist, w0 [m].
-    waist_position : where it is, z0 [m].
+    waist_position : distance of the waist, z0 [m].
     divergence : half-angle of divergence, θ [rad].
     rayleigh_length : z_R [m].
     m2 : beam propagation ratio M² [1].
-    chi2_reduced : χ² per degree of freedom of the hyperbola, by the radii's own errors.
-    scatter : relative scatter of the radii, which is added to their errors where these alone are too small.
+    chi2_reduced : χ² per degree of freedom of the hyperbola by the errors of the radii alone; NaN if one of them is 0.
+    scatter : relative scatter of the radii in addition to their errors; 0 if these explain the residuals.
     degrees_of_freedom : points less three.
     hyperbola : the fitted w²(z) with its covariance; `radius` evaluates it.
 
@@ -170,7 +182,7 @@ class Caustic(NamedTuple):
     hyperbola: Hyperbola
 
     def radius(self, z_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """1/e² radius of the fitted beam at distances `z_m`, and its standard error [m]."""
+        """Return the 1/e² radius of the fitted beam at distances `z_m`, and its standard error [m]."""
         z = np.asarray(z_m, dtype=float)
         radius, stderr = self.hyperbola.radius(z.ravel())
         return radius.reshape(z.shape)[()], stderr.reshape(z.shape)[()]
@@ -184,7 +196,7 @@ class Caustic(NamedTuple):
 
 
 def fit_caustic(z_m: ArrayLike, radius_m: ArrayLike, stderr_m: ArrayLike, *, wavelength_m: float) -> Caustic:
-    """Waist, divergence, Rayleigh length and M² of a beam from its radii along z (ISO 11146-1:2021, clause 9).
+    """Fit waist, divergence, Rayleigh length and M² of a beam to its radii along z (ISO 11146-1:2021, clause 9).
 
     The radius is the 1/e² radius of the intensity: twice the standard deviation of a Gaussian, half the diameter d of
     the standard. A fitted `sigma_mean` in pixels is thus a radius of 2 σ times the pixel pitch. The standard takes
@@ -195,14 +207,14 @@ def fit_caustic(z_m: ArrayLike, radius_m: ArrayLike, stderr_m: ArrayLike, *, wav
     z_m : distances along the beam [m], at least four different ones. The standard asks for ten, half of them within a
         Rayleigh length of the waist and half beyond two.
     radius_m : 1/e² radius at each distance [m].
-    stderr_m : its standard error [m], or one for all. Where the radii scatter by more, or with 0, the relative scatter
-        about the hyperbola is found from the radii themselves.
+    stderr_m : its standard error [m], or one for all. If the radii scatter by more, or if it is 0, the relative scatter
+        about the hyperbola is estimated from the residuals.
     wavelength_m : wavelength in the medium [m].
 
     Returns
     -------
     Caustic
-        Numbers by name with their standard errors.
+        Parameters of the beam with their standard errors.
 
     Raises
     ------
@@ -231,34 +243,32 @@ def fit_caustic(z_m: ArrayLike, radius_m: ArrayLike, stderr_m: ArrayLike, *, wav
             " give a radius and an error for every distance"
         )
     stderr = np.broadcast_to(stderr, z.shape)
-    for name, good, wanted in (
+    for name, is_valid, requirement in (
         ("z_m", np.isfinite(z), "finite"),
         ("radius_m", np.isfinite(radius) & (radius > 0), "above 0"),
         ("stderr_m", np.isfinite(stderr) & (stderr >= 0), "0 or above"),
         ("wavelength_m", np.isfinite(wavelength_m) & (wavelength_m > 0), "above 0"),
     ):
-        if not np.all(good):
-            raise ValueError(f"{name}: every number must be {wanted}, in metres")
-    if len(np.unique(z)) < FEWEST_POSITIONS:
-        raise ValueError(
-            f"z_m: has {len(np.unique(z))} different distances; a caustic needs {FEWEST_POSITIONS} or more"
-        )
+        if not np.all(is_valid):
+            raise ValueError(f"{name}: every number must be {requirement}, in metres")
+    if (positions := len(np.unique(z))) < FEWEST_POSITIONS:
+        raise ValueError(f"z_m: has {positions} different distances; a caustic needs {FEWEST_POSITIONS} or more")
     fit = fit_hyperbola(z, radius, stderr)
-    values, covariance = beam(fit, wavelength_m)
+    values, covariance = derive_beam_parameters(fit, wavelength_m)
     numbers = np.column_stack([values, np.sqrt(np.diag(covariance))]).ravel()
     chi2 = fit.chi2_reduced if stderr.all() else np.nan
     return Caustic._make([*numbers.tolist(), chi2, fit.scatter, fit.degrees, fit])
 
 
-def half_width(stderr: np.ndarray, degrees: int) -> np.ndarray:
-    """Half of the 68 % interval: a standard error times Student's t, since the scatter is estimated from few points."""
+def compute_interval_half_width(stderr: np.ndarray, degrees: int) -> np.ndarray:
+    """Return half of the 68 % interval: the standard error times Student's t, as few points estimate the scatter."""
     return stderr * stats.t.ppf((1 + LEVEL) / 2, degrees)
 
 
-def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
-    """Caustic file of a scan along z; `skipped` with its reason where there is none.
+def compute_caustic(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
+    """Return caustic.nc of a scan along z; only the attribute `skipped` with the reason if there is no caustic.
 
-    `beam` says whether the beam is stigmatic (both axes alike to 0.87 in every frame) or simple astigmatic.
+    The attribute `beam` is "stigmatic" (both axes equal to 0.87 in every frame) or "simple astigmatic".
     """
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
     if CONDITION not in instrument.conditions or CONDITION not in fits.coords:
@@ -268,127 +278,133 @@ def caustic_of(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
         if value is None:
             return ds.assign_attrs(skipped=f"a caustic needs {key}, which instrument.yaml does not give")
     assert pitch is not None and wavelength is not None
-    own = preferred(fits)
-    grid = tuple(str(d) for d in own["status"].dims)
-    own = own.transpose(*grid).where((own["status"] & store.UNTRUSTED) == 0)
-    z = own[CONDITION].broadcast_like(own["status"]).transpose(*grid).values
-    spots = Widths(*(own[f"{name}{suffix}"].values for suffix in ("", "_stderr") for name in PARAMETERS))
-    mean, mean_stderr = own["sigma_mean"].values, own["sigma_mean_stderr"].values
-    usable = np.isfinite(np.stack([*spots[:5], mean, mean_stderr])).all(axis=0)
-    positions = len(np.unique(z[usable]))
-    if positions < FEWEST_POSITIONS:
+    spots = select_preferred_fits(fits)
+    grid = tuple(str(d) for d in spots["status"].dims)
+    spots = spots.transpose(*grid).where((spots["status"] & store.UNTRUSTED) == 0)
+    z = spots[CONDITION].broadcast_like(spots["status"]).transpose(*grid).values
+    columns = [spots[f"{name}{suffix}"].values for suffix in ("", "_stderr") for name in PARAMETERS]
+    mean = spots["sigma_mean"].values, spots["sigma_mean_stderr"].values
+    # The last column is the error of the direction, infinite for a round spot.
+    usable = np.isfinite(np.stack([*columns[:-1], *mean])).all(axis=0)
+    positions = np.unique(z[usable])
+    if len(positions) < FEWEST_POSITIONS:
         return ds.assign_attrs(
-            skipped=f"a caustic needs usable spots at {FEWEST_POSITIONS} positions or more, and {positions} have one"
+            skipped=f"a caustic needs usable spots at {FEWEST_POSITIONS} positions or more,"
+            f" and {len(positions)} have one"
         )
-    axes = axes_of(Widths(*(value[usable] for value in spots)))
-    if axes.turned is not None:
-        return ds.assign_attrs(skipped=turned_text(axes, z[usable]))
-    projected = (along(spots, axes.azimuth), along(spots, axes.azimuth + 90), (mean, mean_stderr))
-    radius, stderr = (np.where(usable, [own[k] for own in projected], np.nan) * 2 * pitch for k in (0, 1))
-    found = [fit_hyperbola(z[usable], r[usable], s[usable]) for r, s in zip(radius, stderr, strict=True)]
+    axes = fit_beam_axes(SpotWidths(*(column[usable] for column in columns)))
+    if axes.rotated_spot is not None:
+        return ds.assign_attrs(skipped=describe_axis_rotation(axes, z[usable]))
+
+    widths = SpotWidths(*columns)
+    projected = np.array([project_widths(widths, axes.azimuth), project_widths(widths, axes.azimuth + 90), mean])
+    # From σ [px] to the 1/e² radius 2σ [m].
+    radius, stderr = (np.where(usable, projected[:, k], np.nan) * 2 * pitch for k in (0, 1))
+    hyperbolas = [fit_hyperbola(z[usable], r[usable], s[usable]) for r, s in zip(radius, stderr, strict=True)]
     ds = ds.assign_coords({d: fits[d] for d in grid if d in fits.coords})
-    _fill(ds, found, wavelength, axes)
-    for name, values, long_name in (
-        ("beam_radius", radius, "1/e2 beam radius, twice the fitted standard deviation"),
-        ("beam_radius_stderr", stderr, "standard error of the beam radius"),
-    ):
-        ds[name] = (("axis", *grid), values, {"units": "m", "long_name": long_name})
-    length, waist = ds["rayleigh_length"].values[:, None], ds["waist_position"].values[:, None]
-    distance = np.abs(np.unique(z[usable]) - waist)
-    for name, dims, count, long_name in (
-        ("positions", (), positions, "positions with a usable spot; ISO 11146-1 asks for 10 or more"),
-        (
-            "positions_near",
-            "axis",
-            np.sum(distance < length, axis=1),
-            "positions within one Rayleigh length of the waist",
-        ),
-        ("positions_far", "axis", np.sum(distance > 2 * length, axis=1), "positions beyond two Rayleigh lengths"),
-    ):
-        ds[name] = (dims, count, {"units": "1", "long_name": long_name})
-    ds = store.add_remarks(ds, _on_quality(ds, pitch, wavelength))
+    _add_axes(ds, axes)
+    _add_hyperbolas(ds, hyperbolas)
+    _add_beam_parameters(ds, hyperbolas, wavelength, axes.is_stigmatic)
+    long_name = "1/e2 beam radius, twice the fitted standard deviation"
+    add_variable(ds, "beam_radius", ("axis", *grid), radius, "m", long_name)
+    add_variable(ds, "beam_radius_stderr", ("axis", *grid), stderr, "m", "standard error of the beam radius")
+    _add_position_counts(ds, positions)
+    ds = store.add_remarks(ds, _check_m2(ds, pitch, wavelength))
     return ds.assign_attrs(
-        beam="stigmatic" if axes.stigmatic else "simple astigmatic",
+        beam="stigmatic" if axes.is_stigmatic else "simple astigmatic",
         width="twice the standard deviation of the fitted Gaussian, not the second moment of ISO 11146-1",
         level=f"intervals of {100 * LEVEL:.0f} %: standard error times Student's t at degrees_of_freedom",
     )
 
 
-def turned_text(axes: Axes, z: np.ndarray) -> str:
-    """Why a beam whose axes turn has no M²."""
-    assert axes.turned is not None
-    spot, angle = axes.turned
+def describe_axis_rotation(axes: BeamAxes, z: np.ndarray) -> str:
+    """Return the reason why a beam whose axes rotate along z [m, one for each spot] has no M²."""
+    assert axes.rotated_spot is not None
+    spot, angle = axes.rotated_spot
     return (
         f"the axes of the beam turn along z: those at {CONDITION} = {z[spot]:.4g} lie {angle:.0f}° from those of the"
         " whole scan; such a beam is generally astigmatic, and its M² needs the measurements of ISO 11146-2"
     )
 
 
-def beam_rows(ds: xr.Dataset) -> dict[str, xr.Dataset]:
-    """The rows of a caustic file that stand for the beam, by the words for them: each axis where the frames tell axes,
-    else the mean of both."""
+def select_beam_rows(ds: xr.Dataset) -> dict[str, xr.Dataset]:
+    """Return the rows of caustic.nc that describe the beam, by label: both axes, or their mean for a round beam."""
     if not np.isfinite(float(ds["azimuth_stderr"])):
         return {"mean of both axes": ds.sel(axis="mean")}
     azimuth = float(ds["azimuth"])
     return {f"axis at {azimuth + turn:.1f}°": ds.sel(axis=name) for name, turn in (("x", 0), ("y", 90))}
 
 
-def _on_quality(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
-    """A sentence on axes whose M² is below 1: no beam is better than a Gaussian one. Far beyond its error a number that
-    M² rests on must be wrong."""
+def _check_m2(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
+    """Return a remark if M² of an axis is below 1, which no beam can have; its text depends on the significance."""
 
-    def below(errors: float) -> str:
+    def list_low_axes(sigmas: float) -> str:
+        """Axes whose M² is below 1 by more than so many standard errors, as text."""
         rows = zip(AXES, ds["m2"].values, ds["m2_stderr"].values, strict=True)
-        return ", ".join(f"{name} {plus_minus(m2, error)}" for name, m2, error in rows if m2 + errors * error < 1)
+        return ", ".join(f"{name} {plus_minus(m2, error)}" for name, m2, error in rows if m2 + sigmas * error < 1)
 
-    if low := below(IMPOSSIBLE):
+    if low := list_low_axes(IMPOSSIBLE_SIGMAS):
         return [
-            f"M² is below 1 ({low}), and no beam's is; it grows with sensor.pixel_pitch_m ({pitch:g}) squared"
-            f" and falls with laser.wavelength_m ({wavelength:g}) and with the unit of {CONDITION}: one of them is off,"
-            " or the camera sees an image of the beam and not the beam"
+            f"M² is below 1 ({low}), which no beam can have; it grows with sensor.pixel_pitch_m ({pitch:g}) squared"
+            f" and falls with laser.wavelength_m ({wavelength:g}) and with the unit of {CONDITION}: correct the wrong"
+            " one, unless the camera sees an image of the beam and not the beam"
         ]
-    if low := below(1.0):
+    if low := list_low_axes(1.0):
         return [
-            f"M² is below 1 ({low}), so do not quote it: fits pass over light beside the Gaussian, which M² after ISO"
-            " 11146 counts; take that by second moments, which `spotcheck look` gives"
+            f"M² is below 1 ({low}), so do not quote it: a Gaussian fit leaves out light outside the Gaussian, which M²"
+            " after ISO 11146 includes; take M² by second moments, which `spotcheck look` gives"
         ]
     return []
 
 
-def _fill(ds: xr.Dataset, found: list[Hyperbola], wavelength: float, axes: Axes) -> None:
-    """Coefficients, their covariance and what follows from them, one row an axis of the beam."""
-    ds["axis"] = (
-        "axis",
-        np.array(list(AXES), dtype=object),
-        {"units": "1", "long_name": "; ".join(f"{name}: {text}" for name, text in AXES.items())},
-    )
+def _add_axes(ds: xr.Dataset, axes: BeamAxes) -> None:
+    """Add the names of the axes and their direction."""
+    long_name = "; ".join(f"{name}: {text}" for name, text in AXES.items())
+    add_variable(ds, "axis", "axis", np.array(list(AXES), dtype=object), "1", long_name)
     direction = "direction of the beam's x axis from +x (right) towards +y (down)"
-    ds["azimuth"] = ((), axes.azimuth, {"units": "degree", "long_name": direction})
+    add_variable(ds, "azimuth", (), axes.azimuth, "degree", direction)
     long_name = f"standard error of the {direction}; infinite for a round beam"
-    ds["azimuth_stderr"] = ((), axes.azimuth_stderr, {"units": "degree", "long_name": long_name})
-    ds["power"] = ("power", np.arange(3), {"units": "1", "long_name": "power of z less the origin"})
-    ds["other_power"] = ("other_power", np.arange(3), {"units": "1", "long_name": "power of z less the origin"})
-    ds["coefficient"] = (
-        ("axis", "power"),
-        np.array([f.coefficients for f in found]),
-        {"units": "m2, m, 1", "long_name": "coefficients a, b, c of the squared radius over z less the origin"},
-    )
-    ds["coefficient_covariance"] = (
-        ("axis", "power", "other_power"),
-        np.array([f.covariance for f in found]),
-        {"units": "products of those of coefficient", "long_name": "covariance of the coefficients"},
-    )
-    for name, values, units, long_name in (
-        ("origin", [f.origin for f in found], "m", "distance that the coefficients count from"),
-        ("scatter", [f.scatter for f in found], "1", "relative scatter of the radius added to its standard error"),
-        ("chi2_reduced", [f.chi2_reduced for f in found], "1", "chi-square per degree of freedom without the scatter"),
-        ("degrees_of_freedom", [f.degrees for f in found], "1", "points less three"),
+    add_variable(ds, "azimuth_stderr", (), axes.azimuth_stderr, "degree", long_name)
+
+
+def _add_hyperbolas(ds: xr.Dataset, hyperbolas: list[Hyperbola]) -> None:
+    """Add the coefficients of each axis, their covariance, and the goodness of fit."""
+    for name in ("power", "other_power"):
+        add_variable(ds, name, name, np.arange(3), "1", "power of z less the origin")
+    for name, attribute, units, long_name in (
+        (
+            "coefficient",
+            "coefficients",
+            "m2, m, 1",
+            "coefficients a, b, c of the squared radius over z less the origin",
+        ),
+        ("coefficient_covariance", "covariance", "products of those of coefficient", "covariance of the coefficients"),
+        ("origin", "origin", "m", "distance that the coefficients count from"),
+        ("scatter", "scatter", "1", "relative scatter of the radius added to its standard error"),
+        ("chi2_reduced", "chi2_reduced", "1", "chi-square per degree of freedom without the scatter"),
+        ("degrees_of_freedom", "degrees", "1", "points less three"),
     ):
-        ds[name] = ("axis", np.array(values), {"units": units, "long_name": long_name})
-    derived = [beam(f, wavelength) for f in found]
-    if not axes.stigmatic:
+        values = np.array([getattr(hyperbola, attribute) for hyperbola in hyperbolas])
+        add_variable(ds, name, ("axis", "power", "other_power")[: values.ndim], values, units, long_name)
+
+
+def _add_beam_parameters(ds: xr.Dataset, hyperbolas: list[Hyperbola], wavelength: float, is_stigmatic: bool) -> None:
+    """Add `QUANTITIES` of each axis with standard errors; the mean of both axes has none if the beam is astigmatic."""
+    derived = [derive_beam_parameters(hyperbola, wavelength) for hyperbola in hyperbolas]
+    if not is_stigmatic:
         derived[list(AXES).index("mean")] = np.full(5, np.nan), np.full((5, 5), np.nan)
     for k, (name, (units, long_name)) in enumerate(QUANTITIES.items()):
-        ds[name] = ("axis", np.array([v[k] for v, _ in derived]), {"units": units, "long_name": long_name})
-        error = np.sqrt([c[k, k] for _, c in derived])
-        ds[f"{name}_stderr"] = ("axis", error, {"units": units, "long_name": f"standard error of {long_name}"})
+        add_variable(ds, name, "axis", np.array([values[k] for values, _ in derived]), units, long_name)
+        stderr = np.sqrt([covariance[k, k] for _, covariance in derived])
+        add_variable(ds, f"{name}_stderr", "axis", stderr, units, f"standard error of {long_name}")
+
+
+def _add_position_counts(ds: xr.Dataset, positions: np.ndarray) -> None:
+    """Add how many of the positions [m] are near the waist and far from it, as ISO 11146-1 asks for."""
+    length, waist = ds["rayleigh_length"].values[:, None], ds["waist_position"].values[:, None]
+    distance = np.abs(positions - waist)
+    near, far = np.sum(distance < length, axis=1), np.sum(distance > 2 * length, axis=1)
+    long_name = "positions with a usable spot; ISO 11146-1 asks for 10 or more"
+    add_variable(ds, "positions", (), len(positions), "1", long_name)
+    add_variable(ds, "positions_near", "axis", near, "1", "positions within one Rayleigh length of the waist")
+    add_variable(ds, "positions_far", "axis", far, "1", "positions beyond two Rayleigh lengths")

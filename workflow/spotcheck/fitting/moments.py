@@ -1,17 +1,18 @@
 """Widths of a spot by second moments (ISO 11146-1:2021, ISO 11146-3:2004), with standard errors.
 
-Along a principal axis u the width is D4σ = 4 √⟨u²⟩. Light is summed over a rectangle along the principal axes, three
-widths long on each side and found again until it stays; the background, which pixels around it read, is taken off
-first. No shape is assumed, and the price is paid in noise: a background that is wrong by 0.1 % of a Gaussian's peak
-changes its width by 13 %.
+Along a principal axis u the width is D4σ = 4 √⟨u²⟩. The moments are summed over a rectangle along the principal axes,
+three widths long on each side, which is iterated until it no longer changes. The background, estimated from pixels
+around the rectangle, is subtracted first. No shape is assumed, at the price of noise: a background error of 0.1 % of a
+Gaussian's peak changes its width by 13 %.
 
-A reading I of one pixel moves ⟨u²⟩ by (u² − ⟨u²⟩) dI / ΣI. Its variance is what differences of neighbouring pixels show
-at its place: read, shot and rounding noise, without a gain to be known. The background's is how much it differs between
-directions from the spot, which sees stray light as well as noise.
+An error dI of one reading I changes ⟨u²⟩ by (u² − ⟨u²⟩) dI / ΣI. The variance of a reading is estimated from
+differences of neighbouring pixels: it includes read, shot and rounding noise, and needs no gain. The error of the
+background is estimated from its scatter between directions from the spot, which includes stray light as well as noise.
 
-# ASSUME: what lies around the area is what lies under the spot, and all light within the area is the spot's.
+# ASSUME: the background under the spot equals that around the area, and all light within the area is the spot's.
 """
 
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,178 +24,174 @@ from spotcheck.crops.spotfinding import find_light_centroid
 
 # Sides of the area of integration in widths (ISO 11146-1, clause 7).
 AREA = 3.0
-# The area stays when its width changes by no more than this part, after so many steps at most; from the later ones on
-# it goes but half of the way, since pixels that come and go at its edge may make it swing.
-SETTLED, STEPS, LATER = 5e-4, 20, 8
-# The background is that around the area, up to a rectangle of so many widths, in so many directions from the spot.
+# The area is final when its width changes by less than this fraction, after so many iterations at most. Iterations from
+# `FULL_STEPS` on take half a step, because pixels that enter and leave at the edge can make the area oscillate.
+TOLERANCE, MAX_ITERATIONS, FULL_STEPS = 5e-4, 20, 8
+# The background is estimated between the area and a rectangle of so many widths, in so many directions from the spot.
 RING, SECTORS = 4.5, 32
-# Where the frame holds less around the area than this part of it, corners of this part of the sides stand in for it.
-ENOUGH, CORNER = 0.1, 0.05
-# Within half of its peak a Gaussian has this part of its variance.
+# If the ring has fewer pixels than this fraction of the area's, the corners of the frame are used instead; their sides
+# are this fraction of the frame's.
+LEAST_RING, CORNER = 0.1, 0.05
+# Variance of a Gaussian within half of its peak, as a fraction of its own.
 WITHIN_HALF = np.log(2) / 2
-# A width is measured where its error is below this part of it.
-KNOWN = 0.5
-# Part of the area of integration that a frame must hold for the width to be that of the standard.
-WHOLE = 0.9
-# How far [px] a pixel stands in for one that was not measured.
-NEAR = 2
+# A width is measured if its relative error is below this.
+MAX_RELATIVE_ERROR = 0.5
+# Fraction of the area of integration that a frame must contain for the width of the standard.
+WHOLE_AREA = 0.9
+# Largest distance [px] at which a pixel replaces one that was not measured.
+FILL_DISTANCE = 2
+# The axes differ significantly from each other by so many standard errors.
+AXES_SIGMAS = 3.0
+# Standard deviation over median absolute deviation, and standard error of a median over that of a mean, of normal
+# numbers.
+MAD_TO_SIGMA, MEDIAN_ERROR = 1.4826, 1.2533
 
 
-class Moments(NamedTuple):
-    """A spot by its moments; lengths in px, NaN where there is no light; a centre alone where there is no width.
+@dataclass(frozen=True)
+class Moments:
+    """A spot by its moments; NaN without light, and only a centre if there is no width."""
 
-    Attributes
-    ----------
-    x, y, x_stderr, y_stderr : column and row of the centroid.
-    major, minor, major_stderr, minor_stderr : D4σ along the principal axes.
-    azimuth, azimuth_stderr : direction of the longer axis from +x towards +y [degree]; the error is infinite where the
-        axes differ by less than their errors.
-    light : readings less background over the area [DN].
-    background, background_stderr : what a pixel reads beside the spot [DN].
-    inside : part of the area of integration that the frame holds.
-    settled : whether the area stayed, within the errors of the widths.
-    """
-
-    x: float
-    y: float
-    x_stderr: float
-    y_stderr: float
-    major: float
-    minor: float
-    major_stderr: float
-    minor_stderr: float
-    azimuth: float
-    azimuth_stderr: float
-    light: float
-    background: float
-    background_stderr: float
-    inside: float
-    settled: bool
+    x: float  # column of the centroid [px]
+    y: float  # row of the centroid [px]
+    x_stderr: float  # standard error of `x` [px]
+    y_stderr: float  # standard error of `y` [px]
+    major: float  # D4σ along the longer principal axis [px]
+    minor: float  # D4σ along the shorter principal axis [px]
+    major_stderr: float  # standard error of `major` [px]
+    minor_stderr: float  # standard error of `minor` [px]
+    azimuth: float  # direction of the longer axis from +x towards +y [deg]
+    azimuth_stderr: float  # its standard error [deg]; infinite if the axes do not differ significantly
+    light: float  # sum of readings less background over the area [DN]
+    background: float  # reading beside the spot [DN]
+    background_stderr: float  # standard error of `background` [DN]
+    area_fraction: float  # fraction of the area of integration within the frame
+    has_converged: bool  # whether the area of integration stopped changing, within the errors of the widths
 
     @property
-    def measured(self) -> bool:
-        """Whether both widths are known to better than half of themselves."""
-        return bool(self.major_stderr < KNOWN * self.major and self.minor_stderr < KNOWN * self.minor)
+    def is_measured(self) -> bool:
+        """Whether the relative errors of both widths are below `MAX_RELATIVE_ERROR`."""
+        limit = MAX_RELATIVE_ERROR
+        return bool(self.major_stderr < limit * self.major and self.minor_stderr < limit * self.minor)
 
     @property
-    def whole(self) -> bool:
-        """Whether the frame holds the area that the standard sums over."""
-        return self.inside >= WHOLE
+    def is_whole(self) -> bool:
+        """Whether the frame contains the area that the standard integrates over."""
+        return self.area_fraction >= WHOLE_AREA
 
 
-NONE = Moments(*(np.nan,) * 14, settled=False)
+NO_MOMENTS = Moments(*(np.nan,) * 14, has_converged=False)
 
 
 class _Ellipse(NamedTuple):
-    """Centre [px] and covariance matrix [px²] of the light."""
+    """Centre and covariance matrix of the light."""
 
-    x: float
-    y: float
-    covariance: np.ndarray
+    x: float  # column [px]
+    y: float  # row [px]
+    covariance: np.ndarray  # [(x, y), (x, y)] in px²
 
 
 class _Area(NamedTuple):
-    """The area of integration: first row and column of its window, and which pixels of the window it holds."""
+    """The area of integration."""
 
-    top: int
-    left: int
-    mask: np.ndarray
+    top: int  # first row of its window
+    left: int  # first column of its window
+    mask: np.ndarray  # True for pixels of the area [row, column of the window]
 
-    def of(self, pixels: np.ndarray) -> np.ndarray:
-        """The window's pixels."""
+    def crop(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the pixels of the window."""
         rows, columns = self.mask.shape
         return pixels[self.top : self.top + rows, self.left : self.left + columns]
 
 
 def second_moments(image: np.ndarray) -> Moments:
-    """Second-moment widths of the spot on an image [rows, columns] in DN, with standard errors.
+    """Return the second-moment widths of the spot on an image [rows, columns] in DN, with standard errors.
 
-    NaN pixels take part as the nearest one, beyond `NEAR` px from it as background. The errors hold to first order in
-    the noise: where one is large (`measured` is False) the width may be anything. Noise that pixels share, as in
-    compressed images, is not seen.
+    NaN pixels take the value of the nearest pixel, or of the background beyond `FILL_DISTANCE`. The errors are of first
+    order in the noise: if `is_measured` is False the width is meaningless. Noise that is correlated between pixels, as
+    in compressed images, is underestimated.
     """
-    pixels, gone = _filled(np.asarray(image, float))
-    start = _start(pixels)
+    pixels, is_unmeasured = _fill_gaps(np.asarray(image, float))
+    start = _estimate_start(pixels)
     if start is None:
-        return NONE
+        return NO_MOMENTS
     ellipse, change = start, np.inf
-    for step in range(STEPS):
-        area = _area(ellipse, pixels.shape)
-        found = _moments(pixels, area, _background(pixels, ellipse, area)[0])
-        if found is None:
-            return NONE._replace(x=start.x, y=start.y)
-        part = 1.0 if step < LATER else 0.5
+    for iteration in range(MAX_ITERATIONS):
+        area = _place_area(ellipse, pixels.shape)
+        target = _compute_moments(pixels, area, _estimate_background(pixels, ellipse, area)[0])
+        if target is None:
+            return replace(NO_MOMENTS, x=start.x, y=start.y)
+        step = 1.0 if iteration < FULL_STEPS else 0.5
         # A single pixel above all others has no extent.
         extent = max(float(np.trace(ellipse.covariance)), np.finfo(float).tiny)
-        change = float(np.abs(found.covariance - ellipse.covariance).max()) / extent / 2
+        change = float(np.abs(target.covariance - ellipse.covariance).max()) / extent / 2
         ellipse = _Ellipse(
-            ellipse.x + part * (found.x - ellipse.x),
-            ellipse.y + part * (found.y - ellipse.y),
-            ellipse.covariance + part * (found.covariance - ellipse.covariance),
+            ellipse.x + step * (target.x - ellipse.x),
+            ellipse.y + step * (target.y - ellipse.y),
+            ellipse.covariance + step * (target.covariance - ellipse.covariance),
         )
-        if change < SETTLED:
+        if change < TOLERANCE:
             break
-    return _with_errors(pixels, gone, ellipse, change)
+    return _estimate_errors(pixels, is_unmeasured, ellipse, change)
 
 
-def _filled(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The image with something in the place of NaN, and which pixels have nothing near that was measured."""
+def _fill_gaps(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the image with NaN replaced, and a mask of pixels without a measured one within `FILL_DISTANCE`."""
     gaps = np.isnan(pixels)
     if not gaps.any() or gaps.all():
         return np.where(gaps, 0.0, pixels), gaps
     distance, nearest = ndimage.distance_transform_edt(gaps, return_indices=True)
-    gone = distance > NEAR
-    return np.where(gone, np.nanmedian(pixels), pixels[tuple(nearest)]), gone
+    is_unmeasured = distance > FILL_DISTANCE
+    return np.where(is_unmeasured, np.nanmedian(pixels), pixels[tuple(nearest)]), is_unmeasured
 
 
-def _start(pixels: np.ndarray) -> _Ellipse | None:
-    """The ellipse of the Gaussian that is as large at half of its peak as the light is; None where there is no spot."""
+def _estimate_start(pixels: np.ndarray) -> _Ellipse | None:
+    """Return the ellipse of a Gaussian with the same extent at half of its peak; None without a spot."""
     if min(pixels.shape) < 4:
         return None
-    at = find_light_centroid(pixels, min(pixels.shape))
-    if not at.exists:
+    spot = find_light_centroid(pixels, min(pixels.shape))
+    if not spot.exists:
         return None
     smooth = ndimage.uniform_filter(pixels, 3)
     background = float(np.median(pixels[::4, ::4]))
-    near = smooth[max(at.row - 1, 0) : at.row + 2, max(at.column - 1, 0) : at.column + 2]
-    bright = smooth - background > (float(near.max()) - background) / 2
-    regions = label(bright, connectivity=2)
-    own = regions[at.row, at.column]
-    rows, columns = np.nonzero(regions == own if own else bright)
-    spread = np.cov(np.stack([columns, rows]), bias=True) if rows.size > 1 else np.zeros((2, 2))
+    neighbours = smooth[max(spot.row - 1, 0) : spot.row + 2, max(spot.column - 1, 0) : spot.column + 2]
+    is_bright = smooth - background > (float(neighbours.max()) - background) / 2
+    regions = label(is_bright, connectivity=2)
+    region = regions[spot.row, spot.column]
+    rows, columns = np.nonzero(regions == region if region else is_bright)
+    covariance = np.cov(np.stack([columns, rows]), bias=True) if rows.size > 1 else np.zeros((2, 2))
     # A region of one pixel has the variance of a pixel.
-    return _Ellipse(float(columns.mean()), float(rows.mean()), (spread + np.eye(2) / 12) / WITHIN_HALF)
+    return _Ellipse(float(columns.mean()), float(rows.mean()), (covariance + np.eye(2) / 12) / WITHIN_HALF)
 
 
-def _axes(covariance: np.ndarray) -> tuple[float, float, float]:
-    """Variances [px²] along the longer and the shorter principal axis, and direction of the longer one [rad]."""
+def _find_principal_axes(covariance: np.ndarray) -> tuple[float, float, float]:
+    """Return the variances [px²] along the longer and the shorter axis, and the direction of the longer one [rad]."""
     (minor, major), vectors = np.linalg.eigh(covariance)
     return float(major), float(minor), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
 
 
-def _area(ellipse: _Ellipse, shape: tuple[int, ...], widths: float = AREA) -> _Area:
-    """The rectangle along the principal axes with sides of so many widths, as far as the frame holds it."""
-    major, minor, angle = _axes(ellipse.covariance)
-    half = widths * 2 * np.sqrt(np.maximum([major, minor], 1 / 12))
+def _place_area(ellipse: _Ellipse, shape: tuple[int, ...], widths: float = AREA) -> _Area:
+    """Return the rectangle along the principal axes with sides of so many widths, clipped to the frame."""
+    major, minor, angle = _find_principal_axes(ellipse.covariance)
+    half_sides = widths * 2 * np.sqrt(np.maximum([major, minor], 1 / 12))
     cos, sin = np.cos(angle), np.sin(angle)
-    reach_x, reach_y = half @ np.abs([cos, sin]), half @ np.abs([sin, cos])
-    top, bottom = max(int(np.ceil(ellipse.y - reach_y)), 0), min(int(ellipse.y + reach_y), shape[0] - 1)
-    left, right = max(int(np.ceil(ellipse.x - reach_x)), 0), min(int(ellipse.x + reach_x), shape[1] - 1)
+    half_width, half_height = half_sides @ np.abs([cos, sin]), half_sides @ np.abs([sin, cos])
+    top, bottom = max(int(np.ceil(ellipse.y - half_height)), 0), min(int(ellipse.y + half_height), shape[0] - 1)
+    left, right = max(int(np.ceil(ellipse.x - half_width)), 0), min(int(ellipse.x + half_width), shape[1] - 1)
     y = np.arange(top, bottom + 1)[:, None] - ellipse.y
     x = np.arange(left, right + 1)[None, :] - ellipse.x
-    return _Area(top, left, (np.abs(x * cos + y * sin) <= half[0]) & (np.abs(y * cos - x * sin) <= half[1]))
+    is_inside = (np.abs(x * cos + y * sin) <= half_sides[0]) & (np.abs(y * cos - x * sin) <= half_sides[1])
+    return _Area(top, left, is_inside)
 
 
-def _outside(ellipse: _Ellipse, area: _Area, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the pixels around the area that tell the background; the corners of the frame where it holds
-    too few of them."""
-    wide = _area(ellipse, shape, RING)
-    ring = wide.mask.copy()
-    top, left = area.top - wide.top, area.left - wide.left
+def _find_background_pixels(ellipse: _Ellipse, area: _Area, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of the pixels of the ring around the area, or of the frame's corners instead."""
+    outer = _place_area(ellipse, shape, RING)
+    ring = outer.mask.copy()
+    top, left = area.top - outer.top, area.left - outer.left
     ring[top : top + area.mask.shape[0], left : left + area.mask.shape[1]] &= ~area.mask
-    if np.count_nonzero(ring) >= ENOUGH * np.count_nonzero(area.mask):
+    if np.count_nonzero(ring) >= LEAST_RING * np.count_nonzero(area.mask):
         rows, columns = np.nonzero(ring)
-        return rows + wide.top, columns + wide.left
+        return rows + outer.top, columns + outer.left
     corners = np.ones(shape, bool)
     height, width = (max(1, round(CORNER * side)) for side in shape)
     corners[height:-height, :] = corners[:, width:-width] = False
@@ -202,72 +199,87 @@ def _outside(ellipse: _Ellipse, area: _Area, shape: tuple[int, ...]) -> tuple[np
     return rows, columns
 
 
-def _background(pixels: np.ndarray, ellipse: _Ellipse, area: _Area) -> tuple[float, float]:
-    """Median [DN] over directions of what pixels around the area read on average, which a second spot does not move,
-    and its standard error by how much the directions differ."""
-    rows, columns = _outside(ellipse, area, pixels.shape)
-    turn = np.arctan2(rows - ellipse.y, columns - ellipse.x) / (2 * np.pi) % 1.0
-    sector = np.minimum((turn * SECTORS).astype(int), SECTORS - 1)
-    number = np.bincount(sector, minlength=SECTORS)
+def _estimate_background(pixels: np.ndarray, ellipse: _Ellipse, area: _Area) -> tuple[float, float]:
+    """Return the background [DN] and its standard error.
+
+    It is the median over directions of the mean reading around the area; a second spot does not change it.
+    """
+    rows, columns = _find_background_pixels(ellipse, area, pixels.shape)
+    turns = np.arctan2(rows - ellipse.y, columns - ellipse.x) / (2 * np.pi) % 1.0
+    sector = np.minimum((turns * SECTORS).astype(int), SECTORS - 1)
+    count = np.bincount(sector, minlength=SECTORS)
     total = np.bincount(sector, pixels[rows, columns], minlength=SECTORS)
-    used = number > len(rows) / SECTORS / 4
-    means = total[used] / number[used]
+    # Sectors with few pixels have uncertain means.
+    is_used = count > len(rows) / SECTORS / 4
+    means = total[is_used] / count[is_used]
     level = float(np.median(means))
-    # Of n normal numbers the median has 1.25 times the error of the mean, and the scatter is 1.48 median deviations.
-    scatter = 1.4826 * float(np.median(np.abs(means - level)))
-    return level, 1.2533 * scatter / np.sqrt(np.count_nonzero(used))
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(means - level)))
+    return level, MEDIAN_ERROR * scatter / np.sqrt(np.count_nonzero(is_used))
 
 
-def _moments(pixels: np.ndarray, area: _Area, background: float) -> _Ellipse | None:
-    """Centroid and second moments within the area; None where they are no ellipse."""
-    light = np.where(area.mask, area.of(pixels) - background, 0.0)
+def _compute_moments(pixels: np.ndarray, area: _Area, background: float) -> _Ellipse | None:
+    """Return centroid and second moments within the area; None if they are no ellipse."""
+    light = np.where(area.mask, area.crop(pixels) - background, 0.0)
     total = float(light.sum())
     if not total > 0:
         return None
     y, x = np.arange(light.shape[0]) + area.top, np.arange(light.shape[1]) + area.left
-    of_rows, of_columns = light.sum(axis=1), light.sum(axis=0)
-    y0, x0 = float(y @ of_rows) / total, float(x @ of_columns) / total
-    cross = float((y - y0) @ light @ (x - x0)) / total
-    covariance = np.array([[(x - x0) ** 2 @ of_columns / total, cross], [cross, (y - y0) ** 2 @ of_rows / total]])
+    row_sums, column_sums = light.sum(axis=1), light.sum(axis=0)
+    y0, x0 = float(y @ row_sums) / total, float(x @ column_sums) / total
+    xx, yy = (x - x0) ** 2 @ column_sums / total, (y - y0) ** 2 @ row_sums / total
+    xy = float((y - y0) @ light @ (x - x0)) / total
+    covariance = np.array([[xx, xy], [xy, yy]])
     if not np.linalg.eigvalsh(covariance)[0] > 0:
         return None
     return _Ellipse(x0, y0, covariance)
 
 
-def _with_errors(pixels: np.ndarray, gone: np.ndarray, ellipse: _Ellipse, change: float) -> Moments:
-    """The moments of the last area, each with its standard error; `change` is the last step's, in parts of a width."""
-    area = _area(ellipse, pixels.shape)
-    major, minor, angle = _axes(ellipse.covariance)
-    background, background_stderr = _background(pixels, ellipse, area)
-    light = np.where(area.mask, area.of(pixels) - background, 0.0).sum()
+def _estimate_errors(pixels: np.ndarray, is_unmeasured: np.ndarray, ellipse: _Ellipse, change: float) -> Moments:
+    """Return the moments of the final area with standard errors; `change` is the last relative change of the width."""
+    area = _place_area(ellipse, pixels.shape)
+    major, minor, angle = _find_principal_axes(ellipse.covariance)
+    background, background_stderr = _estimate_background(pixels, ellipse, area)
+    light = np.where(area.mask, area.crop(pixels) - background, 0.0).sum()
     y = (np.arange(area.mask.shape[0]) + area.top - ellipse.y)[:, None]
     x = (np.arange(area.mask.shape[1]) + area.left - ellipse.x)[None, :]
     u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
-    noise = _variances(area.of(pixels))
+    noise = _estimate_variances(area.crop(pixels))
 
-    def stderr(moves: np.ndarray) -> float:
-        """Of a number that a reading moves by so much."""
-        moves = np.where(area.mask, moves, 0.0) / light
-        return float(np.sqrt(np.sum(moves**2 * noise) + (moves.sum() * background_stderr) ** 2))
+    def stderr(weights: np.ndarray) -> float:
+        """Standard error of Σ weights · light / Σ light."""
+        slopes = np.where(area.mask, weights, 0.0) / light
+        return float(np.sqrt(np.sum(slopes**2 * noise) + (slopes.sum() * background_stderr) ** 2))
 
     widths = 4 * np.sqrt([major, minor])
     # d(4√m) = 2 dm / √m
-    along, across = (2 * stderr(w**2 - m) / np.sqrt(m) for w, m in ((u, major), (v, minor)))
-    turn, apart = stderr(u * v), major - minor
-    differ = np.hypot(along * np.sqrt(major), across * np.sqrt(minor)) / 2
-    azimuth_stderr = float(np.degrees(turn / apart)) if apart > 3 * differ else np.inf
-    whole = np.prod(AREA * widths)
-    settled = change < max(SETTLED, float(min(along, across) / widths[0]))
+    major_stderr, minor_stderr = (2 * stderr(w**2 - m) / np.sqrt(m) for w, m in ((u, major), (v, minor)))
+    cross_stderr, difference = stderr(u * v), major - minor
+    difference_stderr = np.hypot(major_stderr * np.sqrt(major), minor_stderr * np.sqrt(minor)) / 2
+    has_direction = difference > AXES_SIGMAS * difference_stderr
+    tolerance = max(TOLERANCE, float(min(major_stderr, minor_stderr) / widths[0]))
+    measured_pixels = float(np.count_nonzero(area.mask & ~area.crop(is_unmeasured)))
     return Moments(
-        ellipse.x, ellipse.y, stderr(x + 0 * y), stderr(y + 0 * x), float(widths[0]), float(widths[1]), float(along),
-        float(across), float(np.degrees(angle)) % 180.0, azimuth_stderr, float(light), background, background_stderr,
-        min(1.0, float(np.count_nonzero(area.mask & ~area.of(gone)) / whole)), bool(settled),
-    )  # fmt: skip
+        x=ellipse.x,
+        y=ellipse.y,
+        x_stderr=stderr(x + 0 * y),
+        y_stderr=stderr(y + 0 * x),
+        major=float(widths[0]),
+        minor=float(widths[1]),
+        major_stderr=float(major_stderr),
+        minor_stderr=float(minor_stderr),
+        azimuth=float(np.degrees(angle)) % 180.0,
+        azimuth_stderr=float(np.degrees(cross_stderr / difference)) if has_direction else np.inf,
+        light=float(light),
+        background=background,
+        background_stderr=background_stderr,
+        area_fraction=min(1.0, measured_pixels / float(np.prod(AREA * widths))),
+        has_converged=bool(change < tolerance),
+    )
 
 
-def _variances(window: np.ndarray) -> np.ndarray:
-    """What each pixel's noise is by the differences of its neighbours [DN²]: right on average, not one by one."""
-    own = compute_differences(window).difference ** 2
-    if not own.size:
+def _estimate_variances(window: np.ndarray) -> np.ndarray:
+    """Return the noise variance of each pixel [DN²] by differences of its neighbours; only its average is accurate."""
+    squares = compute_differences(window).difference ** 2
+    if not squares.size:
         return np.full(window.shape, float(np.var(window)))
-    return np.pad(own, ((1, 2), (1, 2)), mode="edge")
+    return np.pad(squares, ((1, 2), (1, 2)), mode="edge")

@@ -1,7 +1,7 @@
-"""The precision stage: how precisely this rig measures a spot, and at which exposure best.
+"""The precision stage: scatter of the fits over repeats against the Cramér–Rao bound, and the best exposure.
 
-Scatter over repeats against the Cramér–Rao bound, for measured and simulated fits: 1 means that noise alone limits.
-And the bound of one frame over the exposure, along the calibrated law, with the sensor's whole law of a reading.
+A ratio of scatter to bound of 1 means that noise alone limits; it is computed for measured and simulated fits. The
+bound of one frame over exposure follows the calibrated law and the sensor's full distribution of a reading.
 """
 
 import numpy as np
@@ -9,27 +9,39 @@ import xarray as xr
 
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting import fisher
-from spotcheck.fitting.bounds import BEYOND, POINTS
-from spotcheck.fitting.calibration import USED
-from spotcheck.fitting.fits import preferred
-from spotcheck.fitting.fitted import PARAMETERS
+from spotcheck.fitting.bounds import sample_exposures
+from spotcheck.fitting.calibration import read_width_law
+from spotcheck.fitting.crop_fits import select_preferred_fits
+from spotcheck.fitting.fit_results import PARAMETERS
+from spotcheck.fitting.variables import add_variable
+from spotcheck.fitting.width_law import WidthLaw
 from spotcheck.io import store
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.sensor import SensorModel
 
-# A round spot has no orientation to scatter.
+# The orientation of a round spot is undefined, so its scatter has no meaning.
 SCATTERED = tuple(name for name in PARAMETERS if name != "orientation")
-# The exposure that is enough: the shortest whose bound is within this part of the least.
-ENOUGH = 0.05
+# The sufficient exposure is the shortest whose bound exceeds the least by no more than this fraction.
+BOUND_TOLERANCE = 0.05
+# Name of the file's variable, units and description of each parameter of `compute_frame_bounds`.
+BOUND_PARAMETERS = (
+    ("amplitude", "DN", "peak"),
+    ("x_centre", "pixel", "column of the centre"),
+    ("y_centre", "pixel", "row of the centre"),
+    ("sigma", "pixel", "direction-averaged width"),
+    ("offset", "DN", "offset"),
+)
+# Scatter counts as larger than the bound by this ratio, if it is significant by so many standard errors.
+EXCESS_RATIO, EXCESS_SIGMAS = 1.2, 3.0
 
 
-def frame_bounds(
+def compute_frame_bounds(
     baseline: Baseline, amplitude: float, sigma: float, exposure_s: float, sensor: SensorModel, side: int
 ) -> np.ndarray:
-    """Bounds on the standard deviations of amplitude [DN], x0, y0 [px], σ_g [px] and offset [DN] from one frame of
-    side × side pixels with a centred spot, all five unknown.
+    """Return bounds on the standard deviations of amplitude [DN], x0, y0 [px], σ_g [px] and offset [DN] from one frame.
 
-    σ_g is that of a circular spot, and so also the bound on the mean of both widths of an elliptical fit.
+    The frame has side × side pixels and a centred circular spot, all five parameters unknown. The bound on σ_g is also
+    that on the mean of both widths of an elliptical fit.
     """
     pixel, middle = np.arange(side, dtype=float), side // 2
     dark_e = sensor.dark_current_e_per_s * exposure_s
@@ -38,12 +50,12 @@ def frame_bounds(
         light = baseline.declared_light(pixel[None, :], pixel[:, None], peak, x0, y0, width) + offset
         return light / sensor.gain_dn_per_e + dark_e
 
-    at = (amplitude, middle, middle, sigma, 0.0)
-    matrix = fisher.of_mean(mean_e, at, lambda mean: fisher.reading_information(mean, sensor))
-    return np.sqrt(fisher.bounds(matrix))
+    parameters = (amplitude, middle, middle, sigma, 0.0)
+    matrix = fisher.information_of_mean(mean_e, parameters, lambda mean: fisher.reading_information(mean, sensor))
+    return np.sqrt(fisher.cramer_rao_bounds(matrix))
 
 
-def precision_of(
+def compute_precision(
     fits: dict[str, xr.Dataset],
     calibration: xr.Dataset,
     instrument: Instrument,
@@ -51,99 +63,91 @@ def precision_of(
     sensor: SensorModel | None,
     side: int,
 ) -> xr.Dataset:
-    """Precision file of `measured` and `simulated` fits; `skipped` where the sensor's noise is unknown.
+    """Return precision.nc from `measured` and `simulated` fits; only `skipped` if the sensor's noise is unknown.
 
-    `scatter`, `bound` and `ratio` [parameter, source, grid without repeat] with the ratio's standard error and the
-    number of frames; where a law in t was found, the bounds over `fine_exposure`, else `no_design` says why not.
+    For each source: `scatter`, `bound` and `ratio` [parameter, grid without repeat] with the ratio's standard error and
+    the number of frames. The bounds over `fine_exposure` need a law over exposure time; without it the attribute
+    `no_design` gives the reason.
+
+    Parameters
+    ----------
+    fits : fits.nc by source, "measured" and "simulated".
+    calibration : calibration.nc of the dataset.
+    instrument : optics, laser and photon budget.
+    exposures : exposure times of the dataset [s].
+    sensor : model of the sensor; None if gain or read noise is unknown.
+    side : rows and columns of a frame [px].
     """
     titles = {name: fits["measured"].attrs[name] for name in ("title", "dataset", "not_recorded")}
     ds = xr.Dataset(attrs=titles)
     if sensor is None:
         return ds.assign_attrs(skipped="the bound needs gain and read noise of the sensor")
-    for source, found in fits.items():
-        for name, values in _scatter(preferred(found)).items():
+    for source, source_fits in fits.items():
+        for name, values in _compare_scatter(select_preferred_fits(source_fits)).items():
             ds[f"{name}_{source}"] = values
-    peak = np.nan if "skipped" in calibration.attrs else float(calibration["peak"].sel(estimator=USED))
-    if not np.isfinite(peak):
-        why = calibration.attrs.get("skipped", "no peak was found below full scale")
-        return ds.assign_attrs(no_design=f"the bound over exposure needs a law in t: {why}")
-    p1, p2 = (float(calibration[n].sel(estimator=USED)) for n in ("p1_mean", "p2_mean"))
-    return _design(ds, of_instrument(instrument, exposures), p1, p2, peak, exposures, sensor, side)
+    law = read_width_law(calibration)
+    if law is None:
+        reason = calibration.attrs.get("skipped", "no peak was found below full scale")
+        return ds.assign_attrs(no_design=f"the bound over exposure needs a law in t: {reason}")
+    _add_bounds_over_exposure(ds, of_instrument(instrument, exposures), law, exposures, sensor, side)
+    return ds
 
 
-def _scatter(fits: xr.Dataset) -> dict[str, xr.DataArray]:
-    good = (fits["status"] & store.UNTRUSTED) == 0
+def _compare_scatter(fits: xr.Dataset) -> dict[str, xr.DataArray]:
+    """Return scatter over repeats, bound, ratio with its error, and frames [parameter, grid without repeat]."""
+    is_trusted = (fits["status"] & store.UNTRUSTED) == 0
     value, stderr = (
-        xr.concat([fits[f"{n}{suffix}"].where(good) for n in SCATTERED], dim="parameter", coords="minimal")
+        xr.concat([fits[f"{n}{suffix}"].where(is_trusted) for n in SCATTERED], dim="parameter", coords="minimal")
         for suffix in ("", "_stderr")
     )
     names = {"parameter": ("parameter", np.array(SCATTERED, dtype=object))}
     value, stderr = (v.drop_vars(["fit", "centring"], errors="ignore").assign_coords(names) for v in (value, stderr))
     value["parameter"].attrs.update(units="1", long_name="fitted parameter")
-    count = good.sum("repeat").drop_vars(["fit", "centring"], errors="ignore")
-    enough = count > 1
-    scatter = value.std("repeat", ddof=1).where(enough)
-    bound = ((stderr**2).mean("repeat") ** 0.5).where(enough)
+    count = is_trusted.sum("repeat").drop_vars(["fit", "centring"], errors="ignore")
+    scatter = value.std("repeat", ddof=1).where(count > 1)
+    bound = ((stderr**2).mean("repeat") ** 0.5).where(count > 1)
     ratio = scatter / bound
-    texts = {
+    variables = {
         "scatter": (scatter, "of the parameter", "standard deviation (n - 1) over repeats"),
         "bound": (bound, "of the parameter", "Cramer-Rao bound on it, rms over repeats"),
         "ratio": (ratio, "1", "scatter over bound"),
         "ratio_stderr": (ratio / np.sqrt(2 * (count - 1)), "1", "standard error of the ratio"),
         "frames": (count, "1", "usable frames"),
     }
-    return {name: values.assign_attrs(units=units, long_name=text) for name, (values, units, text) in texts.items()}
+    return {
+        name: values.assign_attrs(units=units, long_name=long_name)
+        for name, (values, units, long_name) in variables.items()
+    }
 
 
-def _design(
-    ds: xr.Dataset,
-    baseline: Baseline,
-    p1: float,
-    p2: float,
-    peak: float,
-    exposures: np.ndarray,
-    sensor: SensorModel,
-    side: int,
-) -> xr.Dataset:
-    fine = np.geomspace(exposures.min() / BEYOND, exposures.max() * BEYOND, POINTS)
-    fine = fine[baseline.sigma(fine, p1, p2) > 1.0]
-    times = np.concatenate([fine, exposures])
-    found = np.array(
-        [
-            frame_bounds(baseline, peak * baseline.relative_peak(t, p1, p2), baseline.sigma(t, p1, p2), t, sensor, side)
-            for t in times
-        ]
-    )
-    width = found[: len(fine), 3]
-    ds["fine_exposure"] = ("fine_exposure", fine, {"units": "s", "long_name": "exposure time"})
-    ds["design_exposure"] = ("design_exposure", exposures, {"units": "s", "long_name": "exposure time of the dataset"})
-    for k, (name, units, text) in enumerate(
-        (
-            ("amplitude", "DN", "peak"),
-            ("x_centre", "pixel", "column of the centre"),
-            ("y_centre", "pixel", "row of the centre"),
-            ("sigma", "pixel", "direction-averaged width"),
-            ("offset", "DN", "offset"),
-        )
-    ):
-        long_name = f"bound on the standard deviation of the {text} from one frame"
-        for dim, values in (("fine_exposure", found[: len(fine), k]), ("design_exposure", found[len(fine) :, k])):
-            ds[f"{name}_bound_over_{dim}"] = (dim, values, {"units": units, "long_name": long_name})
-    least = int(np.argmin(width))
-    enough = int(np.argmax(width <= (1 + ENOUGH) * width[least]))
-    for name, k, text in (
-        ("best_exposure", least, "exposure with the least bound on the width"),
-        ("enough_exposure", enough, f"shortest exposure whose bound on the width is within {ENOUGH:.0%} of the least"),
-    ):
-        ds[name] = ((), fine[k], {"units": "s", "long_name": text})
-    top = peak * baseline.plateau(baseline.relative_peak(fine, p1, p2)) + sensor.black_level_dn
-    ds["plateau"] = ("fine_exposure", top, {"units": "DN", "long_name": "mean reading of the plateau without clips"})
-    return ds
+def _add_bounds_over_exposure(
+    ds: xr.Dataset, baseline: Baseline, law: WidthLaw, exposures: np.ndarray, sensor: SensorModel, side: int
+) -> None:
+    """Add the bounds of one frame over exposure time, the best and the sufficient exposure, and the plateau."""
+    fine = sample_exposures(baseline, law, exposures)
+    add_variable(ds, "fine_exposure", "fine_exposure", fine, "s", "exposure time")
+    add_variable(ds, "design_exposure", "design_exposure", exposures, "s", "exposure time of the dataset")
+    for dim, times in (("fine_exposure", fine), ("design_exposure", exposures)):
+        values = np.array([compute_frame_bounds(baseline, *law.spot_at(baseline, t), t, sensor, side) for t in times])
+        for k, (name, units, description) in enumerate(BOUND_PARAMETERS):
+            long_name = f"bound on the standard deviation of the {description} from one frame"
+            add_variable(ds, f"{name}_bound_over_{dim}", dim, values[:, k], units, long_name)
+    width_bound = ds["sigma_bound_over_fine_exposure"].values
+    best = int(np.argmin(width_bound))
+    sufficient = int(np.argmax(width_bound <= (1 + BOUND_TOLERANCE) * width_bound[best]))
+    add_variable(ds, "best_exposure", (), fine[best], "s", "exposure with the least bound on the width")
+    long_name = f"shortest exposure whose bound on the width is within {BOUND_TOLERANCE:.0%} of the least"
+    add_variable(ds, "enough_exposure", (), fine[sufficient], "s", long_name)
+    peak, _ = law.spot_at(baseline, fine)
+    plateau = baseline.plateau(peak) + sensor.black_level_dn
+    add_variable(ds, "plateau", "fine_exposure", plateau, "DN", "mean reading of the plateau without clips")
 
 
-def pooled_ratio(ds: xr.Dataset, source: str, parameter: str) -> tuple[float, float]:
-    """Scatter over bound of all conditions together, rms weighted by their degrees of freedom, and its standard
-    error."""
+def pool_ratios(ds: xr.Dataset, source: str, parameter: str) -> tuple[float, float]:
+    """Return the ratio of scatter to bound over all conditions, and its standard error; NaN without repeats.
+
+    It is the root mean square of the ratios, weighted by their degrees of freedom.
+    """
     ratio = ds[f"ratio_{source}"].sel(parameter=parameter).values
     freedom = np.where(np.isfinite(ratio), ds[f"frames_{source}"].values - 1, 0)
     if freedom.sum() < 1:
@@ -152,41 +156,45 @@ def pooled_ratio(ds: xr.Dataset, source: str, parameter: str) -> tuple[float, fl
     return float(pooled), float(pooled / np.sqrt(2 * freedom.sum()))
 
 
-def sentence(ds: xr.Dataset) -> str:
-    """What the file says, for a reader: how precise one frame is, which exposure is best, and what limits."""
-    parts = []
-    if "best_exposure" in ds:
-        times, width = ds["design_exposure"].values, ds["sigma_bound_over_design_exposure"].values
-        texts = [f"{value:.2g} px" for value in width]
-        own = ", ".join(f"{text} at {_time(t)}" for t, text in zip(times, texts, strict=True))
-        if len(set(texts)) == 1 and len(texts) > 1:
-            own = f"{texts[0]} from {_time(times[0])} to {_time(times[-1])}"
-        parts.append(f"One frame can fix the direction-averaged width to {own} (Cramér–Rao bound, standard deviation)")
-        best, enough = float(ds["best_exposure"]), float(ds["enough_exposure"])
-        fine = ds["fine_exposure"].values
-        edge = " (the longest that was looked at)" if best == fine[-1] else ""
-        edge = " (the shortest that was looked at)" if best == fine[0] else edge
-        parts.append(
-            f"the bound is least at {_time(best)}{edge}, {float(ds['sigma_bound_over_fine_exposure'].min()):.2g} px"
-        )
-        if enough < best:
-            parts.append(f"from {_time(enough)} on it falls by no more than {100 * ENOUGH:g} %")
+def summarize_precision(ds: xr.Dataset) -> str:
+    """Return precision.nc in one sentence: the bound of one frame, the best exposure, and what limits the fits."""
+    clauses = _describe_bounds(ds) if "best_exposure" in ds else []
     for source in ("measured", "simulated"):
-        ratio, error = pooled_ratio(ds, source, "sigma_mean")
+        ratio, error = pool_ratios(ds, source, "sigma_mean")
         # Copies of one frame do not scatter at all.
         if np.isfinite(ratio) and error > 0:
             digits = max(0, 1 - int(np.floor(np.log10(error))))
-            meaning = ""
+            conclusion = ""
             if source == "measured":
-                limited = ratio > 1 + 3 * error and ratio > 1.2
-                meaning = ": what differs between repeats limits, not noise" if limited else ": noise limits"
-            parts.append(
-                f"{source} widths scatter over repeats by {ratio:.{digits}f} ± {error:.{digits}f} bounds{meaning}"
+                exceeds = ratio > 1 + EXCESS_SIGMAS * error and ratio > EXCESS_RATIO
+                conclusion = ": what differs between repeats limits, not noise" if exceeds else ": noise limits"
+            clauses.append(
+                f"{source} widths scatter over repeats by {ratio:.{digits}f} ± {error:.{digits}f} bounds{conclusion}"
             )
-    text = "; ".join(parts)
+    text = "; ".join(clauses)
     return f"{text[0].upper()}{text[1:]}." if text else "No condition has two usable repeats."
 
 
-def _time(seconds: float) -> str:
+def _describe_bounds(ds: xr.Dataset) -> list[str]:
+    """Return clauses on the bound on the width at the dataset's exposures and at the best exposure."""
+    times = [_format_time(t) for t in ds["design_exposure"].values]
+    widths = [f"{value:.2g} px" for value in ds["sigma_bound_over_design_exposure"].values]
+    bounds = ", ".join(f"{width} at {time}" for time, width in zip(times, widths, strict=True))
+    if len(set(widths)) == 1 and len(widths) > 1:
+        bounds = f"{widths[0]} from {times[0]} to {times[-1]}"
+    best, sufficient = float(ds["best_exposure"]), float(ds["enough_exposure"])
+    fine, least = ds["fine_exposure"].values, float(ds["sigma_bound_over_fine_exposure"].min())
+    edges = {fine[-1]: " (the longest that was looked at)", fine[0]: " (the shortest that was looked at)"}
+    clauses = [
+        f"One frame can fix the direction-averaged width to {bounds} (Cramér–Rao bound, standard deviation)",
+        f"the bound is least at {_format_time(best)}{edges.get(best, '')}, {least:.2g} px",
+    ]
+    if sufficient < best:
+        clauses.append(f"from {_format_time(sufficient)} on it falls by no more than {100 * BOUND_TOLERANCE:g} %")
+    return clauses
+
+
+def _format_time(seconds: float) -> str:
+    """Return a time with three digits in µs, ms or s."""
     factor, unit = next((f, u) for f, u in ((1e6, "µs"), (1e3, "ms"), (1.0, "s")) if seconds * f < 1000 or u == "s")
     return f"{seconds * factor:.3g} {unit}"

@@ -1,18 +1,18 @@
-"""How well one image can tell a spot: Cramér–Rao bounds of a design, under the law that the spot fit uses."""
+"""Cramér–Rao bounds on the parameters of a spot in one image, under the distribution that the spot fit uses."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from spotcheck.fitting import fisher
+from spotcheck.fitting.spotfit import invert_information
 from spotcheck.model import spot
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import check_sensor, dark_signal
 
 
 class SpotBounds(NamedTuple):
-    """Smallest standard errors that an unbiased fit of one image can have, by the names and in the units of `SpotFits`:
-    DN, px, degrees. Infinite where the image does not tell a parameter.
+    """Smallest standard errors that an unbiased fit of one image can have; infinite if a parameter is undetermined.
 
     Examples
     --------
@@ -23,14 +23,14 @@ class SpotBounds(NamedTuple):
     (0.0062, inf)
     """
 
-    amplitude: float
-    x_centre: float
-    y_centre: float
-    sigma_major: float
-    sigma_minor: float
-    orientation: float
-    offset: float
-    sigma_mean: float
+    amplitude: float  # peak of the Gaussian above its offset [DN]
+    x_centre: float  # column of the centre [px]
+    y_centre: float  # row of the centre [px]
+    sigma_major: float  # standard deviation along the long axis [px]
+    sigma_minor: float  # standard deviation along the short axis [px]
+    orientation: float  # direction of the long axis [deg]
+    offset: float  # reading under the Gaussian [DN]
+    sigma_mean: float  # mean of both widths [px]
 
 
 def spot_bounds(
@@ -47,29 +47,28 @@ def spot_bounds(
     exposure_s: float = 0.0,
     top_hat: bool = False,
 ) -> SpotBounds:
-    """Cramér–Rao bounds on the parameters of a spot, all seven of them free, in one image.
+    """Return Cramér–Rao bounds on the seven free parameters of a spot in one image (Eqs. 34, 37 and 38 of the paper).
 
-    The information of each pixel is that of the sensor's law, with noise, rounding and clipping (Eqs. 34, 37 and 38 of
-    the paper); `fit_spots` reaches these bounds. Errors of a mean over n images are smaller by √n.
+    The information of each pixel includes noise, rounding and clipping of the sensor. `fit_spots` reaches these bounds.
+    Errors of a mean over n images are smaller by √n.
 
     Parameters
     ----------
-    sensor : gain, read noise, black level and full scale, and dark current where there is an exposure.
+    sensor : gain, read noise, black level and full scale, and dark current if there is an exposure.
     shape : rows and columns of the image.
     amplitude : peak of the Gaussian above its offset [DN]; K η times the photons on the brightest pixel.
     sigma_major, sigma_minor : standard deviations along the long and the short axis [px]; without the second the spot
         is round.
-    orientation : of the long axis, from +x (right) towards +y (down) [degree].
-    offset : reading under the Gaussian [DN]; by default that without light: black level, and dark current during
-        `exposure_s`.
+    orientation : direction of the long axis, from +x (right) towards +y (down) [degree].
+    offset : reading under the Gaussian [DN]; by default the black level plus dark current during `exposure_s`.
     x_centre, y_centre : column and row of the centre [px]; by default the middle of the image.
     exposure_s : exposure time [s], for dark current alone.
-    top_hat : the Gaussian is cut to a plateau at exp(−1/4) of its peak.
+    top_hat : whether the Gaussian is cut to a plateau at exp(−1/4) of its peak.
 
     Returns
     -------
     SpotBounds
-        Standard errors by name. Of a round spot the orientation is infinite, and both widths are along fixed axes.
+        Standard errors by name. The orientation of a round spot is infinite, and both widths are along fixed axes.
 
     Raises
     ------
@@ -105,23 +104,23 @@ def spot_bounds(
         return ((spot.top_hat(light, amplitude) if top_hat else light) + offset - black) / gain
 
     theta = (amplitude, x0, y0, sigma_major, minor, np.radians(orientation), offset)
-    matrix = fisher.of_mean(mean_e, theta, lambda mean: fisher.reading_information(mean, sensor))
-    # A turn of a round spot changes nothing; its slopes are 0 but for rounding.
-    told = np.array([k for k in range(7) if k != 5 or minor < sigma_major])
+    matrix = fisher.information_of_mean(mean_e, theta, lambda mean: fisher.reading_information(mean, sensor))
+    # The orientation of a round spot has no information but rounding errors.
+    determined = np.array([k for k in range(7) if k != 5 or minor < sigma_major])
+    block = np.ix_(determined, determined)
     covariance = np.full((7, 7), np.inf)
-    covariance[np.ix_(told, told)] = _inverse(matrix[np.ix_(told, told)])
+    if _is_positive_definite(matrix[block]):
+        covariance[block] = invert_information(matrix[block])
     error = np.sqrt(np.diag(covariance))
     error[5] = np.degrees(error[5])
     mean = np.sqrt((covariance[3, 3] + covariance[4, 4] + 2 * covariance[3, 4]) / 4)
     return SpotBounds._make([*error.tolist(), float(mean)])
 
 
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """I⁻¹, infinite where the matrix is singular. Scaled by its diagonal first: units differ by powers of ten."""
+def _is_positive_definite(matrix: np.ndarray) -> bool:
+    """Return whether a matrix scaled by its diagonal has only eigenvalues above rounding errors."""
     diagonal = np.diag(matrix)
-    if (diagonal > 0).all():
-        scale = 1 / np.sqrt(diagonal)
-        scaled = matrix * np.outer(scale, scale)
-        if np.linalg.eigvalsh(scaled)[0] > 1e-12:
-            return np.linalg.inv(scaled) * np.outer(scale, scale)
-    return np.full(matrix.shape, np.inf)
+    if not (diagonal > 0).all():
+        return False
+    scale = 1 / np.sqrt(diagonal)
+    return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > 1e-12)

@@ -1,8 +1,8 @@
 """The spot fit: an elliptical Gaussian with free centre, two widths, orientation, amplitude and offset.
 
-Maximum likelihood by the distribution of a reading (`estimate.reading_kernel`): shot, dark and read noise, gain,
-rounding; clipped pixels by the probability of being clipped; NaN pixels are left out. With equal weights it is the
-paper's estimator, unweighted least squares, and needs no sensor.
+The likelihood is the distribution of a reading (`reading_kernel`): shot, dark and read noise, gain and rounding, and
+the probability of being clipped. NaN pixels are left out. With equal weights the fit is the paper's estimator,
+unweighted least squares, and needs no sensor.
 """
 
 from collections.abc import Iterable, Mapping
@@ -10,11 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.fitting.fitted import NAMES, SpotFits
-from spotcheck.fitting.reading_kernel import Law, law_of
-from spotcheck.fitting.scoring import EQUAL, LIKELIHOOD, VARIANCE, one_pass
-from spotcheck.fitting.search import NARROWEST, chart_of, constrained, least_squares, theta_of, to_the_root
-from spotcheck.fitting.start import find_start
+from spotcheck.fitting.fit_results import NAMES, SpotFits
+from spotcheck.fitting.initial_estimate import estimate_start
+from spotcheck.fitting.optimization import (
+    NARROWEST,
+    Parametrization,
+    apply_constraints,
+    compute_jacobian,
+    compute_theta,
+    fit_least_squares,
+    run_fisher_scoring,
+)
+from spotcheck.fitting.reading_kernel import ReadingLaw, build_reading_law
+from spotcheck.fitting.spot_score import EQUAL, LIKELIHOOD, VARIANCE, score_spot
 from spotcheck.io.store import flag
 from spotcheck.model import spot
 from spotcheck.sensor import SensorModel
@@ -22,25 +30,24 @@ from spotcheck.sensor.model import check_sensor
 from spotcheck.sensor.pixel_maps import PixelMaps
 
 WEIGHTINGS = {"likelihood": LIKELIHOOD, "equal": EQUAL}
-# A spot has an orientation when its axes differ by more than noise makes of a round one: this χ² of 2 degrees of
-# freedom is exceeded by one round spot in 1000.
+# A spot has an orientation if its axes differ significantly: one round spot in 1000 exceeds this χ² of 2 degrees of
+# freedom.
 ROUND = 13.8
-# A width or an amplitude known to no better than this part of itself was not measured.
-KNOWN = 0.5
+# A width or an amplitude with a larger relative error was not measured.
+MAX_RELATIVE_ERROR = 0.5
+# A spot with a smaller width [px] cannot be trusted: pixels do not sample it.
+NARROWEST_TRUSTED = 0.3
+# Least variance [px²] that remains of a width after that of a pixel is removed.
+LEAST_VARIANCE = 1e-6
 
 
-class Design(NamedTuple):
-    """What is fitted: which of the seven are free, the values of the others (orientation in rad), ties and shapes."""
+class FitDesign(NamedTuple):
+    """Parameters and shape of a fit."""
 
-    free: np.ndarray
-    held: np.ndarray
-    circular: bool
-    top_hat: bool
-
-    @property
-    def shaped(self) -> bool:
-        """With all seven free the search runs in the inverse covariance, where a round spot is no special point."""
-        return not bool(self.free.all())
+    coordinates: Parametrization  # coordinates of the search
+    fixed_values: np.ndarray  # values of the parameters that are not free, orientation in rad [7]
+    top_hat: bool  # whether the light has a plateau
+    integrated: bool  # whether a pixel reads the mean of the light over it
 
 
 def fit_spots(
@@ -56,34 +63,32 @@ def fit_spots(
 ) -> SpotFits:
     """Fit one elliptical Gaussian spot on a constant offset in each image, by maximum likelihood.
 
-    No start values are needed. The likelihood is that of the readings under the sensor's own law: shot and read noise,
-    rounding, and clipped pixels by the probability of being clipped. The fit reaches the Cramér–Rao bound, which
-    `spot_bounds` gives.
+    No start values are needed. The likelihood is that of the sensor's readings: shot and read noise, rounding, and
+    clipped pixels by the probability of being clipped. The fit reaches the Cramér–Rao bound, which `spot_bounds` gives.
 
     Parameters
     ----------
     images : one image [rows, columns] in DN, or several, of one size or of many. Pixels that are NaN or masked are left
         out. Readings need not be whole: a mean of n frames has their gain over n and their read noise times √n. A
         single image gives a single spot: plain numbers in place of arrays.
-    sensor : gain, read noise, black level, full scale and bend of the response; dark current is part of the fitted
-        offset.
-    weighting : "likelihood", or "equal" for unweighted least squares, with the errors that the sensor's noise causes.
-        It does without a sensor: errors are then those of white noise as large as the residuals, which is too small
-        where light brings shot noise (by a factor of two to three for a bright spot), and χ² is NaN.
-    top_hat : fit the Gaussian under a plateau at exp(−1/4) of its peak (Eqs. 39–40 of the paper).
-    integrated : light is integrated over each pixel and not sampled at its centre: amplitude and widths are those of
-        the light before, to 2e-3/σ⁴ of the peak for a width of σ px.
-    fixed : parameters by name that are held at a value, such as `{"offset": 40.0}`; their standard error is 0.
-    circular : fit one width for both axes.
-    maps : offsets and gains of the images' pixels, which enter the likelihood of every reading with what they are
-        uncertain by; equal weights take all pixels for alike.
+    sensor : gain, read noise, black level, full scale and curvature of the response; the fitted offset includes dark
+        current.
+    weighting : "likelihood", or "equal" for unweighted least squares with the errors that the sensor's noise causes.
+        Without a sensor, errors with equal weights are those of white noise as large as the residuals, and χ² is NaN.
+        These errors are too small with shot noise, by a factor of two to three for a bright spot.
+    top_hat : whether the Gaussian has a plateau at exp(−1/4) of its peak (Eqs. 39–40 of the paper).
+    integrated : whether a pixel reads the mean of the light over it, not the light at its centre. Amplitude and widths
+        are then those of the light itself, to 2e-3/σ⁴ of the peak for a width of σ px.
+    fixed : values of parameters that are not fitted, such as `{"offset": 40.0}`; their standard error is 0.
+    circular : whether one width is fitted for both axes.
+    maps : offsets and gains of the images' pixels with their uncertainty; equal weights ignore them.
 
     Returns
     -------
     SpotFits
-        Values and standard errors by name, covariance, χ² and status of each spot; centres count from the centre of
-        the image's first pixel. Where `status` is "not_converged" every value is NaN. A spot that is round within its
-        noise has an orientation with infinite standard error.
+        Values and standard errors by name, covariance, χ² and status of each spot. Centres count from the centre of the
+        image's first pixel. If `status` is "not_converged" every value is NaN. A spot that is round within its noise
+        has an orientation with infinite standard error.
 
     Raises
     ------
@@ -114,34 +119,38 @@ def fit_spots(
         raise ValueError(f"weighting: {weighting!r} is none of {', '.join(WEIGHTINGS)}")
     if weighting == "likelihood" and sensor is None:
         raise ValueError("sensor: the likelihood needs a gain and a read noise; without them use equal weights")
-    design = _design(dict(fixed or {}), circular, top_hat, integrated)
-    law, shapes, outcomes = law_of(None if sensor is None else check_sensor(sensor), maps), [], []
-    between: dict[tuple[int, ...], Law] = {}
-    single = getattr(images, "ndim", None) == 2
-    each: Iterable[np.ndarray] = [np.asanyarray(images)] if single else images
-    for number, image in enumerate(each):
-        pixels, own = _pixels(image, number), law
+    design = _build_design(dict(fixed or {}), circular, top_hat, integrated)
+    law = build_reading_law(None if sensor is None else check_sensor(sensor), maps)
+    # Laws of readings between whole numbers, by the shape of the image.
+    fractional_laws: dict[tuple[int, ...], ReadingLaw] = {}
+    is_single = getattr(images, "ndim", None) == 2
+    sequence: Iterable[np.ndarray] = [np.asanyarray(images)] if is_single else images
+    shapes, results = [], []
+    for number, image in enumerate(sequence):
+        pixels, image_law = _prepare_pixels(image, number), law
         if weighting == "likelihood" and maps is None and not np.array_equal(pixels, np.rint(pixels), equal_nan=True):
-            if pixels.shape not in between:
-                between[pixels.shape] = _law_between(sensor, pixels.shape)
-            own = between[pixels.shape]
+            if pixels.shape not in fractional_laws:
+                # Uniform maps without errors change nothing but let readings be fractional.
+                uniform_maps = PixelMaps(np.zeros(pixels.shape), np.ones(pixels.shape))
+                fractional_laws[pixels.shape] = build_reading_law(sensor, uniform_maps)
+            image_law = fractional_laws[pixels.shape]
         if sensor is not None:
             pixels = sensor.linearize(pixels)
         if maps is not None:
-            pixels = _on_maps(pixels, maps, number)
+            pixels = _mask_unmapped_pixels(pixels, maps, number)
         shapes.append(pixels.shape)
-        outcomes.append(_search(pixels, own, WEIGHTINGS[weighting], sensor is not None, design))
-    size = int(design.free.sum())
+        results.append(_fit_image(pixels, image_law, WEIGHTINGS[weighting], sensor is not None, design))
+    size = int(design.coordinates.free.sum())
     points, covariance, chi2 = (
-        np.array([outcome[k] for outcome in outcomes]).reshape(len(outcomes), *shape)
+        np.array([result[k] for result in results]).reshape(len(results), *shape)
         for k, shape in enumerate(((7,), (size, size), ()))
     )
-    fits = _natural(points, covariance, chi2, np.array(shapes).reshape(-1, 2), design, integrated)
-    return fits[0] if single else fits
+    fits = _convert_to_parameters(points, covariance, chi2, np.array(shapes).reshape(-1, 2), design)
+    return fits[0] if is_single else fits
 
 
-def _pixels(image: np.ndarray, number: int) -> np.ndarray:
-    """An image as the compiled code takes it, NaN where it is masked."""
+def _prepare_pixels(image: np.ndarray, number: int) -> np.ndarray:
+    """Return an image [row, column] as contiguous floats with NaN for masked pixels; `number` is for messages."""
     if np.ma.isMaskedArray(image):
         image = np.ma.filled(image.astype(float), np.nan)
     pixels = np.asarray(image, dtype=float)
@@ -150,163 +159,165 @@ def _pixels(image: np.ndarray, number: int) -> np.ndarray:
     return np.ascontiguousarray(pixels)
 
 
-def _law_between(sensor: SensorModel | None, shape: tuple[int, ...]) -> Law:
-    """The law of readings between whole numbers: that of pixels whose offsets are known to be such."""
-    return law_of(sensor, PixelMaps(np.zeros(shape), np.ones(shape)))
-
-
-def _on_maps(pixels: np.ndarray, maps: PixelMaps, number: int) -> np.ndarray:
-    """The image, NaN where the maps know nothing of a pixel."""
+def _mask_unmapped_pixels(pixels: np.ndarray, maps: PixelMaps, number: int) -> np.ndarray:
+    """Return an image with NaN for pixels that the maps do not cover; `number` is for messages."""
     if pixels.shape != np.shape(maps.gain) or pixels.shape != np.shape(maps.offset_dn):
         raise ValueError(f"maps: have the shape {np.shape(maps.gain)}, but image {number} has {pixels.shape}")
     return np.where(np.isfinite(maps.offset_dn) & np.isfinite(maps.gain), pixels, np.nan)
 
 
-def _design(held: dict[str, float], circular: bool, top_hat: bool, integrated: bool) -> Design:
-    if unknown := set(held) - set(NAMES[:7]):
+def _build_design(fixed: dict[str, float], is_circular: bool, top_hat: bool, integrated: bool) -> FitDesign:
+    """Check the options of a fit and return its design."""
+    if unknown := set(fixed) - set(NAMES[:7]):
         raise ValueError(f"fixed: {', '.join(sorted(unknown))} is none of {', '.join(NAMES[:7])}")
-    if circular and {"sigma_minor", "orientation"} & set(held):
+    if is_circular and {"sigma_minor", "orientation"} & set(fixed):
         raise ValueError("fixed: a circular spot has one width, sigma_major, and no orientation")
-    if integrated and (top_hat or "amplitude" in held):
+    if integrated and (top_hat or "amplitude" in fixed):
         raise ValueError("integrated: not together with a top hat or a fixed amplitude")
-    for name, value in held.items():
+    for name, value in fixed.items():
         if not np.isfinite(value) or (name.startswith("sigma") and value < NARROWEST):
-            raise ValueError(f"fixed: {name} is {value!r}; a finite number, and for a width at least {NARROWEST} px")
-    free = np.array([name not in held for name in NAMES[:7]])
-    values = np.array([held.get(name, 0.0) for name in NAMES[:7]], dtype=float)
+            raise ValueError(
+                f"fixed: {name} is {value!r}; give a finite number, and for a width at least {NARROWEST} px"
+            )
+    free = np.array([name not in fixed for name in NAMES[:7]])
+    values = np.array([fixed.get(name, 0.0) for name in NAMES[:7]], dtype=float)
     values[5] = np.radians(values[5])
-    if circular:
+    if is_circular:
         free[4:6] = False
     if integrated:
+        # The search fits the light as pixels read it, wider by the variance of a pixel.
         values[3:5] = np.sqrt(values[3:5] ** 2 + spot.PIXEL_VARIANCE)
-    return Design(free, values, circular, top_hat)
+    # θ is regular at a round spot, but widths can be fixed only as such.
+    uses_widths = not bool(free.all())
+    return FitDesign(Parametrization(free, uses_widths, is_circular), values, top_hat, integrated)
 
 
-def _search(pixels: np.ndarray, law: Law, weighting: int, known_noise: bool, design: Design):
-    """Point [7], covariance of the free parameters and χ² per degree of freedom of one image; NaN without a root."""
-    free, shaped, circular, flat = design.free, design.shaped, design.circular, design.top_hat
-    size = int(free.sum())
-    nothing = np.full(7, np.nan), np.full((size, size), np.nan), np.nan
-    point, found = find_start(pixels, law, flat)
-    if not found:
-        return nothing
-    if shaped:
-        point = constrained(point, free, circular, design.held)
-        point = least_squares(pixels, point, law, flat, free, shaped, circular)
-    point, information, chi2, used, good = to_the_root(pixels, point, weighting, law, flat, free, shaped, circular)
-    if not good:
-        return nothing
-    covariance, freedom = _inverse(information), max(used - size, 1)
-    if weighting == EQUAL and known_noise:
-        chart = chart_of(point, free, shaped, circular)
-        _, spread, chi2, used = one_pass(pixels, theta_of(point, shaped), VARIANCE, law, flat)
-        covariance, freedom = covariance @ (chart.T @ spread @ chart) @ covariance, max(used - size, 1)
+def _fit_image(pixels: np.ndarray, law: ReadingLaw, weighting: int, has_sensor: bool, design: FitDesign):
+    """Return point [7], covariance [free, free] and χ² per degree of freedom of one image; NaN without a root."""
+    coordinates, top_hat = design.coordinates, design.top_hat
+    size = int(coordinates.free.sum())
+    failure = np.full(7, np.nan), np.full((size, size), np.nan), np.nan
+    point, has_light = estimate_start(pixels, law, top_hat)
+    if not has_light:
+        return failure
+    if coordinates.uses_widths:
+        point = apply_constraints(point, coordinates, design.fixed_values)
+        point = fit_least_squares(pixels, point, law, top_hat, coordinates)
+    point, information, chi2, used, is_root = run_fisher_scoring(pixels, point, weighting, law, top_hat, coordinates)
+    if not is_root:
+        return failure
+    covariance, degrees = invert_information(information), max(used - size, 1)
+    if weighting == EQUAL and has_sensor:
+        # Sandwich covariance: equal weights, variances of the sensor.
+        jacobian, theta = compute_jacobian(point, coordinates), compute_theta(point, coordinates)
+        _, score_covariance, chi2, used = score_spot(pixels, theta, VARIANCE, law, top_hat)
+        covariance = covariance @ (jacobian.T @ score_covariance @ jacobian) @ covariance
+        degrees = max(used - size, 1)
     elif weighting == EQUAL:
-        covariance, chi2 = covariance * chi2 / freedom, np.nan
-    return point, covariance, chi2 / freedom
+        covariance, chi2 = covariance * chi2 / degrees, np.nan
+    return point, covariance, chi2 / degrees
 
 
-def _inverse(information: np.ndarray) -> np.ndarray:
-    """Inverse of a positive definite matrix, scaled by its diagonal first: its units differ by many powers of ten."""
-    scale = 1 / np.sqrt(np.diag(information))
-    return np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+def invert_information(matrix: np.ndarray) -> np.ndarray:
+    """Return I(θ)⁻¹ of a positive definite matrix, scaled by its diagonal first: units differ by many powers of ten."""
+    scale = 1 / np.sqrt(np.diag(matrix))
+    return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
 
 
-def _natural(points, covariance, chi2, shapes, design: Design, integrated: bool) -> SpotFits:
-    """From points of the search to parameters by name."""
-    count, free = len(points), design.free
-    if design.shaped:
-        value, slopes = points.copy(), np.broadcast_to(np.eye(7), (count, 7, 7)).copy()
-        if design.circular:
+def _convert_to_parameters(
+    points: np.ndarray, covariance: np.ndarray, chi2: np.ndarray, shapes: np.ndarray, design: FitDesign
+) -> SpotFits:
+    """Return the fits from points [n, 7], their covariance [n, free, free], χ² [n] and shapes of the images [n, 2]."""
+    coordinates = design.coordinates
+    if coordinates.uses_widths:
+        value, slopes = points.copy(), np.broadcast_to(np.eye(7), (len(points), 7, 7)).copy()
+        if coordinates.is_circular:
             slopes[:, 4, 3] = 1.0
-        round_ = np.zeros(count, bool)
+        is_round = np.isfinite(points[:, 0]) & coordinates.is_circular
     else:
-        value, slopes = _widths(points)
-        round_ = _is_round(points, covariance)
-    if integrated:
-        _without_pixel(value, slopes)
-    slopes = slopes[:, :, free]
-    own = slopes @ covariance @ slopes.transpose(0, 2, 1)
-    mean = (own[:, 3, 3] + own[:, 4, 4] + 2 * own[:, 3, 4]) / 4
-    variance = np.concatenate([np.einsum("nii->ni", own), mean[:, None]], axis=1)
+        value, slopes = _convert_theta_to_widths(points)
+        is_round = _test_roundness(points, covariance)
+    if design.integrated:
+        _remove_pixel_variance(value, slopes)
+    slopes = slopes[:, :, coordinates.free]
+    covariance = slopes @ covariance @ slopes.transpose(0, 2, 1)
+    mean_variance = (covariance[:, 3, 3] + covariance[:, 4, 4] + 2 * covariance[:, 3, 4]) / 4
+    variance = np.concatenate([np.einsum("nii->ni", covariance), mean_variance[:, None]], axis=1)
     stderr = np.sqrt(np.maximum(variance, 0.0))
-    if design.circular:
-        round_[:] = np.isfinite(value[:, 0])
-    own[round_, 5, :] = own[round_, :, 5] = 0.0
-    own[round_, 5, 5] = stderr[round_, 5] = np.inf
+    covariance[is_round, 5, :] = covariance[is_round, :, 5] = 0.0
+    covariance[is_round, 5, 5] = stderr[is_round, 5] = np.inf
     value = np.append(value, value[:, 3:5].mean(axis=1, keepdims=True), axis=1)
+    # Orientation from rad to degrees, 0 … 180.
     value[:, 5] = np.degrees(value[:, 5]) % 180.0
     stderr[:, 5] = np.degrees(stderr[:, 5])
-    own[:, 5, :] = np.degrees(own[:, 5, :])
-    own[:, :, 5] = np.degrees(own[:, :, 5])
-    return SpotFits(value, stderr, own, chi2, _flags(value, stderr, shapes))
+    covariance[:, 5, :] = np.degrees(covariance[:, 5, :])
+    covariance[:, :, 5] = np.degrees(covariance[:, :, 5])
+    return SpotFits(value, stderr, covariance, chi2, _flag_fits(value, stderr, shapes))
 
 
-def _widths(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Amplitude, centre, widths, orientation [rad], offset of θ [n, 7], and their derivatives [n, 7, 7]."""
+def _convert_theta_to_widths(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return amplitude, centre, widths, orientation [rad] and offset of θ [n, 7], and their derivatives [n, 7, 7]."""
     a, b, c = theta[:, 3], theta[:, 4], theta[:, 5]
     half, mean = (a - c) / 2, (a + c) / 2
     spread = np.hypot(half, b)
     orientation = np.arctan2(-b, -half) / 2
     u, v = np.cos(orientation), np.sin(orientation)
-    curvature = np.stack([mean - spread, mean + spread])
+    # Eigenvalues of the inverse covariance [1/px²] along the long and the short axis.
+    eigenvalues = np.stack([mean - spread, mean + spread])
     value = theta.copy()
-    value[:, 3:5], value[:, 5] = curvature.T**-0.5, orientation
+    value[:, 3:5], value[:, 5] = eigenvalues.T**-0.5, orientation
     slopes = np.broadcast_to(np.eye(7), (len(theta), 7, 7)).copy()
-    along, across = np.stack([u * u, 2 * u * v, v * v]), np.stack([v * v, -2 * u * v, u * u])
-    slopes[:, 3, 3:6] = (-0.5 * curvature[0] ** -1.5 * along).T
-    slopes[:, 4, 3:6] = (-0.5 * curvature[1] ** -1.5 * across).T
-    turn = np.stack([-u * v, u * u - v * v, u * v])
-    slopes[:, 5, 3:6] = (turn / -np.maximum(2 * spread, 1e-300)).T
+    major_slopes, minor_slopes = np.stack([u * u, 2 * u * v, v * v]), np.stack([v * v, -2 * u * v, u * u])
+    slopes[:, 3, 3:6] = (-0.5 * eigenvalues[0] ** -1.5 * major_slopes).T
+    slopes[:, 4, 3:6] = (-0.5 * eigenvalues[1] ** -1.5 * minor_slopes).T
+    orientation_slopes = np.stack([-u * v, u * u - v * v, u * v])
+    slopes[:, 5, 3:6] = (orientation_slopes / -np.maximum(2 * spread, 1e-300)).T
     return value, slopes
 
 
-def _is_round(theta: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Whether (a − c)/2 and b are 0 within their errors, which makes the spot round [n]."""
-    form = np.zeros((2, 7))
-    form[0, 3], form[0, 5], form[1, 4] = 0.5, -0.5, 1.0
-    ellipse = theta @ form.T
-    known = np.isfinite(theta[:, 0])
-    out = np.zeros(len(theta), bool)
-    out[known] = (
-        np.einsum(
-            "ni,ni->n",
-            ellipse[known],
-            np.linalg.solve(form @ covariance[known] @ form.T, ellipse[known][..., None])[..., 0],
-        )
-        < ROUND
-    )
-    return out
+def _test_roundness(theta: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return whether (a − c)/2 and b of θ [n, 7] are 0 within their errors, which makes a spot round [n]."""
+    projection = np.zeros((2, 7))
+    projection[0, 3], projection[0, 5], projection[1, 4] = 0.5, -0.5, 1.0
+    is_fitted = np.isfinite(theta[:, 0])
+    ellipticity = theta[is_fitted] @ projection.T
+    weighted = np.linalg.solve(projection @ covariance[is_fitted] @ projection.T, ellipticity[..., None])[..., 0]
+    is_round = np.zeros(len(theta), bool)
+    is_round[is_fitted] = np.einsum("ni,ni->n", ellipticity, weighted) < ROUND
+    return is_round
 
 
-def _without_pixel(value: np.ndarray, slopes: np.ndarray) -> None:
-    """Take the pixel's own width off, in place: σ² − 1/12 along each axis, the peak raised as the area shrinks."""
-    seen = value[:, 3:5].copy()
-    own = np.sqrt(np.maximum(seen**2 - spot.PIXEL_VARIANCE, 1e-6))
-    raised = np.prod(seen, axis=1) / np.prod(own, axis=1)
-    # d ln A = d ln(σ seen) − d ln(σ own), with σ own dσ own = σ seen dσ seen
+def _remove_pixel_variance(value: np.ndarray, slopes: np.ndarray) -> None:
+    """Replace widths by those of the light before integration over pixels, in place: σ² − 1/12 along each axis.
+
+    The peak grows as the area of the spot shrinks. `value` is [n, 7], `slopes` [n, 7, 7].
+    """
+    sampled = value[:, 3:5].copy()
+    light = np.sqrt(np.maximum(sampled**2 - spot.PIXEL_VARIANCE, LEAST_VARIANCE))
+    growth = np.prod(sampled, axis=1) / np.prod(light, axis=1)
+    # d ln A = d ln σ_sampled − d ln σ_light, with σ_light dσ_light = σ_sampled dσ_sampled
     for k in (0, 1):
-        share = 1 / seen[:, k] - seen[:, k] / own[:, k] ** 2
-        slopes[:, 0, :] += (value[:, 0] * share)[:, None] * slopes[:, 3 + k, :]
-    slopes[:, 0, :] *= raised[:, None]
-    slopes[:, 3:5, :] *= (seen / own)[:, :, None]
-    value[:, 0] *= raised
-    value[:, 3:5] = own
+        log_slope = 1 / sampled[:, k] - sampled[:, k] / light[:, k] ** 2
+        slopes[:, 0, :] += (value[:, 0] * log_slope)[:, None] * slopes[:, 3 + k, :]
+    slopes[:, 0, :] *= growth[:, None]
+    slopes[:, 3:5, :] *= (sampled / light)[:, :, None]
+    value[:, 0] *= growth
+    value[:, 3:5] = light
 
 
-def _flags(value: np.ndarray, stderr: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Flags [n]: no root; or an amplitude, width or centre outside what the image can tell."""
+def _flag_fits(value: np.ndarray, stderr: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Return flags [n]: not converged, or an amplitude, width or centre that the image cannot determine."""
     amplitude, x, y, major, minor = value[:, :5].T
     rows, columns = shapes.T
     with np.errstate(invalid="ignore"):
-        trusted = (amplitude > 0) & (minor > 0.3) & (major < shapes.max(axis=1))
-        trusted &= (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
-        trusted &= np.all(stderr[:, [0, 3, 4]] <= KNOWN * np.abs(value[:, [0, 3, 4]]), axis=1)
-    return np.where(np.isnan(amplitude), flag("not_converged"), np.where(trusted, 0, flag("at_limit")))
+        is_trusted = (amplitude > 0) & (minor > NARROWEST_TRUSTED) & (major < shapes.max(axis=1))
+        is_trusted &= (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
+        is_trusted &= np.all(stderr[:, [0, 3, 4]] <= MAX_RELATIVE_ERROR * np.abs(value[:, [0, 3, 4]]), axis=1)
+    return np.where(np.isnan(amplitude), flag("not_converged"), np.where(is_trusted, 0, flag("at_limit")))
 
 
-def model_image(value: np.ndarray, side: int, top_hat: bool = False) -> np.ndarray:
-    """Fitted spot [side, side] in DN for values in the order of `PARAMETERS`, centre relative to the crop."""
+def render_fit(value: np.ndarray, side: int, top_hat: bool = False) -> np.ndarray:
+    """Return the fitted spot [side, side] in DN for values in the order of `PARAMETERS`, relative to the crop."""
     amplitude, x, y, major, minor, orientation, offset, _ = value
     pixel = np.arange(side, dtype=float)
     light = spot.elliptical_gaussian(

@@ -5,7 +5,7 @@ import xarray as xr
 
 from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.errors import InputError
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import progress, store
 from spotcheck.metrics.crop_metrics import CONTAINER_RANGE, PER_IMAGE, psnr, shift_image
 
@@ -70,7 +70,7 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
             "infinite": "both frames are alike to the last digit",
         },
     )
-    return _add_averages(ds).assign_attrs(preferred=fits["measured"].attrs["preferred"])
+    return _add_averages(ds).assign_attrs(select_preferred_fits=fits["measured"].attrs["select_preferred_fits"])
 
 
 def _measure_crops(crops: xr.Dataset, dims: tuple[str, ...], source: str) -> np.ndarray:
@@ -109,7 +109,7 @@ def _align_centres(
     """Return the measured crop and the simulated one, shifted to the same fitted centre; None without a fit."""
     images, rows, columns = [], [], []
     for source in SOURCES:
-        crop, fit = crops[source].sel(centring="light").isel(index), preferred(fits[source]).isel(index)
+        crop, fit = crops[source].sel(centring="light").isel(index), select_preferred_fits(fits[source]).isel(index)
         images.append(crop["image"].values)
         rows.append(float(fit["y_centre"]) - float(crop["top"]))
         columns.append(float(fit["x_centre"]) - float(crop["left"]))

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from spotcheck.fitting.propagation import regress
+from spotcheck.fitting.width_law import regress_widths
 from spotcheck.paper.results import CENTRING, Results
 
 
@@ -11,7 +11,7 @@ def _propagation(results: Results) -> tuple[np.ndarray, np.ndarray]:
     """Return p1 and p2 [angle, repeat] in px from the fits of the crops around the maximum."""
     fits = results.open_file("fits").sel(centring=CENTRING, fit="least_squares")
     width = fits["sigma_mean"].transpose("angle", "repeat", "exposure").values
-    return regress(width, fits["exposure"].values, results.baseline.laser_px)
+    return regress_widths(width, fits["exposure"].values, results.baseline.laser_px)
 
 
 def p1(results: Results) -> float:

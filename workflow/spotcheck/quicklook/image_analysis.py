@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.stats import chi2
 
 from spotcheck.characterization.outlier_pixels import find_outlier_pixels
-from spotcheck.fitting.fitted import NAMES, SpotFits
+from spotcheck.fitting.fit_results import NAMES, SpotFits
 from spotcheck.fitting.moments import AREA, Moments, second_moments
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.model import spot
@@ -89,7 +89,7 @@ class ImageResult:
     def moment_widths(self) -> Widths:
         """D4σ along the long and the short axis [px]; NaN if it was not measured."""
         moments = self.moments
-        if not moments.measured:
+        if not moments.is_measured:
             return [(np.nan, np.nan)] * 2
         return [(moments.major, moments.major_stderr), (moments.minor, moments.minor_stderr)]
 
@@ -116,7 +116,7 @@ class ImageResult:
             for (major, major_stderr), (minor, minor_stderr) in (self.moment_widths, self.fit_widths)
         )
         excess = by_moments / self.clip_widening / by_fit - 1
-        if excess < 0 and not self.moments.whole:
+        if excess < 0 and not self.moments.is_whole:
             return 0.0
         least = max(SIGNIFICANT_SIGMAS * np.hypot(moments_stderr, fit_stderr) / by_fit, SIGNIFICANT_PART)
         return float(excess) if abs(excess) > least else 0.0

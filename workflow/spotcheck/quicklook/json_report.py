@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from spotcheck.fitting.caustic import QUANTITIES
-from spotcheck.fitting.fitted import PARAMETERS, SpotFits
+from spotcheck.fitting.fit_results import PARAMETERS, SpotFits
 from spotcheck.fitting.moments import Moments
 from spotcheck.quicklook import text_report
 from spotcheck.quicklook.camera import Camera
@@ -65,10 +65,10 @@ def _convert_moments(moments: Moments, pitch_m: float | None) -> dict[str, Any]:
         **_with_error("d4sigma_minor", moments.minor, moments.minor_stderr, "_px", pitch_m),
         **_with_error("azimuth", moments.azimuth, moments.azimuth_stderr, "_deg"),
         **_with_error("background", moments.background, moments.background_stderr, "_dn"),
-        "area_inside": moments.inside,
-        "whole": moments.whole,
-        "settled": moments.settled,
-        "measured": moments.measured,
+        "area_inside": moments.area_fraction,
+        "whole": moments.is_whole,
+        "settled": moments.has_converged,
+        "measured": moments.is_measured,
     }
 
 

@@ -39,7 +39,7 @@ def draw_spot(image: ImageResult) -> style.Drawing:
     map_axes.add_patch(
         Ellipse(centre, *size, angle=float(fit.orientation), fill=False, edgecolor=FIT_COLOUR, linestyle=(0, (4, 2)))
     )
-    if moments.measured:
+    if moments.is_measured:
         _draw_moments(map_axes, moments)
     map_axes.set(xlim=picture.extent[:2], ylim=picture.extent[2:], xlabel="column / px", ylabel="row / px")
     for axes, profile, axis in zip(profile_axes, picture.profiles, ("longer axis", "shorter axis"), strict=True):
@@ -50,7 +50,7 @@ def draw_spot(image: ImageResult) -> style.Drawing:
     style.add_legend(figure, handles, labels, len(handles))
     caption = (
         f"{image.name}. Left: root of the readings, contour at 1/e² of the fitted Gaussian (white, dashed)"
-        + (", ellipse of D4σ (green) and its area of integration (dotted)" if moments.measured else "")
+        + (", ellipse of D4σ (green) and its area of integration (dotted)" if moments.is_measured else "")
         + ". Right: readings through the fitted centre, and the fit."
     )
     return style.Drawing(figure, caption)

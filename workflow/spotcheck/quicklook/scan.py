@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spotcheck.fitting.beam_axes import Widths, along, axes_of
-from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, fit_caustic, turned_text
+from spotcheck.fitting.beam_axes import SpotWidths, fit_beam_axes, project_widths
+from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, describe_axis_rotation, fit_caustic
 from spotcheck.quicklook.image_analysis import ImageResult
 
 MOMENTS, FIT = "second moments", "Gaussian fit"
@@ -46,7 +46,7 @@ def fit_scan(images: Sequence[ImageResult], pitch_m: float, wavelength_m: float)
 def _select_moments(image: ImageResult) -> tuple[float, ...] | None:
     """Return the fields of `Widths` [px, degree] by second moments; None if D4σ does not follow the standard."""
     moments = image.moments
-    if not (moments.measured and moments.whole):
+    if not (moments.is_measured and moments.is_whole):
         return None
     return (
         moments.major / 4, moments.minor / 4, moments.azimuth,
@@ -72,13 +72,13 @@ def _fit_beam(
     if (count := len(np.unique(z))) < FEWEST_POSITIONS:
         reason = f"widths at {FEWEST_POSITIONS} or more positions are needed; this scan has {count}"
         return BeamScan(method, z, left_out, reason)
-    spots = Widths(*np.array([values for values in widths if values is not None], float).T)
-    axes = axes_of(spots)
-    if axes.turned is not None:
-        return BeamScan(method, z, left_out, turned_text(axes, z))
+    spots = SpotWidths(*np.array([values for values in widths if values is not None], float).T)
+    axes = fit_beam_axes(spots)
+    if axes.rotated_spot is not None:
+        return BeamScan(method, z, left_out, describe_axis_rotation(axes, z))
     if np.isfinite(axes.azimuth_stderr):
         directions = {f"axis at {round(axes.azimuth + turn)}°": axes.azimuth + turn for turn in (0, 90)}
-        sigmas = {axis: along(spots, azimuth) for axis, azimuth in directions.items()}
+        sigmas = {axis: project_widths(spots, azimuth) for axis, azimuth in directions.items()}
     else:
         mean, mean_stderr = (spots.major + spots.minor) / 2, np.hypot(spots.major_stderr, spots.minor_stderr) / 2
         sigmas = {"mean of both axes": (mean, mean_stderr)}

@@ -90,7 +90,7 @@ def describe_image(image: ImageResult, pitch_m: float | None) -> Rows:
     peak, offset = (_format_value(*image.fit_value(name), "DN") for name in ("amplitude", "offset"))
     fit_size = _format_widths(image.fit_widths, pitch_m) + _format_axis(*image.fit_value("orientation"))
     size = "unknown: the error of D4σ exceeds half of its value"
-    if moments.measured:
+    if moments.is_measured:
         axis = _format_axis(moments.azimuth, moments.azimuth_stderr)
         size = f"D4σ {_format_widths(image.moment_widths, pitch_m)}{axis}"
     clip = _describe_clip(image)
@@ -108,7 +108,7 @@ def describe_image(image: ImageResult, pitch_m: float | None) -> Rows:
 def _describe_shape(image: ImageResult) -> str:
     """Return whether the spot is round and whether it is a Gaussian."""
     # ISO 11146-1 defines roundness by second moments; the fit is the substitute.
-    by_moments = image.moments.measured
+    by_moments = image.moments.is_measured
     (major, major_stderr), (minor, minor_stderr) = image.moment_widths if by_moments else image.fit_widths
     ratio = minor / major
     stderr = ratio * math.hypot(minor_stderr / minor, major_stderr / major)
@@ -159,10 +159,10 @@ def _find_cautions(image: ImageResult) -> list[Caution]:
             "not a Gaussian: the fitted width depends on the weights of pixels, which its error includes; reduced χ²"
         )
         cautions.append(Caution(sentence, f"{fit.chi2_reduced:.3g}"))
-    if moments.measured and not moments.whole:
+    if moments.is_measured and not moments.is_whole:
         sentence = f"{UNCERTAIN} D4σ is uncertain: its area of integration extends beyond the frame; part inside:"
-        cautions.append(Caution(sentence, f"{100 * moments.inside:.0f} %"))
-    if moments.measured and not moments.settled:
+        cautions.append(Caution(sentence, f"{100 * moments.area_fraction:.0f} %"))
+    if moments.is_measured and not moments.has_converged:
         cautions.append(Caution("D4σ does not converge: it keeps changing with its area of integration"))
     if (excess := image.width_excess) > 0:
         sentence = "light in the wings, a second spot or an uneven background: D4σ exceeds 4σ of the fit by"
@@ -203,7 +203,7 @@ def build_table(images: Sequence[ImageResult], pitch_m: float | None) -> tuple[l
         row = [name if len(name) <= LONGEST_NAME else f"…{name[1 - LONGEST_NAME :]}"]
         if has_z:
             row.append("" if image.z_m is None else f"{1e3 * image.z_m:.6g}")
-        mark = UNCERTAIN if image.moments.measured and not image.moments.whole else ""
+        mark = UNCERTAIN if image.moments.is_measured and not image.moments.is_whole else ""
         row += [_format_value(factor * width, factor * stderr) + mark for width, stderr in image.moment_widths]
         row += [_format_value(factor * width, factor * stderr) for width, stderr in image.fit_widths]
         if image.fit is None:

@@ -21,8 +21,8 @@ from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import spot_conditions
 from spotcheck.discrepancy.residuals import whole_crops
 from spotcheck.discrepancy.starting_spots import FittedSpots, acts_on_mean, fit_spots
-from spotcheck.fitting.fits import preferred
-from spotcheck.fitting.spot_states import spot_states
+from spotcheck.fitting.crop_fits import select_preferred_fits
+from spotcheck.fitting.spot_states import list_spot_states
 from spotcheck.io import progress, store
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.model.effect import AppliedEffect
@@ -300,8 +300,8 @@ def _coordinates(dataset: Dataset, line: NoiseLine, effects: Sequence[str]) -> x
 
 def simulate_views(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
     """Yield the simulated baseline at the fitted centre of each spot; a frame without a usable spot has no light."""
-    crops, fits = files["crops"].sel(centring="light"), preferred(files["fits"])
-    states = spot_states(dataset, files["calibration"], files["fits"])
+    crops, fits = files["crops"].sel(centring="light"), select_preferred_fits(files["fits"])
+    states = list_spot_states(dataset, files["calibration"], files["fits"])
     baseline = of_instrument(dataset.instrument, dataset.exposures)
     dims, pixel = store.grid_dims(files["crops"]), np.arange(dataset.instrument.crop_px, dtype=float)
     for index, row in dataset.cells():

@@ -12,7 +12,7 @@ from spotcheck.characterization import photon_transfer, sensor_choice
 from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.errors import InputError
 from spotcheck.fitting import caustic
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 
@@ -163,7 +163,7 @@ def _read_caustic(ds: xr.Dataset) -> NamedMeasurements:
 
 def _read_fits(ds: xr.Dataset) -> NamedMeasurements:
     """Yield widths and amplitude of the spots at each condition."""
-    fits = preferred(ds)
+    fits = select_preferred_fits(ds)
     is_good = (fits["status"] & store.UNTRUSTED) == 0
     # The standard error is inflated by √χ²_red if the residuals exceed the noise, after the Particle Data Group
     # (Review of Particle Physics, Introduction 5.2.2).

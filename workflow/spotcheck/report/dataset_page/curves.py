@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.characterization.transfer_data import read_quantities
-from spotcheck.fitting.precision import sentence
+from spotcheck.fitting.precision import summarize_precision
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.model.propagation import beam_propagation
 from spotcheck.report.figures import series, style
@@ -74,7 +74,7 @@ def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
     """Return the fitted widths over exposure, with the law of p1 and p2."""
     if "fits" not in files or "exposure" not in files["fits"].coords or files["fits"].sizes["exposure"] < 2:
         return None
-    fits = files["fits"].sel(centring="light", fit=files["fits"].attrs["preferred"])
+    fits = files["fits"].sel(centring="light", fit=files["fits"].attrs["select_preferred_fits"])
     times, unit, label = series.axis_values(fits, "exposure")
     dims = tuple(str(dim) for dim in fits["sigma_mean"].dims)
     across = series.choose_axes(fits, dims).abscissa
@@ -169,7 +169,9 @@ def _draw_precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
         "xaxis": _axis(style.axis_label(style.NAMES["exposure"], unit), type="log", dtick=1),
         "yaxis": _axis("standard deviation of σ̄ / px", type="log"),
     }
-    return Curve("curve-precision", "Precision of a frame", figure_json(data, layout), sentence(ds), "precision")
+    return Curve(
+        "curve-precision", "Precision of a frame", figure_json(data, layout), summarize_precision(ds), "precision"
+    )
 
 
 def _draw_bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:

@@ -10,7 +10,7 @@ import xarray as xr
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.words import number_text, over_noise_text
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
 from spotcheck.report.dataset_page.frame_packing import Layer, block_means, choose_block, choose_step, pack_layers
 from spotcheck.report.dataset_page.frame_remarks import (
@@ -135,7 +135,7 @@ def _layer_step(name: str, full_scale: float, block: int) -> float:
 
 def _describe_frame(files: FrameFiles, place: Place, frame: Frame, layers: Mapping[str, Layer]) -> dict[str, Any]:
     """Return the data of a frame for frames.js; the spot's centre and width are in px of the crop."""
-    crop, fit = files.crops.sel(centring="light").isel(place), preferred(files.fits).isel(place)
+    crop, fit = files.crops.sel(centring="light").isel(place), select_preferred_fits(files.fits).isel(place)
     left, top = int(crop["left"]), int(crop["top"])
     centre = np.array([float(fit["x_centre"]) - left, float(fit["y_centre"]) - top])
     if not np.isfinite(centre).all():
@@ -175,7 +175,7 @@ def _list_remarks(
     factors: Mapping[str, float],
 ) -> list[str]:
     """Return remarks on a frame: flags, deviations from the other frames, and the largest residual."""
-    fit, views = preferred(files.fits).isel(place), files.views
+    fit, views = select_preferred_fits(files.fits).isel(place), files.views
     left_out = str(fit["left_out"].values) if "left_out" in fit else ""
     remarks = describe_flags(int(fit["status"]), left_out, int(record["at_full_scale"]))
     remarks += describe_deviations(read_deviations(views, place, factors))

@@ -14,10 +14,10 @@ from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.words import number_text, value_text
 from spotcheck.errors import InputError
-from spotcheck.fitting.caustic import beam_rows
-from spotcheck.fitting.fits import preferred
-from spotcheck.fitting.fitted import PARAMETERS
-from spotcheck.fitting.precision import sentence
+from spotcheck.fitting.caustic import select_beam_rows
+from spotcheck.fitting.crop_fits import select_preferred_fits
+from spotcheck.fitting.fit_results import PARAMETERS
+from spotcheck.fitting.precision import summarize_precision
 from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
 from spotcheck.paper.plateau_level import estimate_plateau_levels
@@ -148,7 +148,7 @@ def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citation
     """Return the first frames, each with its fitted values and standard errors, and reduced χ²."""
     if fits is None:
         return []
-    chosen = preferred(fits)
+    chosen = select_preferred_fits(fits)
     rows = []
     for index, frame in list(dataset.cells())[:MOST_FITS]:
         fit = chosen.isel({axis.name: k for axis, k in zip(dataset.axes, index, strict=True)})
@@ -168,7 +168,7 @@ def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citation
 
 def describe_fit(fits: xr.Dataset | None) -> str:
     """Return the method of the fits in the table."""
-    return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['preferred']}"])
+    return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['select_preferred_fits']}"])
 
 
 def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
@@ -196,7 +196,7 @@ def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup
     if caustic is None:
         return None
     parts = []
-    for words, beam in beam_rows(caustic).items():
+    for words, beam in select_beam_rows(caustic).items():
         quantities = []
         for name, phrase, factor, unit in BEAM:
             text = plus_minus(float(beam[name]) * factor, float(beam[f"{name}_stderr"]) * factor, unit)
@@ -224,7 +224,7 @@ def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> di
                 key = ",".join([*labels, *([f"parameter={parameter}"] if parameter else [])])
                 cells.append(citations.cite(text, f"precision.{table}_{source}[{key}]"))
         rows.append((cell_label(precision, place) or "all frames", cells))
-    return {"sentence": sentence(precision), "rows": rows}
+    return {"sentence": summarize_precision(precision), "rows": rows}
 
 
 def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str, str]]:
@@ -245,7 +245,7 @@ def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple
     """Return frames that are not used, or not completely, with the meanings of their flags."""
     if fits is None:
         return []
-    chosen = preferred(fits).transpose(*(axis.name for axis in dataset.axes), ...)
+    chosen = select_preferred_fits(fits).transpose(*(axis.name for axis in dataset.axes), ...)
     status, left_out = chosen["status"].values, chosen["left_out"].values
     still_used = store.flag("clipped") | store.flag("misfit")
     rows = []

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from spotcheck.fitting.caustic import CONDITION, Hyperbola, beam_rows, half_width
+from spotcheck.fitting.caustic import CONDITION, Hyperbola, compute_interval_half_width, select_beam_rows
 from spotcheck.io.plus_minus import plus_minus
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
@@ -35,7 +35,7 @@ def draw_caustic(results: Results) -> style.Drawing:
         colour, marker, dashes = LOOKS[name]
         hyperbola = _read_hyperbola(beam)
         curve, stderr = hyperbola.radius(fine_z)
-        error = half_width(stderr, hyperbola.degrees)
+        error = compute_interval_half_width(stderr, hyperbola.degrees)
         (line,) = upper.plot(fine_z * z_factor, curve * w_factor, color=colour, linestyle=dashes)
         if has_azimuth or name == "mean":
             low, high = (curve - error) * w_factor, (curve + error) * w_factor
@@ -71,7 +71,7 @@ def _read_hyperbola(beam: xr.Dataset) -> Hyperbola:
 
 def _caption(ds: xr.Dataset, z_factor: float, z_unit: str) -> str:
     """Return the caption; `z_factor` converts m to the unit of the distance."""
-    beams = beam_rows(ds)
+    beams = select_beam_rows(ds)
     scatters = " and ".join(f"{100 * float(beam['scatter']):.2g} %" for beam in beams.values())
     azimuth = plus_minus(float(ds["azimuth"]), float(ds["azimuth_stderr"]))
     direction = (

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.crops.cropping import is_usable
-from spotcheck.fitting.fits import preferred
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import shift_image
 from spotcheck.report.figures import series, style
@@ -42,7 +42,7 @@ class FittedFrame(NamedTuple):
 
 def read_frame(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> FittedFrame | None:
     """Return the frame at an index of the grid; None without a usable crop or a trusted fit."""
-    crop, fit = crops.sel(centring="light").isel(index), preferred(fits).isel(index)
+    crop, fit = crops.sel(centring="light").isel(index), select_preferred_fits(fits).isel(index)
     names = ("y_centre", "x_centre", "sigma_major", "sigma_minor", "orientation")
     row, column, major, minor, direction = (float(fit[name]) for name in names)
     has_fit = np.isfinite([row, column, major, minor, direction]).all() and not int(fit["status"]) & store.UNTRUSTED

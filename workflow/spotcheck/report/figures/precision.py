@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from spotcheck.fitting.precision import SCATTERED, pooled_ratio, sentence
+from spotcheck.fitting.precision import SCATTERED, pool_ratios, summarize_precision
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
@@ -38,7 +38,7 @@ LOOKS = {
 def draw_precision(results: Results) -> style.Drawing:
     """Draw the standard deviation of the width over the exposure (left), and scatter over bound (right)."""
     ds = results.get("precision")
-    sources = [source for source in LOOKS if np.isfinite(pooled_ratio(ds, source, "sigma_mean")[0])]
+    sources = [source for source in LOOKS if np.isfinite(pool_ratios(ds, source, "sigma_mean")[0])]
     has_bound = "fine_exposure" in ds
     if not has_bound and not sources:
         raise Unavailable(f"{ds.attrs['no_design']}; and no condition has two usable repeats")
@@ -50,7 +50,7 @@ def draw_precision(results: Results) -> style.Drawing:
     if sources:
         handles |= _draw_ratios(panels[-1], ds, sources)
     style.add_legend(figure, list(handles.values()), list(handles), 4)
-    caption = sentence(ds)
+    caption = summarize_precision(ds)
     if has_bound:
         caption += (
             " Left: the bound of one frame along the calibrated law, with all five parameters of a round spot unknown,"
@@ -93,7 +93,7 @@ def _draw_ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
     ax.axvline(1.0, color="black", linewidth=0.9)
     for k, source in enumerate(sources):
         look = LOOKS[source]
-        ratio, stderr = np.array([pooled_ratio(ds, source, name) for name in SCATTERED]).T
+        ratio, stderr = np.array([pool_ratios(ds, source, name) for name in SCATTERED]).T
         y_source = y + 0.12 * (k - (len(sources) - 1) / 2)
         errors: dict[str, Any] = {"xerr": stderr, "capsize": 2, "markersize": 5}
         handles[source] = ax.errorbar(ratio, y_source, fmt=look.marker, **errors, **look.colours)

@@ -1,4 +1,4 @@
-"""What a spot fit gives: values, standard errors and covariance by name, χ², and how each fit ended."""
+"""Results of spot fits: values, standard errors and covariance by name, χ², and the status of each fit."""
 
 from dataclasses import dataclass, fields
 from typing import Any, overload
@@ -6,6 +6,7 @@ from typing import Any, overload
 import numpy as np
 import xarray as xr
 
+from spotcheck.fitting.variables import add_variable
 from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
 
@@ -20,19 +21,18 @@ PARAMETERS = {
     "sigma_mean": ("pixel", "direction-averaged width, mean of the long and the short axis"),
 }
 NAMES = tuple(PARAMETERS)
-OK = "ok"
-# Spots that are printed one by one.
-ROWS = 10
+# Most spots that `repr` lists one by one.
+LISTED_SPOTS = 10
 
 
 class _Column:
-    """One parameter of every spot, or its standard error: a column of `SpotFits.value` or `SpotFits.stderr`."""
+    """One parameter of every spot, or its standard error, as an attribute: a column of `value` or `stderr`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
-        self._table = "stderr" if name.endswith("_stderr") else "value"
-        self._at = NAMES.index(name.removesuffix("_stderr"))
-        unit, text = PARAMETERS[NAMES[self._at]]
-        self.__doc__ = f"{'standard error of ' if self._table == 'stderr' else ''}{text} [{unit}]"
+        self._array = "stderr" if name.endswith("_stderr") else "value"
+        self._index = NAMES.index(name.removesuffix("_stderr"))
+        unit, text = PARAMETERS[NAMES[self._index]]
+        self.__doc__ = f"{'standard error of ' if self._array == 'stderr' else ''}{text} [{unit}]"
 
     @overload
     def __get__(self, fits: None, owner: type) -> "_Column": ...
@@ -41,12 +41,12 @@ class _Column:
     def __get__(self, fits: "SpotFits", owner: type) -> np.ndarray: ...
 
     def __get__(self, fits: "SpotFits | None", owner: type) -> "np.ndarray | _Column":
-        return self if fits is None else getattr(fits, self._table)[..., self._at]
+        return self if fits is None else getattr(fits, self._array)[..., self._index]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SpotFits:
-    """Fitted spots. Every parameter is an attribute, and so is its standard error:
+    """Fitted spots. Every parameter and its standard error is an attribute:
 
     ===============  ======  ====================================================
     attribute        unit    meaning
@@ -69,8 +69,8 @@ class SpotFits:
     ----------
     value, stderr : values and standard errors [spot, 8] in one array each, columns in the order of `parameters`.
     covariance : [spot, 7, 7] of the first seven `parameters`, in products of their units.
-    chi2_reduced : χ² per degree of freedom [spot] under the sensor's noise; NaN where there is no sensor.
-    flags : status as bits [spot], those of `status` in every file; 0 is a fit that can be trusted.
+    chi2_reduced : χ² per degree of freedom [spot] under the sensor's noise; NaN without a sensor.
+    flags : status as bits [spot], as `status` in every file; 0 is a fit that can be trusted.
 
     Examples
     --------
@@ -115,12 +115,12 @@ class SpotFits:
 
     @property
     def status(self) -> np.ndarray:
-        """How each fit ended [spot]: "ok", "not_converged" (no values) or "at_limit" (the image does not tell an
+        """Status of each fit [spot]: "ok", "not_converged" (no values) or "at_limit" (the image does not determine the
         amplitude, a width or the centre)."""
         return store.status_names(self.flags)
 
     def covariance_of(self, first: str, second: str) -> np.ndarray:
-        """Covariance [spot] of two of the first seven `parameters`, in the product of their units."""
+        """Return the covariance [spot] of two of the first seven `parameters`, in the product of their units."""
         return self.covariance[..., NAMES.index(first), NAMES.index(second)]
 
     def __len__(self) -> int:
@@ -134,46 +134,60 @@ class SpotFits:
     def __getitem__(self, index: Any) -> "SpotFits":
         if not np.ndim(self.flags):
             raise TypeError("a single spot has no index; its parameters are attributes")
-        return SpotFits(*(getattr(self, own.name)[index] for own in fields(self)))
+        return SpotFits(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def to_dataset(self) -> xr.Dataset:
-        """All of it as an `xarray.Dataset` over `spot`, with units and long names; `status` has the bits of `flags`."""
+        """Return all results as an `xarray.Dataset` over `spot`, with units and long names; `status` holds `flags`."""
         dims = ("spot",)[: np.ndim(self.flags)]
         ds = xr.Dataset(attrs={"title": "fits of single spots", "dataset": "images in memory"})
-        for name, (units, long_name) in PARAMETERS.items():
-            ds[name] = (dims, getattr(self, name), {"units": units, "long_name": long_name})
-            text = f"standard error of {long_name}"
-            ds[f"{name}_stderr"] = (dims, getattr(self, f"{name}_stderr"), {"units": units, "long_name": text})
+        add_parameters(ds, dims, self.value, self.stderr)
         for name in ("parameter", "other_parameter"):
-            of = {"units": "1", "long_name": "name of a fitted parameter"}
-            ds[name] = (name, np.array(NAMES[:7], dtype=object), of)
-        of = {"units": "products of those of the parameters", "long_name": "covariance of the fitted parameters"}
-        ds["covariance"] = ((*dims, "parameter", "other_parameter"), self.covariance, of)
-        of = {"units": "1", "long_name": "chi-square per degree of freedom under sensor noise"}
-        ds["chi2_reduced"] = (dims, self.chi2_reduced, of)
+            add_variable(ds, name, name, np.array(NAMES[:7], dtype=object), "1", "name of a fitted parameter")
+        units, long_name = "products of those of the parameters", "covariance of the fitted parameters"
+        add_variable(ds, "covariance", (*dims, "parameter", "other_parameter"), self.covariance, units, long_name)
+        long_name = "chi-square per degree of freedom under sensor noise"
+        add_variable(ds, "chi2_reduced", dims, self.chi2_reduced, "1", long_name)
         ds["status"] = (dims, np.asarray(self.flags, "i4"), store.status_attributes())
         return ds
 
     def __repr__(self) -> str:
-        return "\n".join(self._table() if np.ndim(self.flags) else self._sheet())
+        return "\n".join(self._format_many() if np.ndim(self.flags) else self._format_single())
 
-    def _sheet(self) -> list[str]:
-        """A single spot, a line a parameter."""
+    def _format_single(self) -> list[str]:
+        """Return the lines of a single spot, one for each parameter."""
         lines = [f"fitted spot: {self.status}, χ² per degree of freedom {self.chi2_reduced:.3g}"]
         for k, (name, (unit, _)) in enumerate(PARAMETERS.items()):
             lines.append(f"{name:<12} {plus_minus(self.value[k], self.stderr[k]):>18} {unit}")
         return lines
 
-    def _table(self) -> list[str]:
-        """Many spots, a line a spot."""
+    def _format_many(self) -> list[str]:
+        """Return the lines of a table with one row for each spot."""
         names, counts = np.unique(self.status, return_counts=True)
-        ended = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
-        lines = [f"{len(self)} fitted spots" + (f": {ended}" if ended else "")]
+        summary = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
+        lines = [f"{len(self)} fitted spots" + (f": {summary}" if summary else "")]
         rows = [["", *NAMES[:7], "status"], ["", *(f"[{PARAMETERS[name][0]}]" for name in NAMES[:7]), ""]]
-        for k in range(min(len(self), ROWS)):
-            own = [plus_minus(self.value[k, j], self.stderr[k, j]) for j in range(7)]
-            rows.append([str(k), *own, str(self.status[k])])
-        widths = [max(len(row[j]) for row in rows) for j in range(len(rows[0]))]
+        for k in range(min(len(self), LISTED_SPOTS)):
+            cells = [plus_minus(self.value[k, j], self.stderr[k, j]) for j in range(7)]
+            rows.append([str(k), *cells, str(self.status[k])])
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         if len(self):
             lines += ["  ".join(map(str.rjust, row, widths)).rstrip() for row in rows]
-        return lines + (["…"] if len(self) > ROWS else [])
+        return lines + (["…"] if len(self) > LISTED_SPOTS else [])
+
+
+def add_parameters(
+    ds: xr.Dataset, dims: tuple[str, ...], value: np.ndarray, stderr: np.ndarray, origin: str = ""
+) -> None:
+    """Add the variables of all parameters and their standard errors to a dataset, in place.
+
+    Parameters
+    ----------
+    ds : dataset to extend.
+    dims : dimensions of the variables.
+    value, stderr : values and standard errors [dims, parameter] in the order of `PARAMETERS`.
+    origin : text for the long names of the centre, on where its coordinates start.
+    """
+    for k, (name, (units, long_name)) in enumerate(PARAMETERS.items()):
+        long_name += origin if name.endswith("_centre") else ""
+        add_variable(ds, name, dims, value[..., k], units, long_name)
+        add_variable(ds, f"{name}_stderr", dims, stderr[..., k], units, f"standard error of {long_name}")

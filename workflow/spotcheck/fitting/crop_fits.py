@@ -1,0 +1,189 @@
+"""The fit stage: fits of every crop of a dataset by both estimators, and the choice between them."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from spotcheck.characterization.outlier_pixels import OutlierPixels, find_outlier_pixels
+from spotcheck.characterization.pixel_maps import SensorMaps
+from spotcheck.crops.cropping import is_usable, iterate_cells
+from spotcheck.fitting.fit_results import NAMES, PARAMETERS, SpotFits, add_parameters
+from spotcheck.fitting.map_comparison import MapComparison
+from spotcheck.fitting.spotfit import fit_spots
+from spotcheck.fitting.variables import add_variable
+from spotcheck.io import progress, store
+from spotcheck.io.plus_minus import two_digits
+from spotcheck.sensor import SensorModel
+
+FITS = {
+    "likelihood": "maximum likelihood of the instrument's spot, Gaussian or top hat, under the sensor's noise",
+    "least_squares": "unweighted least squares of a Gaussian, the paper's estimator",
+}
+# Places of both fits, and of the coordinates of the centre among `PARAMETERS`.
+LIKELIHOOD, LEAST_SQUARES = range(len(FITS))
+X_CENTRE, Y_CENTRE = (NAMES.index(name) for name in ("x_centre", "y_centre"))
+# Outlying pixels are searched if χ² exceeds 1 by so many standard deviations; noise alone does so once in 1e9. They are
+# left out if the fit without them keeps less than this fraction of the excess.
+EXCESS_SIGMAS, KEPT_EXCESS = 6.0, 0.5
+# χ² per degree of freedom below or above which a spot fit is flagged. Noise alone puts it within some percent of 1.
+# Below half, the stated noise is too large. Speckle on the composite gives up to 170: above, residuals are 14 times the
+# stated noise.
+TOO_LOW, TOO_HIGH = 0.5, 200.0
+
+
+class StoredFit(NamedTuple):
+    """One fit of fits.nc with the centre relative to its crop."""
+
+    value: np.ndarray  # values [8] in the order of `PARAMETERS`
+    stderr: np.ndarray  # their standard errors [8]
+    chi2_reduced: float  # χ² per degree of freedom
+    status: int  # flags
+
+
+def fit_crops(
+    crops: xr.Dataset,
+    sensor: SensorModel | None,
+    top_hat: bool = False,
+    integrated: bool = False,
+    maps: SensorMaps | None = None,
+) -> xr.Dataset:
+    """Return fits.nc: values, standard errors, χ² and status of both fits over the grid and both centrings.
+
+    Parameters
+    ----------
+    crops : crops.nc of the dataset.
+    sensor : model of the sensor; without it there is no likelihood. The attribute `preferred` names the fit to use.
+    top_hat : whether the light has a plateau.
+    integrated : whether a pixel reads the mean of the light over it, not the light at its centre.
+    maps : maps of the sensor's pixels for the likelihood; `chi2_without_maps` and variables such as `amplitude_moved`
+        then hold their effect.
+
+    Returns
+    -------
+    xr.Dataset
+        Centres are in pixels of the sensor.
+    """
+    dims = (*store.grid_dims(crops), "centring", "fit")
+    shape = (*(crops.sizes[d] for d in dims[:-1]), len(FITS))
+    value, stderr = (np.full((*shape, len(PARAMETERS)), np.nan) for _ in range(2))
+    chi2, left_out = np.full(shape, np.nan), np.full(shape, "", dtype=object)
+    status = np.repeat(crops["status"].values[..., None], len(FITS), axis=-1)
+    if sensor is None:
+        status[..., LIKELIHOOD] |= store.flag("no_noise")
+    left, top = crops["left"].values, crops["top"].values
+    by_likelihood = partial(fit_spots, sensor=sensor, top_hat=top_hat, integrated=integrated)
+    by_least_squares = partial(fit_spots, sensor=sensor, weighting="equal", integrated=integrated)
+    comparison = None if maps is None or sensor is None else MapComparison(maps, crops, dims[:-1])
+    for index in progress.track(list(iterate_cells(crops, dims[:-1])), "fitting spots"):
+        cell = tuple(index.values())
+        if not is_usable(crops["status"].values[cell]):
+            continue
+        image = crops["image"].isel(index).values
+        fit_with_maps = by_likelihood
+        if comparison is not None:
+            fit_with_maps = partial(by_likelihood, maps=comparison.cut_maps(index))
+        fits, outliers = _fit_both(image, sensor, fit_with_maps, by_least_squares)
+        if comparison is not None:
+            inliers = np.where(outliers.mask, np.nan, image) if outliers is not None else image
+            comparison.add(cell, fits[LIKELIHOOD], by_likelihood(inliers))
+        for k, fit in fits.items():
+            at = (*cell, k)
+            value[at], stderr[at], chi2[at] = fit.value, fit.stderr, fit.chi2_reduced
+            value[(*at, X_CENTRE)] += left[cell]
+            value[(*at, Y_CENTRE)] += top[cell]
+            status[at] |= int(fit.flags) | flag_doubtful_errors(fit)
+            if outliers is not None:
+                status[at] |= store.flag("left_out")
+                left_out[at] = outliers.sentence(int(left[cell]), int(top[cell]))
+    coords = {name: crops[name] for name in crops.coords if set(crops[name].dims) <= set(dims)}
+    ds = xr.Dataset(coords=coords, attrs={name: crops.attrs[name] for name in ("title", "dataset", "not_recorded")})
+    add_variable(ds, "fit", "fit", np.array(list(FITS), dtype=object), "1", "how the spot was fitted")
+    add_parameters(ds, dims, value, stderr, origin=" on the sensor")
+    ds["orientation_stderr"].attrs["infinite"] = "the spot is round within its noise"
+    add_variable(ds, "chi2_reduced", dims, chi2, "1", "chi-square per degree of freedom under sensor noise")
+    add_variable(ds, "left_out", dims, left_out, "1", "pixels of the sensor that were left out, and why")
+    ds["status"] = (dims, status.astype("i4"), store.status_attributes())
+    remarks = [] if comparison is None else comparison.write(ds)
+    preferred = "least_squares" if sensor is None else "likelihood"
+    ds = ds.assign_attrs(preferred=preferred, **{f"fit_{name}": text for name, text in FITS.items()})
+    return store.add_remarks(ds, [*remarks, *_check_chi2(select_preferred_fits(ds)["chi2_reduced"].values)])
+
+
+def _fit_both(
+    image: np.ndarray,
+    sensor: SensorModel | None,
+    by_likelihood: Callable[[np.ndarray], SpotFits],
+    by_least_squares: Callable[[np.ndarray], SpotFits],
+) -> tuple[dict[int, SpotFits], OutlierPixels | None]:
+    """Return the fits of an image by their place in `FITS`, and the outlying pixels that they leave out."""
+    if sensor is None:
+        return {LEAST_SQUARES: by_least_squares(image)}, None
+    fit = by_likelihood(image)
+    excess = float(fit.chi2_reduced) - 1
+    noise = np.sqrt(2 / np.count_nonzero(np.isfinite(image)))
+    # The excess is NaN without convergence, which may be due to outliers too.
+    if not excess <= EXCESS_SIGMAS * noise:
+        outliers = find_outlier_pixels(image, sensor)
+        if outliers.mask.any():
+            inliers = np.where(outliers.mask, np.nan, image)
+            refit = by_likelihood(inliers)
+            is_better = not np.isfinite(excess) or refit.chi2_reduced - 1 < KEPT_EXCESS * excess
+            if refit.flags == 0 and is_better:
+                return {LIKELIHOOD: refit, LEAST_SQUARES: by_least_squares(inliers)}, outliers
+    return {LIKELIHOOD: fit, LEAST_SQUARES: by_least_squares(image)}, None
+
+
+def _check_chi2(chi2: np.ndarray) -> list[str]:
+    """Return remarks on fits whose χ² is far from 1 [any shape; NaN without a fit]."""
+    known = chi2[np.isfinite(chi2)]
+    keys = "sensor.gain_dn_per_e or sensor.read_noise_e"
+    causes = (
+        (
+            known[known < TOO_LOW],
+            f"the noise that is stated is too large: {keys} is too high or in another unit, or sensor.black_level_dn is"
+            " missing or too low",
+        ),
+        (
+            known[known > TOO_HIGH],
+            f"the light is far from a Gaussian, as the verdict tells, or {keys} is too low or in another unit",
+        ),
+    )
+    return [
+        f"{values.size} of {known.size} fits have a χ² per degree of freedom of about"
+        f" {two_digits(float(np.median(values)))}: {cause}"
+        for values, cause in causes
+        if values.size
+    ]
+
+
+def flag_doubtful_errors(fit: SpotFits) -> int:
+    """Return the flags of a fit whose standard errors do not describe its noise: χ² far from 1, or errors of 0."""
+    is_misfit = np.isfinite(fit.chi2_reduced) and not TOO_LOW <= fit.chi2_reduced <= TOO_HIGH
+    has_zero_error = bool(np.any(fit.stderr == 0))
+    return (store.flag("misfit") if is_misfit else 0) | (store.flag("no_error") if has_zero_error else 0)
+
+
+def count_failure_reasons(status: np.ndarray) -> str:
+    """Return why crops have no fit, by their flags [any shape]: "2 × no light above the noise"; "" without a flag."""
+    flags = store.UNTRUSTED & np.asarray(status, int).ravel()
+    counts = {text: int(np.sum(flags & bit > 0)) for bit, (_, text) in store.STATUS.items()}
+    return "; ".join(f"{count} × {text}" for text, count in counts.items() if count)
+
+
+def select_preferred_fits(fits: xr.Dataset) -> xr.Dataset:
+    """Return the preferred fits of fits.nc in crops centred on the light, by likelihood if the noise is known."""
+    return fits.sel(centring="light", fit=fits.attrs["preferred"])
+
+
+def read_fit_in_crop(fits: xr.Dataset, crops: xr.Dataset, index: dict[str, int]) -> StoredFit | None:
+    """Return one fit of fits.nc with its centre relative to the crop; None if there is none."""
+    row, crop = fits.isel(index), crops.isel(index)
+    value, stderr = (np.array([float(row[f"{name}{suffix}"]) for name in NAMES]) for suffix in ("", "_stderr"))
+    if not np.isfinite(value).all():
+        return None
+    value[X_CENTRE] -= float(crop["left"])
+    value[Y_CENTRE] -= float(crop["top"])
+    return StoredFit(value, stderr, float(row["chi2_reduced"]), int(row["status"]))
