@@ -115,8 +115,8 @@ def _parse_answer(word: str) -> tuple[str, str]:
     keys = template.list_settable_keys()
     if not equals or key not in (*METADATA_COLUMNS, *keys) or not value:
         raise InputError(
-            f"--set {word}: must be KEY=VALUE, with a KEY of {', '.join(METADATA_COLUMNS)} or of a number of instrument.yaml;"
-            " write others into that file"
+            f"--set {word}: must be KEY=VALUE, with a KEY of {', '.join(METADATA_COLUMNS)} or of a number of"
+            " instrument.yaml; write others into that file"
         )
     choices = keys.get(key, {}).get("enum", [value])
     if value not in choices:

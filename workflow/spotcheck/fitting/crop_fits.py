@@ -97,7 +97,7 @@ def fit_crops(
             status[at] |= int(fit.flags) | flag_doubtful_errors(fit)
             if outliers is not None:
                 status[at] |= store.flag("left_out")
-                left_out[at] = outliers.sentence(int(left[cell]), int(top[cell]))
+                left_out[at] = outliers.describe(int(left[cell]), int(top[cell]))
     coords = {name: crops[name] for name in crops.coords if set(crops[name].dims) <= set(dims)}
     ds = xr.Dataset(coords=coords, attrs={name: crops.attrs[name] for name in ("title", "dataset", "not_recorded")})
     add_variable(ds, "fit", "fit", np.array(list(FITS), dtype=object), "1", "how the spot was fitted")
