@@ -79,8 +79,8 @@ else:
         if name == "__version__":
             value = metadata.version(__name__)
         elif name in _HOME:
-            module, own = _HOME[name].rsplit(".", 1)
-            value = getattr(import_module(f"{__name__}.{module}"), own)
+            module, attribute = _HOME[name].rsplit(".", 1)
+            value = getattr(import_module(f"{__name__}.{module}"), attribute)
         else:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         globals()[name] = value

@@ -1,4 +1,4 @@
-"""A dataset drawn for a design: frames that a model expects, in a folder that any stage takes for a measured one."""
+"""Simulate the frames of a design, and write them as a dataset that all stages accept."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from spotcheck.model.simulation import CANVAS, Destination, simulate_extended
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import check_sensor
 
-# What the model expects of every crop, beside the drawn frames.
+# File of the mean light and the mean reading of every crop.
 EXPECTED = "expected.nc"
 
 
@@ -30,11 +30,11 @@ def simulate_dataset(
     sensor: SensorModel | None = None,
     seed: int = 0,
 ) -> Dataset:
-    """Draw the frames of a design at random and write them as a dataset folder.
+    """Simulate random frames of a design and write them as a dataset folder.
 
-    With p1, p2 and a peak each spot is a round Gaussian of width p1 ln(t / 1 s) + p2 at an exposure t, plus that of the
-    laser where instrument.yaml gives laser and optics; its peak follows from the exposure. With a model.yaml the spots
-    are those of the file, effects included. Equal seeds give equal frames.
+    With p1, p2 and a peak, each spot is a round Gaussian whose width at an exposure t is p1 ln(t / 1 s) + p2, plus the
+    width of the laser if instrument.yaml gives laser and optics. Its peak follows from the exposure. With a model.yaml
+    the file gives spots and effects. Equal seeds give equal frames.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def simulate_dataset(
     Raises
     ------
     InputError
-        A design that breaks the dataset contract or has no spots, a model that does not fit it, a sensor that is not
-        known, a folder that holds a dataset.
+        If the design violates the dataset contract or has no spots, if the model does not fit the design, if the
+        sensor is unknown, or if the folder holds a dataset already.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def simulate_dataset(
     >>> spotcheck.read_image(drawn, drawn.spots[0]).shape
     (96, 96)
     """
-    given, out = load(design), Path(folder)
+    measured, out = load(design), Path(folder)
     if (out / "manifest.csv").exists():
         raise InputError(f"{out}: holds a dataset; name another folder, or remove this one first")
     law = [p1_px, p2_px, peak_dn]
@@ -76,51 +76,51 @@ def simulate_dataset(
         if None in law:
             raise InputError("simulate_dataset: p1_px, p2_px or peak_dn is missing; give all three, or a model.yaml")
         numbers = [float(value) for value in law if value is not None]
-        name, own = "simulate_dataset", _plain(given, ExposureLaw(*numbers))
+        name, extended = "simulate_dataset", _build_baseline_model(measured, ExposureLaw(*numbers))
     else:
         if law != [None] * 3:
             raise InputError("simulate_dataset: a model has p1_px, p2_px and peak_dn of its own; give it or these")
-        name, own = Path(model).name, read_model(Path(model))
-    camera = data_sheet(given.instrument) if sensor is None else check_sensor(sensor)
+        name, extended = Path(model).name, read_model(Path(model))
+    camera = read_data_sheet(measured.instrument) if sensor is None else check_sensor(sensor)
     if not np.isfinite(camera.full_scale_dn):
         raise InputError("sensor: full_scale_dn is infinite; give the largest reading, such as 1023 for 10 bit")
     inputs = [] if model is None else [model]
     destination = Destination(out, out / EXPECTED, seed, provenance.code_digest(__name__), inputs)
-    simulate_extended(given, own, camera, destination, name)
+    simulate_extended(measured, extended, camera, destination, name)
     return load(out)
 
 
-def data_sheet(instrument: Instrument) -> SensorModel:
-    """The camera of instrument.yaml. Raises `InputError` where gain, read noise or bit depth is not given."""
-    own = instrument.sensor
+def read_data_sheet(instrument: Instrument) -> SensorModel:
+    """Return the sensor of instrument.yaml. Raises `InputError` if gain, read noise or bit depth is missing."""
+    sheet = instrument.sensor
     for key in ("gain_dn_per_e", "read_noise_e", "bit_depth"):
-        if getattr(own, key) is None:
+        if getattr(sheet, key) is None:
             raise InputError(f"instrument.yaml: key sensor.{key} is missing; give it, or a sensor")
-    assert own.gain_dn_per_e is not None and own.read_noise_e is not None and own.bit_depth is not None
+    assert sheet.gain_dn_per_e is not None and sheet.read_noise_e is not None and sheet.bit_depth is not None
     return SensorModel(
-        own.gain_dn_per_e,
-        own.read_noise_e,
-        own.dark_current_e_per_s,
-        np.inf if own.full_well_e is None else own.full_well_e,
-        own.black_level_dn,
-        own.full_scale_dn or 2.0**own.bit_depth - 1,
-        own.quantum_efficiency,
-        own.response_bend,
+        sheet.gain_dn_per_e,
+        sheet.read_noise_e,
+        sheet.dark_current_e_per_s,
+        np.inf if sheet.full_well_e is None else sheet.full_well_e,
+        sheet.black_level_dn,
+        sheet.full_scale_dn or 2.0**sheet.bit_depth - 1,
+        sheet.quantum_efficiency,
+        sheet.response_bend,
     )
 
 
-def _plain(given: Dataset, law: ExposureLaw) -> ExtendedModel:
-    """The paper's model alone: every spot in the middle of a frame that is larger than its crop."""
-    baseline = of_instrument(given.instrument, given.exposures)
+def _build_baseline_model(design: Dataset, law: ExposureLaw) -> ExtendedModel:
+    """Return the paper's model without effects, with every spot in the middle of a frame larger than its crop."""
+    baseline = of_instrument(design.instrument, design.exposures)
     if baseline.photon_budget == "free":
         raise InputError(
             "simulate_dataset: p1_px, p2_px and peak_dn are a law in exposure, and the design has no exposures or"
             " the photon budget free; give a model.yaml with a peak and a width for every spot"
         )
-    widths = [float(baseline.sigma(t, law.p1, law.p2)) for t in given.exposures]
+    widths = [float(baseline.sigma(t, law.p1, law.p2)) for t in design.exposures]
     if not (law.peak_dn > 0 and min(widths) > 0):
         raise InputError(
             f"simulate_dataset: peak_dn is {law.peak_dn:g} and the least width {min(widths):g} px; both must be above 0"
         )
-    side = CANVAS * given.instrument.crop_px
+    side = CANVAS * design.instrument.crop_px
     return ExtendedModel(law, baseline.longest_s, baseline.longest_s, side, side, (), {})
