@@ -57,9 +57,8 @@ def test_other_names():
     """A module can be imported, the version is that of the package, and a wrong name is an AttributeError."""
     from spotcheck.model import optics
 
-    assert optics.__name__ == "spotcheck.model.optics" and spotcheck.__version__ == importlib.metadata.version(
-        "spotcheck"
-    )
+    assert optics.__name__ == "spotcheck.model.optics"
+    assert spotcheck.__version__ == importlib.metadata.version("laser-spotcheck")
     with pytest.raises(AttributeError, match=r"module 'spotcheck' has no attribute 'fit_spot'"):
         _ = spotcheck.fit_spot  # type: ignore[attr-defined]
 

@@ -77,7 +77,7 @@ else:
         from importlib import import_module, metadata
 
         if name == "__version__":
-            value = metadata.version(__name__)
+            value = metadata.version("laser-spotcheck")
         elif name in _HOME:
             module, attribute = _HOME[name].rsplit(".", 1)
             value = getattr(import_module(f"{__name__}.{module}"), attribute)
