@@ -70,7 +70,7 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
             "infinite": "both frames are alike to the last digit",
         },
     )
-    return _add_averages(ds).assign_attrs(select_preferred_fits=fits["measured"].attrs["select_preferred_fits"])
+    return _add_averages(ds).assign_attrs(preferred=fits["measured"].attrs["preferred"])
 
 
 def _measure_crops(crops: xr.Dataset, dims: tuple[str, ...], source: str) -> np.ndarray:

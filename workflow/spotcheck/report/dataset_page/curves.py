@@ -74,7 +74,7 @@ def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
     """Return the fitted widths over exposure, with the law of p1 and p2."""
     if "fits" not in files or "exposure" not in files["fits"].coords or files["fits"].sizes["exposure"] < 2:
         return None
-    fits = files["fits"].sel(centring="light", fit=files["fits"].attrs["select_preferred_fits"])
+    fits = files["fits"].sel(centring="light", fit=files["fits"].attrs["preferred"])
     times, unit, label = series.axis_values(fits, "exposure")
     dims = tuple(str(dim) for dim in fits["sigma_mean"].dims)
     across = series.choose_axes(fits, dims).abscissa

@@ -168,7 +168,7 @@ def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citation
 
 def describe_fit(fits: xr.Dataset | None) -> str:
     """Return the method of the fits in the table."""
-    return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['select_preferred_fits']}"])
+    return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['preferred']}"])
 
 
 def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:

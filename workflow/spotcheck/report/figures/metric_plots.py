@@ -43,7 +43,7 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
     """Draw a metric of measured frames with error bars, and of simulated frames dashed in the same colour."""
     metrics = results.get("metrics")
     # The paper uses least squares; its numbers are comparable with that fit only.
-    fit = "least_squares" if results.has_paper_design() else metrics.attrs["select_preferred_fits"]
+    fit = "least_squares" if results.has_paper_design() else metrics.attrs["preferred"]
     ds = metrics.sel(centring="light", fit=fit)
     axes = series.choose_axes(ds, store.grid_dims(metrics))
     values, left_out = ds[plot.metric], 0
