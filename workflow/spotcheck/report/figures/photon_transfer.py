@@ -19,7 +19,7 @@ from spotcheck.report.figures.results import Results, Unavailable
 
 SIGNAL = "signal $\\mu_y - \\mu_{y.dark}$ / DN"
 # Levels that a fit uses, and other levels.
-SIMULATION_ESTIMATOR: dict[str, Any] = {"color": style.MEASURED, "markersize": 3}
+MARKER: dict[str, Any] = {"color": style.MEASURED, "markersize": 3}
 UNUSED: dict[str, Any] = {"color": "0.6", "markersize": 3}
 # A level with this fraction of its pixels at full scale is not shown.
 MAX_CLIPPED = 0.5
@@ -90,13 +90,13 @@ def draw_photon_transfer(results: Results) -> style.Drawing:
     figure = style.new_figure(3.3)
     left, right = figure.subplots(1, 2)
     others = left.errorbar(signal, variance, stderr, fmt="o", capsize=0, zorder=2, **UNUSED)
-    levels = left.plot(signal[is_used], variance[is_used], "o", zorder=3, **SIMULATION_ESTIMATOR)[0]
+    levels = left.plot(signal[is_used], variance[is_used], "o", zorder=3, **MARKER)[0]
     ends = np.array([0.0, signal[is_used].max()])
     model = left.plot(ends, gain * ends, color=style.SIMULATED, zorder=4)[0]
     left.set(xlabel=SIGNAL, ylabel="variance $\\sigma_y^2 - \\sigma_{y.dark}^2$ / DN²")
     noise = np.sqrt(np.maximum(variance + dark_noise**2, 0.0))
     right.plot(signal[is_positive], noise[is_positive], "o", **UNUSED)
-    right.plot(signal[is_used], noise[is_used], "o", **SIMULATION_ESTIMATOR)
+    right.plot(signal[is_used], noise[is_used], "o", **MARKER)
     x = np.geomspace(max(signal[is_positive].min() / 3, 1e-2), signal.max(), 200)
     right.plot(x, np.sqrt(dark_noise**2 + gain * x), color=style.SIMULATED)
     dark_line = right.axhline(dark_noise, color=style.ACCENT, linestyle=DASHED)
@@ -125,7 +125,7 @@ def draw_response(results: Results) -> style.Drawing:
     figure = style.new_figure(3.0)
     left, right = figure.subplots(1, 2)
     for ax, values, errors in ((left, signal, stderr), (right, deviation, 100 * stderr / np.abs(signal))):
-        for at, look in ((~is_used, UNUSED), (is_used, SIMULATION_ESTIMATOR)):
+        for at, look in ((~is_used, UNUSED), (is_used, MARKER)):
             ax.errorbar(light[at], values[at], errors[at], fmt="o", capsize=0, **look)
         ax.set_xlabel(_read_light(ds)[1])
     ends = np.array([0.0, light[is_used].max()])
@@ -157,7 +157,7 @@ def draw_signal_to_noise(results: Results) -> style.Drawing:
     scale = gain * efficiency if has_photons else gain
     figure = style.new_figure(3.4)
     ax = figure.subplots()
-    levels = ax.plot(signal / scale, signal / np.sqrt(variance), "o", **SIMULATION_ESTIMATOR)[0]
+    levels = ax.plot(signal / scale, signal / np.sqrt(variance), "o", **MARKER)[0]
     x = np.geomspace(0.5, 1.3 * signal.max() / scale, 300)
     model = ax.plot(x, scale * x / np.sqrt(dark_noise**2 + gain * scale * x), color=style.SIMULATED)[0]
     ideal = ax.plot(x, np.sqrt(x), color="black", linestyle=DASHED)[0]
@@ -196,7 +196,7 @@ def draw_dark_signal(results: Results) -> style.Drawing:
         strict=True,
     ):
         values, stderr = ds[f"dark_{name}"].values, ds[f"dark_{name}_stderr"].values
-        ax.errorbar(x * factor, values, stderr, fmt="o", capsize=0, **SIMULATION_ESTIMATOR)
+        ax.errorbar(x * factor, values, stderr, fmt="o", capsize=0, **MARKER)
         ax.plot(x * factor, line, color=style.SIMULATED)
         # Full numbers at the ticks, since the steps are small beside the offset.
         ax.ticklabel_format(axis="y", useOffset=False)
