@@ -335,7 +335,7 @@ def test_stages_write_and_take_what_the_picture_says(own):
 
 def test_the_table_of_stages():
     """Every stage of the picture with its file."""
-    rows = table(section(DOCS / "architecture.md", "## The way of the data"), "stage")
+    rows = table(section(DOCS / "architecture.md", "## Data flow"), "stage")
     told = {name: row[2] for row in rows for name in re.findall(r"`(\w+)`", row[0])}
     titles = draw_architecture.TITLES
     shown = {titles.get(own.rule, own.rule): own.files for own in draw_architecture.STAGES if "*" not in own.files}
