@@ -109,7 +109,8 @@ def measure() -> Part:
     ]
     note = (
         f"{DRAWS} random sensors, {FRAMES} frames of {SIDE} × {SIDE} px each; speckle of contrast {CONTRAST:g} and "
-        f"grain {GRAIN:g} px. Rms over the sensors, known to {100 / np.sqrt(2 * DRAWS):.0f} % of itself."
+        f"grain {GRAIN:g} px. The rms over the sensors has a relative standard error of"
+        f" {100 / np.sqrt(2 * DRAWS):.0f} %."
     )
     worst = max(rms["spots"], rms["spots with speckle"])
     return Part(
@@ -122,5 +123,5 @@ def measure() -> Part:
                 if name != "flats"
             ),
         ],
-        [Table("Gain by flats and by spots", ["frames", "rms error", "stated error", "over flats"], rows, note)],
+        [Table("Gain by flats and by spots", ["frames", "rms error", "stated error", "ratio to flats"], rows, note)],
     )

@@ -21,10 +21,10 @@ CLIP_DN, BEND, OFFSET_DN, LATE_S = 2600.0, 0.05, 10.0, 10e-6
 # Readings [DN] of a flat; the effect's parameter, and in words how it differs then from that of the frames as they are.
 PUT_IN: dict[str, tuple[Callable[[np.ndarray], np.ndarray], dict[str, float], str]] = {
     "saturation": (lambda y: np.minimum(y, CLIP_DN), {"level": CLIP_DN}, f"no reading above {CLIP_DN:g} DN"),
-    "nonlinearity": (lambda y: y - BEND * y**2 / FULL_SCALE, {"q": BEND}, f"q more by {BEND:g}"),
-    "dark_offset": (lambda y: y + OFFSET_DN, {"level": OFFSET_DN}, f"more by {OFFSET_DN:g} DN"),
+    "nonlinearity": (lambda y: y - BEND * y**2 / FULL_SCALE, {"q": BEND}, f"q increased by {BEND:g}"),
+    "dark_offset": (lambda y: y + OFFSET_DN, {"level": OFFSET_DN}, f"increased by {OFFSET_DN:g} DN"),
     # The frames stay: their list says less than they were exposed.
-    "shutter_offset": (lambda y: y, {"offset": LATE_S}, f"more by {1e6 * LATE_S:g} µs"),
+    "shutter_offset": (lambda y: y, {"offset": LATE_S}, f"increased by {1e6 * LATE_S:g} µs"),
 }
 
 
@@ -63,7 +63,7 @@ def lines(verdicts: dict[str, dict[str, Any]]) -> list[str]:
         sets = " and ".join(" or ".join(own["candidates"]) for own in said["effects"])
         own = next((effect for effect in said["effects"] if effect["name"] == name), None)
         rows.append((name, what, _first(before.get(name)), _first(own), said["status"], sets))
-    return markdown(("put in", "that is", "as they are", "with it", "status", "effects"), rows)
+    return markdown(("added effect", "size", "parameter before", "parameter after", "status", "effects"), rows)
 
 
 def _first(effect: dict[str, Any] | None) -> str:

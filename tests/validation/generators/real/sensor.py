@@ -25,7 +25,7 @@ HALF = 14667.0
 # Ours → theirs, the factor to our unit, and why they differ where they do.
 BESIDE = {
     "gain": ("K", 1.0, ""),
-    "dark_noise_dn": ("sigma_y_dark", 1.0, "our line over exposure is weighted"),
+    "dark_noise_dn": ("sigma_y_dark", 1.0, "our line fit over exposure is weighted"),
     "dark_noise": ("sigma_d", 1.0, "as above"),
     "dark_current": ("u_I_mean", 1.0, ""),
     "dark_current_by_variance": ("u_I_var", 1.0, "weighted"),
@@ -34,16 +34,16 @@ BESIDE = {
     "saturation_photons": ("u_p_sat", 1.0, ""),
     "full_well": ("u_e_sat", 1.0, ""),
     "snr_max": ("SNR_max", 1.0, ""),
-    "threshold": ("u_e_min", 1.0, "ours is ½ + √(σ² + ¼), theirs σ + ½ with the noise of rounding"),
+    "threshold": ("u_e_min", 1.0, "ours is ½ + √(σ² + ¼); theirs is σ + ½ and includes the rounding noise"),
     "dynamic_range": ("DR", 1.0, "follows from the threshold"),
     "linearity_lowest": ("LE_min", 1.0, ""),
     "linearity_highest": ("LE_max", 1.0, ""),
     "dsnu": (
         "DSNU1288",
         1.0,
-        "ours is that of all darks, theirs of one pair: this sensor's noise is correlated, so pairs scatter",
+        "ours uses all darks, theirs one pair; this sensor's noise is correlated, so pairs scatter",
     ),
-    "prnu": ("PRNU1288", 1.0, "less the pattern of all darks"),
+    "prnu": ("PRNU1288", 1.0, "the pattern of all darks is subtracted"),
 }
 
 
@@ -69,28 +69,31 @@ def page(verdicts: dict[str, dict[str, Any]]) -> str:
     return "\n".join(
         [
             "# A real sensor", "",
-            "204 frames of a 12-bit CCD (EMVA 1288 reference set 001), flats and darks in pairs, by `make "
-            "validate-real`; beside them the package `emva1288` 1.0.2, the standard's reference implementation, on the "
-            "same frames.",
+            "`make validate-real` analyses 204 frames of a 12-bit CCD (EMVA 1288 reference set 001), flats and darks "
+            "in pairs. The table compares our results with those of the package `emva1288` 1.0.2, the standard's "
+            "reference implementation, on the same frames.",
             "",
-            *markdown(("quantity", "symbol", "ours", "emva1288", "apart, in standard errors", "why"), rows), "",
-            "## What the verdict says", "",
+            *markdown(("quantity", "symbol", "ours", "emva1288", "difference / standard error",
+                       "reason for the difference"), rows), "",
+            "## Verdict", "",
             f"Status `{said['status']}`. {said['sentence']}", "",
-            "## With an effect put in", "",
-            "The same flats with a known effect put into their readings (the shutter's into their list, the light left "
-            "out of it):", "",
+            "## Simulated effects in real frames", "",
+            "A known effect was added to the readings of the same flats. For `shutter_offset` the exposures in the "
+            "manifest were changed instead, and the photon numbers were removed.", "",
             *levels.lines(verdicts), "",
-            "What was put in is always among the names; the shutter's is tied with a pedestal, from which at these "
-            "levels only shot noise tells it. An offset holds the intercept that faint levels have anyway (see below), "
-            "too small to be named alone. A level is that before the bend, black level taken off: what is bent ends at "
-            "a level of its own.", "",
-            "## Up to which level?", "",
-            "On a linear sensor gain and intercept would not depend on the levels that are fitted. Here they do, "
-            "because the response bends:", "",
-            *markdown(("up to, of saturation", "levels", "K [DN/e-]", "intercept of the response [DN]"), by_range), "",
-            "## Spots instead of flats", "",
-            "Without flats the gain comes from spots: from what neighbouring pixels do not share, or, where the "
-            "material has speckle, two exposures of one site. What that costs, on simulated frames of known gain:", "",
+            "The added effect is always among the named ones. `shutter_offset` is confounded with a pedestal: at these "
+            "levels only shot noise distinguishes them. The value of `dark_offset` includes the intercept of the faint "
+            "levels (see below), which is too small to be named alone. The saturation level is that before the "
+            "nonlinearity, without the black level; the nonlinearity changes the level at which readings stop.", "",
+            "## Dependence on the fit range", "",
+            "For a linear sensor, gain and intercept do not depend on the fitted levels. Here they do, because the "
+            "response is nonlinear:", "",
+            *markdown(("fitted up to, of saturation", "levels", "K [DN/e-]", "intercept of the response [DN]"),
+                      by_range), "",
+            "## Gain from spots instead of flats", "",
+            "Without flats the gain is estimated from spots: from the differences of neighbouring pixels or, if the "
+            "material has speckle, of two exposures of one site. The table gives the loss of accuracy for simulated "
+            "frames of known gain:", "",
             *markdown(by_spots.columns, by_spots.rows), "",
             by_spots.note, "",
         ]
