@@ -131,7 +131,8 @@ def sample_run(shared) -> Path:
 @pytest.fixture(scope="session")
 def flats_run(shared) -> Path:
     """Results folder of flats and darks of a drawn sensor without faults, after one complete run."""
-    from tests.library.shelf import flats
+
+    from tests.samples.example_datasets import flats
 
     def run(base: Path) -> None:
         done = snakemake(config={"dataset": flats(base / "set"), "results": base / "results"})
@@ -161,3 +162,31 @@ def small_frames(shared) -> Path:
 def frames_only(small_frames, tmp_path) -> Path:
     """A copy of the small dataset that a test may spoil."""
     return shutil.copytree(small_frames, tmp_path / "mine")
+
+
+@pytest.fixture
+def instrument():
+    """The instrument of the default dataset."""
+    from spotcheck.dataset.instrument import read_instrument
+
+    return read_instrument(ROOT / "data" / "virtual-rig" / "instrument.yaml")
+
+
+@pytest.fixture(scope="session")
+def shelf(tmp_path_factory) -> Path:
+    """A folder with the two datasets that the documentation of the public names uses."""
+    from spotcheck.model.design import simulate_dataset
+    from tests.samples.example_datasets import LAW, design, flats
+
+    base = tmp_path_factory.mktemp("shelf")
+    simulate_dataset(design(base / "design"), base / "my-frames", **LAW, seed=1)
+    flats(base / "my-flats")
+    return base
+
+
+@pytest.fixture
+def there(shelf, monkeypatch):
+    """The same as the working directory; what an example simulates is deleted afterwards."""
+    monkeypatch.chdir(shelf)
+    yield shelf
+    shutil.rmtree(shelf / "simulated", ignore_errors=True)

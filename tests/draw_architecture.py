@@ -2,7 +2,7 @@
 
 `python -m tests.draw_architecture` does all of it. The packages and their order are those of the contract in
 pyproject.toml. The picture and the table of the model's stages are made from `spotcheck.model.stage.Stage` and the
-effects. tests/library/test_docs.py compares stages, files and arrows with the rules, and makes all four again.
+effects. tests/project/test_docs.py compares stages, files and arrows with the rules, and makes all four again.
 """
 
 import re

@@ -6,7 +6,7 @@ from spotcheck.report.comparison.table import compare_datasets
 from spotcheck.report.pages.comparison import write_comparison_page
 from tests.browser.opening import WINDOW, from_disk, look
 from tests.browser.test_page import LEAST_CONTRAST, SCHEMES, WIDTHS
-from tests.library.test_comparison import row, sets
+from tests.report.test_comparison import row, sets
 
 __all__ = ["sets"]
 

@@ -19,8 +19,8 @@ from spotcheck.discrepancy.frames import select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, fit_jointly
 from spotcheck.discrepancy.light_shape import fit_free_shape
 from spotcheck.discrepancy.residuals import measure_residuals
-from tests.library.drawn_frames import BLACK, DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
-from tests.library.models_of_frames import SENSOR, frame_set, starting_model
+from tests.samples.drawn_frames import BLACK, DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
+from tests.samples.models_of_frames import SENSOR, frame_set, starting_model
 
 # Departures from the plain model.
 DEPARTURES = {

@@ -10,7 +10,7 @@ import tifffile
 
 from spotcheck.cli import main
 from tests.conftest import snakemake
-from tests.library.test_bad_cases import SHAPE, Case, spots, written
+from tests.discrepancy.test_bad_cases import SHAPE, Case, spots, written
 
 
 def edit(path: Path, old: str, new: str) -> None:

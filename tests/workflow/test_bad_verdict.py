@@ -5,7 +5,7 @@ import json
 import pytest
 
 from tests.conftest import snakemake
-from tests.library.test_bad_cases import CASES, written
+from tests.discrepancy.test_bad_cases import CASES, written
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from tests.conftest import planned, snakemake
-from tests.library.test_comparison import flats_folder
+from tests.report.test_comparison import flats_folder
 from tests.rules.test_datasets import SAMPLE, plan
 
 GAINS = {"before": 0.30, "after": 0.36}

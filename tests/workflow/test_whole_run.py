@@ -43,7 +43,7 @@ def test_second_call_has_nothing_to_do(small_run):
 
 def test_equal_inputs_give_equal_files(small_run, tmp_path):
     """Another run, on one core, gives every netCDF file and every frame byte by byte again; those of the verdict are
-    held against each other in tests/library/test_equal_verdicts.py, on a set that is judged sooner."""
+    held against each other in tests/discrepancy/test_equal_verdicts.py, on a set that is judged sooner."""
     dataset = small_run.parents[1] / "small"
     twin = tmp_path / "small"
     twin.mkdir()

@@ -1,6 +1,6 @@
 """Pages whose code is run by the build (`executed_pages` of conf.py); the pictures that it draws stand below it.
 
-Blocks of Python run one after another, in the repository's root, and share their names. tests/library/test_docs.py
+Blocks of Python run one after another, in the repository's root, and share their names. tests/project/test_docs.py
 holds what they print to the blocks of text below them.
 """
 

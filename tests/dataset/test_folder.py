@@ -1,0 +1,241 @@
+"""The dataset contract: what is accepted, and what each breach says."""
+
+import math
+
+import pytest
+
+from spotcheck.dataset import folder as dataset
+from spotcheck.dataset.instrument import Instrument
+from spotcheck.errors import InputError
+from tests.samples.small_datasets import HEADER, folder
+
+GOOD = "frames/a.tif,spot,0,1e-4,0"
+SECOND = "frames/b.tif,spot,0,1e-4,1"
+
+
+def refusal(base, rows, instrument=None, header=HEADER) -> str:
+    """Text of the `InputError` that loading raises."""
+    with pytest.raises(InputError) as caught:
+        dataset.load(folder(base, rows, instrument, header))
+    return str(caught.value)
+
+
+BAD_ROWS = {
+    "kind": (["frames/a.tif,sopt,0,1e-4,0"], ["line 2", "kind", "'sopt'", "spot, dark, flat"]),
+    "no kind": (["frames/a.tif,,0,1e-4,0"], ["line 2", "kind", "spot, dark, flat"]),
+    "angle": (["frames/a.tif,spot,north,1e-4,0"], ["line 2", "angle_deg", "'north'", "a number"]),
+    "infinite angle": (["frames/a.tif,spot,inf,1e-4,0"], ["line 2", "angle_deg", "'inf'", "a number"]),
+    "exposure": (["frames/a.tif,spot,0,0.1ms,0"], ["line 2", "exposure_s", "'0.1ms'", "a number"]),
+    "nan exposure": (["frames/a.tif,spot,0,nan,0"], ["line 2", "exposure_s", "'nan'", "a number"]),
+    "exposure below zero": (["frames/a.tif,dark,,-1e-4,0"], ["line 2", "exposure_s", "-1e-4", "positive"]),
+    "spot without time": (["frames/a.tif,spot,0,0,0"], ["line 2", "exposure_s", "positive"]),
+    "repeat": (["frames/a.tif,spot,0,1e-4,first"], ["line 2", "repeat", "'first'", "whole number"]),
+    "repeat below zero": (["frames/a.tif,spot,0,1e-4,-1"], ["line 2", "repeat", "'-1'", "whole number"]),
+    "half repeat": (["frames/a.tif,spot,0,1e-4,0.5"], ["line 2", "repeat", "'0.5'", "whole number"]),
+    "no file": ([",spot,0,1e-4,0"], ["line 2", "file", "inside the dataset folder"]),
+    "outside": (["../a.tif,spot,0,1e-4,0"], ["line 2", "'../a.tif'", "inside the dataset folder"]),
+    "absolute": (["/tmp/a.tif,spot,0,1e-4,0"], ["line 2", "'/tmp/a.tif'", "inside the dataset folder"]),
+    "no image": (["frames/a.jpg,spot,0,1e-4,0"], ["line 2", "frames/a.jpg", ".tif, .tiff, .png, .pgm"]),
+    "too few cells": ([GOOD, "frames/b.tif,spot,0,1e-4"], ["line 3", "fewer cells"]),
+    "too many cells": ([GOOD, SECOND + ",9"], ["line 3", "more cells"]),
+    "second row": ([GOOD, "frames/b.tif,spot,x,1e-4,1"], ["line 3", "angle_deg"]),
+    "same file": ([GOOD, "frames/a.tif,spot,0,1e-4,1"], ["lines 2 and 3", "file and page", "once"]),
+    "same cell": ([GOOD, "frames/b.tif,spot,0,0.0001,0"], ["lines 2 and 3", "kind, angle, exposure, repeat", "once"]),
+    "two blank darks": (["frames/a.tif,dark,,,", "frames/b.tif,dark,,,"], ["lines 2 and 3", "once"]),
+    "half blank": ([GOOD, "frames/b.tif,spot,0,,1"], ["line 3", "exposure_s is blank", "all of them or in none"]),
+    "half blank angle": (["frames/a.tif,spot,,1e-4,0", SECOND], ["line 2", "angle_deg is blank", "in none"]),
+    "no rows": ([], ["manifest.csv", "no rows", "at least one"]),
+}
+
+
+@pytest.mark.parametrize(("rows", "words"), BAD_ROWS.values(), ids=BAD_ROWS)
+def test_a_bad_row_is_named(tmp_path, rows, words):
+    """File, line, what is wrong and what would be right."""
+    text = refusal(tmp_path, rows)
+    for word in ("manifest.csv", *words):
+        assert word in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("column", HEADER.split(","))
+def test_a_missing_column_is_named(tmp_path, column):
+    """Each of the five required columns, and what the header must hold."""
+    header = ",".join(c for c in HEADER.split(",") if c != column)
+    text = refusal(tmp_path, [GOOD.replace(",0", "", 1)], header=header)
+    assert f"column {column} is missing" in text and HEADER in text
+
+
+BAD_KEYS = {
+    "unknown": ("croppx: 240", ["unknown key croppx", "crop_px"]),
+    "unknown in a section": ("sensor: {gain: 1}", ["unknown key sensor.gain", "gain_dn_per_e"]),
+    "outside its section": ("f_number: 11", ["f_number", "`optics:`"]),
+    "text for a number": ("sensor: {bit_depth: ten}", ["sensor.bit_depth", "'ten'", "a whole number"]),
+    "fraction": ("sensor: {bit_depth: 10.5}", ["sensor.bit_depth", "10.5", "a whole number"]),
+    "yes for a number": ("laser: {power_w: yes}", ["laser.power_w", "True", "a number"]),
+    "above": ("sensor: {bit_depth: 17}", ["sensor.bit_depth", "17", "at most 16"]),
+    "below": ("crop_px: 4", ["crop_px", "4", "at least 8"]),
+    "zero": ("sensor: {gain_dn_per_e: 0}", ["gain_dn_per_e", "at least 1e-06"]),
+    "transmission": ("optics: {filter_transmission: 91.9}", ["filter_transmission", "at most 1"]),
+    "budget": ("model: {photon_budget: square}", ["photon_budget", "'square'", "spot_area, linear, free"]),
+    "section": ("sensor: 5", ["sensor", "a section with keys"]),
+    "list": ("conditions: z_m", ["conditions", "'z_m'", "a list"]),
+    "no column": ("conditions: [z_m]", ["conditions", "z_m", "manifest.csv", "add the column"]),
+    "twice": ("crop_px: 64\ncrop_px: 32", ["line 2", "crop_px", "twice"]),
+    "twice in a section": ("laser:\n  power_w: 1\n  power_w: 2", ["line 3", "power_w", "twice"]),
+    "no YAML": ("sensor: [1, 2", ["line", "key: value"]),
+    "tab": ("sensor:\n\tbit_depth: 10", ["line 2", "key: value"]),
+    "a sentence": ("hello", ["holds no keys", "key: value"]),
+}
+
+
+@pytest.mark.parametrize(("text", "words"), BAD_KEYS.values(), ids=BAD_KEYS)
+def test_a_bad_key_is_named(tmp_path, text, words):
+    """File, key, what is wrong and what would be right."""
+    said = refusal(tmp_path, [GOOD], text)
+    for word in ("instrument.yaml", *words):
+        assert word in said
+
+
+def test_missing_instrument_file_takes_every_default(tmp_path):
+    """The defaults of the contract's table, read from nothing."""
+    given = dataset.load(folder(tmp_path, [GOOD])).instrument
+    sensor = given.sensor
+    assert (given.order_known, given.conditions, given.crop_px) == (True, (), 240)
+    assert (given.model.photon_budget, given.model.top_hat) == ("linear", False)
+    assert (sensor.dark_current_e_per_s, sensor.quantum_efficiency) == (0, 1)
+    assert (sensor.black_level_dn, sensor.value_shift_bits, sensor.full_well_e) == (0, 0, None)
+    assert sensor.gain_dn_per_e is None and given.laser_sigma_m is None
+
+
+def test_an_empty_section_is_no_error(tmp_path):
+    """`sensor:` with every key under it commented out counts as missing."""
+    assert dataset.load(folder(tmp_path, [GOOD], "sensor:\noptics:\n")).instrument == Instrument()
+
+
+@pytest.mark.parametrize(("text", "value"), [("5e-6", 5e-6), ("5.5e-06", 5.5e-6), ("5E-6", 5e-6), ("1", 1.0)])
+def test_numbers_as_people_write_them(tmp_path, text, value):
+    """YAML 1.1 would read 5e-6 as text."""
+    given = dataset.load(folder(tmp_path, [GOOD], f"sensor: {{pixel_pitch_m: {text}}}")).instrument
+    assert given.sensor.pixel_pitch_m == value
+
+
+def test_laser_sigma_is_the_mean_fwhm_over_its_factor(instrument):
+    """Eq. 10 on the mean of both widths of Table 3: a Gaussian is halved at half its FWHM from the centre."""
+    half = (72.8e-6 + 80.4e-6) / 4
+    # The definition of the FWHM, exact up to rounding.
+    assert math.exp(-(half**2) / (2 * instrument.laser_sigma_m**2)) == pytest.approx(0.5, rel=1e-12)
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+@pytest.mark.parametrize("start", ["", "\ufeff"])
+def test_comments_endings_and_byte_order_mark(tmp_path, ending, start):
+    """Lines that start with # do not count as rows, and line numbers stay those of the file."""
+    lines = ["# made by hand", HEADER, "# first site", GOOD, "", "frames/b.tif, spot ,0, 5E-4,0"]
+    (tmp_path / "manifest.csv").write_bytes((start + ending.join(lines)).encode("utf-8"))
+    frames = dataset.load(tmp_path).frames
+    assert [(f.line, f.file, f.kind, f.exposure_s) for f in frames] == [
+        (4, "frames/a.tif", "spot", 1e-4),
+        (6, "frames/b.tif", "spot", 5e-4),
+    ]
+
+
+def test_text_that_is_not_utf8(tmp_path):
+    """A Latin-1 manifest is refused with the remedy, not with a traceback."""
+    (tmp_path / "manifest.csv").write_bytes("file,kind\nframes/größe.tif,spot".encode("latin-1"))
+    with pytest.raises(InputError, match=r"manifest\.csv: not UTF-8.*save it as UTF-8"):
+        dataset.load(tmp_path)
+
+
+def test_blank_exposures_make_an_axis_that_was_not_recorded(tmp_path):
+    """Length 1 and no values."""
+    ds = dataset.load(folder(tmp_path, ["frames/a.tif,spot,0,,0", "frames/b.tif,spot,0,,1"]))
+    exposure = ds.axes[1]
+    assert exposure.values is None and ds.shape == (1, 1, 2)
+    assert [index for index, _ in ds.cells()] == [(0, 0, 0), (0, 0, 1)]
+
+
+def test_an_incomplete_grid_keeps_each_frame_in_its_cell(tmp_path):
+    """Axes are sorted values; a frame's index points at its own values, whatever the order of rows."""
+    rows = ["frames/a.tif,spot,90,9e-4,1", "frames/b.tif,spot,0,1e-4,0", "frames/c.tif,spot,90,1e-4,0"]
+    ds = dataset.load(folder(tmp_path, [*rows, "frames/d.tif,dark,,9e-4,"]))
+    assert ds.shape == (2, 2, 2)
+    for index, frame in ds.cells():
+        found = [axis.values[k] for axis, k in zip(ds.axes, index, strict=True)]
+        assert found == [frame.angle_deg, frame.exposure_s, frame.repeat]
+    assert len(list(ds.cells())) == 3
+
+
+def test_conditions_are_axes_with_the_unit_of_their_suffix(tmp_path):
+    """`_m`, `_k`, `_deg`, `_s` give units, else 1; undeclared columns are carried along; equal numbers are one."""
+    header = HEADER + ",z_m,temperature_k,note"
+    rows = [GOOD + ",0.20,300,x", GOOD.replace("a.tif", "c.tif") + ",0.2,310,", SECOND + ",0.1,300,y"]
+    ds = dataset.load(folder(tmp_path, rows, "conditions: [z_m, temperature_k]", header))
+    assert [(a.name, a.values, a.units) for a in ds.axes[3:]] == [
+        ("z_m", (0.1, 0.2), "m"),
+        ("temperature_k", (300.0, 310.0), "K"),
+    ]
+    assert ds.frames[0].extra["note"] == "x"
+    assert [dataset.get_column_unit(c) for c in ("tilt_deg", "delay_s", "photons_per_px")] == ["degree", "s", "1"]
+
+
+def test_a_blank_condition_of_a_spot_is_named(tmp_path):
+    """A declared condition needs a number in every spot row, and in no dark one."""
+    header = HEADER + ",z_m"
+    rows = [GOOD + ",", "frames/d.tif,dark,,1e-4,0,"]
+    assert "line 2: z_m is blank" in refusal(tmp_path, rows, "conditions: [z_m]", header)
+    dataset.load(folder(tmp_path, [GOOD + ",0.1", rows[1]], "conditions: [z_m]", header))
+
+
+def test_pages_of_a_stack(tmp_path):
+    """One file may serve several rows when their pages differ."""
+    header = HEADER + ",page"
+    ds = dataset.load(folder(tmp_path, [GOOD + ",", GOOD[:-1] + "1,1"], header=header))
+    assert [(f.page, f.label) for f in ds.frames] == [(0, "frames/a.tif"), (1, "frames/a.tif, page 1")]
+
+
+def test_files_there_and_named(tmp_path):
+    """A named file that is not there, and an image that no row names, are both refused; other files are not."""
+    ds = dataset.load(folder(tmp_path, [GOOD]))
+    with pytest.raises(InputError, match=r"line 2: frames/a\.tif is not there"):
+        dataset.check_files(ds)
+    for name in ("a.tif", "notes.txt"):
+        (tmp_path / "frames" / name).touch()
+    dataset.check_files(ds)
+    (tmp_path / "frames" / "b.PNG").touch()
+    with pytest.raises(InputError, match=r"frames/b\.PNG.*does not name"):
+        dataset.check_files(ds)
+
+
+def test_find_by_path_and_by_name(tmp_path):
+    """A path goes before a name on the shelf; neither is an error."""
+    own = folder(tmp_path / "shelf" / "mine", [GOOD])
+    assert dataset.find_dataset(str(own), tmp_path) == dataset.find_dataset("mine", tmp_path / "shelf") == own
+    with pytest.raises(InputError, match="theirs: no folder"):
+        dataset.find_dataset("theirs", tmp_path / "shelf")
+    with pytest.raises(InputError, match="no such folder"):
+        dataset.load(tmp_path / "nowhere")
+
+
+BROKEN = {
+    "crop_px as 240.0": ([GOOD], "crop_px: 240.0", HEADER),
+    "condition is a standard column": ([GOOD], "conditions: [exposure_s]", HEADER),
+    "condition is page": ([GOOD + ",0"], "conditions: [page]", HEADER + ",page"),
+    "condition bears a dimension's name": ([GOOD + ",0"], "conditions: [y]", HEADER + ",y"),
+    "column twice": ([GOOD + ",5"], None, HEADER + ",exposure_s"),
+    "file by two ways": ([GOOD, "frames/../frames/a.tif,spot,0,1e-4,1"], None, HEADER),
+    "not a number": ([GOOD], "sensor: {gain_dn_per_e: .nan}", HEADER),
+    "list as key": ([GOOD], "? [a]\n: 1", HEADER),
+    "NUL in a file": (["frames/a\0.tif,spot,0,1e-4,0"], None, HEADER),
+}
+
+
+@pytest.mark.parametrize(("rows", "text", "header"), BROKEN.values(), ids=BROKEN)
+def test_odd_input_is_refused_or_rightly_read(tmp_path, rows, text, header):
+    """What slips through the checks ends as a traceback later, or as another dataset than was meant."""
+    try:
+        ds = dataset.load(folder(tmp_path, rows, text, header))
+    except InputError:
+        return
+    assert isinstance(ds.instrument.crop_px, int) and math.isfinite(ds.instrument.sensor.gain_dn_per_e or 0)
+    assert len({(tmp_path / f.file).resolve() for f in ds.frames}) == len(ds.frames)
+    assert header.count("exposure_s") == 1 and not {"x", "y"} & {a.name for a in ds.axes}

@@ -1,0 +1,380 @@
+"""Figures: all of them drawn or skipped with a reason, the same bytes for the same input, and every design."""
+
+import json
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+
+from spotcheck.cli import main
+from spotcheck.errors import InputError
+from spotcheck.io.plus_minus import plus_minus, two_digits
+from spotcheck.io.provenance import list_sources
+from spotcheck.metrics.crop_metrics import PER_IMAGE
+from spotcheck.report import figures
+from spotcheck.report.figures import chain, every_figure, series, style
+from spotcheck.report.figures.entry import Category
+from spotcheck.report.figures.results import Results, Unavailable
+from spotcheck.report.figures.write import write_all
+from tests.samples.small_datasets import ROOT
+
+INSTRUMENT = """\
+name: tiny
+crop_px: 40
+sensor: {pixel_pitch_m: 5.5e-6, bit_depth: 10, gain_dn_per_e: 0.11, read_noise_e: 13}
+optics: {focal_length_m: 0.05, working_distance_m: 0.25, f_number: 11}
+laser: {wavelength_m: 6.5e-7}
+"""
+ANGLES, EXPOSURES, REPEATS = (0, 45), (1e-4, 5e-4), (0, 1, 2)
+# Pictures of a verdict, which these results have none of; test_discrepancy_figures.py draws them.
+UNJUDGED = [entry.name for entry in every_figure() if entry.category is Category.MISSING]
+FLATS = [entry.name for entry in every_figure() if "transfer" in entry.needs]
+
+
+def write_manifest(folder: Path, angles, exposures, repeats) -> None:
+    rows = [f"frames/{a}_{t}_{r}.tif,spot,{a},{t},{r}" for a in angles for t in exposures for r in repeats]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "manifest.csv").write_text("\n".join(["file,kind,angle_deg,exposure_s,repeat", *rows, ""]))
+    (folder / "instrument.yaml").write_text(INSTRUMENT)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory) -> tuple[Path, Path]:
+    """Dataset of twelve Gaussian spots and its results, by the very command lines of the workflow."""
+    base = tmp_path_factory.mktemp("tiny")
+    data, out = base / "data", base / "results"
+    write_manifest(data, ANGLES, EXPOSURES, REPEATS)
+    (data / "frames").mkdir()
+    rng = np.random.default_rng(11)
+    y, x = np.mgrid[:64, :64]
+    for a in ANGLES:
+        for r in REPEATS:
+            centre = 32 + rng.normal(0, 0.5, 2)
+            for t in EXPOSURES:
+                sigma = 4 + 0.5 * np.log(t / 1e-4)
+                light = 4e6 * t * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * sigma**2)) / sigma**2
+                read = 0.11 * rng.poisson(light / 0.11) + rng.normal(0, 1.43, light.shape)
+                tifffile.imwrite(data / f"frames/{a}_{t}_{r}.tif", np.clip(np.rint(read), 0, 1023).astype("u2"))
+    simulated = out / "simulated"
+    of = {name: str(out / f"{name}.nc") for name in ("frames", "crops", "sensor", "fits", "calibration", "simulated")}
+    again = {name: str(simulated / f"{name}.nc") for name in ("frames", "crops", "fits")}
+    sensor, both = ["--sensor", of["sensor"]], ["--crops", of["crops"], "--fits", of["fits"]]
+    drawn = ["--seed", "1", "--folder", simulated, "--output", of["simulated"]]
+    pairs = ["--crops", of["crops"], again["crops"], "--fits", of["fits"], again["fits"]]
+    for line in (
+        ["ingest", data, "--output", of["frames"]],
+        ["crop", data, "--frames", of["frames"], "--output", of["crops"]],
+        ["sensor", data, "--crops", of["crops"], "--frames", of["frames"], "--output", of["sensor"]],
+        ["fit", data, "--crops", of["crops"], *sensor, "--output", of["fits"]],
+        ["calibrate", data, *both, *sensor, "--output", of["calibration"]],
+        ["simulate", data, "--calibration", of["calibration"], "--fits", of["fits"], *sensor, *drawn],
+        ["ingest", simulated, "--output", again["frames"]],
+        ["crop", simulated, "--frames", again["frames"], "--output", again["crops"]],
+        ["fit", data, "--crops", again["crops"], *sensor, "--output", again["fits"]],
+        ["metrics", *pairs, *sensor, "--output", out / "metrics.nc"],
+        ["bounds", data, "--calibration", of["calibration"], *sensor, "--output", out / "bounds.nc"],
+        [
+            *("precision", data, "--fits", of["fits"], again["fits"], "--calibration", of["calibration"]),
+            *(*sensor, "--output", out / "precision.nc"),
+        ],
+        ["caustic", data, "--fits", of["fits"], "--output", out / "caustic.nc"],
+    ):
+        main([str(word) for word in line])
+    return data, out
+
+
+def subset(tiny: tuple[Path, Path], base: Path, *, change=None, angles=ANGLES, exposures=EXPOSURES, repeats=REPEATS):
+    """The tiny results cut down to fewer angles, exposures or repeats, and altered by `change` (name → function)."""
+    _, out = tiny
+    write_manifest(base / "data", angles, exposures, repeats)
+    asked = {"angle": list(angles), "exposure": list(exposures), "repeat": list(repeats)}
+    for path in out.rglob("*.nc"):
+        name = path.relative_to(out).with_suffix("").as_posix()
+        with xr.open_dataset(path) as ds:
+            own = ds.load().sel({d: v for d, v in asked.items() if d in ds.dims})
+        own = (change or {}).get(name, lambda same: same)(own)
+        (base / "results" / name).parent.mkdir(parents=True, exist_ok=True)
+        own.to_netcdf(base / "results" / f"{name}.nc")
+    return Results(base / "results", base / "data")
+
+
+def test_names_titles_and_inputs_of_the_registry():
+    names = [entry.name for entry in every_figure()]
+    assert len(set(names)) == len(names)
+    assert len({entry.title for entry in every_figure()}) == len(names)
+    assert all(entry.needs and entry.category for entry in every_figure())
+    # Every figure of the paper's results that is a picture of data, and Fig. 5.
+    papers = {entry.paper for entry in every_figure()} - {None}
+    wanted = "5 7 8a 8b 8c 9a 9b 10a 10b 11 12 13a 13b".split()
+    assert papers == {f"Fig. {number}" for number in wanted}
+
+
+def test_order_of_the_report():
+    """By category, in the order in which `Category` lists them."""
+    places = [list(Category).index(entry.category) for entry in every_figure()]
+    assert places == sorted(places) and len(set(places)) == len(Category)
+
+
+def test_a_new_file_is_a_new_figure(tiny, tmp_path, monkeypatch):
+    """The example of the page on the architecture: no list names it, it is drawn, last of its category here, and the
+    digest of what draws the figures covers every file of the folder."""
+    page = (ROOT / "workflow" / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (text,) = [own.split("```")[0] for own in page.split("```python\n")[1:] if "FIGURES" in own]
+    (tmp_path / "one_more.py").write_text(text)
+    before = every_figure()
+    with monkeypatch.context() as patch, Results(tiny[1], tiny[0]) as results:
+        patch.setattr(figures, "__path__", [*figures.__path__, str(tmp_path)])
+        every_figure.cache_clear()
+        after = every_figure()
+        (own,) = [entry for entry in after if entry.draw.__module__ == "spotcheck.report.figures.one_more"]
+        write_all(results, tmp_path / "drawn", (own,))
+    sys.modules.pop("spotcheck.report.figures.one_more")
+    every_figure.cache_clear()
+    assert [entry for entry in after if entry is not own] == list(before) == list(every_figure())
+    assert own == [entry for entry in after if entry.category is own.category][-1]
+    assert (tmp_path / "drawn" / f"{own.name}.png").exists()
+    drawn_by = {path.name for path in list_sources("spotcheck.cli.figures")}
+    assert {path.name for path in Path(figures.__file__).parent.glob("*.py")} <= drawn_by
+
+
+def test_every_metric_is_drawn():
+    """The paper's under their own names, any other under its own."""
+    titles = {entry.name: entry for entry in every_figure() if entry.category is Category.METRICS}
+    in_print = {"speckle_contrast": "fig09b", "maximum": "fig10a", "sum": "fig12"}
+    for metric in PER_IMAGE:
+        assert in_print.get(metric.name, f"metric-{metric.name.replace('_', '-')}") in titles
+
+
+@pytest.mark.slow
+def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
+    data, out = tiny
+    main(["figures", "--results", str(out), "--dataset", str(data), "--output", str(tmp_path)])
+    index = json.loads((tmp_path / "index.json").read_text())
+    drawn, skipped = [r["name"] for r in index["figures"]], {r["name"]: r["why"] for r in index["skipped"]}
+    assert sorted(drawn + list(skipped)) == sorted(entry.name for entry in every_figure())
+    assert set(skipped) == {"caustic", *UNJUDGED, *FLATS} and "z_m" in skipped["caustic"]
+    assert {skipped[name] for name in FLATS} == {"the manifest names no frame of kind flat or dark"}
+    absent = {"missing-light": "light.nc is not among the results"}
+    for name in UNJUDGED:
+        assert skipped[name] == absent.get(name, "discrepancy.nc is not among the results")
+    for record in index["figures"]:
+        assert set(record) == {"name", "title", "caption", "category", "paper"}
+        assert record["caption"].endswith(".") and "nan" not in record["caption"]
+        assert (tmp_path / f"{record['name']}.svg").read_text().startswith("<?xml")
+        assert (tmp_path / f"{record['name']}.png").read_bytes().startswith(b"\x89PNG")
+    left = {p.name for p in tmp_path.iterdir()} - {".runs", "index.json"}
+    assert left == {f"{name}.{kind}" for name in drawn for kind in style.FORMATS}
+
+
+@pytest.mark.slow
+def test_equal_inputs_give_equal_bytes(tiny, tmp_path):
+    """Drawn twice, under other settings of the user's: house style and salt settle everything."""
+    data, out = tiny
+    chosen = tuple(e for e in every_figure() if e.name in ("fig05", "fig08c", "fig09a", "residuals"))
+    for name, size in (("one", 10), ("two", 17)):
+        with matplotlib.rc_context({"font.size": size}), Results(out, data) as results:
+            write_all(results, tmp_path / name, chosen)
+    files = sorted(p.name for p in (tmp_path / "one").iterdir() if p.is_file())
+    assert len(files) == 2 * len(chosen) + 1
+    for name in files:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+
+
+def hollow(ds: xr.Dataset) -> xr.Dataset:
+    """All numbers of the first angle and first exposure gone."""
+    for name, values in ds.data_vars.items():
+        if values.dtype.kind == "f" and {"angle", "exposure"} <= set(values.dims):
+            values = values.copy()
+            values.loc[{"angle": ANGLES[0], "exposure": EXPOSURES[0]}] = np.nan
+            ds[name] = values
+    return ds
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "design",
+    [
+        {"change": {"metrics": hollow, "fits": hollow}},
+        {"repeats": (1,)},
+        {"angles": (45,)},
+        {"angles": (0,), "repeats": (2,), "exposures": (5e-4,)},
+    ],
+    ids=["missing-cells", "one-repeat", "one-angle", "one-frame"],
+)
+def test_figures_survive_every_shape_of_a_design(tiny, tmp_path, design):
+    with subset(tiny, tmp_path, **design) as results, style.house_style():
+        for entry in every_figure():
+            try:
+                drawing = entry.draw(results)
+            except Unavailable as reason:
+                assert entry.name in ("caustic", *UNJUDGED, *FLATS), (entry.name, reason)
+                continue
+            drawing.figure.draw_without_rendering()
+            assert "nan" not in drawing.caption, (entry.name, drawing.caption)
+
+
+def test_no_error_bars_from_one_frame(tiny, tmp_path):
+    with subset(tiny, tmp_path, repeats=(0,)) as results, style.house_style():
+        drawing = next(e for e in every_figure() if e.name == "fig11").draw(results)
+    assert "One frame a point" in drawing.caption
+    bars = [box for ax in drawing.figure.axes for box in ax.containers if box.has_yerr]
+    assert not bars
+
+
+def test_a_figure_that_can_no_longer_be_drawn_disappears(tiny, tmp_path):
+    entries = tuple(e for e in every_figure() if e.name == "fig11")
+    with Results(tiny[1], tiny[0]) as results:
+        write_all(results, tmp_path, entries)
+    with Results(tmp_path / "nothing", tiny[0]) as results:
+        index = write_all(results, tmp_path, entries)
+    assert index["figures"] == [] and index["skipped"][0]["why"] == "metrics.nc is not among the results"
+    assert not list(tmp_path.glob("fig11.*"))
+
+
+def test_images_lie_on_the_profiles_beside_them(tiny):
+    """In the overview the centre of a pixel is at the same distance from the fitted centre in image and profile."""
+    with Results(tiny[1], tiny[0]) as results, style.house_style():
+        figure = next(entry for entry in every_figure() if entry.name == "overview").draw(results).figure
+    left, right, _, _ = figure.axes[0].images[0].get_extent()
+    x = figure.axes[3].lines[0].get_xdata()
+    np.testing.assert_allclose(np.linspace(left + 0.5, right - 0.5, len(x)), x, atol=1e-9)
+
+
+def test_points_are_mean_and_deviation_of_the_finite_values():
+    values = np.array([[[1.0, 3.0, np.nan], [5.0, np.nan, np.nan]], [[2.0, 4.0, 9.0], [np.nan] * 3]])
+    array = xr.DataArray(values, dims=("exposure", "angle", "repeat"))
+    found = series.average_frames(array, series.PlotAxes("angle", "exposure", ("repeat",)))
+    np.testing.assert_array_equal(found.frames, [[2, 1], [3, 0]])
+    np.testing.assert_allclose(found.mean, [[2, 5], [5, np.nan]])
+    np.testing.assert_allclose(found.sd, [[np.std([1, 3], ddof=1), np.nan], [np.std([2, 4, 9], ddof=1), np.nan]])
+
+
+@pytest.mark.parametrize(
+    ("values", "unit", "expected"),
+    [
+        ([1e-4, 9e-4], "s", "µs"),
+        ([0.168, 0.77], "m", "mm"),
+        ([2.0], "s", "s"),
+        ([0, 45], "degree", "°"),
+        ([], "m", "m"),
+    ],
+)
+def test_prefix_makes_the_smallest_value_at_least_one(values, unit, expected):
+    factor, found = style.choose_unit(values, unit)
+    assert found == expected
+    assert all(v * factor >= 1 - 1e-9 for v in values if v)
+
+
+def test_a_rounding_error_of_zero_chooses_no_prefix():
+    """A distance of 1e-17 m beside others of 0.1 m does not lead to picometres."""
+    assert style.choose_unit([-0.1, 1e-17, 0.1], "m").symbol == "mm"
+
+
+def test_numbers_in_sentences():
+    assert [two_digits(v) for v in (0, 360, 0.05, 2.5e-16, 2.65e14)] == [
+        "0",
+        "360",
+        "0.05",
+        "2.5 · 10⁻¹⁶",
+        "2.6 · 10¹⁴",
+    ]
+    assert plus_minus(0.8159, 0.0045, "px") == "0.8159 ± 0.0045 px"
+    assert plus_minus(34.76, np.nan) == "34.76"
+    assert plus_minus(np.nan, 1.0) == "none" and plus_minus(30.0, np.inf, "degree") == "30 ± inf degree"
+    assert (
+        plus_minus(1.50432e-4, 1.13e-6, "m") == "1.504e-04 ± 1.1e-06 m" and plus_minus(0.0, 2e-9) == "0.0e+00 ± 2.0e-09"
+    )
+    assert plus_minus(13933.2, 123.4, "e-") == "13933 ± 123 e-" and plus_minus(2.5e-4, 0.0) == "0.00025"
+
+
+def test_shades_of_the_series_differ_in_grey():
+    for count in range(2, 7):
+        grey = [np.dot(line.colour[:3], (0.299, 0.587, 0.114)) for line in style.line_styles(count)]
+        assert np.diff(grey).min() > 0.07
+        assert len({line.marker for line in style.line_styles(count)}) == count
+
+
+DOT = """Building DAG of jobs...
+digraph snakemake_dag {
+    graph[bgcolor=white, margin=0];
+    node[shape=box, style=rounded];
+    0[label = "all", color = "0.1 0.6 0.85", style="rounded"];
+    1[label = "report", color = "0.1 0.6 0.85"];
+    2[label = "fit", color = "0.1 0.6 0.85"];
+    3[label = "crop", color = "0.1 0.6 0.85"];
+    4[label = "metrics", color = "0.1 0.6 0.85"];
+    3 -> 2
+    2 -> 4
+    3 -> 4
+    4 -> 1
+    1 -> 0
+    2 -> 0
+}
+"""
+
+
+def test_layers_of_the_chain_respect_its_edges():
+    graph = chain.parse_graph(DOT)
+    assert graph.labels == {"0": "all", "1": "report", "2": "fit", "3": "crop", "4": "metrics"}
+    depth = chain.find_depths(graph)
+    assert all(depth[a] < depth[b] for a, b in graph.edges)
+    assert [graph.labels[n] for n in sorted(depth, key=depth.__getitem__)] == [
+        "crop",
+        "fit",
+        "metrics",
+        "report",
+        "all",
+    ]
+    found = chain.find_layout(graph)
+    where = {node: k for k, layer in enumerate(found.layers) for node in layer}
+    for path in found.chains:
+        assert [where[n] for n in path] == list(range(where[path[0]], where[path[-1]] + 1))
+    assert chain.find_redundant_edges(graph) == {("3", "4"), ("2", "0")}
+
+
+def test_the_drawn_chain_does_not_follow_the_numbers_of_the_rules():
+    """Snakemake numbers the rules in the order of a set and lists the edges in another."""
+    lines = DOT.splitlines()
+    nodes, edges = lines[4:9], lines[9:15]
+    swapped = str.maketrans("01234", "34120")
+    renumbered = [line[:4] + line[4].translate(swapped) + line[5:] for line in nodes]
+    moved = [" -> ".join(end.strip().translate(swapped) for end in line.split("->")) for line in edges]
+    other = "\n".join([*lines[:4], *renumbered[::-1], *moved[2:], *moved[:2], "}"])
+    found = [chain.parse_graph(text) for text in (DOT, other)]
+    assert found[0].labels != found[1].labels
+    named = [[[graph.labels.get(n) for n in layer] for layer in chain.find_layout(graph).layers] for graph in found]
+    assert named[0] == named[1]
+    edges_by_name = [[(graph.labels[a], graph.labels[b]) for a, b in graph.edges] for graph in found]
+    assert edges_by_name[0] == edges_by_name[1]
+
+
+def test_barycentres_undo_a_crossing_and_nothing_overlaps():
+    graph = chain.Graph({n: n for n in "abcd"}, [("a", "d"), ("b", "c")])
+    found = chain.find_layout(graph)
+    links = [pair for path in found.chains for pair in pairwise(path)]
+    assert chain.count_crossings([["a", "b"], ["c", "d"]], links) == 1
+    assert chain.count_crossings(found.layers, links) == 0
+    sizes = dict.fromkeys("abcd", 1.0)
+    at = chain.place_nodes(graph, found, sizes)
+    for layer in found.layers:
+        assert np.diff([at[n] for n in layer]).min() >= 1.0 + chain.GAP - 1e-9
+
+
+def test_a_circle_and_an_empty_graph_are_told_to_the_user():
+    with pytest.raises(InputError, match="circle"):
+        chain.parse_graph("a -> b\nb -> a")
+    with pytest.raises(InputError, match="names no rule"):
+        chain.parse_graph("Building DAG of jobs...")
+
+
+def test_chain_is_drawn_twice_alike(tmp_path):
+    (tmp_path / "rules.dot").write_text(DOT)
+    for name in ("one", "two"):
+        main(["chain", str(tmp_path / "rules.dot"), "--output", str(tmp_path / name)])
+    for kind in style.FORMATS:
+        assert (tmp_path / f"one.{kind}").read_bytes() == (tmp_path / f"two.{kind}").read_bytes()

@@ -1,0 +1,1 @@
+"""Datasets, frames, models and findings that several tests make."""
