@@ -44,7 +44,7 @@ wheel: $(READY)
 	$(WHEEL)/venv/bin/pip install --quiet $(WHEEL)/dist/*.whl
 	cd $(WHEEL) && venv/bin/python -I ../../tests/check_wheel.py
 
-# How the workflow bears what happens to it: each programme writes its rows of workflow/docs/load.md; some three hours in all.
+# Load and failure tests, about three hours in all: each programme writes its rows of workflow/docs/load.md.
 LOAD_PAGE := $(BIN)/python -m tests.load.table
 load: load-kills load-hostile load-scale load-rules test-slurm
 

@@ -206,7 +206,9 @@ def test_the_new_effect_is_gone_again():
 
 def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch):
     """Without any list that names it; in its place by number."""
-    written(tmp_path, "vignetting", page.MEAN_EXAMPLE.replace('name="vig', 'number=27,\n    name="vig'))
+    written(
+        tmp_path, "vignetting", page.MEAN_EXAMPLE.replace('name="vig', f'number={len(CONTRACT) + 1},\n    name="vig')
+    )
     monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
     effects.built_in.cache_clear()
     importlib.invalidate_caches()
@@ -248,7 +250,7 @@ def test_no_effect_is_named_outside_its_file():
 def test_a_new_effect_is_on_the_page(vignetting):
     """With its parameter, its bounds and its place."""
     text = page.render_effects(vocabulary().values())
-    section = text[text.index("## 27. vignetting\n") : text.index("## Adding an effect")]
+    section = text[text.index(f"## {len(CONTRACT) + 1}. vignetting\n") : text.index("## Adding an effect")]
     assert "The light falls off from the frame's centre." in section
     assert "| `a` | 1 | 0 | 1 | vanishes at 0 |" in section
     assert "| light of the spot [DN] | interference_fringes, vignetting |" in text
@@ -258,7 +260,7 @@ def test_the_page_is_up_to_date(tmp_path, capsys):
     """workflow/docs/effects.md is what `spotcheck effects` writes."""
     main(["effects", "--output", str(tmp_path / "effects.md")])
     assert (tmp_path / "effects.md").read_text(encoding="utf-8") == EFFECTS_PAGE.read_text(encoding="utf-8")
-    assert "26 effects" in capsys.readouterr().out
+    assert f"{len(CONTRACT)} effects" in capsys.readouterr().out
 
 
 def test_the_page_says_it_all():
