@@ -18,7 +18,7 @@ from tests.validation.generators.second.sensor import read_out
 from tests.validation.records import ROOT
 from tests.validation.small_light import small_case, strong
 
-MODELS = ("spotcheck.model", "spotcheck.discrepancy", "spotcheck.estimate", "rig")
+MODELS = ("spotcheck.model", "spotcheck.discrepancy", "spotcheck.fitting", "spotcheck.characterization", "rig")
 
 
 # Independence
