@@ -306,8 +306,8 @@ def test_too_few_levels():
 
 def test_light_that_does_not_follow_the_exposure_hides_its_laws():
     transfer = draw_by_moments(25)
-    flats = [level._replace(photons=level.photons * (1 + 0.3 * np.sin(k))) for k, level in enumerate(transfer.flats)]
-    findings = analyse_levels(transfer._replace(flats=flats), FULL, [EFFECTS["shutter_offset"]])
+    flats = [replace(level, photons=level.photons * (1 + 0.3 * np.sin(k))) for k, level in enumerate(transfer.flats)]
+    findings = analyse_levels(replace(transfer, flats=flats), FULL, [EFFECTS["shutter_offset"]])
     ((name, reason),) = findings.not_assessed
     assert name == "shutter_offset" and reason in [f"it needs {need.value}" for need in Need]
 
@@ -315,8 +315,8 @@ def test_light_that_does_not_follow_the_exposure_hides_its_laws():
 def test_unknown_dark_quantities():
     """Offset and noise that contradict others are unknown; the darks themselves are used."""
     transfer = draw_by_moments(7)
-    unknown = {name: transfer.quantities[name]._replace(value=np.nan) for name in ("dark_offset", "dark_noise_dn")}
-    levels = levels_of(transfer._replace(quantities=transfer.quantities | unknown))
+    unknown = {name: replace(transfer.quantities[name], value=np.nan) for name in ("dark_offset", "dark_noise_dn")}
+    levels = levels_of(replace(transfer, quantities=transfer.quantities | unknown))
     assert levels.dark[0] == pytest.approx(BLACK, abs=0.1) and levels.dark[1] == pytest.approx(DARK, rel=0.05)
 
 

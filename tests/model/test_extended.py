@@ -196,7 +196,7 @@ def test_the_command(tmp_path, capsys):
         (["--model", str(bad)], "bad.yaml: effects.0.name is smaer"),
         (["--model", str(tmp_path / "none.yaml")], "none.yaml: is no file"),
         ([], "give --calibration and --fits, or --model"),
-        (["--model", str(model), "--fits", "fits.nc"], "give either it"),
+        (["--model", str(model), "--fits", "fits.nc"], "leave out --calibration and --fits"),
         (["--model", str(model), "--seed", "-1"], "--seed: is -1"),
     )
     for words, sentence in calls:
