@@ -8,8 +8,8 @@ import tifffile
 from spotcheck.dataset import folder as dataset
 from spotcheck.sensor import SensorModel
 from tests.reference.numpy_chain import draw
+from tests.samples.example_datasets import HEADER
 
-HEADER = "file,kind,angle_deg,exposure_s,repeat"
 ROOT = Path(__file__).parents[2]
 # The sensor of Table 3 with a black level, so that the converter's zero clips nothing.
 SENSOR = SensorModel(0.11, 13.0, 70.0, np.inf, 40.0, 1023.0, 0.38)

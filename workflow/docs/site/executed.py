@@ -1,7 +1,7 @@
-"""Pages whose code is run by the build (`executed_pages` of conf.py); the pictures that it draws stand below it.
+"""Run the code of the pages in `executed_pages` of conf.py, and insert the pictures that it draws below the code.
 
-Blocks of Python run one after another, in the repository's root, and share their names. tests/project/test_docs.py
-holds what they print to the blocks of text below them.
+Blocks of Python run one after another in the root of the repository and share their names. tests/project/test_docs.py
+compares their output with the blocks of text below them.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ class Pictures(SphinxTransform):
         folder = Path(self.app.doctreedir) / "pictures"
         folder.mkdir(parents=True, exist_ok=True)
         with contextlib.chdir(ROOT), contextlib.redirect_stdout(io.StringIO()):
-            blocks = [own for own in self.document.findall(nodes.literal_block) if own.get("language") == "python"]
+            blocks = [node for node in self.document.findall(nodes.literal_block) if node.get("language") == "python"]
             for number, block in enumerate(blocks):
                 exec(compile(block.astext(), f"{self.env.docname}.md", "exec"), names)
                 for figure in map(pyplot.figure, pyplot.get_fignums()):
@@ -49,7 +49,7 @@ class Pictures(SphinxTransform):
 
 
 def output_of(block: nodes.literal_block) -> nodes.literal_block | None:
-    """The block of text that follows a block of code: what it prints."""
+    """Return the block of text after a block of code, which shows its output; None if there is none."""
     after = block.next_node(descend=False, siblings=True)
     return after if isinstance(after, nodes.literal_block) and after.get("language") == "text" else None
 

@@ -14,7 +14,7 @@ from spotcheck.characterization.levels import add_common_drift, list_response_re
 from spotcheck.characterization.photon_transfer import Transfer, analyse_photon_transfer
 from spotcheck.characterization.transfer_data import build_transfer_dataset
 from spotcheck.crops.ingest import exclude_copies, ingest_frames
-from spotcheck.dataset.folder import load
+from spotcheck.dataset.folder import Dataset, load
 from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.io.plus_minus import plus_minus
@@ -180,11 +180,16 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
             "manifest.csv: has no frame of kind flat or dark; there is nothing to characterise a sensor by"
         )
     table = ingest_frames(dataset)
-    full_scale = float(table["full_scale"])
-    levels = measure_levels(exclude_copies(dataset, table), full_scale)
-    transfer = analyse_photon_transfer(levels, full_scale)
-    transfer.remarks.extend([*list_response_remarks(dataset), *store.remarks_of(table)])
+    transfer = analyse_ingested_frames(exclude_copies(dataset, table), float(table["full_scale"]))
+    transfer.remarks.extend(store.remarks_of(table))
     return Characterisation(transfer, dataset.title, dataset.name)
+
+
+def analyse_ingested_frames(dataset: Dataset, full_scale_dn: float) -> Transfer:
+    """Return the photon transfer of the flats and darks of a dataset without copies, with all remarks on its levels."""
+    transfer = analyse_photon_transfer(measure_levels(dataset, full_scale_dn), full_scale_dn)
+    transfer.remarks.extend(list_response_remarks(dataset))
+    return transfer
 
 
 def _check_levels(levels: Sequence[ArrayLike], name: str, full_scale_dn: float) -> list[np.ndarray]:

@@ -45,10 +45,8 @@ def run(args: argparse.Namespace) -> None:
         judgement = judge_spots(dataset, crops, sensor, fits)
     verdict = compose_verdict(judgement.findings, dataset.name, alpha=limits.alpha, tolerance=limits.of_peak)
     verdict |= {"sentence": summarize_verdict(verdict)} | vocabulary.describe_difference()
-    code, inputs = (
-        provenance.code_digest(__name__),
-        [args.crops, args.sensor, *filter(None, [args.fits]), *args.effects],
-    )
+    code = provenance.code_digest(__name__)
+    inputs = [args.crops, args.sensor, *filter(None, [args.fits]), *args.effects]
     files = ModelFiles(args.pictures, args.model, args.light, code, inputs)
     write_model_files(dataset, judgement, verdict["status"], verdict["detection"]["alpha"], files)
     write_verdict(verdict, args.output, code=code, inputs=inputs)

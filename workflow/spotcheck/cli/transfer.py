@@ -2,9 +2,8 @@
 
 import argparse
 
+from spotcheck.characterization.characterise import analyse_ingested_frames
 from spotcheck.characterization.fixed_pattern import add_patterns
-from spotcheck.characterization.levels import list_response_remarks, measure_levels
-from spotcheck.characterization.photon_transfer import analyse_photon_transfer
 from spotcheck.characterization.transfer_data import build_transfer_dataset, read_quantities
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset import file_cache, folder
@@ -25,8 +24,7 @@ def run(args: argparse.Namespace) -> None:
     dataset = folder.load(args.dataset)
     with store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
         full_scale, dataset = float(table["full_scale"]), exclude_copies(dataset, table)
-        transfer = analyse_photon_transfer(measure_levels(dataset, full_scale), full_scale)
-        transfer.remarks.extend(list_response_remarks(dataset))
+        transfer = analyse_ingested_frames(dataset, full_scale)
         measured = add_patterns(build_transfer_dataset(transfer, dataset.title, dataset.name), dataset, transfer)
         measured.attrs["response_bend"] = dataset.instrument.sensor.response_bend
     store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])

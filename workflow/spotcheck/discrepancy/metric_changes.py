@@ -21,7 +21,7 @@ from spotcheck.discrepancy.nested_models import ValidatedChain
 from spotcheck.discrepancy.starting_spots import acts_on_mean
 from spotcheck.discrepancy.validation import NestedModel, PixelGains
 from spotcheck.fitting.spotfit import fit_spots
-from spotcheck.metrics import crop_metrics as metrics
+from spotcheck.metrics import crop_metrics
 from spotcheck.model.conditions import FrameConditions, crop_grid
 from spotcheck.model.effect import AppliedEffect, Effect, Only, RandomStep, Step
 from spotcheck.model.forward import ForwardModel, RandomStreams
@@ -30,9 +30,9 @@ from spotcheck.model.stage import Stage
 PSNR = "PSNR"
 # Metrics of single crops: name, unit, function.
 OF_IMAGES: tuple[tuple[str, str, Callable[[np.ndarray], float]], ...] = (
-    ("speckle contrast", "1", metrics.speckle_contrast),
-    ("maximum", "DN", metrics.largest_reading),
-    ("sum", "DN", metrics.pixel_sum),
+    ("speckle contrast", "1", crop_metrics.speckle_contrast),
+    ("maximum", "DN", crop_metrics.largest_reading),
+    ("sum", "DN", crop_metrics.pixel_sum),
 )
 # Metrics of the spot fit: name, unit, attribute of `SpotFits`.
 OF_FITS = (("amplitude", "DN", "amplitude"), ("width", "px", "sigma_mean"))
@@ -182,7 +182,7 @@ def _measure_sources(
     tables[0][PSNR] = _psnr_of_repeats(frames, extended.mean_readings(), full_scale_dn)
     for table, simulated in zip(tables[1:], images[1:], strict=True):
         pairs = zip(images[0], simulated, strict=True)
-        table[PSNR] = np.array([metrics.psnr(reference, image, full_scale_dn) for reference, image in pairs])
+        table[PSNR] = np.array([crop_metrics.psnr(reference, image, full_scale_dn) for reference, image in pairs])
     return tables
 
 
@@ -212,7 +212,7 @@ def _psnr_of_repeats(frames: FrameSet, means: np.ndarray, full_scale_dn: float) 
         for second in np.flatnonzero((keys == keys[first]).all(axis=1)):
             if second > first:
                 corrected = readings[second] - means[second] + means[first]
-                ratio = metrics.psnr(readings[first], corrected, full_scale_dn)
+                ratio = crop_metrics.psnr(readings[first], corrected, full_scale_dn)
                 for number in (first, int(second)):
                     total[number] += ratio
                     count[number] += 1

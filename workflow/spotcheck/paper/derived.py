@@ -2,7 +2,7 @@
 
 import math
 
-from spotcheck.metrics import crop_metrics as metrics
+from spotcheck.metrics import crop_metrics
 from spotcheck.model import optics, spot
 from spotcheck.paper.results import Results
 from spotcheck.sensor import ROUNDING_VARIANCE
@@ -125,7 +125,7 @@ def top_hat_level(results: Results) -> float:
 
 def psnr_container_gain(results: Results) -> float:
     """Return the increase of PSNR with the data range 65535 in place of the sensor's own [dB]."""
-    return 20 * math.log10(metrics.CONTAINER_RANGE / float(results.open_file("frames")["full_scale"]))
+    return 20 * math.log10(crop_metrics.CONTAINER_RANGE / float(results.open_file("frames")["full_scale"]))
 
 
 def read_noise_table(results: Results) -> float:

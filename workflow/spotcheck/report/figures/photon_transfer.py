@@ -18,9 +18,9 @@ from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
 SIGNAL = "signal $\\mu_y - \\mu_{y.dark}$ / DN"
-# Levels that a fit uses, and other levels.
-MARKER: dict[str, Any] = {"color": style.MEASURED, "markersize": 3}
-UNUSED: dict[str, Any] = {"color": "0.6", "markersize": 3}
+# Markers of the levels that a fit uses, and of the other levels.
+USED_LEVELS: dict[str, Any] = {"color": style.MEASURED, "markersize": 3}
+OTHER_LEVELS: dict[str, Any] = {"color": "0.6", "markersize": 3}
 # A level with this fraction of its pixels at full scale is not shown.
 MAX_CLIPPED = 0.5
 # Levels that a line needs: two always lie on one.
@@ -89,14 +89,14 @@ def draw_photon_transfer(results: Results) -> style.Drawing:
     gain, dark_noise = quantities["gain"].value, quantities["dark_noise_dn"].value
     figure = style.new_figure(3.3)
     left, right = figure.subplots(1, 2)
-    others = left.errorbar(signal, variance, stderr, fmt="o", capsize=0, zorder=2, **UNUSED)
-    levels = left.plot(signal[is_used], variance[is_used], "o", zorder=3, **MARKER)[0]
+    others = left.errorbar(signal, variance, stderr, fmt="o", capsize=0, zorder=2, **OTHER_LEVELS)
+    levels = left.plot(signal[is_used], variance[is_used], "o", zorder=3, **USED_LEVELS)[0]
     ends = np.array([0.0, signal[is_used].max()])
     model = left.plot(ends, gain * ends, color=style.SIMULATED, zorder=4)[0]
     left.set(xlabel=SIGNAL, ylabel="variance $\\sigma_y^2 - \\sigma_{y.dark}^2$ / DN²")
     noise = np.sqrt(np.maximum(variance + dark_noise**2, 0.0))
-    right.plot(signal[is_positive], noise[is_positive], "o", **UNUSED)
-    right.plot(signal[is_used], noise[is_used], "o", **MARKER)
+    right.plot(signal[is_positive], noise[is_positive], "o", **OTHER_LEVELS)
+    right.plot(signal[is_used], noise[is_used], "o", **USED_LEVELS)
     x = np.geomspace(max(signal[is_positive].min() / 3, 1e-2), signal.max(), 200)
     right.plot(x, np.sqrt(dark_noise**2 + gain * x), color=style.SIMULATED)
     dark_line = right.axhline(dark_noise, color=style.ACCENT, linestyle=DASHED)
@@ -125,7 +125,7 @@ def draw_response(results: Results) -> style.Drawing:
     figure = style.new_figure(3.0)
     left, right = figure.subplots(1, 2)
     for ax, values, errors in ((left, signal, stderr), (right, deviation, 100 * stderr / np.abs(signal))):
-        for at, look in ((~is_used, UNUSED), (is_used, MARKER)):
+        for at, look in ((~is_used, OTHER_LEVELS), (is_used, USED_LEVELS)):
             ax.errorbar(light[at], values[at], errors[at], fmt="o", capsize=0, **look)
         ax.set_xlabel(_read_light(ds)[1])
     ends = np.array([0.0, light[is_used].max()])
@@ -157,7 +157,7 @@ def draw_signal_to_noise(results: Results) -> style.Drawing:
     scale = gain * efficiency if has_photons else gain
     figure = style.new_figure(3.4)
     ax = figure.subplots()
-    levels = ax.plot(signal / scale, signal / np.sqrt(variance), "o", **MARKER)[0]
+    levels = ax.plot(signal / scale, signal / np.sqrt(variance), "o", **USED_LEVELS)[0]
     x = np.geomspace(0.5, 1.3 * signal.max() / scale, 300)
     model = ax.plot(x, scale * x / np.sqrt(dark_noise**2 + gain * scale * x), color=style.SIMULATED)[0]
     ideal = ax.plot(x, np.sqrt(x), color="black", linestyle=DASHED)[0]
@@ -196,7 +196,7 @@ def draw_dark_signal(results: Results) -> style.Drawing:
         strict=True,
     ):
         values, stderr = ds[f"dark_{name}"].values, ds[f"dark_{name}_stderr"].values
-        ax.errorbar(x * factor, values, stderr, fmt="o", capsize=0, **MARKER)
+        ax.errorbar(x * factor, values, stderr, fmt="o", capsize=0, **USED_LEVELS)
         ax.plot(x * factor, line, color=style.SIMULATED)
         # Full numbers at the ticks, since the steps are small beside the offset.
         ax.ticklabel_format(axis="y", useOffset=False)
