@@ -78,9 +78,9 @@ def test_flats_say_their_gain_first():
             "gain_dn_per_e": {"value": 0.2908, "stderr": 6e-4},
         }
     text = summarize(plain).significance
-    assert text.endswith("; the gain K is 0.2800 ± 0.0014 DN/e−, by a straight line (EMVA 1288).")
-    assert "the gain K is 0.2908 ± 0.0006 DN/e− with this effect; a straight" in summarize(bent).significance
-    assert number_keys(bent)["0.2908 ± 0.0006 DN/e−"] == "verdict.levels.gain_dn_per_e"
+    assert text.endswith("; the gain K is 0.2800 ± 0.0014 DN/e-, by a straight line (EMVA 1288).")
+    assert "the gain K is 0.2908 ± 0.0006 DN/e- with this effect; a straight" in summarize(bent).significance
+    assert number_keys(bent)["0.2908 ± 0.0006 DN/e-"] == "verdict.levels.gain_dn_per_e"
 
 
 def test_the_gap_is_shown_where_there_is_one():

@@ -21,9 +21,9 @@ from spotcheck.discrepancy.pictures import AFTER, BEFORE, ConditionGrid, draw_pi
 from spotcheck.discrepancy.sentence import summarize_verdict
 from spotcheck.discrepancy.starting_spots import fit_spots
 from spotcheck.discrepancy.verdict import compose_verdict
-from spotcheck.discrepancy.words import value_text
 from spotcheck.discrepancy.written import write_verdict
 from spotcheck.io import store
+from spotcheck.io.number_text import quantity_text
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
@@ -315,7 +315,7 @@ def test_the_answer_shows_the_condition_that_gains_most(ghostly):
     with ghostly.results as results, style.house_style():
         caption = answer.draw_answer(results).caption
     fraction = ghostly.verdict["effects"][0]["parameters"]["fraction"]
-    assert "Verdict: named." in caption and f"fraction {value_text(*fraction.values())}" in caption
+    assert "Verdict: named." in caption and f"fraction {quantity_text(*fraction.values())}" in caption
 
 
 def test_no_answer_without_a_verdict(ghostly, tmp_path):

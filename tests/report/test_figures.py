@@ -13,7 +13,6 @@ import xarray as xr
 
 from spotcheck.cli import main
 from spotcheck.errors import InputError
-from spotcheck.io.plus_minus import plus_minus, two_digits
 from spotcheck.io.provenance import list_sources
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.report import figures
@@ -273,23 +272,6 @@ def test_prefix_makes_the_smallest_value_at_least_one(values, unit, expected):
 def test_a_rounding_error_of_zero_chooses_no_prefix():
     """A distance of 1e-17 m beside others of 0.1 m does not lead to picometres."""
     assert style.choose_unit([-0.1, 1e-17, 0.1], "m").symbol == "mm"
-
-
-def test_numbers_in_sentences():
-    assert [two_digits(v) for v in (0, 360, 0.05, 2.5e-16, 2.65e14)] == [
-        "0",
-        "360",
-        "0.05",
-        "2.5 · 10⁻¹⁶",
-        "2.6 · 10¹⁴",
-    ]
-    assert plus_minus(0.8159, 0.0045, "px") == "0.8159 ± 0.0045 px"
-    assert plus_minus(34.76, np.nan) == "34.76"
-    assert plus_minus(np.nan, 1.0) == "none" and plus_minus(30.0, np.inf, "degree") == "30 ± inf degree"
-    assert (
-        plus_minus(1.50432e-4, 1.13e-6, "m") == "1.504e-04 ± 1.1e-06 m" and plus_minus(0.0, 2e-9) == "0.0e+00 ± 2.0e-09"
-    )
-    assert plus_minus(13933.2, 123.4, "e-") == "13933 ± 123 e-" and plus_minus(2.5e-4, 0.0) == "0.00025"
 
 
 def test_shades_of_the_series_differ_in_grey():

@@ -13,9 +13,9 @@ import xarray as xr
 from spotcheck import cli
 from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset import folder as dataset
-from spotcheck.discrepancy.words import value_text
 from spotcheck.errors import InputError
 from spotcheck.io import store
+from spotcheck.io.number_text import quantity_text
 from spotcheck.io.provenance import file_digest
 from spotcheck.model.design import simulate_dataset
 from spotcheck.report import provenance
@@ -252,7 +252,7 @@ def test_explained_to_a_person(results, capsys):
     said = capsys.readouterr().out
     number = provenance.find_number(results, "p1")
     lines = said.splitlines()
-    assert lines[0] == f"p1 = {value_text(number.value, number.stderr, 'px')}"
+    assert lines[0] == f"p1 = {quantity_text(number.value, number.stderr, 'px')}"
     assert lines[1].strip() == "mean of p1 over all sites"
     assert f"    crops.nc  {file_digest(results / 'crops.nc')[:8]}  by rule crop" in lines
     assert f"      frames.nc  {file_digest(results / 'frames.nc')[:8]}  by rule ingest" in lines

@@ -198,7 +198,7 @@ KINDS: dict[str, tuple[Findings, str, list[str]]] = {
         "1 % of the peak remains unexplained.",
     ]),
     "sheet": (disagree(effects=(CLIP,), gap=closed(0.98), law=NO_LAW, sensor=(GAIN, NOISE)), "named", [
-        "The frames contradict the data sheet: the gain is 0.1321 ± 0.0010 DN/e−, not 0.1100 ± 0.0033 DN/e−."
+        "The frames contradict the data sheet: the gain is 0.1321 ± 0.0010 DN/e-, not 0.1100 ± 0.0033 DN/e-."
         f" {DISAGREE}",
         STOPS,
         f"This effect closes 98 % of the gap on held-out repeats; {LITTLE} {AS_WELL}",
@@ -219,8 +219,8 @@ KINDS: dict[str, tuple[Findings, str, list[str]]] = {
     "flats": (disagree(effects=(CLIP,), law=NO_LAW, levels=LEVELS, places=()), "named", [
         "The linear sensor model and the flats disagree by 5.5 % of the highest signal (rms, p < 0.0001).",
         STOPS,
-        f"This effect was not tested on held-out frames. {AS_WELL} The gain K is 0.1234 ± 0.0005 DN/e− with this"
-        " effect; a straight line up to 70 % of saturation gives 0.1310 ± 0.0020 DN/e−. The light scatters by 0.4 %"
+        f"This effect was not tested on held-out frames. {AS_WELL} The gain K is 0.1234 ± 0.0005 DN/e- with this"
+        " effect; a straight line up to 70 % of saturation gives 0.1310 ± 0.0020 DN/e-. The light scatters by 0.4 %"
         " from level to level.",
     ]),
 }  # fmt: skip

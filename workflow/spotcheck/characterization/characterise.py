@@ -17,7 +17,7 @@ from spotcheck.crops.ingest import exclude_copies, ingest_frames
 from spotcheck.dataset.folder import Dataset, load
 from spotcheck.errors import InputError
 from spotcheck.io import store
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 
 
 class Characterisation(Mapping[str, Quantity]):
@@ -59,9 +59,12 @@ class Characterisation(Mapping[str, Quantity]):
         flats, darks = len(self.levels.flats), len(self.levels.darks)
         lines = [f"EMVA 1288 of {self._title}: {flats} levels of light, {darks} dark levels"]
         for quantity in self.values():
-            unit = "" if quantity.unit == "1" else quantity.unit
             is_known = np.isfinite(quantity.value)
-            text = plus_minus(quantity.value, quantity.stderr, unit) if is_known else f"unknown: {quantity.why}"
+            text = (
+                quantity_text(quantity.value, quantity.stderr, quantity.unit)
+                if is_known
+                else f"unknown: {quantity.why}"
+            )
             lines.append(f"{quantity.name:<24} {quantity.symbol:<9} {text}")
         return "\n".join([*lines, *self.remarks])
 

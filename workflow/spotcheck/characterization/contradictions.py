@@ -13,7 +13,7 @@ from spotcheck.characterization.emva_quantities import Quantity
 from spotcheck.characterization.levels import Level
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.instrument import Instrument
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 
 # Darks that last longer than the longest frame they serve by more than this factor contain unknown dark current: more
 # than half of theirs.
@@ -125,8 +125,8 @@ def check_levels(
         yield Contradiction(sentence, UNKNOWN_BY_PHOTONS, reason)
     elif efficiency.value - MAX_PULL * efficiency.stderr > 1:
         sentence = (
-            f"the quantum efficiency would be {plus_minus(efficiency.value, efficiency.stderr)} electrons for a photon,"
-            " and no more than 1 is possible: photons_per_px of manifest.csv is too small"
+            f"the quantum efficiency would be {quantity_text(efficiency.value, efficiency.stderr)} electrons for a"
+            " photon, and no more than 1 is possible: photons_per_px of manifest.csv is too small"
         )
         reason = "photons_per_px is fewer than the electrons of the flats"
         yield Contradiction(sentence, UNKNOWN_BY_PHOTON_SCALE, reason)
@@ -172,7 +172,7 @@ def compare_sources(
         gain = flats.get("gain_dn_per_e") or spots.get("gain_dn_per_e")
         if name == "read_noise_e" and gain and stated.value < measured.value < MAX_HIDDEN_NOISE_DN / gain.value:
             continue
-        number = plus_minus(measured.value, np.nan_to_num(measured.stderr))
+        number = quantity_text(measured.value, measured.stderr)
         suggestion = _suggest_unit(name, stated, measured, gain)
         sentence = f"{describe_key(instrument, name)}, but {source} {number}{suggestion}"
         unknown = (name,) if name in flats and name in LIKELIHOOD_QUANTITIES else ()

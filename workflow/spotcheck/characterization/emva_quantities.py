@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 
 # Name → (symbol of the standard, unit, meaning), in the order in which they are listed.
 QUANTITIES = {
@@ -52,8 +52,7 @@ class Quantity:
     def __str__(self) -> str:
         if not np.isfinite(self.value):
             return f"{self.symbol} is unknown: {self.why}"
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.symbol} = {plus_minus(self.value, self.stderr)}{unit}"
+        return f"{self.symbol} = {quantity_text(self.value, self.stderr, self.unit)}"
 
 
 class QuantityTable(dict[str, Quantity]):

@@ -5,7 +5,7 @@ import argparse
 from spotcheck.dataset import folder
 from spotcheck.fitting.caustic import compute_caustic, select_beam_rows
 from spotcheck.io import provenance, store
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 
 EXAMPLES = "spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/caustic.nc"
 
@@ -27,6 +27,6 @@ def run(args: argparse.Namespace) -> None:
         print(f"skipped: {caustic.attrs['skipped']}")
     else:
         for axis, row in select_beam_rows(caustic).items():
-            print(f"M² = {plus_minus(float(row['m2']), float(row['m2_stderr']))} ({axis})")
+            print(f"M² = {quantity_text(float(row['m2']), float(row['m2_stderr']))} ({axis})")
     for remark in store.remarks_of(caustic):
         print(remark)

@@ -9,7 +9,8 @@ import numpy as np
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.discrepancy.limits import NOT_CONFIRMED, TOO_SMALL
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE, NO_TEST, NOT_CONVERGED, Status
-from spotcheck.discrepancy.words import condition_text, digits_of, list_text, percent_text, probability_text, value_text
+from spotcheck.discrepancy.words import condition_text, list_text, percent_text, probability_text
+from spotcheck.io.number_text import quantity_text, rounded_text
 from spotcheck.model.effects import vocabulary
 
 SHEET_WORDS = {"gain_dn_per_e": "the gain", "read_noise_e": "the read noise", "black_level_dn": "the black level"}
@@ -83,8 +84,8 @@ def _wording_of(document: Mapping[str, Any]) -> Wording:
 def _describe_contradiction(document: Mapping[str, Any]) -> str:
     """Return which numbers of the data sheet the frames contradict."""
     texts = [
-        f"{SHEET_WORDS.get(row['name'], row['name'])} is {value_text(row['found'], row['stderr'], row['unit'])}, not"
-        f" {value_text(row['stated'], row['stated_stderr'], row['unit'])}"
+        f"{SHEET_WORDS.get(row['name'], row['name'])} is {quantity_text(row['found'], row['stderr'], row['unit'])}, not"
+        f" {quantity_text(row['stated'], row['stated_stderr'], row['unit'])}"
         for row in document["sheet"]
         if row["contradicts"]
     ]
@@ -160,7 +161,7 @@ def either_text(effect: Mapping[str, Any], document: Mapping[str, Any]) -> str:
 def _describe_light(light: Mapping[str, Any]) -> str:
     """Return what the learned shape is."""
     error = None if light["stderr"] is None else 100 * light["stderr"]
-    words = light["words"] or f"{value_text(100 * light['power'], error, '%')} of its power lies elsewhere"
+    words = light["words"] or f"{quantity_text(100 * light['power'], error, '%')} of its power lies elsewhere"
     return f"the light does not have the declared shape: {words}"
 
 
@@ -173,7 +174,7 @@ def _say_what_it_does(name: str) -> str:
 def _list_values(effect: Mapping[str, Any]) -> list[str]:
     """Return the parameters of an effect that have a value."""
     return [
-        f"{name} {value_text(value['value'], value['stderr'], value['unit'])}"
+        f"{name} {quantity_text(value['value'], value['stderr'], value['unit'])}"
         for name, value in effect["parameters"].items()
         if value["value"] is not None
     ]
@@ -268,8 +269,8 @@ def _describe_shift(document: Mapping[str, Any]) -> str:
         before, after, error = row["before"], row["after"], row["stderr"]
         if before is None or after is None or not error or abs(after - before) <= CLEAR_ERRORS * error:
             continue
-        first = f"{before:.{max(digits_of(error), 0)}f}".replace("-", "−")
-        texts.append(f"{name}{'' if texts else ' changes'} from {first} to {value_text(after, error, row['unit'])}")
+        first = rounded_text(before, error)
+        texts.append(f"{name}{'' if texts else ' changes'} from {first} to {quantity_text(after, error, row['unit'])}")
     is_tied = Status(document["status"]) is Status.AMBIGUOUS
     return f"The fitted {list_text(texts)}." if texts and not is_tied else ""
 
@@ -279,7 +280,7 @@ def _describe_gain(document: Mapping[str, Any]) -> str:
     levels = document.get("levels")
     if not levels:
         return ""
-    fitted, line = (value_text(levels[key]["value"], levels[key]["stderr"], "DN/e-") for key in
+    fitted, line = (quantity_text(levels[key]["value"], levels[key]["stderr"], "DN/e-") for key in
                     ("gain_dn_per_e", "straight_line"))  # fmt: skip
     if document["effects"]:
         which = "this effect" if len(document["effects"]) == 1 else "these effects"
@@ -299,7 +300,7 @@ def _describe_gain(document: Mapping[str, Any]) -> str:
 def _describe_law(document: Mapping[str, Any]) -> str:
     """Return the fitted p1 and p2."""
     values = [
-        f"{name} = {value_text(row['before'], row['stderr'], row['unit'])}"
+        f"{name} = {quantity_text(row['before'], row['stderr'], row['unit'])}"
         for name, row in document["baseline_shift"].items()
         if row["before"] is not None
     ]

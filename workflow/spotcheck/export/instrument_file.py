@@ -20,7 +20,7 @@ from spotcheck.errors import InputError
 from spotcheck.export.learned_values import UnusedResult, format_number
 from spotcheck.export.value_choice import Choice
 from spotcheck.io import provenance, store
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from spotcheck.io.schema import read_schema
 
 # Significant digits of a learned value and of its error, more than are known of any of them.
@@ -123,7 +123,7 @@ def _explain(choice: Choice) -> str:
     """Return why a value was adopted, and the value of the data sheet."""
     if choice.stated is None:
         return choice.reason
-    return f"{choice.reason}, which said {plus_minus(float(choice.stated), choice.stated_stderr)}"
+    return f"{choice.reason}, which said {quantity_text(float(choice.stated), choice.stated_stderr)}"
 
 
 def format_value(choice: Choice) -> str:
@@ -142,7 +142,7 @@ def format_table(choices: Sequence[Choice], unused: Sequence[UnusedResult]) -> s
     rows = [("key", "sheet", "learned", "", "why", "origin")]
     for choice in choices:
         learned = choice.learned
-        stated = "–" if choice.stated is None else plus_minus(float(choice.stated), choice.stated_stderr)
+        stated = "–" if choice.stated is None else quantity_text(float(choice.stated), choice.stated_stderr)
         decision = "taken" if choice.is_adopted else "left"
         rows.append((learned.key, stated, format_value(choice), decision, choice.reason, learned.source))
     rows += [(result.name, "–", result.text, "left", result.reason, "verdict.json") for result in unused]

@@ -27,7 +27,7 @@ from spotcheck.crops.full_scale import FROM_FRAMES
 from spotcheck.dataset.instrument import BadPixels, Instrument
 from spotcheck.export.bad_pixels import find_bad_pixels
 from spotcheck.io import store
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from spotcheck.io.schema import read_schema
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
@@ -268,7 +268,7 @@ def _format_parameter(parameter: Mapping[str, Any]) -> str:
 
 def format_number(value: float, stderr: float, unit: str) -> str:
     """Return a number with its error and unit as text; the unit "1" is omitted."""
-    return plus_minus(value, stderr, "" if unit == "1" else unit)
+    return quantity_text(value, stderr, unit)
 
 
 def _to_float(value: float | None, missing: float = np.nan) -> float:

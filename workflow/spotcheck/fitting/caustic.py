@@ -26,7 +26,7 @@ from spotcheck.fitting.beam_axes import BeamAxes, SpotWidths, fit_beam_axes, pro
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.variables import add_variable
 from spotcheck.io import store
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 
 # Declared condition of a dataset that holds the distance along the beam [m].
 CONDITION = "z_m"
@@ -190,7 +190,7 @@ class Caustic(NamedTuple):
     def __repr__(self) -> str:
         lines = [f"caustic: χ² per degree of freedom {self.chi2_reduced:.3g}, scatter {100 * self.scatter:.2g} %"]
         for name, (unit, _) in QUANTITIES.items():
-            text = plus_minus(getattr(self, name), getattr(self, f"{name}_stderr"), "" if unit == "1" else unit)
+            text = quantity_text(getattr(self, name), getattr(self, f"{name}_stderr"), unit)
             lines.append(f"{name:<15} {text}")
         return "\n".join(lines)
 
@@ -341,7 +341,7 @@ def _check_m2(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
     def list_low_axes(sigmas: float) -> str:
         """Axes whose M² is below 1 by more than so many standard errors, as text."""
         rows = zip(AXES, ds["m2"].values, ds["m2_stderr"].values, strict=True)
-        return ", ".join(f"{name} {plus_minus(m2, error)}" for name, m2, error in rows if m2 + sigmas * error < 1)
+        return ", ".join(f"{name} {quantity_text(m2, error)}" for name, m2, error in rows if m2 + sigmas * error < 1)
 
     if low := list_low_axes(IMPOSSIBLE_SIGMAS):
         return [

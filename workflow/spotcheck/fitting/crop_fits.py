@@ -15,7 +15,7 @@ from spotcheck.fitting.map_comparison import MapComparison
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.fitting.variables import add_variable
 from spotcheck.io import progress, store
-from spotcheck.io.plus_minus import two_digits
+from spotcheck.io.number_text import two_digits
 from spotcheck.sensor import SensorModel
 
 FITS = {

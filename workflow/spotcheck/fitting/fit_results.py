@@ -8,7 +8,7 @@ import xarray as xr
 
 from spotcheck.fitting.variables import add_variable
 from spotcheck.io import store
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 
 PARAMETERS = {
     "amplitude": ("DN", "peak of the fitted Gaussian above its offset"),
@@ -157,7 +157,7 @@ class SpotFits:
         """Return the lines of a single spot, one for each parameter."""
         lines = [f"fitted spot: {self.status}, χ² per degree of freedom {self.chi2_reduced:.3g}"]
         for k, (name, (unit, _)) in enumerate(PARAMETERS.items()):
-            lines.append(f"{name:<12} {plus_minus(self.value[k], self.stderr[k]):>18} {unit}")
+            lines.append(f"{name:<12} {quantity_text(self.value[k], self.stderr[k]):>18} {unit}")
         return lines
 
     def _format_many(self) -> list[str]:
@@ -167,7 +167,7 @@ class SpotFits:
         lines = [f"{len(self)} fitted spots" + (f": {summary}" if summary else "")]
         rows = [["", *NAMES[:7], "status"], ["", *(f"[{PARAMETERS[name][0]}]" for name in NAMES[:7]), ""]]
         for k in range(min(len(self), LISTED_SPOTS)):
-            cells = [plus_minus(self.value[k, j], self.stderr[k, j]) for j in range(7)]
+            cells = [quantity_text(self.value[k, j], self.stderr[k, j]) for j in range(7)]
             rows.append([str(k), *cells, str(self.status[k])])
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         if len(self):

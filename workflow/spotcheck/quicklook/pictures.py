@@ -8,7 +8,7 @@ from matplotlib.colors import PowerNorm
 from matplotlib.patches import Ellipse, Rectangle
 
 from spotcheck.fitting.moments import AREA, Moments
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from spotcheck.quicklook.image_analysis import ImageResult, Profile
 from spotcheck.quicklook.scan import BeamScan
 from spotcheck.report.figures import style
@@ -100,7 +100,7 @@ def draw_caustics(scans: Sequence[BeamScan]) -> style.Drawing:
                 1e3 * scan.z, 1e6 * radius, yerr=1e6 * np.hypot(scan.stderr[axis], caustic.scatter * radius),
                 fmt=marker, color=colour, markerfacecolor="white", elinewidth=1,
             )  # fmt: skip
-            m2 = plus_minus(caustic.m2, caustic.m2_stderr) if np.isfinite(caustic.m2) else "unknown"
+            m2 = quantity_text(caustic.m2, caustic.m2_stderr) if np.isfinite(caustic.m2) else "unknown"
             curve, _ = caustic.radius(z)
             axes.plot(1e3 * z, 1e6 * curve, color=colour, linestyle=dashes, label=f"{axis}: $M^2$ = {m2}")
         axes.set(xlabel="distance z / mm", title=f"by {scan.method}")

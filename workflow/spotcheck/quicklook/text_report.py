@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from spotcheck.fitting.beam_axes import ROUND_RATIO
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from spotcheck.quicklook.camera import Camera
 from spotcheck.quicklook.image_analysis import GAUSSIAN_CHI2, ImageResult, Widths
 from spotcheck.quicklook.scan import BeamScan
@@ -72,8 +72,8 @@ def describe_camera(camera: Camera, cameras: Sequence[Camera]) -> Rows:
     else:
         gain, noise = camera.gain, camera.read_noise
         rows += [
-            ("gain", f"{plus_minus(gain.value, gain.stderr, 'DN/e-')}, by {camera.method}"),
-            ("read noise", plus_minus(noise.value, noise.stderr, "e-")),
+            ("gain", f"{quantity_text(gain.value, gain.stderr, 'DN/e-')}, by {camera.method}"),
+            ("read noise", quantity_text(noise.value, noise.stderr, "e-")),
         ]
     level = f"at most {camera.black_level_dn:.4g} DN: the level at the border of the images, which includes stray light"
     return [*rows, ("black level", level)]
@@ -235,10 +235,10 @@ def _describe_scan(scan: BeamScan) -> list[str]:
         text = "unknown, because the fitted hyperbola has no waist"
         if math.isfinite(caustic.m2):
             text = (
-                f"{plus_minus(caustic.m2, caustic.m2_stderr)}, waist w0"
-                f" {plus_minus(1e6 * caustic.waist_radius, 1e6 * caustic.waist_radius_stderr, 'µm')} at z"
-                f" {plus_minus(1e3 * caustic.waist_position, 1e3 * caustic.waist_position_stderr, 'mm')}, half-angle"
-                f" {plus_minus(1e3 * caustic.divergence, 1e3 * caustic.divergence_stderr, 'mrad')}"
+                f"{quantity_text(caustic.m2, caustic.m2_stderr)}, waist w0"
+                f" {quantity_text(caustic.waist_radius, caustic.waist_radius_stderr, 'm')} at z"
+                f" {quantity_text(caustic.waist_position, caustic.waist_position_stderr, 'm')}, half-angle"
+                f" {quantity_text(caustic.divergence, caustic.divergence_stderr, 'rad')}"
             )
         lines.append(f"M² by {scan.method}, {axis}: {text}{left_out}")
     return lines
@@ -271,7 +271,7 @@ def list_scan_cautions(look: Look) -> list[str]:
 
 def _format_value(value: float, stderr: float, unit: str = "") -> str:
     """Return value ± standard error; the value alone if the image has no noise."""
-    return plus_minus(value, math.nan if stderr < ARITHMETIC * abs(value) else stderr, unit)
+    return quantity_text(value, math.nan if stderr < ARITHMETIC * abs(value) else stderr, unit)
 
 
 def _format_widths(widths: Widths, pitch_m: float | None) -> str:

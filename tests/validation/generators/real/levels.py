@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from tests.validation.protocol import manifest_of
 from tests.validation.records import ROOT
 from tests.validation.table import markdown
@@ -70,6 +70,4 @@ def _first(effect: dict[str, Any] | None) -> str:
     if effect is None:
         return "—"
     first = next(iter(effect["parameters"].values()))
-    unit, scale = ("µs", 1e6) if first["unit"] == "s" else (first["unit"], 1.0)
-    error = scale * (first["stderr"] or np.nan)
-    return plus_minus(scale * first["value"], error, "" if unit == "1" else unit)
+    return quantity_text(first["value"], first["stderr"], first["unit"])

@@ -12,7 +12,7 @@ from spotcheck.characterization.emva_quantities import QUANTITIES
 from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.cli import main as command
 from spotcheck.io import store
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from spotcheck.report.dataset_page.tables import tabulate_ranges
 from tests.validation.benchmarks import gain
 from tests.validation.generators.real import levels
@@ -64,7 +64,7 @@ def page(verdicts: dict[str, dict[str, Any]]) -> str:
         ours, theirs = own[name], other[key] * factor
         unit = "" if ours.unit == "1" else ours.unit
         apart = abs(ours.value - theirs) / ours.stderr if np.isfinite(ours.stderr) and ours.stderr > 0 else np.nan
-        rows.append((QUANTITIES[name][2], f"`{ours.symbol}`", plus_minus(ours.value, ours.stderr, unit),
+        rows.append((QUANTITIES[name][2], f"`{ours.symbol}`", quantity_text(ours.value, ours.stderr, unit),
                      f"{theirs:.6g}", f"{apart:.2f}", why))  # fmt: skip
     return "\n".join(
         [

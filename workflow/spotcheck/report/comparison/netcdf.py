@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.report.comparison.changes import FALSE_ALARM_RATE, MIN_TREND_POINTS
-from spotcheck.report.comparison.table import Comparison, conditions_text, quantity_text
+from spotcheck.report.comparison.table import Comparison, conditions_text, label_quantity
 
 # Variables: name, attribute of `Measurement` or `Change`, meaning.
 NUMBERS = (
@@ -58,7 +58,7 @@ def build_dataset(comparison: Comparison) -> xr.Dataset:
     ds = xr.Dataset(
         {
             "dataset": _texts("dataset", labels, "dataset; the first is the reference"),
-            "quantity": _texts("quantity", [quantity_text(row.name) for row in rows], "what is compared"),
+            "quantity": _texts("quantity", [label_quantity(row.name) for row in rows], "what is compared"),
             "group": _texts("quantity", [row.name.group for row in rows], "group of the quantity"),
             "unit": _texts("quantity", [row.units for row in rows], "unit of the quantity"),
             "conditions": _texts("quantity", [conditions_text(row.name.conditions) for row in rows], "conditions"),

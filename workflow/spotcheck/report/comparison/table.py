@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from spotcheck.dataset.manifest import DATE
-from spotcheck.discrepancy.words import value_text
+from spotcheck.io.number_text import quantity_text
 from spotcheck.report.comparison.changes import Change, difference, fit_trend, select_significant
 from spotcheck.report.comparison.datasets import DatasetResults, list_shared, list_unit_conflicts, read_datasets
 from spotcheck.report.comparison.numbers import ABSENT, Condition, Measurement, QuantityName
@@ -123,10 +123,10 @@ def _choose_trend_axis(datasets: Sequence[DatasetResults]) -> tuple[TrendAxis, l
 def conditions_text(conditions: Sequence[Condition]) -> str:
     """Return conditions as text: `45°, 100 µs, z_m 200 mm`."""
     names = ("" if condition.axis in AXES_KNOWN_BY_UNIT else condition.axis for condition in conditions)
-    values = (value_text(condition.value, None, condition.unit) for condition in conditions)
+    values = (quantity_text(condition.value, None, condition.unit) for condition in conditions)
     return ", ".join(f"{name} {value}".strip() for name, value in zip(names, values, strict=True))
 
 
-def quantity_text(name: QuantityName) -> str:
+def label_quantity(name: QuantityName) -> str:
     """Return a quantity with its conditions as text."""
     return ", ".join(filter(None, (name.quantity, conditions_text(name.conditions))))

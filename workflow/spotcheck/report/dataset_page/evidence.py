@@ -5,15 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.discrepancy.words import (
-    condition_text,
-    digits_of,
-    limit_text,
-    number_text,
-    over_noise_text,
-    percent_text,
-    value_text,
-)
+from spotcheck.discrepancy.words import condition_text, limit_text, over_noise_text, percent_text
+from spotcheck.io.number_text import number_text, quantity_text, rounded_text
 from spotcheck.model.effect import Effect
 from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.report.dataset_page.summary import number_keys
@@ -60,7 +53,7 @@ def _effect_row(entry: Mapping[str, Any], effect: Effect, citations: Citations) 
     """Return the row of an effect that the verdict names; `entry` is its part of verdict.json."""
     key, evidence = f"verdict.effects.{entry['name']}", entry["evidence"]
     values = [
-        (name, citations.cite(value_text(value["value"], value["stderr"], value["unit"]), f"{key}.{name}"))
+        (name, citations.cite(quantity_text(value["value"], value["stderr"], value["unit"]), f"{key}.{name}"))
         for name, value in entry["parameters"].items()
     ]
     return {
@@ -89,9 +82,8 @@ def _tabulate_shifts(verdict: Mapping[str, Any], citations: Citations) -> list[t
         if shift["before"] is not None:
             key, error = f"verdict.baseline_shift.{name}", shift["stderr"]
             # Digits as the error of the later value has them.
-            digits = max(digits_of(error), 0) if error else 0
-            before = f"{shift['before']:.{digits}f}".replace("-", "−") if error else number_text(shift["before"], 4)
-            after = value_text(shift["after"], error, shift["unit"])
+            before = rounded_text(shift["before"], error) if error else number_text(shift["before"], 4)
+            after = quantity_text(shift["after"], error, shift["unit"])
             before_text = citations.cite(f"{before} {shift['unit']}", f"{key}.before")
             rows.append((name, before_text, citations.cite(after, f"{key}.after")))
     return rows
@@ -122,8 +114,8 @@ def tabulate_data_sheet(verdict: dict[str, Any] | None, citations: Citations) ->
         rows.append(
             {
                 "name": entry["name"].replace("_", " "),
-                "stated": citations.cite(value_text(entry["stated"], entry["stated_stderr"], unit), f"{key}.stated"),
-                "fitted": citations.cite(value_text(entry["found"], entry["stderr"], unit), f"{key}.found"),
+                "stated": citations.cite(quantity_text(entry["stated"], entry["stated_stderr"], unit), f"{key}.stated"),
+                "fitted": citations.cite(quantity_text(entry["found"], entry["stderr"], unit), f"{key}.found"),
                 "shift": citations.cite(shift, f"{key}.stated_errors"),
                 "is_contradicted": entry["contradicts"],
             }

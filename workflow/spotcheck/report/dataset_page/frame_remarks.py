@@ -8,7 +8,7 @@ import xarray as xr
 
 from spotcheck.discrepancy.words import percent_text
 from spotcheck.io import store
-from spotcheck.io.plus_minus import two_digits
+from spotcheck.io.number_text import two_digits
 from spotcheck.report.dataset_page.frame_packing import block_means
 
 # A deviation is reported above this size [1, or px] and this number of standard errors. Smaller ones have no practical

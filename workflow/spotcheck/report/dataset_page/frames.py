@@ -9,9 +9,10 @@ import xarray as xr
 
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
-from spotcheck.discrepancy.words import number_text, over_noise_text
+from spotcheck.discrepancy.words import over_noise_text
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
+from spotcheck.io.number_text import number_text
 from spotcheck.report.dataset_page.frame_packing import Layer, block_means, choose_block, choose_step, pack_layers
 from spotcheck.report.dataset_page.frame_remarks import (
     describe_deviations,

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.dataset.folder import Dataset
-from spotcheck.discrepancy.words import value_text
+from spotcheck.io.number_text import quantity_text
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.report.pages.citations import Citations
 
@@ -74,12 +74,12 @@ def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citation
             unit, source = variable.attrs["units"], variable.attrs["source"]
             rows.append(row(title, symbol, float(variable), unit, source, f"sensor.{name}"))
     if dataset.exposures:
-        times = ", ".join(value_text(exposure, None, "s") for exposure in dataset.exposures)
+        times = ", ".join(quantity_text(exposure, None, "s") for exposure in dataset.exposures)
         rows.append(row("Exposure times", "t_exp", times, "", "manifest.csv"))
     if "calibration" in files:
         used = files["calibration"].sel(estimator=files["calibration"].attrs["used"])
         for name, kind in (("p1", "factor"), ("p2", "offset")):
-            text = value_text(float(used[f"{name}_mean"]), float(used[f"{name}_sd_all"]), "px")
+            text = quantity_text(float(used[f"{name}_mean"]), float(used[f"{name}_sd_all"]), "px")
             source, key = "calibrated; ± standard deviation over all sites", f"calibration.{name}_mean"
             rows.append(row(f"Beam propagation {kind}", name, text, "", source, key))
         peak = float(used["peak"])
@@ -93,4 +93,4 @@ def _value_text(value: float | str | None, unit: str) -> str:
         return "not given"
     if isinstance(value, str):
         return value
-    return "unknown" if np.isnan(value) else value_text(value, None, unit)
+    return "unknown" if np.isnan(value) else quantity_text(value, None, unit)

@@ -4,7 +4,8 @@ from typing import Any, NamedTuple
 
 from spotcheck.discrepancy.limits import ALREADY_PRESENT
 from spotcheck.discrepancy.sentence import effect_text, either_text
-from spotcheck.discrepancy.words import condition_text, list_text, percent_text, probability_text, value_text
+from spotcheck.discrepancy.words import condition_text, list_text, percent_text, probability_text
+from spotcheck.io.number_text import quantity_text
 
 # A smaller p-value is given as "less than once in ten thousand measurements".
 RARE = 1e-4
@@ -51,7 +52,7 @@ def number_keys(verdict: dict[str, Any]) -> dict[str, str]:
         keys[_gain_text(verdict, name)] = f"verdict.levels.{name}"
     for name, shift in verdict["baseline_shift"].items():
         if shift["after"] is not None:
-            text = value_text(shift["after"], shift["stderr"], shift["unit"])
+            text = quantity_text(shift["after"], shift["stderr"], shift["unit"])
             keys[text] = f"verdict.baseline_shift.{name}.after"
     if detection["p_value"] is not None:
         keys[probability_text(detection["p_value"])] = "verdict.detection.p_value"
@@ -67,13 +68,13 @@ def number_keys(verdict: dict[str, Any]) -> dict[str, str]:
 
 def _value_text(parameter: dict[str, Any]) -> str:
     """Return the value of an effect's parameter with its error and unit."""
-    return value_text(parameter["value"], parameter["stderr"], parameter["unit"])
+    return quantity_text(parameter["value"], parameter["stderr"], parameter["unit"])
 
 
 def _gain_text(verdict: dict[str, Any], name: str) -> str:
     """Return one of the gains of a verdict on flats."""
     gain = verdict["levels"][name]
-    return value_text(gain["value"], gain["stderr"], "DN/e-")
+    return quantity_text(gain["value"], gain["stderr"], "DN/e-")
 
 
 def _describe_verdict(verdict: dict[str, Any]) -> str:

@@ -12,14 +12,13 @@ from spotcheck.characterization.emva_quantities import QUANTITIES as TRANSFER_QU
 from spotcheck.characterization.sensor_choice import QUANTITIES as SENSOR_QUANTITIES
 from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset.folder import Dataset
-from spotcheck.discrepancy.words import number_text, value_text
 from spotcheck.errors import InputError
 from spotcheck.fitting.caustic import select_beam_rows
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.fit_results import PARAMETERS
 from spotcheck.fitting.precision import summarize_precision
 from spotcheck.io import store
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import number_text, quantity_text
 from spotcheck.paper.plateau_level import estimate_plateau_levels
 from spotcheck.report.dataset_page.frames import cell_label
 from spotcheck.report.pages.citations import Citations
@@ -28,12 +27,12 @@ from spotcheck.report.pages.citations import Citations
 MOST_FITS = 200
 # Columns of the table of fit ranges, by the ends of their names in transfer.nc.
 RANGE_COLUMNS = ("limit", "levels", "gain", "intercept")
-# Quantities of a beam: variable of caustic.nc, words, factor from SI to the unit, and the unit.
+# Quantities of a beam: variable of caustic.nc, words, and the unit.
 BEAM = (
-    ("waist_radius", "waist w0 =", 1e6, "µm"),
-    ("waist_position", "at z0 =", 1e3, "mm"),
-    ("divergence", "divergence θ =", 1e3, "mrad"),
-    ("m2", "M² =", 1.0, ""),
+    ("waist_radius", "waist w0 =", "m"),
+    ("waist_position", "at z0 =", "m"),
+    ("divergence", "divergence θ =", "rad"),
+    ("m2", "M² =", "1"),
 )
 
 Row = dict[str, Any]
@@ -68,7 +67,9 @@ def tabulate_sensor(sensor: xr.Dataset | None, citations: Citations) -> list[Row
                 "by_source": [
                     ""
                     if np.isnan(stated)
-                    else citations.cite(plus_minus(float(stated), float(stderr)), f"sensor.{name}_by[source={source}]")
+                    else citations.cite(
+                        quantity_text(float(stated), float(stderr)), f"sensor.{name}_by[source={source}]"
+                    )
                     for source, stated, stderr in by_source
                 ],
             }
@@ -82,7 +83,7 @@ def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict
         return None
     rows = []
     for quantity in read_quantities(transfer).values():
-        text = plus_minus(quantity.value, quantity.stderr)
+        text = quantity_text(quantity.value, quantity.stderr)
         is_known = np.isfinite(quantity.value)
         rows.append(
             {
@@ -109,7 +110,8 @@ def tabulate_ranges(transfer: xr.Dataset) -> list[tuple[str, str, str, str]]:
     for k in range(transfer.sizes["range"]):
         fit = transfer.isel(range=k)
         gain, intercept = (
-            plus_minus(float(fit[f"range_{name}"]), float(fit[f"range_{name}_error"])) for name in ("gain", "intercept")
+            quantity_text(float(fit[f"range_{name}"]), float(fit[f"range_{name}_error"]))
+            for name in ("gain", "intercept")
         )
         limit = f"{100 * float(fit['range_limit']):.3g} %"
         rows.append((limit, f"{int(fit['range_levels'])}", gain, intercept.replace("-", "−")))
@@ -129,7 +131,7 @@ def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -
             "peak": citations.cite(number_text(float(values["peak"]), 4), f"calibration.peak{label}"),
         }
         for p in ("p1", "p2"):
-            text = value_text(float(values[f"{p}_mean"]), float(values[f"{p}_stderr"]), "px")
+            text = quantity_text(float(values[f"{p}_mean"]), float(values[f"{p}_stderr"]), "px")
             row[p] = {"value": citations.cite(text, f"calibration.{p}_mean{label}")}
             for name in ("sd_all", "sd_angles", "miss"):
                 # Less than a millionth of a pixel is rounding of floats.
@@ -155,8 +157,7 @@ def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citation
         cells = []
         for name in PARAMETERS:
             value, error = float(fit[name]), float(fit[f"{name}_stderr"])
-            digits = int(np.clip(1 - np.floor(np.log10(error)), 0, 4)) if error > 0 and np.isfinite(error) else 2
-            text = f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
+            text = quantity_text(value, error)
             # A round spot has no orientation: its error is infinite.
             is_known = np.isfinite(value) and not np.isinf(error)
             cells.append(citations.cite_frame(text, f"fits.{name}", frame.label) if is_known else "–")
@@ -188,7 +189,7 @@ def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str,
         ]
     except InputError:
         return None
-    return {"rows": rows, "calibrated": float(used["peak"]), "exposure": value_text(longest, None, "s")}
+    return {"rows": rows, "calibrated": float(used["peak"]), "exposure": quantity_text(longest, None, "s")}
 
 
 def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup | None:
@@ -198,10 +199,10 @@ def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup
     parts = []
     for words, beam in select_beam_rows(caustic).items():
         quantities = []
-        for name, phrase, factor, unit in BEAM:
-            text = plus_minus(float(beam[name]) * factor, float(beam[f"{name}_stderr"]) * factor, unit)
+        for name, phrase, unit in BEAM:
+            text = quantity_text(float(beam[name]), float(beam[f"{name}_stderr"]), unit)
             key = f"caustic.{name}[axis={beam['axis'].item()}]"
-            quantities.append(Markup("{} {}").format(phrase, citations.cite(text.replace("-", "−"), key)))
+            quantities.append(Markup("{} {}").format(phrase, citations.cite(text, key)))
         parts.append(Markup("{}: {} {}, {}, {}").format(words, *quantities))
     return Markup(
         "The fitted widths follow a hyperbola in z ({} beam; 1/e² radii of the fitted Gaussian, standard errors); {}."
@@ -237,7 +238,7 @@ def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str,
     texts += [(name, "sigma_mean", number_text(value(name, "sigma_mean"), 2)) for name in ("scatter", "bound")]
     for parameter in ("sigma_mean", "amplitude"):
         ratio, error = value("ratio", parameter), value("ratio_stderr", parameter)
-        texts.append(("ratio", parameter, plus_minus(ratio, error) if np.isfinite(ratio) else "–"))
+        texts.append(("ratio", parameter, quantity_text(ratio, error) if np.isfinite(ratio) else "–"))
     return texts
 
 

@@ -10,8 +10,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from spotcheck.discrepancy.pictures import AFTER, BEFORE
-from spotcheck.discrepancy.words import percent_text, value_text
-from spotcheck.io.plus_minus import two_digits
+from spotcheck.discrepancy.words import percent_text
+from spotcheck.io.number_text import quantity_text, two_digits
 from spotcheck.report.figures import style
 from spotcheck.report.figures.discrepancy import COLOUR_PERCENTILE, list_models, tabulate_conditions
 from spotcheck.report.figures.entry import VERDICT, Category, Entry
@@ -153,7 +153,7 @@ def _caption(example: Example, verdict: dict[str, Any], end: float) -> str:
 def _effect_text(effect: dict[str, Any]) -> str:
     """Return the name of an effect with its parameters."""
     parameters = ", ".join(
-        f"{key} {value_text(parameter['value'], parameter['stderr'], parameter['unit'])}"
+        f"{key} {quantity_text(parameter['value'], parameter['stderr'], parameter['unit'])}"
         for key, parameter in effect["parameters"].items()
     )
     return f"{effect['name']} ({parameters})" if parameters else str(effect["name"])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from spotcheck.io.plus_minus import two_digits
+from spotcheck.io.number_text import two_digits
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable

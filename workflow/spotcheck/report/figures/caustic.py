@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.fitting.caustic import CONDITION, Hyperbola, compute_interval_half_width, select_beam_rows
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
@@ -73,7 +73,7 @@ def _caption(ds: xr.Dataset, z_factor: float, z_unit: str) -> str:
     """Return the caption; `z_factor` converts m to the unit of the distance."""
     beams = select_beam_rows(ds)
     scatters = " and ".join(f"{100 * float(beam['scatter']):.2g} %" for beam in beams.values())
-    azimuth = plus_minus(float(ds["azimuth"]), float(ds["azimuth_stderr"]))
+    azimuth = quantity_text(float(ds["azimuth"]), float(ds["azimuth_stderr"]))
     direction = (
         f"The beam's axes lie at ({azimuth})° and across it, from +x towards +y, in all frames"
         if np.isfinite(float(ds["azimuth_stderr"]))
@@ -91,12 +91,12 @@ def _caption(ds: xr.Dataset, z_factor: float, z_unit: str) -> str:
         f" error of the fit and the scatter that brings χ² to 1 per degree of freedom ({scatters} of the radius). Grey:"
         " 68 % interval of the hyperbola."
     )
-    sentences = [_beam_text(name, beam, z_factor, z_unit) for name, beam in beams.items()]
+    sentences = [_beam_text(name, beam) for name, beam in beams.items()]
     end = "The standard asks for ten positions, half of them near the waist and half far."
     return " ".join([text, *sentences, end])
 
 
-def _beam_text(name: str, beam: xr.Dataset, z_factor: float, z_unit: str) -> str:
+def _beam_text(name: str, beam: xr.Dataset) -> str:
     """Return the quantities of one hyperbola as a sentence."""
     name = name[0].upper() + name[1:]
     if not np.isfinite(float(beam["m2"])):
@@ -108,18 +108,18 @@ def _beam_text(name: str, beam: xr.Dataset, z_factor: float, z_unit: str) -> str
         else ""
     )
     return (
-        f"{name}: waist w0 = {_quantity_text(beam, 'waist_radius', 1e6, 'µm')} at"
-        f" z0 = {_quantity_text(beam, 'waist_position', z_factor, z_unit)},"
-        f" divergence θ = {_quantity_text(beam, 'divergence', 1e3, 'mrad')} (half-angle), Rayleigh length"
-        f" {_quantity_text(beam, 'rayleigh_length', z_factor, z_unit)}, M² = {_quantity_text(beam, 'm2')} (± standard"
+        f"{name}: waist w0 = {_quantity_text(beam, 'waist_radius', 'm')} at"
+        f" z0 = {_quantity_text(beam, 'waist_position', 'm')},"
+        f" divergence θ = {_quantity_text(beam, 'divergence', 'rad')} (half-angle), Rayleigh length"
+        f" {_quantity_text(beam, 'rayleigh_length', 'm')}, M² = {_quantity_text(beam, 'm2')} (± standard"
         f" error); {total} positions, {near} of them within one Rayleigh length of the waist and {far} beyond two."
         f"{warning}"
     )
 
 
-def _quantity_text(beam: xr.Dataset, name: str, factor: float = 1.0, unit: str = "") -> str:
-    """Return a quantity ± its standard error; `factor` converts it to the unit."""
-    return plus_minus(float(beam[name]) * factor, float(beam[f"{name}_stderr"]) * factor, unit)
+def _quantity_text(beam: xr.Dataset, name: str, unit: str = "1") -> str:
+    """Return a quantity ± its standard error, from a value in the unit."""
+    return quantity_text(float(beam[name]), float(beam[f"{name}_stderr"]), unit)
 
 
 FIGURES = (Entry("caustic", "Caustic of the beam", Category.BEAM, ("caustic",), draw_caustic),)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from spotcheck.discrepancy.pictures import AFTER, BEFORE
-from spotcheck.io.plus_minus import two_digits
+from spotcheck.io.number_text import two_digits
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import VERDICT, Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable

@@ -12,7 +12,7 @@ from matplotlib.ticker import ScalarFormatter
 from spotcheck.characterization.derived_quantities import LINEARITY_RANGE
 from spotcheck.characterization.emva_quantities import Quantity
 from spotcheck.characterization.transfer_data import read_quantities
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
@@ -42,8 +42,7 @@ def _read_quantities(results: Results, *required: str) -> tuple[xr.Dataset, dict
 
 def _quantity_text(quantity: Quantity) -> str:
     """Return a quantity ± its standard error with unit."""
-    unit = "" if quantity.unit == "1" else quantity.unit
-    return plus_minus(quantity.value, quantity.stderr, unit).replace("-", "−", 1)
+    return quantity_text(quantity.value, quantity.stderr, quantity.unit)
 
 
 def _read_light(ds: xr.Dataset) -> tuple[np.ndarray, str]:

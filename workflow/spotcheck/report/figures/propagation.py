@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from spotcheck.io.plus_minus import plus_minus
+from spotcheck.io.number_text import quantity_text
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
@@ -32,7 +32,7 @@ def draw_parameters(results: Results) -> style.Drawing:
         offset = series.offset_lines(x, 2)[k]
         handles.append(series.draw_error_bars(ax, x + offset, mean, sd, line, is_filled=k == 0))
         symbol = f"$p_{name[1]}$"
-        labels.append(f"{symbol} = {plus_minus(float(ds[f'{name}_mean']), float(ds[f'{name}_sd_all']))} px")
+        labels.append(f"{symbol} = {quantity_text(float(ds[f'{name}_mean']), float(ds[f'{name}_sd_all']))} px")
         ax.set_ylabel(f"{symbol} / px", color=line.colour)
         ax.tick_params(axis="y", colors=line.colour)
     style.add_legend(figure, handles, labels, 2)

@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Ellipse
 
 from spotcheck.io import store
-from spotcheck.io.plus_minus import two_digits
+from spotcheck.io.number_text import two_digits
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.frame_pairs import FittedSpot, iterate_frames

@@ -10,7 +10,7 @@ from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from spotcheck.discrepancy.criteria import MIN_GAIN
-from spotcheck.io.plus_minus import two_digits
+from spotcheck.io.number_text import two_digits
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.discrepancy import ConditionTable, tabulate_conditions
 from spotcheck.report.figures.entry import VERDICT, Category, Entry

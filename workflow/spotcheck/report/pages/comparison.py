@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.discrepancy.words import UNITS, list_text, percent_text, probability_text, value_text
+from spotcheck.discrepancy.words import list_text, percent_text, probability_text
+from spotcheck.io.number_text import UNITS, quantity_text
 from spotcheck.report.comparison.changes import FALSE_ALARM_RATE, MIN_TREND_POINTS, Change
 from spotcheck.report.comparison.datasets import DatasetResults
 from spotcheck.report.comparison.numbers import GROUPS, Measurement
-from spotcheck.report.comparison.table import Comparison, Row, conditions_text, quantity_text
+from spotcheck.report.comparison.table import Comparison, Row, conditions_text, label_quantity
 from spotcheck.report.pages import plots, write_page
 
 # Most rows of the table of significant changes and of the plot of z, which should fit on a screen. comparison.nc has
@@ -65,7 +66,7 @@ def write_comparison_page(comparison: Comparison, path: Path, code: str) -> None
         difference_text,
         z_text,
         direction,
-        quantity_text,
+        label_quantity,
         conditions_text,
         probability_text,
     )
@@ -81,7 +82,7 @@ def _summarize(comparison: Comparison, changes: Sequence[tuple[Row, int]]) -> st
         return f"No quantity of {list_text(labels[1:MOST_NAMED])}{more} differs significantly from {labels[0]}."
     row, k = changes[0]
     values = [f"{number_text(row.numbers[at])} in {labels[at]}" for at in (row.first, k)]
-    change = f"{quantity_text(row.name)} changed from {values[0]} to {values[1]}."
+    change = f"{label_quantity(row.name)} changed from {values[0]} to {values[1]}."
     others = len({row.name for row, _ in changes}) - 1
     if not others:
         return f"{change} No other quantity changed significantly."
@@ -103,12 +104,12 @@ def _compare_effects(datasets: Sequence[DatasetResults]) -> str:
 
 def number_text(number: Measurement) -> str:
     """Return a number with its error and unit; a dash if it is absent."""
-    return "–" if np.isnan(number.value) else value_text(number.value, number.stderr, number.units)
+    return "–" if np.isnan(number.value) else quantity_text(number.value, number.stderr, number.units)
 
 
 def change_text(change: Change, units: str) -> str:
     """Return a difference or slope with its sign, error and unit."""
-    text = value_text(change.value, change.stderr, units)
+    text = quantity_text(change.value, change.stderr, units)
     return text if text.startswith("−") else f"+{text}"
 
 
@@ -170,8 +171,8 @@ def _plot_z(comparison: Comparison) -> dict[str, Any] | None:
         ):
             if np.isfinite(change.z):
                 text = f"{number_text(number)}, {change_text(change, row.units)}, z = {z_text(change.z)}"
-                points[is_changed].append((round(change.z, 3), quantity_text(row.name), f"{dataset.label}: {text}"))
-    changed = ", ".join(quantity_text(row.name) for row in rows if any(row.is_changed)) or "none"
+                points[is_changed].append((round(change.z, 3), label_quantity(row.name), f"{dataset.label}: {text}"))
+    changed = ", ".join(label_quantity(row.name) for row in rows if any(row.is_changed)) or "none"
     return {
         "figure": plots.figure_json(_z_traces(points), _z_layout(rows, points)),
         "alt": f"Differences from {comparison.datasets[0].label} over their errors. Significant: {changed}.",
@@ -202,7 +203,7 @@ def _z_layout(rows: Sequence[Row], points: dict[bool, list[tuple[float, str, str
     """Return the layout of the plot of z; the range of its axis has a margin and includes 0."""
     z = [0.0, *(point[0] for members in points.values() for point in members)]
     margin = 0.05 * max(max(z) - min(z), 1.0)
-    order = [quantity_text(row.name) for row in rows][::-1]
+    order = [label_quantity(row.name) for row in rows][::-1]
     # Names are placed above their points, so that they fit into a narrow window.
     names = [
         {"text": name, "x": 0, "xref": "paper", "xanchor": "left", "y": name, "yanchor": "bottom", "showarrow": False}
@@ -265,7 +266,7 @@ def _quantities_json(comparison: Comparison) -> str:
     rows = sorted(comparison.rows, key=lambda row: (not row.has_trend, not any(row.is_changed)))
     quantities = [
         {
-            "name": quantity_text(row.name),
+            "name": label_quantity(row.name),
             "group": row.name.group,
             "prefix": "trend: " if row.has_trend else "changed: " if any(row.is_changed) else "",
             "unit": UNITS.get(row.units, row.units),

@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from spotcheck.discrepancy.words import value_text
+from spotcheck.io.number_text import quantity_text
 from spotcheck.report.provenance.frames import find_frame
 from spotcheck.report.provenance.inputs import InputFile, trace_inputs
 from spotcheck.report.provenance.lookup import find_related, spaced_variable
@@ -14,7 +14,7 @@ from spotcheck.report.provenance.records import Number, Source
 
 # Hex digits of a digest in a text.
 DIGEST_DIGITS = 8
-# Units that `value_text` does not know.
+# Units that `quantity_text` does not know.
 UNITS = {"pixel2": "px²", "DN2": "DN²"}
 
 
@@ -53,7 +53,7 @@ def explanation_text(number: Number, results: Path, question: str, purpose: str)
 
 def number_text(number: Number) -> str:
     """Return value ± error with unit; a fraction just below 1 is not rounded to 1."""
-    value, text = number.value, value_text(number.value, number.stderr, UNITS.get(number.unit, number.unit))
+    value, text = number.value, quantity_text(number.value, number.stderr, UNITS.get(number.unit, number.unit))
     return f"{value:.9g}" if text == "1" and value != 1 else text
 
 

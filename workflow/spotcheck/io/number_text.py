@@ -1,0 +1,98 @@
+"""Formatting of numbers for people: a value with its standard error and unit, and numbers in sentences and tables."""
+
+import math
+
+from uncertainties import ufloat
+from uncertainties.formatting import PDG_precision
+
+# Units as a person writes them, where files write them differently.
+UNITS = {"1": "", "deg": "°", "degree": "°", "pixel": "px"}
+# Units that take a prefix, since exposures and beams span powers of ten; and the prefixes by power of ten.
+PREFIXED_UNITS = ("s", "m", "rad", "W")
+PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: ""}
+# Numbers with more decimals are written with a power of ten.
+MAX_DECIMALS = 6
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def quantity_text(value: float | None, stderr: float | None, unit: str = "1") -> str:
+    """Return a value with its standard error and unit, rounded to the digits that the error leaves.
+
+    The error has one or two digits, by the rule of the Particle Data Group (Review of Particle Physics, Introduction
+    5.3); the package `uncertainties` applies it.
+
+    Parameters
+    ----------
+    value : float or None
+        The value; "no value" is written for None, NaN and infinity.
+    stderr : float or None
+        Standard error in the unit of the value. If it is None, NaN or not positive, only the value is written, to four
+        digits. An infinite error is written as ∞.
+    unit : str
+        Unit as in files; "1" for none. Seconds, metres, radians and watts get a prefix.
+
+    Examples
+    --------
+    >>> quantity_text(0.02403, 0.00113)
+    '0.0240 ± 0.0011'
+    >>> quantity_text(1.23e-5, 4.2e-7, "s")
+    '12.3 ± 0.4 µs'
+    >>> quantity_text(-3.2e-8, 1.1e-9)
+    '(−3.20 ± 0.11)×10⁻⁸'
+    """
+    if value is None or not math.isfinite(value):
+        return "no value"
+    unit = UNITS.get(unit, unit)
+    if unit in PREFIXED_UNITS and value:
+        power = min(max(3 * math.floor(math.log10(abs(value)) / 3), min(PREFIXES)), max(PREFIXES))
+        value, stderr = value / 10.0**power, None if stderr is None else stderr / 10.0**power
+        unit = PREFIXES[power] + unit
+    space = "" if unit in ("", "°") else " "
+    return f"{_number_with_error(value, stderr)}{space}{unit}"
+
+
+def rounded_text(value: float, stderr: float) -> str:
+    """Return a value without its error, with the decimals that `quantity_text` would give it."""
+    return f"{value:.{max(count_decimals(stderr), 0)}f}".replace("-", "−")
+
+
+def count_decimals(stderr: float) -> int:
+    """Return the decimals of a value with this standard error; negative if tens are rounded."""
+    digits, rounded_stderr = PDG_precision(stderr)
+    return digits - 1 - math.floor(math.log10(rounded_stderr))
+
+
+def number_text(value: float | None, digits: int = 3) -> str:
+    """Return a number without an error with so many digits, such as `1.00`, `5440`, `9.61 · 10⁵`; a dash if unknown."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    # Rounded before the power is taken: 9.996 becomes 10.0, not 10.00.
+    value = float(f"{value:.{digits - 1}e}")
+    power = math.floor(math.log10(abs(value))) if value else 0
+    if -4 <= power < 5:
+        text = f"{value:.{max(digits - 1 - power, 0)}f}"
+    else:
+        text = f"{value / 10.0**power:.{digits - 1}f} · 10{str(power).translate(SUPERSCRIPTS)}"
+    return text.replace("-", "−")
+
+
+def two_digits(value: float) -> str:
+    """Return a number with two significant digits for a sentence: `360`, `0.05`, `2.5 · 10⁻¹⁶`."""
+    if value == 0 or 1e-2 <= abs(value) < 1e4:
+        return f"{float(f'{value:.2g}'):g}"
+    mantissa, exponent = f"{value:.1e}".split("e")
+    return f"{mantissa} · 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+
+
+def _number_with_error(value: float, stderr: float | None) -> str:
+    """Return `value ± stderr`, or the value alone if its error is unknown."""
+    if stderr is None or math.isnan(stderr) or stderr <= 0:
+        text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+    elif math.isinf(stderr):
+        text = f"{value:.4g} ± ∞"
+    else:
+        decimals = count_decimals(stderr)
+        if decimals < 0:
+            value, stderr = round(value, decimals), round(stderr, decimals)
+        text = format(ufloat(value, stderr), "eP" if decimals > MAX_DECIMALS else "fP").replace("±", " ± ")
+    return text.replace("-", "−")
