@@ -18,7 +18,9 @@ EXAMPLES = """spotcheck paper data/published.yaml --dataset data/virtual-rig --r
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
     parser.add_argument("numbers", type=Path, help="published.yaml")
-    parser.add_argument("--seeds", type=Path, help="published_seeds.csv: counts with other seeds of the rig")
+    parser.add_argument(
+        "--seeds", required=True, type=Path, help="published_seeds.csv: counts with other seeds of the rig"
+    )
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
     parser.add_argument("--table", required=True, help="paper_numbers.csv to write")
@@ -31,11 +33,10 @@ def run(args: argparse.Namespace) -> None:
     """Check every number; with --strict, end with status 1 when one left its tolerance."""
     results = Results(folder.load(args.dataset), args.results)
     checks = number_checks.check_numbers(read_yaml(args.numbers), results)
-    seeds = number_checks.read_other_seeds(args.seeds) if args.seeds else []
-    inputs = [args.numbers, *([args.seeds] if args.seeds else []), results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
+    inputs = [args.numbers, args.seeds, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
     store.write_text(args.table, number_checks.format_csv(checks), code=provenance.code_digest(__name__), inputs=inputs)
     write_numbers_page(args.page, checks)
-    store.write_text(args.summary, number_checks.summarise_checks(checks, seeds))
+    store.write_text(args.summary, number_checks.summarise_checks(checks, number_checks.read_other_seeds(args.seeds)))
     for group, (met, total) in number_checks.count_met(checks).items():
         print(f"{group.replace('_', ' ')}: {met} of {total} hold")
     regressions = number_checks.find_regressions(checks)
