@@ -11,8 +11,9 @@ from spotcheck.paper import number_checks
 from spotcheck.paper.results import Results
 from spotcheck.report.pages.numbers import write_numbers_page
 
-EXAMPLES = """spotcheck paper data/published.yaml --dataset data/virtual-rig --results results/virtual-rig \\
-    --table numbers.csv --page numbers.html --summary numbers.md"""
+EXAMPLES = """spotcheck paper data/published.yaml --seeds data/published_seeds.csv \\
+    --dataset data/virtual-rig --results results/virtual-rig --table numbers.csv \\
+    --page numbers.html --summary numbers.md"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -210,8 +210,11 @@ def _longest_frames(results: Results, folder: str) -> list[tuple[np.ndarray, flo
     # Fitted centres are coordinates on the sensor.
     columns = (fits["x_centre"] - crops["left"], fits["y_centre"] - crops["top"], fits["sigma_mean"])
     values = [column.transpose("angle", "repeat").values for column in columns]
-    cells = np.ndindex(images.shape[:2])
-    return [(images[cell], *(float(value[cell]) for value in values)) for cell in cells]
+    frames = []
+    for cell in np.ndindex(images.shape[:2]):
+        x0, y0, sigma_px = (float(value[cell]) for value in values)
+        frames.append((images[cell], x0, y0, sigma_px))
+    return frames
 
 
 def _edge_width(image: np.ndarray, x0: float, y0: float, sigma_px: float) -> float:
@@ -234,7 +237,7 @@ def _count_angles_rising(values: xr.DataArray) -> float:
 
 def _root_mean_square(sd: xr.DataArray) -> np.ndarray:
     """Return the root mean square over angles of standard deviations [angle, exposure], per exposure."""
-    return np.sqrt((sd**2).mean("angle")).values
+    return np.sqrt((sd**2).mean("angle").values)
 
 
 def _ratio_of_extremes(sd: xr.DataArray) -> float:
