@@ -1,8 +1,8 @@
 """Catalogue of a results folder: every number that can be looked up, by each of its names.
 
-An entry is a number, or a table of numbers over dimensions such as angle and exposure. Its full name is the file without
-suffix and the variable, joined by dots. A question is a name with labels of dimensions in brackets; a label is the
-value of a coordinate or an index. A rule is a step of the workflow that writes result files.
+An entry is a number, or a table of numbers over dimensions such as angle and exposure. Its full name is the file
+without suffix and the variable, joined by dots. A question is a name with labels of dimensions in brackets; a label is
+the value of a coordinate or an index. A rule is a step of the workflow that writes result files.
 """
 
 import difflib

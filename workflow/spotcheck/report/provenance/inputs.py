@@ -22,7 +22,7 @@ class InputFile:
     """An input file with its own inputs."""
 
     name: str  # path in the results folder, file name of a file elsewhere, or a number of frames in words
-    path: str  # path on this computer; "" if the file is gone
+    path: str  # path on this computer; "" if the file is gone, and for frames
     digest: str  # first 16 hex digits of the SHA-256 that the file had when it was read; "" for frames
     rule: str  # rule that wrote the file; "" for a file of the user
     remark: str  # whether the file has changed, is gone, or was listed above; "" if none of these
@@ -37,7 +37,7 @@ def trace_inputs(results: Path, source: Source) -> list[InputFile]:
 def _list_inputs(results: Path, source: Source, listed: set[str]) -> Iterator[InputFile]:
     """Yield the inputs of a result file; `listed` collects the files whose inputs were listed.
 
-    The frames are not inputs of frames.nc one by one; a single item stands for all of them.
+    The last input of a frames.nc stands for all frames, whose digests it stores.
     """
     for recorded in source.inputs:
         yield _trace_input(results, (results / source.file).parent, recorded, listed)
@@ -69,7 +69,7 @@ def _trace_input(results: Path, folder: Path, recorded: Input, listed: set[str])
 def _find_source(results: Path, file: str) -> Source | None:
     """Return the provenance of a file in the results folder; None if no rule writes it.
 
-    Manifest and instrument file of simulated frames are written with their images and have the same provenance.
+    Manifest and instrument file of simulated frames are written with simulated.nc and have its provenance.
     """
     sources = load_catalog(results).sources
     name, folder = file.removesuffix(Path(file).suffix), Path(file).parent.name

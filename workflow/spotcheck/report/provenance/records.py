@@ -1,7 +1,7 @@
 """Records of the lookup: catalogue entries, numbers, and the provenance of result files.
 
-A rule is a step of the workflow (Snakefile), which calls a subcommand of `spotcheck` to write result files. A key is the
-full name of a number: the file without suffix and the variable, joined by dots, such as `fits.sigma_mean`.
+A rule is a step of the workflow (Snakefile), which calls a subcommand of `spotcheck` to write result files. A key is
+the full name of a number: the file without suffix and the variable, joined by dots, such as `fits.sigma_mean`.
 """
 
 from collections.abc import Iterator, Mapping
