@@ -160,7 +160,8 @@ def _read_sensor(ds: xr.Dataset) -> NamedMeasurements:
 def _read_transfer(ds: xr.Dataset) -> NamedMeasurements:
     """Yield the quantities of EMVA 1288 in transfer.nc, which are from flats and darks."""
     for quantity in read_quantities(ds).values():
-        name = QuantityName(EMVA, f"{photon_transfer.QUANTITIES[quantity.name][2]}, {quantity.symbol}")
+        _, _, meaning = photon_transfer.QUANTITIES[quantity.name]
+        name = QuantityName(EMVA, f"{meaning}, {quantity.symbol}")
         source = f"value: {quantity.name}"
         yield name, _measure(quantity.value, quantity.stderr, quantity.unit, "fit to the levels", source)
 

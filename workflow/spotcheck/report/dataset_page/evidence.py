@@ -93,7 +93,7 @@ def _tabulate_shifts(verdict: Mapping[str, Any], citations: Citations) -> list[t
         if shift["before"] is not None:
             key, error = f"verdict.baseline_shift.{name}", shift["stderr"]
             # Only the value after has an error; the value before gets the same decimals.
-            before = rounded_text(shift["before"], error) if error else number_text(shift["before"], 4)
+            before = rounded_text(shift["before"], error) if error else number_text(shift["before"], digits=4)
             after = quantity_text(shift["after"], error, shift["unit"])
             marked_before = citations.cite(f"{before} {shift['unit']}", f"{key}.before")
             rows.append((name, marked_before, citations.cite(after, f"{key}.after")))

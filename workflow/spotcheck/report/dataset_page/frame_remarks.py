@@ -24,6 +24,8 @@ LEAST_ERRORS = 5.0
 OPPOSITES = {"brighter": ("brighter", "fainter"), "wider": ("wider", "narrower")}
 # Number of blocks along the side of a crop among which the largest residual is searched.
 BLOCKS = 24
+# A block nearer to the centre of the spot than so many sides of a block is "at the centre".
+CENTRE_BLOCKS = 1.5
 # The residual of a block is reported above this number of standard deviations of its noise.
 LEAST_SIGMAS = 6.0
 # Flags that are described with numbers or reasons of the frame.
@@ -117,7 +119,7 @@ def _describe_place(right: float, down: float, block: int) -> str:
 
     Distances below the size of the block are not resolved: they are "at the centre", or are not mentioned.
     """
-    if np.hypot(right, down) <= 1.5 * block:
+    if np.hypot(right, down) <= CENTRE_BLOCKS * block:
         return "at the centre"
     horizontal = f"{abs(right):.0f} px to the {'right' if right > 0 else 'left'}" if abs(right) >= block / 2 else ""
     vertical = f"{abs(down):.0f} px {'below' if down > 0 else 'above'}" if abs(down) >= block / 2 else ""

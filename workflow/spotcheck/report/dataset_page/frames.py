@@ -3,7 +3,8 @@
 Models predict the mean image of a frame: the declared model, the extended model with the effects that the verdict adds,
 and the simulation by p1 and p2, the law of the spot's width over exposure. A layer is one image of a frame on the page:
 the measured one, or that of a model. The residual is measured minus model; `left` is its rms over the noise [1], `rms`
-is its rms [DN]. frames.js draws the frames.
+is its rms [DN]. Images may be reduced to means of blocks of pixels; `block` is the side of a block [px], 1 without
+reduction. `full_scale` is the largest reading of the sensor [DN]. frames.js draws the frames.
 """
 
 from collections.abc import Mapping, Sequence
@@ -81,7 +82,7 @@ def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
     cells, dims = list(dataset.cells()), store.grid_dims(files.crops)
     places: list[Place] = [dict(zip(dims, index, strict=True)) for index, _ in cells]
     full_scale = float(files.frames["full_scale"])
-    block = _choose_block(files, places, full_scale)
+    block = _estimate_block(files, places, full_scale)
     median_factors = compute_median_factors(files.views)
     packed: list[str] = []
     frames: list[dict[str, Any]] = []  # data of each frame for frames.js
@@ -103,11 +104,8 @@ def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
     return FrameSection(index, packed, rows, _ranking_model(files), ranked_in, remark)
 
 
-def _choose_block(files: FrameFiles, places: Sequence[Place], full_scale: float) -> int:
-    """Return the side of the blocks [px] with which all frames fit on the page, estimated from a sample of frames.
-
-    `full_scale` is the largest reading of the sensor [DN], here and below.
-    """
+def _estimate_block(files: FrameFiles, places: Sequence[Place], full_scale: float) -> int:
+    """Return the side of the blocks [px] with which all frames fit on the page, estimated from a sample of frames."""
     sample_indices = np.unique(np.linspace(0, len(places) - 1, SAMPLE_FRAMES).astype(int))
     sample = [_read_images(files, places[k]) for k in sample_indices]
 
@@ -133,7 +131,7 @@ def _read_images(files: FrameFiles, place: Place) -> Images:
 
 
 def _make_layers(images: Images, full_scale: float, block: int) -> dict[str, Layer]:
-    """Return the images of a frame as layers to be packed, reduced to means of blocks with the side `block` [px]."""
+    """Return the images of a frame as layers to be packed, by name, reduced to means of blocks."""
     return {
         name: Layer(
             readings=block_means(image, block),
@@ -146,7 +144,7 @@ def _make_layers(images: Images, full_scale: float, block: int) -> dict[str, Lay
 
 
 def _layer_step(name: str, full_scale: float, block: int) -> float:
-    """Return the step of a layer [DN]; measured readings are integers unless they are averaged."""
+    """Return the reading of the integer 1 [DN] in a layer; measured readings are integers unless they are averaged."""
     return 1.0 if name == "measured" and block == 1 else choose_step(full_scale)
 
 
@@ -240,8 +238,8 @@ def _build_viewer_index(
 ) -> dict[str, Any]:
     """Return the data of frames.js: the grid, the layers, the noise, and the `frames` of `_describe_frame`.
 
-    `dims` are the dimensions of the grid, `block` is the side of the blocks [px]. `noise` is the variance of a reading
-    of 0 DN [DN²] and its rise for each DN of mean [DN]; None if unknown.
+    `dims` are the dimensions of the grid. `noise` is the variance of a reading of 0 DN [DN²] and its rise for each DN
+    of mean [DN]; None if unknown.
     """
     layers = list(dict.fromkeys(name for frame in frames for name in frame["layers"]))
     first = _choose_first(frames, _ranking_model(files))

@@ -93,11 +93,12 @@ def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict
         return None
     rows = []
     for quantity in read_quantities(transfer).values():
+        _, _, meaning = TRANSFER_QUANTITIES[quantity.name]
         text = quantity_text(quantity.value, quantity.stderr)
         is_known = np.isfinite(quantity.value)
         rows.append(
             {
-                "name": TRANSFER_QUANTITIES[quantity.name][2],
+                "name": meaning,
                 "symbol": quantity.symbol,
                 "value": citations.cite(text, f"transfer.{quantity.name}") if is_known else "unknown",
                 "unit": "" if quantity.unit == "1" else quantity.unit,
@@ -145,15 +146,15 @@ def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -
         row: Row = {
             "text": calibration.attrs[f"estimator_{estimator}"],
             "is_used": estimator == calibration.attrs["used"],
-            "peak": citations.cite(number_text(float(values["peak"]), 4), f"calibration.peak{label}"),
+            "peak": citations.cite(number_text(float(values["peak"]), digits=4), f"calibration.peak{label}"),
         }
         for p in ("p1", "p2"):
             text = quantity_text(float(values[f"{p}_mean"]), float(values[f"{p}_stderr"]), "px")
             row[p] = {"value": citations.cite(text, f"calibration.{p}_mean{label}")}
             for name in ("sd_all", "sd_angles", "miss"):
-                text = number_text(round(float(values[f"{p}_{name}"]), SD_DECIMALS), 2)
+                text = number_text(round(float(values[f"{p}_{name}"]), SD_DECIMALS), digits=2)
                 row[p][name] = citations.cite(text, f"calibration.{p}_{name}{label}")
-            row[p]["sd_repeats"] = number_text(float(values[f"{p}_sd_repeats"].mean()), 2)
+            row[p]["sd_repeats"] = number_text(float(values[f"{p}_sd_repeats"].mean()), digits=2)
         rows.append(row)
     return {
         "rows": rows,
@@ -259,7 +260,7 @@ def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str,
         return float(condition[f"{name}_{source}"].sel(parameter=parameter))
 
     texts = [("frames", "", str(int(condition[f"frames_{source}"])))]
-    texts += [(name, "sigma_mean", number_text(value(name, "sigma_mean"), 2)) for name in ("scatter", "bound")]
+    texts += [(name, "sigma_mean", number_text(value(name, "sigma_mean"), digits=2)) for name in ("scatter", "bound")]
     for parameter in ("sigma_mean", "amplitude"):
         ratio, error = value("ratio", parameter), value("ratio_stderr", parameter)
         texts.append(("ratio", parameter, quantity_text(ratio, error) if np.isfinite(ratio) else "–"))

@@ -33,7 +33,7 @@ class Citations:
     def cite_frame(self, text: str, table: str, frame: str) -> Markup:
         """Return the marked text of a number of one frame.
 
-        `table` is file and variable, such as `fits.sigma_mean`; `frame` is the name of the frame's file.
+        `table` is file and variable, such as `fits.sigma_mean`; `frame` is the label of the frame.
         """
         source = ""
         with suppress(InputError):

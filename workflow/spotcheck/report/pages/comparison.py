@@ -30,6 +30,8 @@ MOST_NAMED, MOST_CONDITIONS = 4, 5
 # Height of the plot of z [rem]: of a row, with a name above its points, and of everything around the rows.
 ROW_REM, FRAME_REM = 2.1, 6.0
 RISE, FALL = "▲", "▼"
+# Margin of the abscissa of the plot of z at each end, as a share of its range.
+Z_MARGIN = 0.05
 # From this |z| on, z is written without decimals.
 LARGE_Z = 10
 
@@ -213,7 +215,7 @@ def _build_z_traces(points: dict[bool, list[Point]]) -> list[dict[str, Any]]:
 def _build_z_layout(rows: Sequence[Row], points: dict[bool, list[Point]]) -> dict[str, Any]:
     """Return the Plotly layout of the plot of z; the range of the abscissa has a margin and includes 0."""
     z = [0.0, *(point[0] for points_of_trace in points.values() for point in points_of_trace)]
-    margin = 0.05 * max(max(z) - min(z), 1.0)
+    margin = Z_MARGIN * max(max(z) - min(z), 1.0)
     # The first category of Plotly is at the bottom.
     order = [label_quantity(row.name) for row in rows][::-1]
     # Names are placed above their points, so that they fit into a narrow window.

@@ -85,7 +85,10 @@ EFFECT = Effect(
 
 
 class _Expression:
-    """A scale without a value; arithmetic with it gives the formula as text instead of a number."""
+    """A scale without a value; arithmetic with it gives the formula as text instead of a number.
+
+    `text` is the formula; `is_sum` says whether it needs brackets within a product.
+    """
 
     def __init__(self, text: str, is_sum: bool = False):
         self.text, self.is_sum = text, is_sum
@@ -94,8 +97,8 @@ class _Expression:
         """Return the formula of a binary operation; `other` is a number or formula, on the left if `swapped`."""
         left, right = (other, self) if swapped else (self, other)
         is_product = sign in "×/"
-        right_text = _text(right, is_product or sign == "−")
-        return _Expression(f"{_text(left, is_product)} {sign} {right_text}", not is_product)
+        right_text = _format_term(right, is_product or sign == "−")
+        return _Expression(f"{_format_term(left, is_product)} {sign} {right_text}", not is_product)
 
     __mul__, __rmul__ = partialmethod(_join, "×"), partialmethod(_join, "×", swapped=True)
     __truediv__, __rtruediv__ = partialmethod(_join, "/"), partialmethod(_join, "/", swapped=True)
@@ -103,10 +106,10 @@ class _Expression:
     __sub__, __rsub__ = partialmethod(_join, "−"), partialmethod(_join, "−", swapped=True)
 
     def __neg__(self) -> "_Expression":
-        return _Expression(f"−{_text(self, True)}")
+        return _Expression(f"−{_format_term(self, True)}")
 
 
-def _text(value: float | _Expression, in_brackets: bool = False) -> str:
+def _format_term(value: float | _Expression, in_brackets: bool = False) -> str:
     """Return a number or a formula as text; `in_brackets` puts brackets around a sum. Infinity is "any"."""
     if isinstance(value, _Expression):
         return f"({value.text})" if value.is_sum and in_brackets else value.text
@@ -118,9 +121,9 @@ def _text(value: float | _Expression, in_brackets: bool = False) -> str:
 def describe_bound(bound: float | Callable[[EffectScales], float]) -> str:
     """Return a bound of a parameter as a number, or as a formula of the scales if it depends on the data."""
     if not callable(bound):
-        return _text(bound)
+        return _format_term(bound)
     try:
-        return _text(bound(EffectScales(*map(_Expression, SCALE_NAMES))))  # type: ignore[arg-type]
+        return _format_term(bound(EffectScales(*map(_Expression, SCALE_NAMES))))  # type: ignore[arg-type]
     except TypeError:  # the function does more than arithmetic
         return "set by the data"
 
@@ -133,7 +136,7 @@ def _parameter_row(parameter: Parameter, vanishes_at: float | None) -> str:
     """
     notes = ["of the variant"] if parameter.is_variant_specific else []
     if vanishes_at is not None and not math.isnan(vanishes_at):
-        notes.append("vanishes at " + ("∞" if math.isinf(vanishes_at) else _text(vanishes_at)))
+        notes.append("vanishes at " + ("∞" if math.isinf(vanishes_at) else _format_term(vanishes_at)))
     if parameter.negligible:
         notes.append(f"negligible if nearer than {describe_bound(parameter.negligible)}")
     bounds = (describe_bound(bound) for bound in (parameter.low, parameter.high))

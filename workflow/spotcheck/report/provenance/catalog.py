@@ -58,8 +58,8 @@ class Catalog:
     def find_entry(self, name: str, dims: Collection[str]) -> CatalogEntry:
         """Return the entry that a name means.
 
-        Of several entries with the name, those that are not secondary and then those that need no further label take
-        precedence.
+        If several entries have the name, those that are not secondary take precedence, and among these the entries
+        that need no further label.
 
         Parameters
         ----------

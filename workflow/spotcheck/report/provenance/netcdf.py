@@ -122,11 +122,12 @@ def read_number(ds: xr.Dataset, entry: CatalogEntry, labels: Mapping[str, str | 
 def _read_quantity(ds: xr.Dataset, name: str) -> StoredNumber:
     """Return a quantity of EMVA 1288 from the long table of transfer.nc."""
     row = ds.isel(quantity=ds["quantity"].values.tolist().index(name))
+    _, _, meaning = QUANTITIES[name]
     return StoredNumber(
         value=float(row["value"]),
         stderr=float(row["stderr"]),
         unit=str(row["unit"].item()),
-        description=f"{QUANTITIES[name][2]} ({row['symbol'].item()} of EMVA 1288)",
+        description=f"{meaning} ({row['symbol'].item()} of EMVA 1288)",
         variable=f"value[quantity={name}]",
         method=str(row["why"].item()),
     )
