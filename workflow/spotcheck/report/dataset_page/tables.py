@@ -289,7 +289,11 @@ def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple
 
 
 def read_paper_numbers(path: Path) -> dict[str, Any] | None:
-    """Return the rows of paper_numbers.csv by group, and how many of each are met; None without the file."""
+    """Return the variable `numbers` of numbers.html, from paper_numbers.csv; None without the file.
+
+    `groups` are the rows of the file by the words for their group. `shares` are the number of rows of each group that
+    are met, and the number of all.
+    """
     if not path.exists():
         return None
     groups: dict[str, list[dict[str, str]]] = {name: [] for name in GROUPS.values()}
