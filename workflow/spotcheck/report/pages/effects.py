@@ -186,20 +186,10 @@ def describe_effect(effect: Effect) -> str:
     rows = [_parameter_row(strength, effect.vanishes_at), *(_parameter_row(parameter, None) for parameter in others)]
     link = f"[{effect.name}](../spotcheck/model/effects/{effect.name}.py)"
     title = link if effect.name in built_in() else effect.name
-    return "\n".join(
-        [
-            f"## {effect.number}. {title}",
-            "",
-            f"{effect.sentence[0].upper()}{effect.sentence[1:]}.",
-            "",
-            "  \n".join(notes),
-            "",
-            "| parameter | unit | lowest | highest | |",
-            "|---|---|---|---|---|",
-            *rows,
-            "",
-        ]
-    )
+    sentence = f"{effect.sentence[0].upper()}{effect.sentence[1:]}."
+    text_lines = [f"## {effect.number}. {title}", "", sentence, "", "  \n".join(notes), ""]
+    table_lines = ["| parameter | unit | lowest | highest | |", "|---|---|---|---|---|", *rows, ""]
+    return "\n".join(text_lines + table_lines)
 
 
 def _special_case(name: str) -> str:
