@@ -1,8 +1,8 @@
 """Remarks on a frame in words: flags of its fit, its deviation from the other frames, and its largest residual.
 
 The law is the model of brightness and width of the spot over exposure that all frames share. A site is a place on the
-sample; its frames share the centre of the spot. views.nc stores by how much each frame is `brighter` and
-`wider` than the law [1], and by how much its spot is to the `right` of and `down` from that of its site [px].
+sample; its frames share the centre of the spot. views.nc stores by how much each frame is `brighter` and `wider` than
+the law [1], and by how much its spot is to the `right` of the site's centre and `down` from it [px].
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ DETAILED_FLAGS = store.flag("clipped") | store.flag("left_out")
 class Deviation(NamedTuple):
     """Deviation of a frame from the law of all frames or from its site."""
 
-    value: float  # share of the law's brightness or width [1], or distance from the site's centre [px]
+    value: float  # relative to brightness or width of the law [1], 0 if equal; or to the centre of the site [px]
     stderr: float  # standard error [unit of the value]
 
 
