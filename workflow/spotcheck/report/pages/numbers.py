@@ -1,4 +1,4 @@
-"""The page that compares the paper's numbers and statements with ours."""
+"""The page that compares the numbers and statements of the paper with those of the results."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from spotcheck.report.pages import write_page
 
 
 def write_numbers_page(path: Path, checks: list[NumberCheck]) -> None:
-    """Write the page of the paper's numbers, by group and by the kind of number within."""
+    """Write the page of the paper's numbers and statements, with a part of the table for each of `GROUPS`."""
     groups: dict[str, list[NumberCheck]] = {group: [] for group in GROUPS}
     for check in checks:
         groups[check.group].append(check)
@@ -16,7 +16,7 @@ def write_numbers_page(path: Path, checks: list[NumberCheck]) -> None:
 
 
 def _format_interval(check: NumberCheck) -> str:
-    """Return the interval of values that meet an entry."""
+    """Return the interval of accepted values as text, in the unit of the entry; one number if both ends are equal."""
     if check.low == check.high:
         return f"{check.low:.5g}"
     if check.low == -float("inf"):
