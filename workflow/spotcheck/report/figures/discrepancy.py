@@ -324,7 +324,7 @@ def draw_gap(results: Results) -> style.Drawing:
 
 
 def _draw_cells(ax: Axes, table: ConditionTable, values: np.ndarray, bold_limit: np.ndarray, norm: LogNorm) -> None:
-    """Draw `values` [row, column] as colours, and as numbers if there are few; bold above `bold_limit` [row, column]."""
+    """Draw `values` [row, column] as colours, and as numbers if there are few; those above `bold_limit` are bold."""
     style.show_image(ax, values, GAP_MAP, norm, facecolor="0.85", aspect="auto")
     ax.set_xticks(range(len(table.columns)), table.columns)
     named_rows = series.pick_evenly(len(table.rows), MAX_NAMED_ROWS)

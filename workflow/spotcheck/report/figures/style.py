@@ -1,7 +1,7 @@
 """House style of the figures: sizes, colours, units on axes, and reproducible files."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
