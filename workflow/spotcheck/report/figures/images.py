@@ -23,10 +23,8 @@ SMOOTH_PX = 1.5
 
 def half_side(pair: FramePair) -> int:
     """Return half the side [px] of the part of the crop around both spots; it fits into the crop."""
-    largest_width = max(pair.measured.spot.major, pair.simulated.spot.major)
-    return int(
-        min(max(np.ceil(ENLARGED_WIDTHS * largest_width), MIN_HALF_SIDE), min(pair.measured.image.shape) // 2 - 1)
-    )
+    width = max(pair.measured.spot.major, pair.simulated.spot.major)
+    return int(min(max(np.ceil(ENLARGED_WIDTHS * width), MIN_HALF_SIDE), min(pair.measured.image.shape) // 2 - 1))
 
 
 def draw_frame(results: Results, source: str) -> style.Drawing:

@@ -1,6 +1,6 @@
 """Radial profiles of measured and simulated frames, and their difference.
 
-A profile has the mean over each ring of 1 px around the spot's centre. The simulated reading is the mean one, centred on
+A profile has the mean over each ring of 1 px around the spot's centre. The simulated reading is the mean one, moved to
 the measured spot.
 """
 
@@ -64,8 +64,9 @@ def average_profiles(results: Results) -> list[Profile]:
         measured, simulated = np.array(rings).transpose(1, 0, 2)  # each [frame, ring]
         residual = measured - simulated
         scatter = residual.std(axis=0, ddof=1) if len(rings) > 1 else np.full(residual.shape[1], np.nan)
-        radius, means = np.arange(residual.shape[1]) + 0.5, (a.mean(axis=0) for a in (measured, simulated, residual))
-        profiles.append(Profile(radius, *means, scatter, len(rings), series.condition_text(crops, index)))
+        means = [values.mean(axis=0) for values in (measured, simulated, residual)]
+        radius, name = np.arange(residual.shape[1]) + 0.5, series.condition_text(crops, index)
+        profiles.append(Profile(radius, *means, scatter=scatter, frames=len(rings), name=name))
     if not profiles:
         raise Unavailable("no frame has a fitted spot")
     return profiles

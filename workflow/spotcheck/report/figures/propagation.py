@@ -20,8 +20,9 @@ def draw_parameters(results: Results) -> style.Drawing:
     and p2.
     """
     calibration = results.get("calibration")
-    used_estimator = str(calibration.attrs["used"])
-    ds = calibration.sel(estimator=used_estimator)
+    # Name of the estimator that the simulation uses.
+    used = str(calibration.attrs["used"])
+    ds = calibration.sel(estimator=used)
     # p1 and p2 result from a regression over the exposure: the remaining dimensions are those of the sites.
     dims = tuple(map(str, ds["p1"].dims))
     abscissa = next((dim for dim in ("angle", *dims) if ds.sizes[dim] > 1), "repeat")
@@ -44,7 +45,7 @@ def draw_parameters(results: Results) -> style.Drawing:
         ax.set_ylabel(f"{symbol} / px", color=line.colour)
         ax.tick_params(axis="y", colors=line.colour)
     style.add_legend(figure, handles, labels, 2)
-    others = [str(name) for name in calibration["estimator"].values if name != used_estimator]
+    others = [str(name) for name in calibration["estimator"].values if name != used]
     others = [name for name in others if np.isfinite(calibration["p1_mean"].sel(estimator=name))]
     sites = statistics["p1"]
     caption = (
@@ -53,7 +54,7 @@ def draw_parameters(results: Results) -> style.Drawing:
         # Each site has one value.
         f" {series.frames_text(sites, axes).replace('frames a point', 'sites a point')}"
         " (each site has one fit over all its exposures). Legend: mean ± standard deviation over all"
-        f" {int(sites.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used_estimator}']} ({used_estimator})."
+        f" {int(sites.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
         f" Others: {'; '.join(_estimator_text(calibration, name) for name in others)}."
     )
     note = "The paper prints p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20 in metres; they are consistent only in pixels."

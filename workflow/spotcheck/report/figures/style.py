@@ -56,14 +56,8 @@ SINGLE_LUMA = 0.36  # luma of a line that is alone
 DASHED = (0, (5, 2))  # line style of simulated curves
 # Markers and dashes of a series of lines; dashes alternate between stroke and gap, in line widths.
 MARKERS = "osD^vPX*"
-DASHES: tuple[tuple[float, ...], ...] = (
-    (6, 2),
-    (6, 2, 1.2, 2),
-    (1.2, 1.6),
-    (3, 1.5),
-    (9, 2, 3, 2),
-    (6, 1.5, 1, 1, 1, 1.5),
-)
+DASHES: Sequence[tuple[float, ...]]
+DASHES = ((6, 2), (6, 2, 1.2, 2), (1.2, 1.6), (3, 1.5), (9, 2, 3, 2), (6, 1.5, 1, 1, 1, 1.5))
 # Values below this fraction of the largest are rounding errors of zero; the choice of a prefix ignores them.
 ZERO_FRACTION = 1e-9
 # SI prefixes by power of ten.
