@@ -1,7 +1,8 @@
 """Verdict in one picture: a measured spot, the declared and the extended model, and their residuals.
 
 The declared model is that of the instrument file. The extended model also has the effects and the light shape that the
-verdict added; without additions there is none. The gap is the residual of the declared model beyond the noise.
+verdict added; without additions there is none. The gap is the excess of the declared model's residuals over noise, on
+frames that were held out.
 """
 
 from dataclasses import dataclass

@@ -90,7 +90,7 @@ def draw_residuals(results: Results) -> style.Drawing:
     half_side = min(HALF_SIDE_WIDTHS * largest_width, min(usable_panels[0].residual.shape) / 2)
     norm = Normalize(-limit, limit)
     side = (style.WIDTH - 1.1) / columns
-    figure = style.new_image_grid(min(side, 1.75 if rows > 1 else 3.0) * rows + 0.7)
+    figure = style.new_figure(min(side, 1.75 if rows > 1 else 3.0) * rows + 0.7, layout="compressed")
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for k, ax in enumerate(axes.ravel()):
         panel = panels[k] if k < len(panels) else None

@@ -5,7 +5,7 @@ In a plot one dimension becomes the abscissa, one has a line for each value, and
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -139,16 +139,9 @@ def draw_error_bars(
 
     There are no error bars if no standard deviation is known. With `is_filled` the markers are filled, else white.
     """
-    return ax.errorbar(
-        x,
-        mean,
-        yerr=sd if np.isfinite(sd).any() else None,
-        color=line.colour,
-        marker=line.marker,
-        markerfacecolor=line.colour if is_filled else "white",
-        linewidth=0.7,
-        elinewidth=1.1,
-    )
+    face = line.colour if is_filled else "white"
+    look: dict[str, Any] = {"color": line.colour, "marker": line.marker, "markerfacecolor": face, "linewidth": 0.7}
+    return ax.errorbar(x, mean, yerr=sd if np.isfinite(sd).any() else None, elinewidth=1.1, **look)
 
 
 def frames_text(statistics: LineStatistics, axes: PlotAxes) -> str:

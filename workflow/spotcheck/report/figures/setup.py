@@ -134,10 +134,9 @@ def list_numbers(results: Results, geometry: Geometry) -> list[tuple[str, str]]:
             rows.append(("speckle grain $\\bar{d}_s$", f"{grain * 1e6:.2f} µm = {grain / pitch:.3f} px"))
     if laser.wavelength_m:
         rows.append(("wavelength $\\lambda_{la}$", f"{laser.wavelength_m * 1e9:.4g} nm"))
-    if width := results.instrument.laser_sigma_m:
-        rows.append(
-            ("laser width $\\sigma_{la}$", f"{width * 1e6:.1f} µm = {magnification * width / pitch:.2f} px imaged")
-        )
+    if sigma := results.instrument.laser_sigma_m:
+        sigma_px = magnification * sigma / pitch
+        rows.append(("laser width $\\sigma_{la}$", f"{sigma * 1e6:.1f} µm = {sigma_px:.2f} px imaged"))
     return rows
 
 

@@ -1,8 +1,8 @@
 """Significance of residuals by place and test, and evidence for each named effect.
 
 z is a residual or a test statistic in standard deviations of noise. The verdict names an effect if adding it to the
-model explains the residuals. Its rivals are effects that explain them about as well. The gap is the residual of the
-declared model beyond the noise.
+model explains the residuals. Its rivals are effects that explain them about as well. The gap is the excess of the
+residuals of the declared model (that of the instrument file) over noise, on frames that were held out.
 """
 
 from typing import Any, NamedTuple

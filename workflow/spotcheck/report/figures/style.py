@@ -4,7 +4,7 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -68,6 +68,9 @@ MAX_PLAIN = 1e4
 NAMES = {"angle": "fibre orientation γ", "exposure": "exposure time $t$", "repeat": "repeat"}
 
 
+Extent = tuple[float, float, float, float]  # left, right, bottom and top edge of an image, in data coordinates
+
+
 class Drawing(NamedTuple):
     """A figure with its caption."""
 
@@ -99,26 +102,18 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """Return an empty figure with constrained layout; `height` and `width` are in inches."""
-    return Figure(figsize=(width, height), layout="constrained")
+def new_figure(
+    height: float, width: float = WIDTH, layout: Literal["constrained", "compressed"] = "constrained"
+) -> Figure:
+    """Return an empty figure; `height` and `width` are in inches.
 
-
-def new_image_grid(height: float) -> Figure:
-    """Return an empty figure for a grid of images; its layout closes the gaps that their fixed aspect ratio leaves.
-
-    `height` is in inches.
+    The layout "compressed" is for a grid of images: it closes the gaps that their fixed aspect ratio leaves.
     """
-    return Figure(figsize=(WIDTH, height), layout="compressed")
+    return Figure(figsize=(width, height), layout=layout)
 
 
 def show_image(
-    ax: Axes,
-    image: np.ndarray,
-    cmap: str,
-    norm: Normalize,
-    extent: tuple[float, float, float, float] | None = None,
-    **properties: Any,
+    ax: Axes, image: np.ndarray, cmap: str, norm: Normalize, extent: Extent | None = None, **properties: Any
 ) -> AxesImage:
     """Draw an image [row, column] without grid lines.
 
@@ -133,7 +128,7 @@ def show_image(
     norm : Normalize
         Scale of the colours.
     extent : tuple of float, optional
-        Left, right, bottom and top edge in data coordinates; by default pixel centres are at integers.
+        Edges of the image; by default pixel centres are at integers.
     **properties
         Properties of the axes for `Axes.set`, such as `title`.
 
@@ -148,7 +143,7 @@ def show_image(
     return artist
 
 
-def centred_extent(shape: tuple[int, ...], row: float, column: float) -> tuple[float, float, float, float]:
+def centred_extent(shape: tuple[int, ...], row: float, column: float) -> Extent:
     """Return left, right, bottom and top edge [px] of an image of shape (rows, columns), relative to a centre.
 
     `row` and `column` are the centre in coordinates in which the centres of pixels are integers.
