@@ -5,8 +5,8 @@ has the effects and learned light shapes that the verdict added. Both are fitted
 width and centre. A law gives brightness and width by the exposure (parameters p1, p2 and peak); the deviations of each
 frame from it are stored as well. The simulated baseline follows the law alone, at the fitted centre.
 
-A site is the place of a spot: one angle, repeat and set of declared conditions. A light is a learned shape; each pose of
-the beam may have its own.
+A site is the place of a spot: one angle, repeat and set of declared conditions. A light is a learned shape; each pose
+of the beam may have its own.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -92,6 +92,7 @@ class ModelledFrames:
 
     def compute_log_spots(self, frames: FrameSet) -> np.ndarray:
         """Return ln peak [DN] and ln σ_g [px] of the fitted spots after the effects act on them, [2, frame]."""
+        # All lights give the same spots: they only differ in the learned shape.
         return compute_log_spots(self.lights[0], frames, self.fitted.spots)
 
     def remove_effect(self, name: str, spots: FrameParameters) -> "ModelledFrames":
@@ -136,7 +137,7 @@ def compute_log_spots(forward: ForwardModel, frames: FrameSet, spots: FrameParam
         return np.log(np.array(rows, float))
 
 
-def view_declared(viewed: ViewedFrames) -> ModelledFrames:
+def fit_declared(viewed: ViewedFrames) -> ModelledFrames:
     """Return the declared model fitted to each frame, with free brightness, width and centre."""
     # With a "free" photon budget no law ties the brightness to the exposure.
     forward = ForwardModel(replace(viewed.baseline, photon_budget="free"), viewed.sensor)
@@ -144,7 +145,7 @@ def view_declared(viewed: ViewedFrames) -> ModelledFrames:
     return ModelledFrames((forward,), np.zeros(len(viewed.frames), int), fitted)
 
 
-def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
+def fit_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
     """Return the extended model fitted to each frame, and without each of its effects.
 
     Parameters
@@ -156,7 +157,7 @@ def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence
     sites : sequence of Site
         Site of each frame.
     """
-    # A frame whose site is unknown to the model has the first light.
+    # A frame has the first light if the model does not know its site or has no light for it.
     light_index = np.array([(spot and spot.light) or 0 for spot in map(extended.spots.get, sites)], int)
     baseline = replace(viewed.baseline, photon_budget="free")
     shapes = extended.lights or (baseline.learned,)
@@ -227,7 +228,8 @@ def _measure_deviations(
         if (spot := extended.spots.get(site)) is not None:
             value[2:, k] = spots.x[k] - spot.x_px, spots.y[k] - spot.y_px
     stderr = np.sqrt(np.maximum(np.diagonal(model.fitted.covariance, axis1=1, axis2=2).T, 0.0))
-    stderr[:2] *= 1 + value[:2]  # the fit has errors of logarithms
+    # The fit has errors of ln peak and ln σ_g. Errors of law and site are not included.
+    stderr[:2] *= 1 + value[:2]
     stderr = np.where(np.isfinite(value), stderr, np.nan)
     return dict(zip(DEVIATIONS, value, strict=True)), dict(zip(DEVIATIONS, stderr, strict=True))
 
@@ -375,11 +377,11 @@ def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | N
 
     `model` is the extended model; None if there is none.
     """
-    declared = view_declared(viewed)
+    declared = fit_declared(viewed)
     extended = None
     if model is not None:
         sites = viewed.list_sites(dataset.instrument.conditions, model.law is not None)
-        extended = view_extended(replace(viewed, start=declared.fitted.spots), model, sites)
+        extended = fit_extended(replace(viewed, start=declared.fitted.spots), model, sites)
     for k, (index, _) in enumerate(viewed.cells):
         values: dict[str, Any] = {"declared": declared.predict_mean(viewed.frames, k)}
         if extended is not None:

@@ -104,12 +104,12 @@ def find_depths(graph: Graph) -> dict[str, int]:
 def find_redundant_edges(graph: Graph) -> set[Edge]:
     """Return the edges whose end can also be reached from their start over other nodes."""
     depth = find_depths(graph)
-    next_nodes = {node: {end for start, end in graph.edges if start == node} for node in graph.labels}
+    successors = {node: {end for start, end in graph.edges if start == node} for node in graph.labels}
     reachable: dict[str, set[str]] = {}
-    # The nodes behind a node come first.
+    # From the last layer to the first, so that what each successor reaches is known.
     for node in sorted(graph.labels, key=lambda node: -depth[node]):
-        reachable[node] = next_nodes[node].union(*(reachable[after] for after in next_nodes[node]))
-    return {(start, end) for start, end in graph.edges if any(end in reachable[via] for via in next_nodes[start])}
+        reachable[node] = successors[node].union(*(reachable[successor] for successor in successors[node]))
+    return {(start, end) for start, end in graph.edges if any(end in reachable[via] for via in successors[start])}
 
 
 def find_layout(graph: Graph) -> Layout:
@@ -141,6 +141,7 @@ def count_crossings(layers: list[list[str]], links: list[Edge]) -> int:
     total = 0
     for k in range(len(layers) - 1):
         ends = [(rank[start], rank[end]) for start, end in links if depth[start] == k]
+        # Two links cross if their starts and their ends are in opposite orders.
         total += sum((a - c) * (b - d) < 0 for i, (a, b) in enumerate(ends) for c, d in ends[:i])
     return total
 
@@ -200,6 +201,7 @@ def place_nodes(graph: Graph, layout: Layout, sizes: dict[str, float]) -> dict[s
             neighbours[second] += [first] * weight
     for _ in range(ITERATIONS):
         for layer in layout.layers:
+            # A node without neighbours stays.
             targets = [float(np.mean([position[node] for node in neighbours[n] or [n]])) for n in layer]
             position |= zip(layer, _separate(targets, [half_sizes[node] for node in layer]), strict=True)
     return position

@@ -10,12 +10,12 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from spotcheck.fitting.precision import SCATTERED, pool_ratios, summarize_precision
+from spotcheck.fitting.precision import pool_ratios, summarize_precision
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
-# Labels of the parameters of a fit.
+# Parameters of a fit in precision.nc, with their labels; the orientation of a round spot has no meaning.
 LABELS = {
     "amplitude": "amplitude",
     "x_centre": "column $x_0$",
@@ -104,18 +104,18 @@ def _draw_ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
     `ds` is the content of precision.nc. Returns the artists by source for the legend.
     """
     handles = {}
-    y = np.arange(len(SCATTERED))[::-1]
+    y = np.arange(len(LABELS))[::-1]
     ax.axvline(1.0, color="black", linewidth=0.9)
     for k, source in enumerate(sources):
         look = LOOKS[source]
-        ratio, stderr = np.array([pool_ratios(ds, source, name) for name in SCATTERED]).T
+        ratio, stderr = np.array([pool_ratios(ds, source, name) for name in LABELS]).T
         y_source = y + 0.12 * (k - (len(sources) - 1) / 2)  # sources beside each other
         errors: dict[str, Any] = {"xerr": stderr, "capsize": 2, "markersize": 5}
         handles[source] = ax.errorbar(ratio, y_source, fmt=look.marker, **errors, **look.colours)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, 0.5), max(high, 2.0))
-    ax.set_yticks(y, [LABELS[name] for name in SCATTERED])
+    ax.set_yticks(y, list(LABELS.values()))
     ax.set_xlabel("scatter over repeats / bound")
     return handles
 
