@@ -269,11 +269,12 @@ def draw_chain(graph: Graph) -> style.Drawing:
         _draw_edge(ax, chain, arrangement, is_faint=(chain[0], chain[-1]) in redundant)
     starts = {start for start, _ in graph.edges}
     for node, text in graph.labels.items():
-        centre, size = np.array(centres[node]), np.array([widths[node], heights[node]])
+        (centre_x, centre_y), box_width, box_height = centres[node], widths[node], heights[node]
+        corner = (centre_x - box_width / 2, centre_y - box_height / 2)
         shape, face = "round,pad=0,rounding_size=0.07", FACE if node in starts else FINAL_FACE
-        box = FancyBboxPatch(tuple(centre - size / 2), *size, shape, facecolor=face, edgecolor=BORDER, zorder=2)
+        box = FancyBboxPatch(corner, box_width, box_height, shape, facecolor=face, edgecolor=BORDER, zorder=2)
         ax.add_patch(box)
-        ax.text(*centre, text, ha="center", va="center", fontsize=FONT_SIZE * zoom, zorder=3)
+        ax.text(centre_x, centre_y, text, ha="center", va="center", fontsize=FONT_SIZE * zoom, zorder=3)
     caption = (
         f"Flow chart of the workflow with {len(graph.labels)} stages. An arrow leads from each stage to those that read"
         " its output; it is pale if a longer path connects them as well. Final stages have another colour. The paper's"

@@ -80,7 +80,7 @@ def draw_residuals(results: Results) -> style.Drawing:
     """
     ds = results.get("discrepancy")
     table, models = tabulate_conditions(ds), list_models(ds)
-    # With a single exposure, the other conditions become columns.
+    # With a single exposure, the other conditions become columns; their values keep their order.
     map_table = table if len(table.columns) > 1 else replace(table, rows=table.columns, columns=table.rows)
     rows = series.pick_evenly(len(map_table.rows), MAX_ROWS)
     columns = series.pick_evenly(len(map_table.columns), MAX_COLUMNS)

@@ -64,9 +64,9 @@ def average_profiles(results: Results) -> list[Profile]:
         measured, simulated = np.array(rings).transpose(1, 0, 2)  # each [frame, ring]
         residual = measured - simulated
         scatter = residual.std(axis=0, ddof=1) if len(rings) > 1 else np.full(residual.shape[1], np.nan)
-        means = [values.mean(axis=0) for values in (measured, simulated, residual)]
         radius, name = np.arange(residual.shape[1]) + 0.5, series.condition_text(crops, index)
-        profiles.append(Profile(radius, *means, scatter=scatter, frames=len(rings), name=name))
+        mean_measured, mean_simulated, mean_residual = (a.mean(axis=0) for a in (measured, simulated, residual))
+        profiles.append(Profile(radius, mean_measured, mean_simulated, mean_residual, scatter, len(rings), name))
     if not profiles:
         raise Unavailable("no frame has a fitted spot")
     return profiles
@@ -80,7 +80,7 @@ def draw_profiles(results: Results) -> style.Drawing:
     profiles = average_profiles(results)
     profiles = [profiles[k] for k in series.pick_evenly(len(profiles), MAX_PANELS)]
     columns = min(MAX_COLUMNS, len(profiles))
-    rows = -(-len(profiles) // columns)
+    rows = -(-len(profiles) // columns)  # rounded up
     figure = style.new_figure(0.5 + 2.6 * rows)
     axes = figure.subplots(2 * rows, columns, sharex=True, sharey=False, squeeze=False, height_ratios=(1.6, 1) * rows)
     uppers, lowers = axes[0::2].ravel(), axes[1::2].ravel()

@@ -36,10 +36,11 @@ class Panel(NamedTuple):
 
 
 def average_residuals(results: Results) -> list[list[Panel | None]]:
-    """Return a table of panels: a row for each value of the abscissa of other figures, a column for each exposure.
+    """Return a table of panels [row][column]; each is averaged over all dimensions of the grid but two.
 
-    A panel is None if its condition has no usable frame. Without angles, conditions and exposures there is one panel,
-    over all repeats. Raises `Unavailable` if no condition has a usable frame.
+    Rows are the values of the first of angle, declared conditions and exposure that has more than one value. Columns
+    are the exposures unless these are the rows. Without any such dimension there is one panel. A panel is None if its
+    condition has no usable frame. Raises `Unavailable` if no condition has one.
     """
     crops = results.get("crops")
     axes = series.choose_axes(crops, store.grid_dims(crops))
@@ -83,7 +84,7 @@ def draw_residuals(results: Results) -> style.Drawing:
     # A single column of conditions is wrapped into rows.
     is_table = len(table[0]) > 1
     columns = len(table[0]) if is_table else min(MAX_COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
+    rows = -(-len(panels) // columns)  # rounded up
     usable_panels = [panel for panel in panels if panel]
     limit = max(float(np.nanpercentile(np.abs(panel.residual), COLOUR_PERCENTILE)) for panel in usable_panels)
     largest_width = max(float(np.mean([spot.major for spot in panel.spots])) for panel in usable_panels)

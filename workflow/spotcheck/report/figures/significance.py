@@ -93,9 +93,9 @@ def _draw_rings(
     if len(table.rows) > MAX_MARKED_ROWS:
         return
     for i, k in np.argwhere(np.abs(np.nan_to_num(z)) > float(ds["z_threshold"])):
-        is_dark = abs(norm(z[i, k]) - 0.5) > 0.3
+        is_background_dark = abs(norm(z[i, k]) - 0.5) > 0.3
         text = "•" if order is None else f"{order[i, k]:.0f}"
-        ax.text(k, i, text, ha="center", va="center", fontsize=7, color="white" if is_dark else "black")
+        ax.text(k, i, text, ha="center", va="center", fontsize=7, color="white" if is_background_dark else "black")
 
 
 def _draw_colour_bar(figure: Figure, axes: np.ndarray, norm: SymLogNorm, largest: float) -> None:
