@@ -75,6 +75,7 @@ def draw_shapes(results: Results) -> style.Drawing:
     middle = len(u) // 2
     left, right = lower.subplots(1, 2, sharey=True)
     declared_look = {"color": style.SIMULATED, "linestyle": (0, (4, 2)), "label": "declared"}
+    # Profiles along the row and along the column through the centre; the grid is the same for both.
     for ax, name, line in ((left, "u", (middle, slice(None))), (right, "v", (slice(None), middle))):
         ax.semilogy(u, np.maximum(learned[line], MIN_LIGHT), color=style.MEASURED, label="learned")
         ax.semilogy(u, np.maximum(declared[line], MIN_LIGHT), **declared_look)

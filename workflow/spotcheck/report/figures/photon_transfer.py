@@ -32,7 +32,6 @@ MIN_LEVELS = 3
 # Quantiles of a pattern at which its colours end.
 COLOUR_QUANTILES = (0.01, 0.99)
 DASHED, DOTTED = (0, (4, 2)), (0, (1, 1.5))
-CURVE_POINTS = 300
 
 
 def _read_quantities(results: Results, *required: str) -> tuple[xr.Dataset, dict[str, Quantity]]:
@@ -180,7 +179,7 @@ def draw_signal_to_noise(results: Results) -> style.Drawing:
     figure = style.new_figure(3.4)
     ax = figure.subplots()
     levels = ax.plot(signal / scale, signal / np.sqrt(variance), "o", **USED_LEVELS)[0]
-    x = np.geomspace(0.5, 1.3 * signal.max() / scale, CURVE_POINTS)
+    x = np.geomspace(0.5, 1.3 * signal.max() / scale, 300)
     model = ax.plot(x, scale * x / np.sqrt(dark_noise**2 + gain * scale * x), color=style.SIMULATED)[0]
     ideal = ax.plot(x, np.sqrt(x), color="black", linestyle=DASHED)[0]
     limits = [quantities["threshold_photons" if has_photons else "threshold"].value]

@@ -42,10 +42,6 @@ class Results:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close every file that was opened."""
         for ds in self._opened.values():
             ds.close()
         self._opened.clear()
