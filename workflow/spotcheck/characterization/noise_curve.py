@@ -241,7 +241,7 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
     texture = textured.value[2]
     has_texture = texture > TEXTURE_SD * np.sqrt(textured.covariance[2, 2])
     fit = textured if has_texture else linear
-    # A deviation of the texture's variance from (c L)² counts as gain: c² L at the mean level, in part.
+    # A deviation of the texture's variance from (c L)² looks like gain: `TEXTURE_ERROR` c² L at the mean level.
     deviation = TEXTURE_ERROR * abs(texture) * float(np.mean(curve.level - black_dn)) if has_texture else 0.0
     gain, error = float(fit.value[1]), float(np.hypot(np.sqrt(fit.covariance[1, 1]), deviation))
     if not gain > MIN_GAIN_SD * error:
