@@ -155,13 +155,11 @@ def characterise_sensor(
     flat_photons = np.full(len(flats), np.nan)
     if photons is not None:
         flat_photons = _expand_to_levels(photons, len(flats), "photons", "bright")
+    kinds = (("dark", darks, dark_exposures_s, [0.0] * len(darks)), ("flat", flats, flat_exposures_s, flat_photons))
     levels = [
-        measure_level(stack, "dark", level_exposure_s, 0.0, full_scale_dn)
-        for stack, level_exposure_s in zip(darks, dark_exposures_s, strict=True)
-    ]
-    levels += [
-        measure_level(stack, "flat", level_exposure_s, level_photons, full_scale_dn)
-        for stack, level_exposure_s, level_photons in zip(flats, flat_exposures_s, flat_photons, strict=True)
+        measure_level(stack, kind, level_exposure_s, level_photons, full_scale_dn)
+        for kind, *columns in kinds
+        for stack, level_exposure_s, level_photons in zip(*columns, strict=True)
     ]
     transfer = analyse_photon_transfer(add_common_drift(levels), full_scale_dn)
     return Characterisation(transfer, "frames in memory", "frames in memory")

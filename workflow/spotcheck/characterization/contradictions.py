@@ -88,9 +88,8 @@ def describe_long_darks(dark_s: Sequence[float], frame_s: Sequence[float], kind:
     kind : name of the other frames in the sentence, such as "flats".
     """
     darks_s, frames_s = (sorted({time_s for time_s in times if np.isfinite(time_s)}) for times in (dark_s, frame_s))
-    if not darks_s or not frames_s or len(darks_s) >= MIN_DARK_EXPOSURES:
-        return ""
-    if darks_s[0] <= MAX_EXPOSURE_RATIO * frames_s[-1]:
+    has_dark_current = len(darks_s) >= MIN_DARK_EXPOSURES
+    if has_dark_current or not (darks_s and frames_s) or darks_s[0] <= MAX_EXPOSURE_RATIO * frames_s[-1]:
         return ""
     return (
         f"the darks last {_format_range(darks_s)} s and the {kind} {_format_range(frames_s)} s: how much of the darks'"
@@ -182,8 +181,8 @@ def compare_sources(
     for name, factor in MAX_FACTOR.items():
         source_text, measured = "flats and darks give", flats.get(name)
         if measured is None:
-            source_text, measured = "the noise of the spots gives", spots.get(name)
-            factor = max(factor, MAX_FACTOR_SPOTS)
+            factor, source_text = max(factor, MAX_FACTOR_SPOTS), "the noise of the spots gives"
+            measured = spots.get(name)
         stated = sheet.get(name)
         if stated is None or measured is None or not differ_significantly(stated, measured, factor):
             continue

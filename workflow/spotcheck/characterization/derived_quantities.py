@@ -193,10 +193,9 @@ def _set_linearity(quantities: QuantityTable, flats: Sequence[Level], signal: np
     low, high = (part * signal[noisiest] for part in LINEARITY_RANGE)
     is_used = (signal >= low) & (signal <= high) & np.isfinite(light) & (np.arange(len(signal)) <= noisiest)
     if len(np.unique(light[is_used])) < MIN_POINTS:
-        quantities.set_unknown(
-            ("linearity_error", "linearity_lowest", "linearity_highest"),
-            "fewer than three levels of different light between 5 and 95 % of saturation",
-        )
+        names = ("linearity_error", "linearity_lowest", "linearity_highest")
+        reason = "fewer than three levels of different light between 5 and 95 % of saturation"
+        quantities.set_unknown(names, reason)
         return
     x, y = light[is_used], signal[is_used]
     slope, offset = np.polyfit(x, y, 1, w=1 / y)

@@ -267,8 +267,7 @@ def _average_around(image: np.ndarray) -> np.ndarray:
     """Return the mean of the eight pixels around each pixel [rows, columns]; NaN if one of the nine is NaN."""
     # The running sums of the filter would carry a NaN to the end of its row and column.
     has_gap = uniform_filter(np.isnan(image).astype(float), 3, mode="nearest") > 0.5 / 9
-    nine_mean = uniform_filter(np.nan_to_num(image), 3, mode="nearest")
-    return (9 * np.where(has_gap, np.nan, nine_mean) - image) / 8
+    return (9 * np.where(has_gap, np.nan, uniform_filter(np.nan_to_num(image), 3, mode="nearest")) - image) / 8
 
 
 def _cut_blocks(image: np.ndarray) -> np.ndarray:

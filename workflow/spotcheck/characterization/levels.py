@@ -130,11 +130,9 @@ def add_common_drift(levels: list[Level]) -> list[Level]:
         frame_variance = float(np.mean(frame_variances)) if frame_variances else 0.0
         for level in same_kind:
             noise_variance = np.nan_to_num(level.variance) / (level.frames * level.shape[0] * level.shape[1])
-            level_variance = 0.0 if level.is_saturated else frame_variance
-            drift_variance = level_variance * _get_drift_scale(level) ** 2 / level.frames
+            drift_variance = 0.0 if level.is_saturated else frame_variance * _get_drift_scale(level) ** 2 / level.frames
             # No sum: the scatter of the means of frames already contains the noise of their pixels.
-            mean_error = float(np.sqrt(max(noise_variance, drift_variance)))
-            updated_levels.append(replace(level, mean_error=mean_error))
+            updated_levels.append(replace(level, mean_error=float(np.sqrt(max(noise_variance, drift_variance)))))
     return updated_levels
 
 

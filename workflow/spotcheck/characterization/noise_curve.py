@@ -263,8 +263,7 @@ def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseC
     # Differences relative to the noise of their level; NaN in clipped levels and for outliers.
     normalized = np.full(differences.difference.size, np.nan)
     for level_bin in _sort_into_bins(differences, full_scale_dn):
-        in_bin = level_bin.indices
-        normalized[in_bin] = differences.difference.ravel()[in_bin] / np.sqrt(level_bin.variance)
+        normalized[level_bin.indices] = differences.difference.ravel()[level_bin.indices] / np.sqrt(level_bin.variance)
     if np.isfinite(normalized).sum() < 2 * MIN_COUNT:
         return NoiseCorrelation(0, True)
     normalized = normalized.reshape(differences.difference.shape)

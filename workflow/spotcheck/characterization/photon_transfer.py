@@ -12,11 +12,7 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from spotcheck.characterization.contradictions import check_levels
-from spotcheck.characterization.derived_quantities import (
-    set_dark_electrons,
-    set_dark_quantities,
-    set_light_quantities,
-)
+from spotcheck.characterization.derived_quantities import set_dark_electrons, set_dark_quantities, set_light_quantities
 from spotcheck.characterization.emva_quantities import QUANTITIES, QuantityTable
 from spotcheck.characterization.levels import Level, collect_field, measure_light
 from spotcheck.characterization.line_fits import MIN_POINTS, fit_line, fit_through_zero
@@ -103,8 +99,7 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     pairs = list(zip(flats, paired_darks, strict=True))
     signal = np.array([flat.mean - dark.mean for flat, dark in pairs])
     excess = np.array([flat.variance - dark.variance for flat, dark in pairs])
-    error = np.array([np.hypot(flat.variance_error, dark.variance_error) for flat, dark in pairs])
-    error = np.maximum(error, MIN_VARIANCE_ERROR)
+    error = np.maximum([np.hypot(flat.variance_error, dark.variance_error) for flat, dark in pairs], MIN_VARIANCE_ERROR)
     no_flat = np.zeros(len(flats), bool)
     transfer = Transfer(flats, darks, signal, excess, error, no_flat, None, quantities, remarks)
     if all(flat.is_saturated for flat in flats):
@@ -210,13 +205,12 @@ def fit_ranges(transfer: Transfer) -> list[RangeFit]:
     ranges = []
     for limit in RANGE_LIMITS:
         is_in_range = is_unsaturated & (transfer.signal <= limit * transfer.signal[transfer.saturation])
-        count = int(np.count_nonzero(is_in_range))
         if len(np.unique(light[is_in_range])) < MIN_POINTS:
             continue
         signal = transfer.signal[is_in_range]
         gain, gain_error = fit_through_zero(signal, transfer.excess[is_in_range], transfer.excess_error[is_in_range])
         # All levels have the same weight, as in linear regression: individual weights would hide curvature.
-        mean_error = np.full(count, float(np.mean(signal_error[is_in_range])))
+        mean_error = np.full(len(signal), float(np.mean(signal_error[is_in_range])))
         line = fit_line(light[is_in_range], signal, mean_error)
-        ranges.append(RangeFit(limit, count, gain, gain_error, line.intercept, line.intercept_error))
+        ranges.append(RangeFit(limit, len(signal), gain, gain_error, line.intercept, line.intercept_error))
     return ranges

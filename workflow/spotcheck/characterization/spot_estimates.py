@@ -11,16 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from spotcheck.characterization import noise_curve
 from spotcheck.characterization.frame_pairs import EMPTY_TALLY, convert_to_curve, tally_differences
 from spotcheck.characterization.missing_codes import find_missing_codes
-from spotcheck.characterization.noise_curve import (
-    MIN_COUNT,
-    GainEstimate,
-    NoiseCurve,
-    fit_gain,
-    measure_noise_correlation,
-    measure_noise_curve,
-)
+from spotcheck.characterization.noise_curve import MIN_COUNT, GainEstimate, NoiseCurve
 from spotcheck.sensor import SensorModel
 
 # Signals below this part of saturation have their full noise.
@@ -89,7 +83,7 @@ def estimate_from_spots(
         sensor = replace(nonlinear, black_level_dn=level)
         image = sensor.linearize(crop)
         saturation = find_saturation(image, level)
-        curve = measure_noise_curve(image, _limit_readings(sensor, saturation))
+        curve = noise_curve.measure_noise_curve(image, _limit_readings(sensor, saturation))
         levels.append(level)
         saturations.append(saturation)
         if curve.level.size:
@@ -109,7 +103,7 @@ def estimate_from_spots(
         curve, count, saturated_sums_of_kind = _compare_pairs(image_pairs, sensor)
         curves_by_method[f"differences of {_format_count(count, 'pair')} of {phrase}"] = curve
         saturated_sums += saturated_sums_of_kind
-    fits = ((method, fit_gain(curve, 0.0)) for method, curve in curves_by_method.items())
+    fits = ((method, noise_curve.fit_gain(curve, 0.0)) for method, curve in curves_by_method.items())
     gains = {method: gain for method, gain in fits if gain is not None}
     best_method = min(gains, key=lambda method: gains[method].gain_stderr / gains[method].gain, default="")
     return SpotEstimates(
@@ -156,7 +150,7 @@ def _describe_faults(images: Sequence[np.ndarray], full_scale_dn: float) -> str:
     Noise counts as correlated only if it is correlated in half of the images or more: by chance it seems so in one.
     """
     missing_codes = find_missing_codes(images)
-    correlations = [measure_noise_correlation(image, full_scale_dn) for image in images]
+    correlations = [noise_curve.measure_noise_correlation(image, full_scale_dn) for image in images]
     text = f"; {len(missing_codes)} codes are never read, as a look-up table skips them" if missing_codes else ""
     if sum(correlation.is_white for correlation in correlations) <= len(correlations) / 2:
         range_px = int(np.median([correlation.range_px for correlation in correlations]))
@@ -211,8 +205,8 @@ def find_saturation(image: np.ndarray, black_dn: float) -> float:
     counts, _ = np.histogram(log_level, edges)
     flank_counts = counts[edges[1:] <= flank_end]
     fullest = int(np.argmax(counts))
-    has_peak = counts[fullest] >= MIN_PEAK_RATIO * flank_counts.mean() and edges[fullest] >= flank_end
-    if flank_counts.sum() < MIN_COUNT or not has_peak:
+    has_no_peak = counts[fullest] < MIN_PEAK_RATIO * flank_counts.mean()
+    if flank_counts.sum() < MIN_COUNT or has_no_peak or edges[fullest] < flank_end:
         return np.nan
     is_near_peak = np.abs(log_level - edges[fullest] - BIN_WIDTH / 2) < PEAK_BINS * BIN_WIDTH
     return float(brightest * np.exp(np.median(log_level[is_near_peak])))
