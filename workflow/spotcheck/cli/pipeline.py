@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from spotcheck import cli
-from spotcheck.cli import vocabulary
+from spotcheck.cli import effect_options
 from spotcheck.dataset.folder import Dataset, load
 from spotcheck.io import store
 from spotcheck.model.effects import Choice, choose, chosen
@@ -65,7 +65,7 @@ def judge_dataset(
     ...
     """
     dataset, previous_choice = load(folder), chosen()
-    vocabulary_options = vocabulary.list_options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
+    vocabulary_options = effect_options.list_options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
     with TemporaryDirectory(prefix="spotcheck-") as temporary:
         output = Path(temporary if results is None else results) / dataset.name
         store.claim(output, dataset.folder)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
-from spotcheck.cli import vocabulary
+from spotcheck.cli import effect_options
 from spotcheck.dataset import folder
 from spotcheck.errors import InputError
 from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR, read_width_law
@@ -19,7 +19,7 @@ EXAMPLES = """spotcheck simulate my-frames --calibration out/my-frames/calibrati
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the subcommand to its parser."""
+    """Add the arguments of the subcommand to its parser, also --effects, --only and --without (`effect_options`)."""
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--calibration", help="calibration.nc; not with --model")
     parser.add_argument("--fits", help="fits.nc; not with --model")
@@ -28,12 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, required=True, help="seed of the random draws")
     parser.add_argument("--folder", required=True, help="folder of the simulated dataset")
     parser.add_argument("--output", required=True, help="simulated.nc or extended.nc to write")
-    vocabulary.add_options(parser)
+    effect_options.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Simulate every frame of the grid and write the simulated dataset."""
-    vocabulary.apply_options(args)
+    effect_options.apply_options(args)
     dataset = folder.load(args.dataset)
     if args.seed < 0:
         raise InputError(f"--seed: is {args.seed}; it must be 0 or above")

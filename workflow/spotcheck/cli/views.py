@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from spotcheck.cli import vocabulary
+from spotcheck.cli import effect_options
 from spotcheck.dataset import folder
 from spotcheck.discrepancy.ready_frames import prepare_dataset
 from spotcheck.io import provenance, store
@@ -18,18 +18,18 @@ EXAMPLES = """spotcheck views my-frames --crops out/my-frames/crops.nc --fits ou
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the subcommand to its parser."""
+    """Add the arguments of the subcommand to its parser, also --effects, --only and --without (`effect_options`)."""
     parser.add_argument("dataset", help="dataset folder")
     for name in ("crops", "fits", "calibration", "sensor"):
         parser.add_argument(f"--{name}", required=True, help=f"{name}.nc")
     parser.add_argument("--model", required=True, type=Path, help="model.yaml")
     parser.add_argument("--output", required=True, type=Path, help="views.nc to write")
-    vocabulary.add_options(parser)
+    effect_options.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Evaluate the models on every measured crop and write the expected frames."""
-    vocabulary.apply_options(args)
+    effect_options.apply_options(args)
     dataset = folder.load(args.dataset)
     paths = {name: getattr(args, name) for name in ("crops", "fits", "calibration", "sensor")}
     files = {name: store.read(path) for name, path in paths.items()}
