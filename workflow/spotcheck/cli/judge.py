@@ -36,9 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tolerance.add_option(parser)
     parser.add_argument("--pictures", required=True, help="discrepancy.nc to write")
     parser.add_argument("--model", required=True, help="model.yaml to write, which `spotcheck simulate` runs")
-    parser.add_argument(
-        "--light", required=True, help="light.nc to write, beside model.yaml: learned shape of the light"
-    )
+    parser.add_argument("--light", required=True, help="light.nc to write, beside model.yaml: the learned light shape")
     parser.add_argument("--output", required=True, help="verdict.json to write")
     effect_options.add_options(parser)
 

@@ -16,7 +16,7 @@ from spotcheck.quicklook.images import find_folder
 EXAMPLES = """spotcheck look my-frames/frames                # all images of a folder
 spotcheck look my-frames/frames --pixel-um 3.75 --json"""
 # Default folder of the page.
-DEFAULT_OUTPUT = "look"
+FOLDER = "look"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,21 +47,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
     parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="FOLDER",
-        help=f"folder for the page and its first picture (default: {DEFAULT_OUTPUT})",
+        "--output", type=Path, metavar="FOLDER", help=f"folder for the page and its first picture (default: {FOLDER})"
     )
 
 
-def _parse_length(default_unit: str, text: str) -> float:
-    """Return the length [m] of a text such as "3 mm", or of a number without a unit, which is in `default_unit`."""
+def _parse_length(unit: str, text: str) -> float:
+    """Return the length [m] of a text such as "3 mm", or of a number without a unit, which is in `unit`."""
     quantity = units.parse_quantity(text)
-    length_m = None if quantity is None else units.convert_quantity(quantity[0], quantity[1] or default_unit, "m")
+    length_m = None if quantity is None else units.convert_quantity(quantity[0], quantity[1] or unit, "m")
     if length_m is None:
-        raise argparse.ArgumentTypeError(
-            f"is {text!r}; it must be a number in {default_unit}, or with a unit as in 3 mm"
-        )
+        raise argparse.ArgumentTypeError(f"is {text!r}; it must be a number in {unit}, or with a unit as in 3 mm")
     return length_m
 
 
@@ -71,10 +66,10 @@ def run(args: argparse.Namespace) -> None:
     With --json a page is written only with --output. Raises `InputError` if the default folder of the page holds the
     images.
     """
-    folder = args.output or (None if args.json else Path(DEFAULT_OUTPUT))
+    folder = args.output or (None if args.json else Path(FOLDER))
     # `find_folder` gives the absolute folder that holds an image.
     if not args.output and folder and folder.resolve() in (find_folder(Path(path)) for path in args.images):
-        raise InputError(f"{DEFAULT_OUTPUT}: holds the images; name another folder for the page with --output")
+        raise InputError(f"{FOLDER}: holds the images; name another folder for the page with --output")
     result = look(args.images, z_m=args.z, pixel_pitch_m=args.pixel_pitch_m, wavelength_m=args.wavelength_m)
     page = None if folder is None else result.write(folder)
     if args.json:

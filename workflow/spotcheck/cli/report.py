@@ -1,4 +1,4 @@
-"""`spotcheck report`: report.html."""
+"""`spotcheck report`: writes report.html, one self-contained page of figures, tables and skipped parts."""
 
 import argparse
 import json
@@ -20,10 +20,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the page."""
+    """Write the page, and print its size. Raises `InputError` if the verdict was found with other effects."""
     effect_options.apply_options(args)
-    verdict = args.results / "verdict.json"
-    if verdict.exists():
-        effect_options.check_same(json.loads(verdict.read_text(encoding="utf-8")), str(verdict))
+    verdict_path = args.results / "verdict.json"
+    if verdict_path.exists():
+        effect_options.check_same(json.loads(verdict_path.read_text(encoding="utf-8")), str(verdict_path))
     write_report(folder.load(args.dataset), args.results, args.output)
     print(f"{args.output}: {args.output.stat().st_size / 1e6:.1f} MB")

@@ -1,4 +1,7 @@
-"""`spotcheck views`: views.nc."""
+"""`spotcheck views`: writes views.nc, the frames that each model expects beside the measured ones, for the report.
+
+The models are the paper's one, with the law of calibration.nc, and the extended model of model.yaml.
+"""
 
 import argparse
 from pathlib import Path
@@ -28,12 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Evaluate the models on every measured crop and write the expected frames."""
+    """Evaluate the models on every measured crop, write the expected frames, and print their number."""
     effect_options.apply_options(args)
     dataset = folder.load(args.dataset)
     paths = {name: getattr(args, name) for name in ("crops", "fits", "calibration", "sensor")}
     files = {name: store.read(path) for name, path in paths.items()}
+    # The frames with all that their analysis needs; a sentence with the reason if they cannot be analysed.
     ready = prepare_dataset(dataset, files["crops"], files["sensor"], files["fits"])
+    # Why there is no extended model; "" if there is one.
     reason = reason_without_model(args.model)
     inputs = [*paths.values(), args.model, *args.effects]
     frames, model = None, None
@@ -45,6 +50,7 @@ def run(args: argparse.Namespace) -> None:
         if not reason:
             model = read_model(args.model)
             check_model(dataset, model, baseline, sensor, args.model.name)
+            # A learned shape of the light is in light.nc beside model.yaml.
             inputs += [args.model.with_name(LIGHT)] if model.lights else []
     code = provenance.code_digest(__name__)
     views.write_views(dataset, files, frames, model, args.output, reason=reason, code=code, inputs=inputs)
