@@ -212,44 +212,42 @@ def analyse_ingested_frames(dataset: Dataset, full_scale_dn: float) -> Transfer:
     return transfer
 
 
-def _check_levels(levels: Sequence[ArrayLike], argument: str, full_scale_dn: float) -> list[np.ndarray]:
-    """Return levels as arrays [frame, row, column]; raise ValueError, with the name of the argument, for unusable ones.
+def _check_levels(levels: Sequence[ArrayLike], name: str, full_scale_dn: float) -> list[np.ndarray]:
+    """Return levels as arrays [frame, row, column]; raise ValueError if one cannot be used.
 
-    Readings in DN must be finite and at most `full_scale_dn`, and each level needs two frames.
+    Readings in DN must be finite and at most `full_scale_dn`, and each level needs two frames. `name` is that of the
+    argument in the message.
     """
     stacks = [np.asarray(level) for level in levels]
     if not stacks:
-        raise ValueError(f"{argument}: holds no level; give at least one pair of frames")
+        raise ValueError(f"{name}: holds no level; give at least one pair of frames")
     for index, stack in enumerate(stacks):
         if stack.ndim != 3 or not stack.size:
             raise ValueError(
-                f"{argument}: level {index} has the shape {stack.shape};"
-                " it must be [frame, row, column] with two frames"
+                f"{name}: level {index} has the shape {stack.shape}; it must be [frame, row, column] with two frames"
             )
         if len(stack) < 2:
-            raise ValueError(f"{argument}: level {index} has a single frame, and noise needs two of one light")
+            raise ValueError(f"{name}: level {index} has a single frame, and noise needs two of one light")
         if not np.isfinite(stack).all():
-            raise ValueError(f"{argument}: level {index} holds NaN or infinity; every pixel must have a reading")
+            raise ValueError(f"{name}: level {index} holds NaN or infinity; every pixel must have a reading")
         if stack.max() > full_scale_dn:
             raise ValueError(
-                f"{argument}: level {index} holds {stack.max():g} DN, above the {full_scale_dn:g} of bit_depth;"
-                " correct it"
+                f"{name}: level {index} holds {stack.max():g} DN, above the {full_scale_dn:g} of bit_depth; correct it"
             )
     return stacks
 
 
-def _expand_to_levels(values: ArrayLike, level_count: int, argument: str, levels_argument: str) -> np.ndarray:
+def _expand_to_levels(values: ArrayLike, count: int, name: str, levels_name: str) -> np.ndarray:
     """Return one number for each level [level] from a number for all levels or an array [level].
 
-    Raises ValueError, with the names of the arguments, if the count of numbers differs from `level_count`, or a number
-    is negative or not finite.
+    Raises ValueError if the array has another length than `count`, or a number is negative or not finite. `name` and
+    `levels_name` are those of the arguments in the message.
     """
     numbers = np.asarray(values, dtype=float)
-    if numbers.ndim > 1 or (numbers.ndim == 1 and len(numbers) != level_count):
+    if numbers.ndim > 1 or (numbers.ndim == 1 and len(numbers) != count):
         raise ValueError(
-            f"{argument}: has the shape {numbers.shape}, but {levels_argument} has {level_count} levels;"
-            " give one number a level"
+            f"{name}: has the shape {numbers.shape}, but {levels_name} has {count} levels; give one number a level"
         )
     if not (np.isfinite(numbers) & (numbers >= 0)).all():
-        raise ValueError(f"{argument}: holds a number that is not finite, or below 0")
-    return np.broadcast_to(numbers, (level_count,))
+        raise ValueError(f"{name}: holds a number that is not finite, or below 0")
+    return np.broadcast_to(numbers, (count,))

@@ -118,21 +118,22 @@ def check_levels(
     """
     exposures_s = {kind: [level.exposure_s for level in levels if level.kind == kind] for kind in ("dark", "flat")}
     if sentence := describe_long_darks(exposures_s["dark"], exposures_s["flat"], "flats"):
-        yield Contradiction(sentence, UNKNOWN_BY_LONG_DARKS, reason="the darks last much longer than the flats")
+        yield Contradiction(sentence, UNKNOWN_BY_LONG_DARKS, "the darks last much longer than the flats")
     if len(signal) and _are_photons_per_second(flats, signal):
         sentence = (
             "manifest.csv: photons_per_px looks like photons a second, since the flats follow photons_per_px times"
             " exposure_s; it must be photons on a pixel during the exposure"
         )
-        yield Contradiction(sentence, UNKNOWN_BY_PHOTONS, reason="photons_per_px looks like photons a second")
+        yield Contradiction(sentence, UNKNOWN_BY_PHOTONS, "photons_per_px looks like photons a second")
     # An efficiency of NaN compares as False.
     elif efficiency.value - MAX_PULL * efficiency.stderr > 1:
         sentence = (
             f"the quantum efficiency would be {quantity_text(efficiency.value, efficiency.stderr)} electrons for a"
             " photon, and no more than 1 is possible: photons_per_px of manifest.csv is too small"
         )
-        reason = "photons_per_px is fewer than the electrons of the flats"
-        yield Contradiction(sentence, UNKNOWN_BY_PHOTON_SCALE, reason)
+        yield Contradiction(
+            sentence, UNKNOWN_BY_PHOTON_SCALE, "photons_per_px is fewer than the electrons of the flats"
+        )
 
 
 def _are_photons_per_second(flats: Sequence[Level], signal: np.ndarray) -> bool:
@@ -179,10 +180,9 @@ def compare_sources(
     sheet, flats, spots : values of the data sheet, of flats and darks, and of spots.
     """
     for name, factor in MAX_FACTOR.items():
-        source_text, measured = "flats and darks give", flats.get(name)
+        phrase, measured = "flats and darks give", flats.get(name)
         if measured is None:
-            factor, source_text = max(factor, MAX_FACTOR_SPOTS), "the noise of the spots gives"
-            measured = spots.get(name)
+            factor, phrase, measured = max(factor, MAX_FACTOR_SPOTS), "the noise of the spots gives", spots.get(name)
         stated = sheet.get(name)
         if stated is None or measured is None or not differ_significantly(stated, measured, factor):
             continue
@@ -192,7 +192,7 @@ def compare_sources(
             continue
         measured_text = quantity_text(measured.value, measured.stderr)
         suggestion = _suggest_unit(name, stated, measured, gain)
-        sentence = f"{describe_key(instrument, name)}, but {source_text} {measured_text}{suggestion}"
+        sentence = f"{describe_key(instrument, name)}, but {phrase} {measured_text}{suggestion}"
         unknown = (name,) if name in flats and name in LIKELIHOOD_QUANTITIES else ()
         yield Contradiction(sentence, unknown)
 

@@ -47,7 +47,7 @@ EMPTY_TALLY = np.zeros((4, len(EDGES), len(EDGES)))
 # Least mean square residual of a block [DN²] in a divisor.
 MIN_SQUARE = 1e-300
 # ln r at a pixel may lie outside the range of the ln r of all blocks by this much; the quadratic is limited to that.
-MAX_LOG_EXTRAPOLATION = 1.0
+LOG_MARGIN = 1.0
 
 
 def _multiply_by_neighbours(residual: np.ndarray) -> np.ndarray:
@@ -195,8 +195,7 @@ def _fit_ratio(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.nd
     coefficients = np.linalg.lstsq((design * weight).T, log_ratio * weight, rcond=None)[0]
     pixel_terms = evaluate_quadratic(centre[0, ..., None] + DOWN, centre[1, ..., None] + RIGHT)[:terms]
     fitted_log_ratio = np.tensordot(coefficients, pixel_terms, axes=1)
-    lowest, highest = log_ratio.min() - MAX_LOG_EXTRAPOLATION, log_ratio.max() + MAX_LOG_EXTRAPOLATION
-    ratio = np.exp(np.clip(fitted_log_ratio, lowest, highest))
+    ratio = np.exp(np.clip(fitted_log_ratio, log_ratio.min() - LOG_MARGIN, log_ratio.max() + LOG_MARGIN))
     scale = light_2[is_significant] / (ratio * first).mean(axis=2)[is_significant]
     ratio[is_significant] *= scale[:, None]
     return ratio, is_significant
@@ -223,8 +222,7 @@ def _remove_motion(residual: np.ndarray, motion_effects: np.ndarray) -> np.ndarr
     # Each block has the weight of one over its mean square residual.
     weight = 1 / np.maximum((residual**2).mean(axis=1), MIN_SQUARE)
     normal_matrix = np.einsum("abp,cbp,b->ac", motion_effects, motion_effects, weight)
-    normal_vector = np.einsum("abp,bp,b->a", motion_effects, residual, weight)
-    motion = np.linalg.lstsq(normal_matrix, normal_vector, rcond=None)[0]
+    motion = np.linalg.lstsq(normal_matrix, np.einsum("abp,bp,b->a", motion_effects, residual, weight), rcond=None)[0]
     return residual - np.tensordot(motion, motion_effects, axes=1)
 
 

@@ -211,9 +211,8 @@ def measure_level(
     pattern = PatternVariances(*[np.nan] * len(PatternVariances._fields))
     if len(means) > 1:
         # Rows of all pairs give independent estimates, whose scatter gives the error.
-        variances = np.concatenate(row_variances)
-        variance = float(variances.mean())
-        variance_error = float(variances.std(ddof=1) / np.sqrt(max(variances.size, 2)))
+        pooled = np.concatenate(row_variances)
+        variance, variance_error = float(pooled.mean()), float(pooled.std(ddof=1) / np.sqrt(max(pooled.size, 2)))
         mean_error = float(np.std(means, ddof=1) / np.sqrt(len(means)))
         pattern = PatternVariances(*np.mean(patterns, axis=0).tolist())
     return Level(

@@ -55,6 +55,8 @@ EMVA_NAMES = {
 }
 # Only the data sheet sets these: a full well in the frames is an effect for the analysis to find.
 ONLY_FROM_SHEET = ("full_well_e",)
+# Reason why a quantity is unknown if no source gives it.
+NO_SOURCE = "not in instrument.yaml, no flats and darks in pairs, and no frame shows noise that grows with its light"
 # Quantity → source → value, for all of `QUANTITIES` and the sources that give a value.
 SourceTable = dict[str, dict[str, SourceValue]]
 
@@ -287,10 +289,7 @@ def _choose_value(
         return SourceValue(np.nan, np.nan, f"unknown: {contradiction}")
     value = _choose_source(sources, default)
     if np.isnan(value.value):
-        reason = (
-            "not in instrument.yaml, no flats and darks in pairs, and no frame shows noise that grows with its light"
-        )
-        return value._replace(origin=f"unknown: {reason}")
+        return value._replace(origin=f"unknown: {NO_SOURCE}")
     return value
 
 

@@ -29,15 +29,14 @@ def run(args: argparse.Namespace) -> None:
     Raises `InputError` if the folder has no results of a dataset, or none about the instrument.
     """
     effect_options.apply_options(args)
-    dataset_folder = store.read_owner(args.results) if args.results.is_dir() else ""
-    if not dataset_folder:
+    # Folder of the dataset whose results these are.
+    folder = store.read_owner(args.results) if args.results.is_dir() else ""
+    if not folder:
         raise InputError(f"{args.results}: holds no results of a dataset; name its folder, such as results/my-frames")
-    instrument = load(dataset_folder).instrument
+    instrument = load(folder).instrument
     learned_values, unused_results = collect_learned_values(args.results, instrument)
     if not learned_values and not unused_results:
-        raise InputError(
-            f"{args.results}: says nothing about the instrument; run the workflow on {dataset_folder} to its end"
-        )
+        raise InputError(f"{args.results}: says nothing about the instrument; run the workflow on {folder} to its end")
     choices = choose_values(learned_values, instrument)
     print(format_table(choices, unused_results))
     if not (args.results / "verdict.json").is_file():

@@ -28,9 +28,8 @@ def apply_options(args: argparse.Namespace) -> None:
 
 def read_choice(config: Mapping[str, Any]) -> Choice:
     """Return the choice of the keys `effects`, `vocabulary.only` and `vocabulary.without` of the workflow's config."""
-    vocabulary = config.get("vocabulary", {})
-    files, only, without = config.get("effects", ()), vocabulary.get("only", ()), vocabulary.get("without", ())
-    return Choice(tuple(files), tuple(only), tuple(without))
+    names = config.get("vocabulary", {})
+    return Choice(tuple(config.get("effects", ())), tuple(names.get("only", ())), tuple(names.get("without", ())))
 
 
 def list_options(choice: Choice) -> list[str]:

@@ -17,8 +17,7 @@ spotcheck explain --results out/my-frames      # lists all names"""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    help_text = "name of the number, such as p1 or unexplained.size; without it, all names are listed"
-    parser.add_argument("name", nargs="?", metavar="number", help=help_text)
+    parser.add_argument("name", nargs="?", metavar="number", help="name, such as p1; without it, all names are listed")
     parser.add_argument("--results", type=Path, help="results folder of a dataset (default: the only one in results/)")
     parser.add_argument("--json", action="store_true", help="write JSON, for programs")
 

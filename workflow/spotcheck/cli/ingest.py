@@ -20,8 +20,7 @@ def run(args: argparse.Namespace) -> None:
     """Check the dataset, decode every frame once, write its properties, and print the number of frames and remarks."""
     dataset = folder.load(args.dataset)
     # Digests of an earlier run are reused for files that have not changed.
-    digest_cache = file_cache.read_cache(file_cache.get_cache_path(Path(args.output).parent))
-    frame_table = ingest_frames(dataset, digest_cache)
+    frame_table = ingest_frames(dataset, file_cache.read_cache(file_cache.get_cache_path(Path(args.output).parent)))
     inputs = [dataset.folder / "manifest.csv", *dataset.instrument_files]
     store.write(frame_table, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     print(f"{dataset.name}: {frame_table.sizes['frame']} frames recorded")

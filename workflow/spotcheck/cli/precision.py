@@ -30,9 +30,8 @@ def run(args: argparse.Namespace) -> None:
     dataset = folder.load(args.dataset)
     fits = {name: store.read(path) for name, path in zip(("measured", "simulated"), args.fits, strict=True)}
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
-        exposures_s, model = np.array(dataset.exposures), read_sensor_model(sensor)
-        crop_px = dataset.instrument.crop_px
-        result = compute_precision(fits, calibration, dataset.instrument, exposures_s, model, crop_px)
+        exposures_s, side = np.array(dataset.exposures), dataset.instrument.crop_px
+        result = compute_precision(fits, calibration, dataset.instrument, exposures_s, read_sensor_model(sensor), side)
     inputs = [*args.fits, args.calibration, args.sensor]
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     print(result.attrs.get("skipped") or result.attrs.get("no_design") or "scatter and bounds written")

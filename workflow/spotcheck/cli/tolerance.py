@@ -18,8 +18,7 @@ class Tolerance:
 
 def add_option(parser: argparse.ArgumentParser) -> None:
     """Add the option --tolerance to a parser; its value is the text for `parse_tolerance`."""
-    help_text = "JSON object of of_peak (largest rms residual over the peak) and alpha (rate of false alarms)"
-    parser.add_argument("--tolerance", default="{}", help=help_text)
+    parser.add_argument("--tolerance", default="{}", help="JSON: of_peak (rms/peak), alpha (rate of false alarms)")
 
 
 def parse_tolerance(text: str) -> Tolerance:
@@ -30,7 +29,6 @@ def parse_tolerance(text: str) -> Tolerance:
     try:
         return Tolerance(**json.loads(text))
     except (TypeError, ValueError):
-        raise InputError(
-            f"--tolerance: {text} is no JSON object of of_peak and alpha; write e.g. "
-            '{"of_peak": 0.002, "alpha": 0.01}'
-        ) from None
+        example = '{"of_peak": 0.002, "alpha": 0.01}'
+        message = f"--tolerance: {text} is no JSON object of of_peak and alpha; write e.g. {example}"
+        raise InputError(message) from None
