@@ -266,10 +266,10 @@ def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseC
         normalized[level_bin.indices] = differences.difference.ravel()[level_bin.indices] / np.sqrt(level_bin.variance)
     if np.isfinite(normalized).sum() < 2 * MIN_COUNT:
         return NoiseCorrelation(0, True)
-    normalized = normalized.reshape(differences.difference.shape)
+    normalized_image = normalized.reshape(differences.difference.shape)
     range_px, is_white = 0, True
     # Neighbours down a column, then, in the transposed image, along a row.
-    for lines in (normalized, normalized.T):
+    for lines in (normalized_image, normalized_image.T):
         for lag in range(1, min(MAX_LAG, len(lines) - 1) + 1):
             product = lines[:-lag] * lines[lag:]
             product = product[np.isfinite(product)]
