@@ -1,6 +1,6 @@
 """`spotcheck paper`: compares the numbers of the paper with the results, and writes paper_numbers.csv and a page.
 
-A number holds if the result is within the tolerance that paper_numbers.yaml gives for it.
+A number holds if the result is within the tolerance of the number.
 """
 
 import argparse
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Check every number, write table, page and summary, and print how many numbers of each kind hold.
+    """Check every number, write table, page and summary, and print how many numbers hold.
 
     Numbers that are declared to hold but are outside their tolerance are printed. With --strict they end the process
     with status 1.
@@ -41,8 +41,8 @@ def run(args: argparse.Namespace) -> None:
     store.write_text(args.table, number_checks.format_csv(checks), code=provenance.code_digest(__name__), inputs=inputs)
     write_numbers_page(args.page, checks)
     store.write_text(args.summary, number_checks.summarise_checks(checks))
-    for kind, (met_count, count) in number_checks.count_met(checks).items():
-        print(f"{kind}: {met_count} of {count} hold")
+    for kind, (met, counted) in number_checks.count_met(checks).items():
+        print(f"{kind}: {met} of {counted} hold")
     regressions = number_checks.find_regressions(checks)
     for check in regressions:
         print(f"left its tolerance: {check.entry['id']} is {check.value:.6g}, not {check.low:.6g} … {check.high:.6g}")
