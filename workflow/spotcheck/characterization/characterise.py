@@ -131,7 +131,7 @@ def characterise_sensor(
     >>> print(quantities["gain"])
     K = 0.2493 ± 0.0027 DN/e-
     >>> print(quantities["quantum_efficiency"])
-    η = 0.6015 ± 0.0066
+    η = 0.601 ± 0.007
     >>> print(quantities["dark_current"])
     μ_I is unknown: fewer than three exposures of darks
     """
@@ -181,7 +181,7 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
     >>> import spotcheck
     >>> quantities = spotcheck.characterise_dataset("my-flats")
     >>> print(quantities["gain"])
-    K = 0.3038 ± 0.0036 DN/e-
+    K = 0.304 ± 0.004 DN/e-
     """
     dataset = load(folder)
     if not any(frame.kind in ("flat", "dark") for frame in dataset.frames):
