@@ -1,4 +1,7 @@
-"""`spotcheck paper`: paper_numbers.csv and its page."""
+"""`spotcheck paper`: compares the numbers of the paper with the results, and writes paper_numbers.csv and a page.
+
+A number holds if the result is within the tolerance of the number.
+"""
 
 import argparse
 import sys
@@ -31,7 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Check every number; with --strict, end with status 1 when one left its tolerance."""
+    """Check every number, write table, page and summary, and print how many numbers hold.
+
+    Numbers that are declared to hold but are outside their tolerance are printed. With --strict they end the process
+    with status 1.
+    """
     results = Results(folder.load(args.dataset), args.results)
     checks = number_checks.check_numbers(read_yaml(args.numbers), results)
     inputs = [args.numbers, args.seeds, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
