@@ -11,8 +11,9 @@ import numpy as np
 
 from spotcheck.discrepancy.criteria import FIELD_MULTIPLE, MIN_GAIN
 from spotcheck.discrepancy.frames import CENTRE_X, CENTRE_Y, LOG_PEAK, LOG_SIGMA
-from spotcheck.discrepancy.laws import LEAST_FREE, LawSearch
+from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.mixed_model import Interval, deviation_interval, fit_reml
+from spotcheck.discrepancy.spot_components import LEAST_FREE, build_components
 
 # A scatter of the centre must keep at least LEFT_SHARE of its gain, or MIN_GAIN if that is less, when the WORST_SHARE
 # of the frames whose centres lie farthest off is left out. Otherwise a few outlying frames carry it.
@@ -29,9 +30,9 @@ class Fluctuation:
 
 
 def measure_components(search: LawSearch) -> dict[str, Fluctuation]:
-    """Return the scatter of each variance component of the spots, by its name in `LawSearch.all_components`.
+    """Return the scatter of each variance component of the spots, by its name in `build_components`.
 
-    The mean of each cell of the design is free (`LawSearch.saturated_mean`), so that no law adds to the scatter.
+    It is estimated beside the saturated mean of the search, so that no law adds to the scatter.
     """
     fluctuations = {}
     fit_of_kept = search.variances
@@ -45,7 +46,8 @@ def measure_components(search: LawSearch) -> dict[str, Fluctuation]:
         others = {key: matrix for key, matrix in search.components.items() if key != name}
         gain = search.deviance_of(others) - fit_of_kept.deviance
         fluctuations[name] = assess(name, fit_of_kept.variance[k], fit_of_kept.covariance[k, k], gain)
-    for name, matrix in search.all_components().items() if search.can_estimate else ():
+    possible = build_components(search.design, search.noise) if search.can_estimate else {}
+    for name, matrix in possible.items():
         if name not in fluctuations:
             # The search left this component out. The upper end of its interval is a limit.
             components = {**search.components, name: matrix}
@@ -63,7 +65,7 @@ def measure_jitter(search: LawSearch) -> Fluctuation | None:
     """
     spots, design = search.numbers.spots, search.design
     site_indicators = (design.site[:, None] == np.unique(design.site)[None]).astype(float)
-    mean_of_axis = np.hstack([site_indicators, search.exposure_indicators[:, 1:]])  # of x or y [frame, column]
+    mean_of_axis = np.hstack([site_indicators, search.factors["exposure"][:, 1:]])  # of x or y [frame, column]
     frames = len(spots.x)
     if site_indicators.sum(axis=0).max() < 2 or frames - np.linalg.matrix_rank(mean_of_axis) < LEAST_FREE:
         return None
