@@ -181,10 +181,8 @@ def add_field(pixels: Pixels, frames: FrameSet) -> Pixels:
     """
     assert frames.light_field is not None
     frame = np.arange(len(frames))[:, None, None]
-    row, column = (
-        (sensor_position - corner[:, None, None]).astype(int)
-        for sensor_position, corner in ((pixels.y, frames.top), (pixels.x, frames.left))
-    )
+    row = (pixels.y - frames.top[:, None, None]).astype(int)
+    column = (pixels.x - frames.left[:, None, None]).astype(int)
     return replace(pixels, extra_variance=pixels.extra_variance + frames.light_field.variance[frame, row, column])
 
 
@@ -225,11 +223,9 @@ def select_pixels(frames: FrameSet, spots: FrameParameters) -> Pixels:
     count = len(frames) * (inner[0] + outer[0]) * (inner[1] + outer[1])
     stride = max(int(np.ceil(np.sqrt(count / MOST_PIXELS))), 1)
     # Offsets of rows and columns differ, so that together the frames show every pixel.
-    rows = [
-        _axis_indices(spots.y[f] - frames.top[f], shape[0], inner[0], stride, f // OUTER_STRIDE)
-        for f in range(len(frames))
-    ]
-    columns = [_axis_indices(spots.x[f] - frames.left[f], shape[1], inner[1], stride, f) for f in range(len(frames))]
+    y, x = spots.y - frames.top, spots.x - frames.left
+    rows = [_axis_indices(y[f], shape[0], inner[0], stride, f // OUTER_STRIDE) for f in range(len(frames))]
+    columns = [_axis_indices(x[f], shape[1], inner[1], stride, f) for f in range(len(frames))]
     return _take_pixels(frames, *_equal_lengths(rows), *_equal_lengths(columns))
 
 

@@ -221,23 +221,20 @@ def fit_jointly(
     pixels : Pixels
         Readings of all frames of the model's design.
     tolerance : float
-        Newton decrement of the effects, beside all other unknowns, below which the fit has converged. The tolerance of
-        the decrement of all unknowns is scaled in proportion. Both are multiplied by the largest of 1, the mean squared
-        standardised residual, and the dispersion of granular light (`Pixels.dispersion`).
+        Newton decrement of the effects, beside all other unknowns, below which the fit has converged. That of all
+        unknowns is scaled in proportion. Both are multiplied by the largest of 1, `NormalEquations.dispersion` and
+        `Pixels.dispersion`.
     iterations : int
         Most steps.
     rival : float, optional
-        −2 ln L of a model to compare with. The fit ends early, not converged, when −2 ln L is below it and the
-        decrement is less than `DECIDED_SHARE` of the difference.
+        −2 ln L of another model. The fit ends early if it leads and its decrement is below `DECIDED_SHARE` of the lead.
     target : float, optional
-        −2 ln L that the fit must reach to be of use. It ends early, not converged, when `REACHABLE_DROP` times the
-        decrement does not lead there. Use it only for a start near the optimum.
+        −2 ln L to reach, for a start near the optimum. The fit ends early if `REACHABLE_DROP` decrements miss it.
 
     Returns
     -------
     JointFit
-        Model and equations after the last step. It has not converged if it ended early, if `iterations` steps were
-        not enough, or if no trial step lowers −2 ln L.
+        Not converged if it ended early, if the steps were used up, or if no trial step lowers −2 ln L.
     """
     equations = assemble(model, pixels)
     damping, step_fraction, count, factor_age = 0.0, 1.0, 0, 0
@@ -249,20 +246,19 @@ def fit_jointly(
         dispersion = max(equations.dispersion, pixels.dispersion, 1.0)
         has_converged = decrement < total_tolerance * dispersion and effect_decrement < tolerance * dispersion
         if (has_converged or count == iterations) and factor_age > 0:
-            # The information of an effect beside the shape may be a small difference of large numbers. Only a factor
-            # at the present model gives it exactly.
+            # The information of an effect beside the shape may be a small difference, which needs a new factor.
             equations, factor_age = assemble(model, pixels), 0
             continue
         if has_converged or _is_decided(equations.deviance, decrement, rival, target) or count == iterations:
             break
         is_old = model.grid is not None and (factor_age + 1 >= FACTOR_STEPS or decrement > FACTOR_DECREMENT)
         accepted, damping, step_fraction = _try_steps(model, pixels, equations, damping, step_fraction, fixed, is_old)
-        if accepted is None and factor_age > 0:
+        if accepted is None and factor_age == 0:
+            break
+        if accepted is None:
             # The reused factor may be the reason for the failure.
             equations, factor_age = assemble(model, pixels), 0
             continue
-        if accepted is None:
-            break
         model, new = accepted
         gain = equations.deviance - new.deviance
         is_new = model.grid is not None and not new.has_factor_of(equations)

@@ -18,16 +18,7 @@ from spotcheck.discrepancy.fields import FieldEstimate
 from spotcheck.discrepancy.fluctuations import Fluctuation
 from spotcheck.discrepancy.mixed_model import Interval, deviation_interval
 from spotcheck.discrepancy.scatter import DarkNoise
-from spotcheck.model.effect import (
-    AppliedEffect,
-    Effect,
-    EffectScales,
-    Parameter,
-    RandomStep,
-    Scope,
-    Step,
-    keyword_names_of,
-)
+from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep, Scope, Step, keyword_names_of
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import SensorModel
 
@@ -162,9 +153,14 @@ def is_negligible_scatter(applied: AppliedEffect, scales: EffectScales) -> bool:
 
     Parameters without such a size do not count; False if there are no others.
     """
-    limits = [_negligible_size(parameter, scales) for parameter in applied.effect.parameters]
+    limits = _negligible_sizes(applied.effect, scales)
     is_below = [value < limit for value, limit in zip(applied.values, limits, strict=True) if limit > 0]
     return bool(is_below) and all(is_below)
+
+
+def _negligible_sizes(effect: Effect, scales: EffectScales) -> list[float]:
+    """Return the size of each parameter below which a user would call it nothing, in its unit; 0 if there is none."""
+    return [p.negligible(scales) if callable(p.negligible) else p.negligible for p in effect.parameters]
 
 
 @dataclass(frozen=True)
@@ -214,19 +210,13 @@ def name_read_noise(
     interval = Interval.around(noise.total_e, noise.stderr_e)
     found = []
     for effect in effects:
-        strength = effect.parameters[0]
         for variant, steps in effect.variants.items():
             if [step.stage for step in steps] == [Stage.READ_NOISE] and isinstance(steps[0], Step):
-                is_small = noise.total_e - stated.read_noise_e < _negligible_size(strength, scales)
+                is_small = noise.total_e - stated.read_noise_e < _negligible_sizes(effect, scales)[0]
                 against = (*reasons, "negligible") if is_small else tuple(reasons)
                 applied = AppliedEffect(effect, variant, (noise.total_e,))
-                found.append(NamedScatter(applied, {strength.name: interval}, noise.z, against))
+                found.append(NamedScatter(applied, {effect.parameters[0].name: interval}, noise.z, against))
     return found
-
-
-def _negligible_size(parameter: Parameter, scales: EffectScales) -> float:
-    """Return the size below which a user would call a parameter nothing, in its unit; 0 if it declares none."""
-    return parameter.negligible(scales) if callable(parameter.negligible) else parameter.negligible
 
 
 def deviation_of_field(field: FieldEstimate) -> Deviation:
