@@ -202,7 +202,7 @@ def _law_values(fit: LawFit) -> tuple[float, float]:
 
 
 def _law_errors(fit: LawFit) -> tuple[float, float]:
-    errors = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
+    errors: dict[tuple[str, str], float] = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
     return (float(errors.get(("", "p1"), np.nan)), float(errors.get(("", "p2"), np.nan)))
 
 

@@ -266,8 +266,8 @@ def _draw_evenly(rng: np.random.Generator, frames: int, size: int, count: int) -
 def _axis_indices(centre: float, size: int, inner: int, stride: int, offset: int) -> np.ndarray:
     """Return the selected indices of rows or columns of a crop, ascending.
 
-    Of the `inner` indices around the centre [px in the crop] every `stride`-th is selected, of the others every
-    `OUTER_STRIDE * stride`-th. `offset` shifts the pattern.
+    Every `stride`-th of the `inner` indices around the centre [px in the crop] is selected, and every
+    `OUTER_STRIDE * stride`-th of the others. `offset` shifts the pattern.
     """
     start = int(np.clip(round(centre) - inner // 2, 0, size - inner))
     index = np.arange(size)

@@ -212,7 +212,9 @@ def fit_jointly(
     rival: float | None = None,
     target: float | None = None,
 ) -> JointFit:
-    """Fit spots, sensor and effects to the pixels.
+    """Return the fit of spots, sensor and effects to the pixels.
+
+    It has not converged if it ended early, if its steps were used up, or if no trial step lowers −2 ln L.
 
     Parameters
     ----------
@@ -230,11 +232,6 @@ def fit_jointly(
         −2 ln L of another model. The fit ends early if it leads and its decrement is below `DECIDED_SHARE` of the lead.
     target : float, optional
         −2 ln L to reach, for a start near the optimum. The fit ends early if `REACHABLE_DROP` decrements miss it.
-
-    Returns
-    -------
-    JointFit
-        Not converged if it ended early, if the steps were used up, or if no trial step lowers −2 ln L.
     """
     equations = assemble(model, pixels)
     damping, step_fraction, count, factor_age = 0.0, 1.0, 0, 0

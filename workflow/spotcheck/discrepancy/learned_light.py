@@ -133,7 +133,7 @@ def describe_light(fit: JointFit, declared: Baseline | None = None, seed: int = 
     grid = PolarGrid(int(shape.step * (len(shape.coefficients) - 1) / 2 / RING_STEP))
     gauge = fit_gauge(baseline, declared, grid, find_covered(fit, grid.u, grid.v))
     u, v = gauge.places_of(grid)
-    # Where no frame has pixels, the learned shape is taken to be the declared one.
+    # The learned shape is taken to be the declared one at places where no frame has pixels.
     is_covered = find_covered(fit, u, v)
     before = Gauge().shape_of(declared, grid)
     light = np.where(is_covered, baseline.spot(u, v, 1.0, 1.0) / gauge.brightness, before)
@@ -282,7 +282,7 @@ def project_on_gauge(noise: np.ndarray, declared: Baseline, grid: PolarGrid, is_
     before = Gauge().shape_of(declared, grid)
     moved = (Gauge(width=1 + GAUGE_STEP), Gauge(u=GAUGE_STEP), Gauge(v=GAUGE_STEP))
     tangents = [before, *((gauge.shape_of(declared, grid) - before) / GAUGE_STEP for gauge in moved)]
-    basis = tangents * is_covered
+    basis = np.multiply(tangents, is_covered)
     weighted = (basis * grid.area).reshape(len(basis), -1)
     basis = basis.reshape(len(basis), -1)
     amounts = linalg.lstsq(weighted @ basis.T, weighted @ noise.reshape(len(noise), -1).T)[0]

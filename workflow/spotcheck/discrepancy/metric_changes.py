@@ -222,8 +222,9 @@ def _psnr_of_repeats(frames: FrameSet, means: np.ndarray, full_scale_dn: float) 
             if second > first:
                 corrected = readings[second] - means[second] + means[first]
                 ratio = crop_metrics.psnr(readings[first], corrected, full_scale_dn)
-                total[[first, second]] += ratio
-                count[[first, second]] += 1
+                pair = [first, int(second)]
+                total[pair] += ratio
+                count[pair] += 1
     return np.divide(total, count, out=np.full(len(frames), np.nan), where=count > 0)
 
 
