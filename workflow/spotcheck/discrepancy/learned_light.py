@@ -135,14 +135,14 @@ def describe_light(fit: JointFit, declared: Baseline | None = None, seed: int = 
     u, v = gauge.places_of(grid)
     # The learned shape is taken to be the declared one at places where no frame has pixels.
     is_covered = find_covered(fit, u, v)
-    before = Gauge().shape_of(declared, grid)
-    light = np.where(is_covered, baseline.spot(u, v, 1.0, 1.0) / gauge.brightness, before)
+    declared_shape = Gauge().shape_of(declared, grid)
+    light = np.where(is_covered, baseline.spot(u, v, 1.0, 1.0) / gauge.brightness, declared_shape)
     noise = draw_noise(fit, gauge, grid, np.random.default_rng(seed)) * is_covered
     # The fit of the gauge has removed this part of the noise from the difference as well.
     noise -= project_on_gauge(noise, declared, grid, is_covered)
-    power, stderr = measure_power(light - before, noise, grid, float(np.sum(light * grid.area)))
-    orders = measure_orders(light - before, noise, grid) if power > CLEAR_ERRORS * stderr else np.zeros(ORDERS)
-    major, minor, direction_deg = measure_axes(light - noise.mean(axis=0), before, grid)
+    power, stderr = measure_power(light - declared_shape, noise, grid, float(np.sum(light * grid.area)))
+    orders = measure_orders(light - declared_shape, noise, grid) if power > CLEAR_ERRORS * stderr else np.zeros(ORDERS)
+    major, minor, direction_deg = measure_axes(light - noise.mean(axis=0), declared_shape, grid)
     words = describe_difference(power, stderr, orders, (major, minor, direction_deg))
     lowest = float(light.min())
     return LearnedLight(shape, power, stderr, tuple(map(float, orders)), major, minor, direction_deg, lowest, words)
@@ -279,9 +279,9 @@ def project_on_gauge(noise: np.ndarray, declared: Baseline, grid: PolarGrid, is_
 
     It is the least-squares projection on the derivatives of the declared shape by these four, weighted by area.
     """
-    before = Gauge().shape_of(declared, grid)
+    declared_shape = Gauge().shape_of(declared, grid)
     moved = (Gauge(width=1 + GAUGE_STEP), Gauge(u=GAUGE_STEP), Gauge(v=GAUGE_STEP))
-    tangents = [before, *((gauge.shape_of(declared, grid) - before) / GAUGE_STEP for gauge in moved)]
+    tangents = [declared_shape, *((gauge.shape_of(declared, grid) - declared_shape) / GAUGE_STEP for gauge in moved)]
     basis = np.multiply(tangents, is_covered)
     weighted = (basis * grid.area).reshape(len(basis), -1)
     basis = basis.reshape(len(basis), -1)
@@ -351,14 +351,14 @@ def measure_orders(difference: np.ndarray, noise: np.ndarray, grid: PolarGrid) -
     return excess[:ORDERS] / max(excess.sum(), 1e-300)
 
 
-def measure_axes(light: np.ndarray, before: np.ndarray, grid: PolarGrid) -> tuple[float, float, float]:
+def measure_axes(light: np.ndarray, declared_shape: np.ndarray, grid: PolarGrid) -> tuple[float, float, float]:
     """Return the widths of a shape along its long and short axis, and the direction of the long axis.
 
-    Widths are roots of second central moments, relative to that of the declared shape `before`, which is round and
-    centred. The direction is in degrees from 0 to 180, from the u axis towards v. Both shapes are [ring, direction].
+    Widths are roots of second central moments, relative to that of the declared shape, which is round and centred. The
+    direction is in degrees from 0 to 180, from the u axis towards v. Both shapes are [ring, direction].
     """
     weight = light * grid.area / max(float(np.sum(light * grid.area)), 1e-300)
-    declared_moment = np.sum(before * grid.area * grid.radius**2) / 2 / np.sum(before * grid.area)
+    declared_moment = np.sum(declared_shape * grid.area * grid.radius**2) / 2 / np.sum(declared_shape * grid.area)
     du, dv = grid.u - np.sum(weight * grid.u), grid.v - np.sum(weight * grid.v)
     mu_11 = np.sum(weight * du * dv)
     moments = [[np.sum(weight * du * du), mu_11], [mu_11, np.sum(weight * dv * dv)]]
