@@ -193,6 +193,7 @@ def conditions_of(design: Design, spots: FrameParameters, pixels: Pixels) -> Fra
     """
 
     def per_frame(values: np.ndarray) -> np.ndarray:
+        """Return values [frame] as an array [frame, 1, 1]."""
         return np.asarray(values, float)[:, None, None]
 
     grid = PixelGrid(pixels.x, pixels.y, pixels.sensor_columns, pixels.sensor_rows, pixels.row_share)

@@ -316,6 +316,7 @@ class LawSearch:
         sets: dict[LawNames, tuple[Effect, ...]] = {(): ()}
 
         def cost(names: LawNames) -> float:
+            """Return χ² + `MIN_GAIN` per law of a set that was tried."""
             return fits[names].chi2 + MIN_GAIN * len(names)
 
         best_of_size: list[LawNames] = []

@@ -187,6 +187,7 @@ def fit_gauge(baseline: Baseline, declared: Baseline, grid: PolarGrid, is_covere
         return Gauge(float(np.exp(values[0])), float(np.exp(values[1])), float(values[2]), float(values[3]))
 
     def residual(values: np.ndarray) -> np.ndarray:
+        """Return the weighted S − A B at all places [place]; `values` as above."""
         return (weight * (light - gauge_of(values).shape_of(declared, grid))).ravel()
 
     return gauge_of(optimize.least_squares(residual, np.zeros(4), xtol=1e-10, ftol=1e-12).x)

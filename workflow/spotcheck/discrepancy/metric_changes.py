@@ -104,6 +104,7 @@ def _apply_gains(gains: np.ndarray) -> AppliedEffect:
     """Return an effect without parameters that multiplies the light of each pixel by 1 + gains [row, column]."""
 
     def multiply_light(frame: FrameConditions, light_dn: np.ndarray) -> np.ndarray:
+        """Return the light [DN] times the gains, which are not negative; the frame has no influence."""
         return light_dn * np.maximum(1 + gains, 0.0)
 
     steps = (Step(Stage.PIXEL_GAIN, multiply_light),)
