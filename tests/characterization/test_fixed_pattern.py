@@ -19,18 +19,29 @@ from spotcheck.dataset.folder import load
 
 def test_a_spectrum_of_white_noise_is_flat():
     """rms 3 at every frequency, within 2 % on average over 1024 lines (0.1 %) and 15 % at each (2.2 % each)."""
-    own = compute_spectrum(np.random.default_rng(0).normal(0, 3, (1024, 128)))
-    assert own.shape == (65,)
-    assert np.sqrt((own[1:-1] ** 2).mean()) == pytest.approx(3, rel=0.02)
-    assert np.abs(own[1:-1] / 3 - 1).max() < 0.15
+    spectrum = compute_spectrum(np.random.default_rng(0).normal(0, 3, (1024, 128)))
+    assert spectrum.rms.shape == (65,)
+    assert np.sqrt((spectrum.rms[1:-1] ** 2).mean()) == pytest.approx(3, rel=0.02)
+    assert np.abs(spectrum.rms[1:-1] / 3 - 1).max() < 0.15
 
 
 def test_stripes_are_a_peak():
     """An amplitude a at 1/8 cycles per px is a √(N/4) there, and nothing elsewhere."""
     x = np.arange(128)
-    own = compute_spectrum(np.tile(2 * np.cos(2 * np.pi * x / 8), (5, 1)))
-    assert own[16] == pytest.approx(2 * np.sqrt(128 / 4))
-    assert np.delete(own, 16).max() < 1e-9
+    spectrum = compute_spectrum(np.tile(2 * np.cos(2 * np.pi * x / 8), (5, 1)))
+    assert spectrum.frequency[16] == 1 / 8
+    assert spectrum.rms[16] == pytest.approx(2 * np.sqrt(128 / 4))
+    assert np.delete(spectrum.rms, 16).max() < 1e-9
+
+
+@pytest.mark.parametrize("pixels", [127, 4099])
+def test_frequencies_of_odd_and_averaged_spectra(pixels):
+    """A cosine peaks at its frequency: an odd number of pixels has no frequency ½, and averaging keeps the mean."""
+    cycles = pixels // 5
+    spectrum = compute_spectrum(np.cos(2 * np.pi * cycles * np.arange(pixels) / pixels)[None])
+    peak = spectrum.frequency[np.argmax(spectrum.rms)]
+    assert peak == pytest.approx(cycles / pixels, abs=2 * spectrum.frequency[1])
+    assert spectrum.frequency.max() < 0.5
 
 
 @pytest.fixture(scope="module")

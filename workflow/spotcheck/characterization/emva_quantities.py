@@ -13,7 +13,7 @@ from spotcheck.io.number_text import quantity_text
 # Name → (symbol of the standard, unit, meaning), in the order in which they are listed.
 QUANTITIES = {
     "gain": ("K", "DN/e-", "overall gain"),
-    "dark_offset": ("μ_y.dark", "DN", "dark offset at the shortest exposure"),
+    "dark_offset": ("μ_y.dark", "DN", "dark offset, without exposure if darks have three"),
     "dark_noise_dn": ("σ_y.dark", "DN", "noise without light, with rounding"),
     "dark_noise": ("σ_d", "e-", "noise without light"),
     "dark_current": ("μ_I", "e-/s", "dark current, by the mean"),

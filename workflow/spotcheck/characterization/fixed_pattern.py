@@ -27,9 +27,17 @@ class FixedPattern:
 
     image: np.ndarray  # means of square blocks [DN], [block row, block column]
     side: int  # side of a block [px]
-    along_rows: np.ndarray  # rms spectrum along rows [DN], frequencies from 0 to ½ cycles/px
-    along_columns: np.ndarray  # rms spectrum along columns [DN], likewise
+    along_rows: "Spectrum"  # spectrum along rows
+    along_columns: "Spectrum"  # spectrum along columns
     noise: float  # rms of the temporal noise in the mean image [DN], which each spectrum contains
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Rms spectrum of an image along one of its axes."""
+
+    frequency: np.ndarray  # spatial frequency [cycles/px]
+    rms: np.ndarray  # root of the mean power [DN], [frequency]
 
 
 def select_levels(transfer: Transfer) -> dict[str, Level]:
@@ -64,8 +72,8 @@ def measure_pattern(dataset: Dataset, level: Level) -> FixedPattern:
     return FixedPattern(image, side, compute_spectrum(deviation), compute_spectrum(deviation.T), noise)
 
 
-def compute_spectrum(image: np.ndarray) -> np.ndarray:
-    """Return the rms spectrum [frequency] along the rows of an image [rows, columns], from 0 to ½ cycles/px.
+def compute_spectrum(image: np.ndarray) -> Spectrum:
+    """Return the rms spectrum along the rows of an image [rows, columns], from 0 to ½ cycles/px.
 
     It is the root of the mean power over all rows, in the unit of the image; white noise of rms s gives s at each
     frequency. If there are more than `MAX_FREQUENCIES`, the power of neighbouring frequencies is averaged, and the
@@ -75,12 +83,13 @@ def compute_spectrum(image: np.ndarray) -> np.ndarray:
     power = np.zeros(columns // 2 + 1)
     for row in image:
         power += np.abs(np.fft.rfft(row.astype(float))) ** 2
-    spectrum = np.sqrt(power / image.shape[0] / columns)
-    if len(spectrum) <= MAX_FREQUENCIES:
-        return spectrum
-    group_size = -(-len(spectrum) // MAX_FREQUENCIES)
-    used = len(spectrum) // group_size * group_size
-    return np.sqrt((spectrum[:used].reshape(-1, group_size) ** 2).mean(axis=1))
+    power /= image.shape[0] * columns
+    group_size = -(-len(power) // MAX_FREQUENCIES)
+    used = len(power) // group_size * group_size
+    frequency, power = (
+        values[:used].reshape(-1, group_size).mean(axis=1) for values in (np.fft.rfftfreq(columns), power)
+    )
+    return Spectrum(frequency, np.sqrt(power))
 
 
 def add_patterns(ds: xr.Dataset, dataset: Dataset, transfer: Transfer) -> xr.Dataset:
@@ -99,11 +108,9 @@ def add_patterns(ds: xr.Dataset, dataset: Dataset, transfer: Transfer) -> xr.Dat
         ds[f"{kind}_picture"] = ((f"{kind}_y", f"{kind}_x"), pattern.image, attributes)
         for axis, spectrum in (("rows", pattern.along_rows), ("columns", pattern.along_columns)):
             dim = f"{kind}_{axis}_frequency"
-            # Approximate: the highest frequency of an odd number of pixels, or of averaged ones, is slightly below ½.
-            frequency = np.linspace(0, 0.5, len(spectrum))
-            ds[dim] = (dim, frequency, {"units": "1/pixel", "long_name": f"spatial frequency along {axis}"})
+            ds[dim] = (dim, spectrum.frequency, {"units": "1/pixel", "long_name": f"spatial frequency along {axis}"})
             attributes = {"units": "DN", "long_name": f"rms spectrum along {axis} of the mean image {phrase}"}
-            ds[f"{kind}_along_{axis}"] = (dim, spectrum, attributes)
+            ds[f"{kind}_along_{axis}"] = (dim, spectrum.rms, attributes)
         for suffix, value, units, long_name in (
             ("side", pattern.side, "pixel", "pixels of a block of the picture"),
             ("noise", pattern.noise, "DN", "rms of noise in time in the mean image"),

@@ -95,7 +95,8 @@ def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
         mean = slope = np.zeros(1)
         for frame, weight in zip(half, slope_weights, strict=True):
             image = frames.read_masked_image(dataset, frame).astype(float)
-            pixels_at_zero, pixels = pixels_at_zero + int(np.count_nonzero(image <= 0)), pixels + image.size
+            pixels_at_zero += int(np.count_nonzero(image <= 0))
+            pixels += int(np.isfinite(image).sum())
             mean, slope = mean + image / len(half), slope + weight * image
         means.append(mean)
         slopes.append(slope)

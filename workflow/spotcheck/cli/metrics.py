@@ -27,6 +27,6 @@ def run(args: argparse.Namespace) -> None:
         metrics = compute_metrics(crops, fits, float(sensor["full_scale_dn"]))
     inputs = [*args.crops, *args.fits, args.sensor]
     store.write(metrics, args.output, code=provenance.code_digest(__name__), inputs=inputs)
-    # Each pair has a signal-to-noise ratio PSNR for each registration of the two crops and each data range.
-    values_per_pair = metrics.sizes["registration"] * metrics.sizes["data_range"]
-    print(f"{int(metrics['psnr'].notnull().sum() / values_per_pair)} pairs of frames evaluated")
+    # A pair has a PSNR for each registration of the two crops and each data range; without a fit it lacks some.
+    is_pair = metrics["psnr"].notnull().any(("registration", "data_range"))
+    print(f"{int(is_pair.sum())} pairs of frames evaluated")

@@ -247,7 +247,6 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
         laws=tuple(law for law in found.laws if not law.reasons),
         scatter=tuple(scattered for scattered in named if not scattered.reasons),
         images=images,
-        scales=scales,
     )
     return replace(analysis, validated=validate_chain(build_chain(parts), prepared.unseen, prepared.unseen_spots))
 

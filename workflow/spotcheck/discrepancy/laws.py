@@ -343,7 +343,7 @@ class LawSearch:
         return best, [names for names in others if fits[names].chi2 < limit], fits
 
     def judge(self, applied: AppliedEffect, fit: LawFit, gain: float) -> NamedLaw:
-        """Test one law of a fitted set; `gain` is the drop of χ² by it, NaN if unknown."""
+        """Test one law of a fitted set; `gain` is the drop of χ² by it."""
         rows = [k for k, parameter in enumerate(fit.names) if parameter.effect == applied.effect.name]
         # The first parameter of an effect is its strength. Its estimate is a weighted sum of the observations.
         weights = self.inverse @ fit.jacobian @ fit.covariance[:, rows[0]]
@@ -359,11 +359,11 @@ class LawSearch:
         if np.isfinite(distance):
             z = min(z, upper_tail_z(float(stats.t.logsf(abs(distance) / errors[0], dof))))
         reasons = []
-        if z < MIN_Z:
+        if not z >= MIN_Z:
             reasons.append("z below the least")
         if is_negligible(applied, self.scales):
             reasons.append("negligible")
-        for factor in {FACTORS[need] for need in applied.effect.needs if need in FACTORS}:
+        for factor in dict.fromkeys(FACTORS[need] for need in applied.effect.needs if need in FACTORS):
             excess, freed = self.lack_of_fit(fit, factor)
             if freed > 0 and excess - freed > max(CELL_SLACK * np.sqrt(2 * freed), CELL_MISFIT * max(gain, 0.0)):
                 reasons.append(f"lack of fit over {factor}: {excess:.0f} on {freed}")
@@ -411,22 +411,23 @@ class FoundLaws:
 
 
 def find_laws(search: LawSearch, effects: Sequence[Effect]) -> FoundLaws:
-    """Return the best set of laws with the test of each, and its rivals.
-
-    The gain of a law is NaN if the search has not tried the set without it.
-    """
+    """Return the best set of laws with the test of each, and its rivals."""
+    effect_by_name = {effect.name: effect for effect in effects}
     best, rivals, fits = search.select(effects)
     fit, laws = fits[best], []
     for applied in fit.effects:
         others = tuple(name for name in best if name != applied.effect.name)
-        gain = fits[others].chi2 - fit.chi2 if others in fits else np.nan
-        laws.append(search.judge(applied, fit, gain))
+        # A search of larger sets does not try every set without one of their laws.
+        without = fits.get(others) or search.fit([effect_by_name[name] for name in others])
+        laws.append(search.judge(applied, fit, without.chi2 - fit.chi2))
     return FoundLaws(fit, tuple(laws), {names: fits[names].chi2 - fit.chi2 for names in rivals})
 
 
 def upper_tail_z(log_p: float) -> float:
-    """Return the normal z of an upper-tail probability, given as its natural logarithm; `LARGEST_Z` if it is NaN."""
-    return float(-special.ndtri_exp(log_p)) if np.isfinite(log_p) and log_p > LEAST_LOG_P else LARGEST_Z
+    """Return the normal z of an upper-tail probability, given as its natural logarithm; NaN if that is NaN."""
+    if np.isnan(log_p):
+        return np.nan
+    return float(-special.ndtri_exp(log_p)) if log_p > LEAST_LOG_P else LARGEST_Z
 
 
 def _value_of(model: ForwardModel, parameter: LawParameter) -> float:

@@ -264,8 +264,7 @@ def profile_clip(fit: JointFit, trial: Trial, highest: float) -> float:
     if len(clipped) == 0:
         return highest
     design = fit.model.design.select(clipped)
-    arrays = {name: getattr(fit.pixels, name)[clipped] for name in ("x", "y", "readings", "is_used", "row_share")}
-    pixels = replace(fit.pixels, **arrays)
+    pixels = fit.pixels.select(clipped)
     plain = replace(fit.model, spots=fit.model.spots.select(clipped), design=design, free=(), grid=None)
 
     def deviance_at(distance: float) -> float:

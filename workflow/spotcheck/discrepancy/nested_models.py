@@ -23,7 +23,7 @@ from spotcheck.discrepancy.validation import (
     is_field,
     predict_frames,
 )
-from spotcheck.model.effect import AppliedEffect, EffectScales, RandomStep, Scope, Step
+from spotcheck.model.effect import AppliedEffect, RandomStep, Scope, Step
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.stage import Stage
@@ -47,7 +47,6 @@ class FittedParts:
     laws: tuple[NamedLaw, ...]  # named laws
     scatter: tuple[NamedScatter, ...]  # named random effects
     images: ResidualImages  # residuals of the final fit, from which gains of pixels are estimated
-    scales: EffectScales  # sizes of the dataset
 
 
 def build_chain(parts: FittedParts) -> list[NestedModel]:

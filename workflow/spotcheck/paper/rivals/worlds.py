@@ -1,7 +1,7 @@
 """Forward models ("worlds") that could have made the paper's measured frames.
 
-All worlds draw 32 sites. Each has its own brightness and speckle, which its exposures share. A world states the light of
-a site and what the sensor makes of its electrons. Each has six free parameters.
+All worlds draw 32 sites. Each site has its own brightness and speckle, which its exposures share. A world states the
+light of a site and what the sensor makes of its electrons. Each world has six free parameters.
 """
 
 from collections.abc import Callable, Mapping

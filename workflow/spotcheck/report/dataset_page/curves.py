@@ -236,7 +236,7 @@ def _draw_condition_gaps(files: Mapping[str, xr.Dataset]) -> Curve | None:
     data.append(_make_line("noise floor", names, floor, dash="dot"))
     caption = (
         f"Rms of block residuals over their noise, for each condition, on {ds.attrs['gap_on']}. The gap at the top of"
-        " the page is that of blocks of 8 × 8 px near the spot, on held-out data."
+        " the page is that on held-out data."
     )
     layout = {
         "xaxis": _make_axis("", tickangle=-45, type="category"),

@@ -211,17 +211,16 @@ def _tabulate_frame(frame_data: Mapping[str, Any], remarks: str, number: int, ma
     """Return a row of the table of frames, from the data that `_describe_frame` returns.
 
     `number` is the index of the frame in frames.js, `maximum` its highest reading [DN]. The residuals are `left` [1]
-    and `rms` [DN] of the first of `RANKING_MODELS` that has one, and `before` [1] of the declared model; None if
-    unknown.
+    and `rms` [DN] of the first of `RANKING_MODELS` that has one (`model`), and `before` [1] of the declared model.
+    They are None if unknown.
     """
     left, rms = frame_data["left"], frame_data["rms"]
-    residuals = {
-        "left": next((left[name] for name in RANKING_MODELS if left.get(name) is not None), None),
-        "before": left.get("declared"),
-        "rms": next((rms[name] for name in RANKING_MODELS if name in rms), None),
-    }
+    # A frame that the extended model does not cover shows the residual of the next model.
+    model = next((name for name in RANKING_MODELS if rms.get(name) is not None), None)
+    residuals = {"left": left.get(model), "before": left.get("declared"), "rms": rms.get(model)}
     return {
         **residuals,
+        "model": model,
         "left_text": over_noise_text(residuals["left"]),
         "before_text": over_noise_text(residuals["before"]),
         "rms_text": number_text(residuals["rms"]),

@@ -103,7 +103,8 @@ def choose_example(ds: xr.Dataset) -> Example:
     table, models = tabulate_conditions(ds), list_models(ds)
     residuals = {model: table.read(ds, f"residual_{model}") for model in models}
     squares = {model: np.nansum(image**2, axis=(2, 3)) for model, image in residuals.items()}
-    reduction = squares[BEFORE] - squares.get(AFTER, 0.0)
+    has_residual = np.all([np.isfinite(image).any(axis=(2, 3)) for image in residuals.values()], axis=0)
+    reduction = np.where(has_residual, squares[BEFORE] - squares.get(AFTER, 0.0), -np.inf)
     row, column = np.unravel_index(int(np.argmax(reduction)), reduction.shape)
     shown_residuals = {model: image[row, column] for model, image in residuals.items()}
     if not all(np.isfinite(image).any() for image in shown_residuals.values()):

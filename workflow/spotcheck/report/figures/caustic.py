@@ -101,8 +101,8 @@ def _write_caption(ds: xr.Dataset) -> str:
         "1/e² radius of the beam, twice the fitted standard deviation, over the distance, with the hyperbola"
         " w² = a + b z + c z² (ISO 11146-1, with Gaussian widths instead of second moments; crops centred on the"
         f" light). {direction}; {kind}. Below: points less hyperbola, shifted apart for clarity. Error bars: standard"
-        f" error of the fit and the scatter that brings χ² to 1 per degree of freedom ({scatters} of the radius). Grey:"
-        " 68 % interval of the hyperbola."
+        f" error of the fit and the scatter that brings χ² to 1 per degree of freedom ({scatters} of the radius)."
+        " Bands: 68 % interval of the hyperbola."
     )
     sentences = [_beam_text(name, beam) for name, beam in beam_by_name.items()]
     end = "The standard asks for ten positions, half of them near the waist and half far."
