@@ -184,11 +184,11 @@ def _check_use(applied: AppliedEffect) -> None:
 def _check_draws(applied: AppliedEffect, stage: Stage) -> None:
     """Check that what the random steps at a stage draw agrees with the quadratures that stand for it."""
     for step in applied.steps_at(stage):
-        if step.random:
+        if step.random_step:
             rng, drawn = np.random.default_rng(1), np.empty(0)
             while drawn.size < DRAWS:
-                drawn = np.append(drawn, step.call(step.random.draw, rng, (ROWS, COLUMNS)))
-            values, weights = step.average()
+                drawn = np.append(drawn, step.call(step.random_step.draw, rng, (ROWS, COLUMNS)))
+            values, weights = step.quadrature()
             mean = float(weights @ values)
             deviation, total = float(np.sqrt(weights @ (values - mean) ** 2)), np.sum(weights)
             is_off = abs(drawn.mean() - mean) > MEAN_OFF * deviation

@@ -61,7 +61,7 @@ class LightStages:
         Random steps come first because their draws refer to the coordinates of the sensor.
         """
         steps = [step for applied in self.effects for step in applied.steps_at(stage)]
-        return sorted(steps, key=lambda step: (step.random is None, step.applied.effect.number))
+        return sorted(steps, key=lambda step: (step.random_step is None, step.applied.effect.number))
 
     def apply_stage(self, stage: Stage, drawn: Drawn, frame: FrameConditions | None, *value: Any) -> Any:
         """Apply the steps of all effects at a stage one after another, and return the result.
@@ -74,7 +74,7 @@ class LightStages:
             arguments = result if isinstance(result, tuple) else (result,)
             if frame is not None:
                 arguments = (frame, *arguments)
-            if step.random is None:
+            if step.random_step is None:
                 result = step(*arguments)
             elif step in drawn:
                 result = step(*arguments, drawn[step])

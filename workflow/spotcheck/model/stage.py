@@ -22,8 +22,8 @@ class Stage(Enum):
     act one after another, each on the result of the previous one. Only blurs are convolved with each other, and smears
     are added.
 
-    `frame` is a `FrameConditions` and `spot` a `SpotState`. Light is in DN: gain K times the mean electrons. Lengths are
-    in px of the sensor.
+    `frame` is a `FrameConditions` and `spot` a `SpotState`. Light is in DN: gain K times the mean electrons. Lengths
+    are in px of the sensor.
     """
 
     EXPOSURE = StageDescription("frame, exposure_s", "true exposure [s] of light and dark current", "sets the exposure")
