@@ -301,7 +301,7 @@ class ForwardModel(LightStages):
         in_law = self.law is not None and name in LAW_PARAMETERS
         value = (applied.parameters if applied else vars(self.law if in_law else frame))[parameter]
         if np.isnan(value):
-            # The variant of the effect does not have the parameter.
+            # Neither the variant of the effect nor the frame has the parameter.
             raise KeyError(name)
 
         def evaluate(value: float) -> np.ndarray:
