@@ -53,19 +53,15 @@ def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) ->
     lefts, tops = np.array(corners, int).reshape(-1, 2).T
     side = centred.sizes["x"]
 
-    def covers_column(x: int) -> np.ndarray:
-        """Return a mask [fit], True where the crop covers column x of the sensor."""
-        return (lefts <= x) & (x < lefts + side)
-
-    def covers_row(y: int) -> np.ndarray:
-        """Return a mask [fit], True where the crop covers row y of the sensor."""
-        return (tops <= y) & (y < tops + side)
+    def covers(starts: np.ndarray, place: int) -> np.ndarray:
+        """Return a mask [fit], True where a crop, which starts at `starts` [fit], covers the column or row `place`."""
+        return (starts <= place) & (place < starts + side)
 
     bad = BadPixels(
         None,
-        tuple(x for x in sorted(columns) if _is_frequent(columns[x], covers_column(x))),
-        tuple(y for y in sorted(rows) if _is_frequent(rows[y], covers_row(y))),
-        tuple((x, y) for x, y in sorted(pixels) if _is_frequent(pixels[x, y], covers_column(x) & covers_row(y))),
+        tuple(x for x in sorted(columns) if _is_frequent(columns[x], covers(lefts, x))),
+        tuple(y for y in sorted(rows) if _is_frequent(rows[y], covers(tops, y))),
+        tuple((x, y) for x, y in sorted(pixels) if _is_frequent(pixels[x, y], covers(lefts, x) & covers(tops, y))),
     )
     return bad, len(corners)
 

@@ -53,7 +53,7 @@ MANIFEST_HEAD = """\
 
 
 class Calibration(NamedTuple):
-    """What a results folder says about the sensor, by which frames are corrected."""
+    """Calibration of a sensor in a results folder, by which frames are corrected."""
 
     sensor: SensorModel  # gain, read noise and other parameters of the sensor
     effects: tuple[AppliedEffect, ...]  # detected effects on well and response

@@ -19,14 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spotcheck.characterization.sensor_choice import (
-    EMVA_NAMES,
-    FLATS,
-    ONLY_FROM_SHEET,
-    QUANTITIES,
-    SPOTS,
-    read_sensor_model,
-)
+from spotcheck.characterization.sensor_choice import EMVA_NAMES, FLATS, ONLY_FROM_SHEET, SPOTS, read_sensor_model
 from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.crops.full_scale import FROM_FRAMES
 from spotcheck.dataset.instrument import BadPixels, Instrument
@@ -150,8 +143,8 @@ def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
     for name, value, stderr, source in estimates:
         if np.isfinite(value):
             # Noise can make the estimate of a dark current negative.
-            value, unit, words = max(value, 0.0), QUANTITIES[name][0], f"{source} ({file})"
-            yield LearnedValue(f"sensor.{name}", value, stderr, unit, words, is_from_spots=source == SPOTS)
+            key, value, words = f"sensor.{name}", max(value, 0.0), f"{source} ({file})"
+            yield LearnedValue(key, value, stderr, _read_unit(key), words, is_from_spots=source == SPOTS)
 
 
 def _read_revised_sheet(verdict: Mapping[str, Any]) -> Iterator[LearnedValue]:

@@ -11,6 +11,7 @@ import xarray as xr
 from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.errors import InputError
 from spotcheck.fitting.crop_fits import select_preferred_fits
+from spotcheck.fitting.variables import add_variable
 from spotcheck.io import progress, store
 from spotcheck.metrics.crop_metrics import CONTAINER_RANGE, PER_IMAGE, psnr, shift_image
 
@@ -59,10 +60,10 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
         ("registration", REGISTRATIONS, "how the two crops are laid over each other"),
         ("data_range", DATA_RANGES, "range that PSNR is scaled to: 65535 of the container, or the sensor's own"),
     ):
-        ds[name] = (name, np.array(labels, dtype=object), {"units": "1", "long_name": long_name})
+        add_variable(ds, name, name, np.array(labels, dtype=object), "1", long_name)
     values = np.stack([_measure_crops(crops[source], dims, source) for source in SOURCES])
     for k, metric in enumerate(PER_IMAGE):
-        ds[metric.name] = (("source", *dims), values[..., k], {"units": metric.units, "long_name": metric.long_name})
+        add_variable(ds, metric.name, ("source", *dims), values[..., k], metric.units, metric.long_name)
     ds["fit"] = fits["measured"]["fit"]
     attributes = {
         name: {"units": units, "long_name": str(fits["measured"][name].attrs["long_name"])}
@@ -71,16 +72,11 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
     for name, attrs in (attributes | {"status": store.status_attributes()}).items():
         both = [fits[source][name].transpose(*dims, "fit").values for source in SOURCES]
         ds[name] = (("source", *dims, "fit"), np.stack(both), attrs)
-    ds["psnr"] = (
-        (*grid, "registration", "data_range"),
-        _compute_psnr(crops, fits, grid, full_scale),
-        {
-            "units": "dB",
-            "long_name": "peak signal-to-noise ratio of measured against simulated",
-            # Explains infinite values to readers of the file.
-            "infinite": "both frames are alike to the last digit",
-        },
-    )
+    text = "peak signal-to-noise ratio of measured against simulated"
+    psnr_dims = (*grid, "registration", "data_range")
+    add_variable(ds, "psnr", psnr_dims, _compute_psnr(crops, fits, grid, full_scale), "dB", text)
+    # Explains infinite values to readers of the file.
+    ds["psnr"].attrs["infinite"] = "both frames are alike to the last digit"
     return _add_averages(ds).assign_attrs(preferred=fits["measured"].attrs["preferred"])
 
 

@@ -4,6 +4,7 @@ A design is a dataset folder whose manifest and instrument file describe frames 
 baseline is the paper's model without effects.
 """
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -100,18 +101,12 @@ def read_data_sheet(instrument: Instrument) -> SensorModel:
     for key in ("gain_dn_per_e", "read_noise_e", "bit_depth"):
         if getattr(sheet, key) is None:
             raise InputError(f"instrument.yaml: key sensor.{key} is missing; give it, or a sensor")
-    # For mypy, which does not follow `getattr`.
-    assert sheet.gain_dn_per_e is not None and sheet.read_noise_e is not None and sheet.bit_depth is not None
-    return SensorModel(
-        sheet.gain_dn_per_e,
-        sheet.read_noise_e,
-        dark_current_e_per_s=sheet.dark_current_e_per_s,
-        full_well_e=np.inf if sheet.full_well_e is None else sheet.full_well_e,
-        black_level_dn=sheet.black_level_dn,
-        full_scale_dn=sheet.full_scale_dn or 2.0**sheet.bit_depth - 1,
-        quantum_efficiency=sheet.quantum_efficiency,
-        response_bend=sheet.response_bend,
-    )
+    assert sheet.bit_depth is not None
+    # Both have the same names of parameters.
+    numbers = {field.name: getattr(sheet, field.name) for field in fields(SensorModel)}
+    numbers["full_well_e"] = np.inf if sheet.full_well_e is None else sheet.full_well_e
+    numbers["full_scale_dn"] = sheet.full_scale_dn or 2.0**sheet.bit_depth - 1
+    return SensorModel(**numbers)
 
 
 def _build_baseline_model(design: Dataset, law: ExposureLaw) -> ExtendedModel:

@@ -20,7 +20,7 @@ from spotcheck.sensor import SensorModel
 
 
 class Need(Enum):
-    """What the frames of a dataset must have for an effect to be measurable, in words."""
+    """Requirements on the frames of a dataset for an effect to be measurable, in words."""
 
     EXPOSURES = "several exposures"
     THREE_EXPOSURES = "three exposures"

@@ -148,8 +148,8 @@ class ForwardModel(LightStages):
         frame : FrameConditions
             The frame.
         parameters : sequence of str
-            Of the frame "x0" and "y0", and without a law "peak_dn" and "sigma_px"; of the law "p1", "p2" and "peak_dn";
-            of an effect "NAME.PARAMETER".
+            "x0" and "y0" of the frame, and without a law its "peak_dn" and "sigma_px"; "p1", "p2" and "peak_dn" of the
+            law; "NAME.PARAMETER" of an effect.
 
         Raises
         ------

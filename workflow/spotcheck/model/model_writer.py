@@ -103,9 +103,8 @@ class LightFile:
     dataset: str  # name of the dataset from which the shape was learned
     code: str  # digest of the code that learned the shape
     inputs: Sequence[str | Path] = ()  # files from which the shape was learned
-    attributes: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # attributes that describe the light, such as `described`
+    # Attributes that describe the light, such as `described`.
+    attributes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def titles(self) -> dict[str, Any]:
@@ -123,28 +122,28 @@ def write_light(shapes: Sequence[LightShape], file: LightFile) -> None:
     nodes = step * (np.arange(node_count) - (node_count - 1) / 2)
     points = np.linspace(nodes[0], nodes[-1], POINTS)
     ds = xr.Dataset(attrs=file.titles | dict(file.attributes))
-    for name, values, text in (
-        ("node_v", nodes, "node below the spot's centre, over sigma_g"),
-        ("node_u", nodes, "node to the right of the spot's centre, over sigma_g"),
-        ("v", points, "place below the spot's centre, over sigma_g"),
-        ("u", points, "place to the right of the spot's centre, over sigma_g"),
-    ):
-        ds[name] = (name, values, {"units": "1", "long_name": text})
+
+    def add(name: str, dims: str | tuple[str, ...], values: Any, long_name: str) -> None:
+        """Add a variable without unit to the file."""
+        ds[name] = (dims, values, {"units": "1", "long_name": long_name})
+
+    add("node_v", "node_v", nodes, "node below the spot's centre, over sigma_g")
+    add("node_u", "node_u", nodes, "node to the right of the spot's centre, over sigma_g")
+    add("v", "v", points, "place below the spot's centre, over sigma_g")
+    add("u", "u", points, "place to the right of the spot's centre, over sigma_g")
     coefficients = np.array([shape.coefficients for shape in shapes])
     text = "coefficients of cubic B-splines of the light beside the declared shape, over that one's peak"
-    ds["coefficients"] = (("light", "node_v", "node_u"), coefficients, {"units": "1", "long_name": text})
-    ds["step"] = ((), step, {"units": "1", "long_name": "distance of nodes, over sigma_g"})
+    add("coefficients", ("light", "node_v", "node_u"), coefficients, text)
+    add("step", (), step, "distance of nodes, over sigma_g")
     finer_layers = [shape.finer for shape in shapes if shape.finer is not None]
     if finer_layers:
         zeros = np.zeros_like(finer_layers[0].coefficients)
         fine_coefficients = np.array([zeros if shape.finer is None else shape.finer.coefficients for shape in shapes])
         text = "coefficients of cubic B-splines of structure between the nodes, which is added, over the same peak"
-        ds["fine_coefficients"] = (("light", "fine_v", "fine_u"), fine_coefficients, {"units": "1", "long_name": text})
-        text = "distance of nodes of that structure, over sigma_g"
-        ds["fine_step"] = ((), float(finer_layers[0].step), {"units": "1", "long_name": text})
+        add("fine_coefficients", ("light", "fine_v", "fine_u"), fine_coefficients, text)
+        add("fine_step", (), float(finer_layers[0].step), "distance of nodes of that structure, over sigma_g")
     maps = np.array([shape(points[None, :], points[:, None]) for shape in shapes]).astype("f4")
-    text = "light beside the declared shape, over that one's peak"
-    ds["s"] = (("light", "v", "u"), maps, {"units": "1", "long_name": text})
+    add("s", ("light", "v", "u"), maps, "light beside the declared shape, over that one's peak")
     store.write(ds, file.path, code=file.code, inputs=file.inputs)
 
 

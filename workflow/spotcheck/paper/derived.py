@@ -38,19 +38,14 @@ def sensor_height(results: Results) -> float:
     return _sensor_side_mm(results, "rows")
 
 
-def _field_mm(results: Results, side_mm: float) -> float:
-    """Return the field of view on the sample [mm] along a side of the sensor whose length is `side_mm` [mm]."""
-    return side_mm / magnification(results)
-
-
 def field_height(results: Results) -> float:
     """Return the field of view on the sample along the height of the sensor [mm]."""
-    return _field_mm(results, sensor_height(results))
+    return sensor_height(results) / magnification(results)
 
 
 def field_width(results: Results) -> float:
     """Return the field of view on the sample along the width of the sensor [mm]."""
-    return _field_mm(results, sensor_width(results))
+    return sensor_width(results) / magnification(results)
 
 
 def _viewing_angle(results: Results, field_mm: float) -> float:

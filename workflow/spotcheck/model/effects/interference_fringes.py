@@ -16,7 +16,7 @@ LEAST_PERIOD_PX = 2.0
 
 
 class Variant(Enum):
-    """Where the phase of the stripes is fixed: drawn for each site, at the spot's centre, or on the sensor."""
+    """Reference of the phase of the stripes: drawn for each site, fixed to the spot, or fixed to the sensor."""
 
     SITE = "site"
     SPOT = "spot"
