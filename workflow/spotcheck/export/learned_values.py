@@ -279,7 +279,7 @@ def _collect_bad_pixels(results: Path, instrument: Instrument, sensor: SensorMod
         return None
     declared = instrument.bad_pixels
     names = ("columns", "rows", "pixels")
-    merged = {name: tuple(sorted({*getattr(declared, name), *getattr(bad, name)})) for name in names}
+    merged: dict[str, Any] = {name: tuple(sorted({*getattr(declared, name), *getattr(bad, name)})) for name in names}
     return LearnedValue(
         "bad_pixels", replace(declared, **merged), np.nan, "", f"left out of {count} fits (fits.nc)", overrules=True
     )
