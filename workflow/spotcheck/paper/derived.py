@@ -1,11 +1,10 @@
 """The paper's numbers that follow from the inputs alone.
 
-`check_numbers` calls each public function by its name, which is the `id` of an entry in paper_numbers.yaml.
+`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml.
 """
 
 import math
 
-from spotcheck.metrics import crop_metrics
 from spotcheck.model import optics, spot
 from spotcheck.paper.results import Results
 from spotcheck.sensor import ROUNDING_VARIANCE
@@ -14,6 +13,8 @@ from spotcheck.sensor import ROUNDING_VARIANCE
 PRINTED_MAGNIFICATION = 0.2
 # Gap d_f between neighbouring filaments of the sample [m] (Section 3.1.1).
 FILAMENT_GAP_M = 5.2e-6
+# Width of the sensor as printed [mm] (Section 3.1.1).
+PRINTED_SENSOR_WIDTH_MM = 22.528
 
 
 def magnification(results: Results) -> float:
@@ -128,9 +129,20 @@ def top_hat_level(results: Results) -> float:
     return float(spot.top_hat_level(1.0))
 
 
-def psnr_container_gain(results: Results) -> float:
-    """Return the rise of PSNR [dB] if its data range is 65535 DN instead of the largest reading of the sensor."""
-    return 20 * math.log10(crop_metrics.CONTAINER_RANGE / float(results.open_file("frames")["full_scale"]))
+def fill_factor(results: Results) -> float:
+    """Return the width of a pixel divided by the printed width of the sensor per column [%]."""
+    pitch_mm = 1e3 * results.require_key("sensor.pixel_pitch_m")
+    return 100 * pitch_mm / (PRINTED_SENSOR_WIDTH_MM / float(results.open_file("frames")["columns"]))
+
+
+def exposure_step(results: Results) -> float:
+    """Return the mean difference between neighbouring exposures [µs]."""
+    return 1e6 * float(results.metrics["exposure"].diff("exposure").mean())
+
+
+def crop_side(results: Results) -> float:
+    """Return the side of the square crops [px]."""
+    return float(results.open_file("crops").sizes["x"])
 
 
 def read_noise_table(results: Results) -> float:

@@ -1,6 +1,6 @@
 """The paper's numbers of its measured frames.
 
-`check_numbers` calls each public function by its name, which is the `id` of an entry in paper_numbers.yaml. Means and
+`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml. Means and
 standard deviations are over the repeats of each condition, a pair of angle and exposure. Exposures ascend, so index 0
 is the shortest. C_s is the speckle contrast. p1 and p2 are the parameters of the beam propagation p_b = p1 ln(t/1 s) +
 p2, which is the width σ_g of the spot less that of the laser.
@@ -43,34 +43,34 @@ def p2_sd(results: Results) -> float:
     return float(np.nanstd(_regress_beam_propagation(results)[1], ddof=1))
 
 
-def _psnr(results: Results, statistic: str) -> xr.DataArray:
+def psnr(results: Results, statistic: str) -> xr.DataArray:
     """Return PSNR [angle, exposure] in dB for the data range of 65535 DN; `statistic` is "mean" or "sd"."""
     return results.measured[f"psnr_{statistic}"].sel(registration="maximum", data_range="container")
 
 
 def psnr_smallest(results: Results) -> float:
     """Return the smallest mean PSNR of a condition [dB]."""
-    return float(_psnr(results, "mean").min())
+    return float(psnr(results, "mean").min())
 
 
 def psnr_largest(results: Results) -> float:
     """Return the largest mean PSNR of a condition [dB]."""
-    return float(_psnr(results, "mean").max())
+    return float(psnr(results, "mean").max())
 
 
 def psnr_sd_smallest(results: Results) -> float:
     """Return the smallest standard deviation of PSNR of a condition [dB]."""
-    return float(_psnr(results, "sd").min())
+    return float(psnr(results, "sd").min())
 
 
 def psnr_sd_largest(results: Results) -> float:
     """Return the largest standard deviation of PSNR of a condition [dB]."""
-    return float(_psnr(results, "sd").max())
+    return float(psnr(results, "sd").max())
 
 
 def psnr_highest_at_shortest(results: Results) -> float:
     """Return 1 if PSNR, averaged over angles, is highest at the shortest exposure, else 0."""
-    return float(np.argmax(_psnr(results, "mean").mean("angle").values) == 0)
+    return float(np.argmax(psnr(results, "mean").mean("angle").values) == 0)
 
 
 def contrast_smallest(results: Results) -> float:

@@ -1,27 +1,34 @@
-"""Check each number that the paper prints against our value, which is computed from the results.
+"""Check each published number and statement of the paper against our value, which is computed from the results.
 
-An entry is one number in paper_numbers.yaml: a dict with `id`, `printed`, `kind`, `unit`, an accepted interval, and
-`because`, the reason for this interval.
+An entry is one number or statement in published.yaml: a dict with `id`, `printed`, `role`, `unit`, an accepted
+interval, and `because`, the reason for this interval. The virtual rig is the simulator that made the default dataset.
 """
 
 import csv
 import io
+from pathlib import Path
 from typing import NamedTuple
 
-from spotcheck.paper import derived, measured, simulated
+from spotcheck.paper import bright_pixel, derived, measured, simulated, statements
 from spotcheck.paper.results import Results
 
-# Columns of paper_numbers.csv. `holds` says whether the number is met now. In an entry `holds` says whether it was met
+# Columns of paper_numbers.csv. `holds` says whether the entry is met now. In an entry `holds` says whether it was met
 # at the last review, which is the column `expected`.
-COLUMNS = tuple("id kind section printed low high ours unit holds expected counted because remark".split())
-# Kinds of numbers that are counted → words of the summary.
-KINDS = {"derived": "that follow from its inputs", "simulated": "of its simulation", "measured": "of its frames"}
+COLUMNS = tuple("id role group section printed low high ours unit holds expected because remark".split())
+# Groups of entries that are counted separately → words of the summary.
+GROUPS = {
+    "derived": "that follow from its inputs",
+    "tuned": "that the settings of the virtual rig were searched to meet",
+    "held_out": "held out of that search",
+}
+# Modules whose functions, named by the `id` of an entry, compute our values.
+MODULES = (derived, simulated, measured, statements, bright_pixel)
 
 
 class NumberCheck(NamedTuple):
-    """Comparison of one number of the paper with our value."""
+    """Comparison of one entry with our value."""
 
-    entry: dict  # entry of paper_numbers.yaml
+    entry: dict  # entry of published.yaml
     value: float  # our value, in the unit of the entry
     low: float  # smallest accepted value
     high: float  # largest accepted value
@@ -32,13 +39,15 @@ class NumberCheck(NamedTuple):
         return self.low <= self.value <= self.high
 
     @property
-    def is_counted(self) -> bool:
-        """Whether the number counts in the share of met numbers; others are only shown."""
-        return self.entry["kind"] in KINDS and self.entry.get("counted", True)
+    def group(self) -> str:
+        """Group of the entry, a key of `GROUPS`."""
+        if self.entry["role"] == "derived":
+            return "derived"
+        return "tuned" if self.entry.get("tuned", False) else "held_out"
 
     @property
     def is_expected(self) -> bool:
-        """Whether the number was met when paper_numbers.yaml was last reviewed."""
+        """Whether the number was met when published.yaml was last reviewed."""
         return self.entry.get("holds", True)
 
 
@@ -50,52 +59,71 @@ def accepted_interval(entry: dict) -> tuple[float, float]:
 
 
 def check_numbers(entries: list[dict], results: Results) -> list[NumberCheck]:
-    """Return the check of each entry; its `id` names the function of this package that computes our value."""
-    functions = vars(derived) | vars(simulated) | vars(measured)
+    """Return the check of each entry; its `id` names the function of `MODULES` that computes our value."""
+    functions = {name: value for module in MODULES for name, value in vars(module).items()}
     return [NumberCheck(entry, float(functions[entry["id"]](results)), *accepted_interval(entry)) for entry in entries]
 
 
+def read_other_seeds(path: Path) -> list[dict[str, int]]:
+    """Return for each seed in published_seeds.csv a record: group → number of entries that are met."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return [{group: int(row[group]) for group in GROUPS} for row in csv.DictReader(stream)]
+
+
 def count_met(checks: list[NumberCheck]) -> dict[str, tuple[int, int]]:
-    """Return for each kind in `KINDS` how many of the counted numbers are met, and how many are counted."""
-    groups = {kind: [check for check in checks if check.is_counted and check.entry["kind"] == kind] for kind in KINDS}
-    return {kind: (sum(check.is_met for check in group), len(group)) for kind, group in groups.items()}
+    """Return for each group how many entries are met, and how many there are."""
+    groups = {group: [check for check in checks if check.group == group] for group in GROUPS}
+    return {group: (sum(check.is_met for check in members), len(members)) for group, members in groups.items()}
 
 
-def summarise_checks(checks: list[NumberCheck]) -> str:
-    """Return Markdown paragraphs: the counts of `count_met`, the numbers that are not met, and the rule."""
-    counts = [f"{met} of {counted} {KINDS[kind]}" for kind, (met, counted) in count_met(checks).items()]
+def summarise_checks(checks: list[NumberCheck], other_seeds: list[dict[str, int]]) -> str:
+    """Return Markdown paragraphs: the counts of `count_met`, those of other seeds, and the entries that are not met.
+
+    Parameters
+    ----------
+    checks : checks of all entries.
+    other_seeds : one record for each other seed of the rig, with the number of met entries of each group.
+    """
+    counts = count_met(checks)
+    phrases = [f"{met} of {total} {GROUPS[group]}" for group, (met, total) in counts.items()]
+    text = f"Of the numbers and statements that the paper prints, {', '.join(phrases[:-1])} and {phrases[-1]} hold."
+    if other_seeds:
+        ranges = [_mean_and_range([seed[group] for seed in other_seeds]) for group in ("tuned", "held_out")]
+        text += (
+            f" With {len(other_seeds)} other seeds of the rig, which nothing was searched for, {ranges[0]} of the"
+            f" {counts['tuned'][1]} tuned and {ranges[1]} of the {counts['held_out'][1]} held-out ones hold."
+        )
     failures = [
-        f"{_format_id(check)} (printed: {check.entry['printed']}; ours: {check.value:.3g})"
+        f"- {_format_id(check)} ({check.entry['section']}): printed {check.entry['printed']}; ours {check.value:.3g}"
+        + (", tuned" if check.group == "tuned" else "")
         for check in checks
-        if check.is_counted and not check.is_met
+        if not check.is_met
     ]
-    uncounted_failures = [_format_id(check) for check in checks if not check.is_counted and not check.is_met]
-    return (
-        f"Of the numbers that the paper prints, {', '.join(counts[:-1])} and {counts[-1]} hold.\n\n"
-        f"What does not hold: {'; '.join(failures) or 'nothing'}. Shown but not counted, and not holding either:"
-        f" {', '.join(uncounted_failures) or 'nothing'}.\n\n"
-        "A printed range counts as two numbers, each met within half the range's width; other numbers count as met"
-        " within the printed ±.\n"
-    )
+    return f"{text}\n\nNot met:\n\n" + ("\n".join(failures) or "Nothing.") + "\n"
+
+
+def _mean_and_range(counts: list[int]) -> str:
+    """Return the mean of counts and their range, such as `24.3 (21 to 27)`."""
+    return f"{sum(counts) / len(counts):.1f} ({min(counts)} to {max(counts)})"
 
 
 def _format_id(check: NumberCheck) -> str:
-    """Return the id of a number in words, without underscores."""
+    """Return the id of an entry in words, without underscores."""
     return check.entry["id"].replace("_", " ")
 
 
 def find_regressions(checks: list[NumberCheck]) -> list[NumberCheck]:
-    """Return the numbers that were met at the last review and no longer are."""
+    """Return the checks of entries that were met at the last review and no longer are."""
     return [check for check in checks if check.is_expected and not check.is_met]
 
 
 def format_csv(checks: list[NumberCheck]) -> str:
-    """Return all checks as CSV with the columns `COLUMNS`, one row per number; missing keys of an entry are empty."""
+    """Return all checks as CSV with the columns `COLUMNS`, one row per entry; missing keys of an entry are empty."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, COLUMNS, restval="", extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     for check in checks:
         numbers = {"low": f"{check.low:.7g}", "high": f"{check.high:.7g}", "ours": f"{check.value:.6g}"}
-        flags = {"holds": check.is_met, "expected": check.is_expected, "counted": check.is_counted}
+        flags = {"holds": check.is_met, "expected": check.is_expected, "group": check.group}
         writer.writerow(check.entry | numbers | flags)
     return stream.getvalue()

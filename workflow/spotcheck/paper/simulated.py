@@ -1,6 +1,6 @@
 """The paper's numbers of its simulation.
 
-`check_numbers` calls each public function by its name, which is the `id` of an entry in paper_numbers.yaml. Simulated
+`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml. Simulated
 values are means over repeats and angles. Exposures ascend. C_s is the speckle contrast.
 """
 

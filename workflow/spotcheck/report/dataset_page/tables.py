@@ -19,6 +19,7 @@ from spotcheck.fitting.fit_results import PARAMETERS
 from spotcheck.fitting.precision import summarize_precision
 from spotcheck.io import store
 from spotcheck.io.number_text import number_text, quantity_text
+from spotcheck.paper.number_checks import GROUPS
 from spotcheck.paper.plateau_level import estimate_plateau_levels
 from spotcheck.report.dataset_page.frames import cell_label
 from spotcheck.report.pages.citations import Citations
@@ -262,15 +263,12 @@ def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple
 
 
 def read_paper_numbers(path: Path) -> dict[str, Any] | None:
-    """Return the rows of paper_numbers.csv by kind, and how many of the counted ones hold; None without the file."""
+    """Return the rows of paper_numbers.csv by group, and how many of each are met; None without the file."""
     if not path.exists():
         return None
-    groups: dict[str, list[dict[str, str]]] = {}
+    groups: dict[str, list[dict[str, str]]] = {name: [] for name in GROUPS.values()}
     for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
-        groups.setdefault(row["kind"], []).append(row)
-    shares = {}
-    for kind, rows in groups.items():
-        if counted := [row["holds"] == "True" for row in rows if row["counted"] == "True"]:
-            shares[kind] = (sum(counted), len(counted))
-    holding, total = (sum(share[k] for share in shares.values()) for k in (0, 1))
-    return {"groups": groups, "shares": shares, "hint": f"{holding} of {total} hold"}
+        groups[GROUPS[row["group"]]].append(row)
+    shares = {name: (sum(row["holds"] == "True" for row in rows), len(rows)) for name, rows in groups.items()}
+    met, total = (sum(share[k] for share in shares.values()) for k in (0, 1))
+    return {"groups": groups, "shares": shares, "hint": f"{met} of {total} hold"}
