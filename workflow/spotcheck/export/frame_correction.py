@@ -4,8 +4,9 @@ The correction inverts the model of the sensor step by step: subtract black leve
 effects on well and response, divide by the gain, subtract the dark current, and divide by the relative gain of the
 pixel. Bad and clipped pixels become NaN.
 
-Light is counted in DN: it is the signal of a linear sensor without full well, without black level. The well limits the
-charge of a pixel. The converter stands for everything behind it: response and range of the readings.
+An effect is a deviation of the sensor from a linear one that the verdict detected. Light is counted in DN: it is the
+signal above the black level of a linear sensor without full well. The well limits the charge of a pixel. The converter
+stands for everything behind it: response and range of the readings.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,7 @@
-"""The inputs and intermediate results of the forward model for one frame: pixels, conditions, width and peak."""
+"""The inputs and intermediate results of the forward model for one frame: pixels, conditions, width and peak.
+
+The exposure law gives peak and width of a spot as functions of the exposure; effects are deviations from this model.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

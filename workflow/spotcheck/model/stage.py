@@ -1,4 +1,8 @@
-"""The stages between laser and reading, in the order in which they act (dataset contract, "Exact meaning")."""
+"""The stages between laser and reading, in the order in which they act (dataset contract, "Exact meaning").
+
+An effect is a deviation from the baseline model; it consists of functions that act at stages. p_b is the beam
+propagation, the width of the spot without the laser's own.
+"""
 
 from dataclasses import dataclass
 from enum import Enum
