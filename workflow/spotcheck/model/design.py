@@ -76,16 +76,7 @@ def simulate_dataset(
     dataset, new_folder = load(design), Path(folder)
     if (new_folder / "manifest.csv").exists():
         raise InputError(f"{new_folder}: holds a dataset; name another folder, or remove this one first")
-    law = [p1_px, p2_px, peak_dn]
-    if model is None:
-        if None in law:
-            raise InputError("simulate_dataset: p1_px, p2_px or peak_dn is missing; give all three, or a model.yaml")
-        exposure_law = ExposureLaw(*(float(value) for value in law if value is not None))
-        name, extended = "simulate_dataset", _build_baseline_model(dataset, exposure_law)
-    else:
-        if law != [None] * 3:
-            raise InputError("simulate_dataset: a model has p1_px, p2_px and peak_dn of its own; give it or these")
-        name, extended = Path(model).name, read_model(Path(model))
+    name, extended = _choose_model(dataset, [p1_px, p2_px, peak_dn], model)
     camera = read_data_sheet(dataset.instrument) if sensor is None else check_sensor(sensor)
     if not np.isfinite(camera.full_scale_dn):
         raise InputError("sensor: full_scale_dn is infinite; give the largest reading, such as 1023 for 10 bit")
@@ -93,6 +84,21 @@ def simulate_dataset(
     destination = Destination(new_folder, new_folder / EXPECTED, seed, provenance.code_digest(__name__), inputs)
     simulate_extended(dataset, extended, camera, destination, name)
     return load(new_folder)
+
+
+def _choose_model(design: Dataset, law: list[float | None], model: str | Path | None) -> tuple[str, ExtendedModel]:
+    """Return a name for messages and the model to simulate: that of a model.yaml, or the baseline with an exposure law.
+
+    `law` is p1 [px], p2 [px] and peak [DN]. Raises `InputError` unless either all three or `model` are given.
+    """
+    if model is not None:
+        if law != [None] * 3:
+            raise InputError("simulate_dataset: a model has p1_px, p2_px and peak_dn of its own; give it or these")
+        return Path(model).name, read_model(Path(model))
+    if None in law:
+        raise InputError("simulate_dataset: p1_px, p2_px or peak_dn is missing; give all three, or a model.yaml")
+    exposure_law = ExposureLaw(*(float(value) for value in law if value is not None))
+    return "simulate_dataset", _build_baseline_model(design, exposure_law)
 
 
 def read_data_sheet(instrument: Instrument) -> SensorModel:

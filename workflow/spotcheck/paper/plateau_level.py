@@ -22,14 +22,10 @@ def estimate_plateau_levels(
 
     Parameters
     ----------
-    instrument : Instrument
-        Instrument, which must have all keys of Table 3 of the paper.
-    exposure_s : float
-        Exposure time [s].
-    p1, p2 : float
-        Parameters of the beam propagation p_b [px]: its slope over ln t, and its value at 1 s.
-    gain : float
-        Gain [DN/e-].
+    instrument : instrument file, which must have all keys of Table 3 of the paper.
+    exposure_s : exposure time [s].
+    p1, p2 : parameters of the beam propagation p_b [px]: its slope over ln t, and its value at 1 s.
+    gain : gain [DN/e-].
 
     Raises
     ------
@@ -49,10 +45,7 @@ def estimate_plateau_levels(
     dn_per_photon = gain * instrument.sensor.quantum_efficiency
 
     def level_at_centre(scattering: float) -> float:
-        """Return the level [DN] of a pixel (Eq. 12) under the irradiance at the centre of the laser (Eq. 11).
-
-        `scattering` is ϱ_s, 1 to leave it out.
-        """
+        """Return the level [DN] of a pixel (Eq. 12) at the centre of the laser (Eq. 11); `scattering` is ϱ_s or 1."""
         centre = photons.peak_irradiance(power, photons.beam_radius_of_fwhm(fwhm_m))
         light = photons.sensor_irradiance(centre, reflectance, scattering, f_number, transmission)
         return dn_per_photon * float(photons.pixel_photons(light, exposure_s, pitch**2, wavelength))
