@@ -1,4 +1,8 @@
-"""Write a folder of corrected frames: float TIFF files of two pages, electrons and their variance, and a manifest."""
+"""Write a folder of corrected frames: float TIFF files of two pages, electrons and their variance, and a manifest.
+
+An effect is a deviation of the frames from the baseline model that the verdict detected; its variant, called `form` in
+files, is one of several formulas for it.
+"""
 
 import csv
 import io
@@ -33,9 +37,11 @@ from spotcheck.model.model_file import read_model, reason_without_model
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import SensorModel
 
-# Files of a results folder that a correction uses.
+# Files of a results folder that a correction uses, if they exist.
 SOURCES = ("frames.nc", "transfer.nc", "sensor.nc", "maps.nc", "verdict.json", "model.yaml")
-# Pages of a corrected file.
+# Digits of the SHA-256 of a source that are written.
+DIGEST_DIGITS = 16
+# Pages of a corrected file, as its description names them.
 PAGES = ("electrons of the light [e-]", "variance [e-2]")
 MANIFEST_HEAD = """\
 # Corrected frames, by `spotcheck correct`. Page 0 of a file holds electrons of the light [e-], page 1 their
@@ -47,12 +53,12 @@ MANIFEST_HEAD = """\
 
 
 class Calibration(NamedTuple):
-    """Calibration of a sensor by which frames are corrected."""
+    """Calibration of a sensor in a results folder, by which frames are corrected."""
 
-    sensor: SensorModel
+    sensor: SensorModel  # gain, read noise and other parameters of the sensor
     effects: tuple[AppliedEffect, ...]  # detected effects on well and response
     maps: SensorMaps | None  # offset and gain of each pixel; None if they were not measured
-    digests: dict[str, str]  # first digits of the SHA-256 of each file of the results, by name
+    digests: dict[str, str]  # name of each file of the results that exists → first digits of its SHA-256
 
 
 def read_calibration(results: Path) -> Calibration:
@@ -67,12 +73,13 @@ def read_calibration(results: Path) -> Calibration:
     if (results / "maps.nc").is_file():
         with store.read(results / "maps.nc") as ds:
             maps = read_maps(ds)
-    digests = {name: provenance.file_digest(results / name)[:16] for name in SOURCES if (results / name).is_file()}
+    sources = [name for name in SOURCES if (results / name).is_file()]
+    digests = {name: provenance.file_digest(results / name)[:DIGEST_DIGITS] for name in sources}
     return Calibration(sensor, tuple(_read_sensor_effects(results)), maps, digests)
 
 
 def _read_transfer_sensor(results: Path) -> SensorModel | None:
-    """Return the sensor by photon transfer of flats and darks alone; None if gain, noise or black level is unknown."""
+    """Return the sensor of transfer.nc, from flats and darks alone; None if gain, noise or black level is unknown."""
     if not (results / "transfer.nc").is_file():
         return None
     with store.read(results / "transfer.nc") as ds, store.read(results / "frames.nc") as table:
@@ -82,6 +89,7 @@ def _read_transfer_sensor(results: Path) -> SensorModel | None:
     values = {name: quantities[EMVA_NAMES[name]].value for name in names}
     if not np.isfinite(list(values.values())).all():
         return None
+    # Noise can make the estimate negative; an unknown dark current (NaN) counts as 0.
     dark_current = max(np.nan_to_num(quantities[EMVA_NAMES["dark_current_e_per_s"]].value), 0.0)
     return SensorModel(**values, dark_current_e_per_s=dark_current, full_scale_dn=full_scale, response_bend=curvature)
 
@@ -89,12 +97,14 @@ def _read_transfer_sensor(results: Path) -> SensorModel | None:
 def _read_sensor_effects(results: Path) -> list[AppliedEffect]:
     """Return the effects on well and response of model.yaml, or of verdict.json if there is no model.
 
-    Effects of verdict.json that are unknown here, or lack a constant of their variant, are skipped.
+    Effects of verdict.json are skipped if they are not in the vocabulary of this run, or if the verdict lacks the value
+    of a parameter that their variant needs.
     """
-    model = results / "model.yaml"
+    model_file = results / "model.yaml"
     effects: list[AppliedEffect] = []
-    if model.is_file() and not reason_without_model(model):
-        effects += read_model(model).effects
+    # The file may state why the dataset has no model instead of holding one.
+    if model_file.is_file() and not reason_without_model(model_file):
+        effects += read_model(model_file).effects
     else:
         for entry in read_verdict(results).get("effects", ()):
             values = {name: parameter["value"] for name, parameter in entry["parameters"].items()}
@@ -104,7 +114,7 @@ def _read_sensor_effects(results: Path) -> list[AppliedEffect]:
 
 
 def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: Path) -> int:
-    """Correct and write every frame of a dataset, one at a time, and manifest.csv; return their number.
+    """Write every frame of a dataset corrected, one at a time, and manifest.csv; return the number of frames.
 
     Raises
     ------
@@ -122,21 +132,21 @@ def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: P
         if calibration.maps is not None:
             _check_size(frame, image.shape, calibration.maps)
             maps = calibration.maps.at(frame.exposure_s)
-        result = correct_frame(image, calibration.sensor, curve, maps, frame.exposure_s)
+        corrected = correct_frame(image, calibration.sensor, curve, maps, frame.exposure_s)
         description = _describe(dataset, frame, calibration, digest(dataset.folder / frame.path))
-        _write_tiff(folder / name, result, description)
-        numbers = ("" if v is None else v for v in (frame.angle_deg, frame.exposure_s, frame.repeat))
-        rows.append([name, frame.kind, *numbers, *frame.extra.values(), frame.file, frame.page, result.clipped])
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+        _write_tiff(folder / name, corrected, description)
+        condition = ["" if value is None else value for value in (frame.angle_deg, frame.exposure_s, frame.repeat)]
+        rows.append([name, frame.kind, *condition, *frame.extra.values(), frame.file, frame.page, corrected.clipped])
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
     writer.writerow([*REQUIRED_COLUMNS, *dataset.frames[0].extra, "source", "source_page", "clipped_px"])
     writer.writerows(rows)
-    store.write_text(folder / "manifest.csv", MANIFEST_HEAD + text.getvalue())
+    store.write_text(folder / "manifest.csv", MANIFEST_HEAD + table.getvalue())
     return len(rows)
 
 
 def _check_size(frame: Frame, shape: tuple[int, ...], maps: SensorMaps) -> None:
-    """Raise `InputError` if a frame differs from the maps in size."""
+    """Raise `InputError` if a frame of shape (rows, columns) differs from the maps in size."""
     expected = maps.offset.values.shape
     if expected != shape:
         raise InputError(
@@ -146,24 +156,26 @@ def _check_size(frame: Frame, shape: tuple[int, ...], maps: SensorMaps) -> None:
 
 
 def name_corrected_frames(manifest: Sequence[Frame]) -> list[str]:
-    """Return the path of each corrected frame, unique and derived from its source.
+    """Return the path of each corrected frame, relative to its folder, unique and derived from the path of its source.
 
-    The path inside an HDF5 file, and the page of a stack, become part of the name.
+    The path inside an HDF5 file and the page of a stack become part of the name. So does the suffix if files differ
+    only in it.
     """
-    pages = Counter(frame.file for frame in manifest)
-    sources = {file: (Path(path), inside) for file in pages for path, inside in (split_inner_path(file),)}
-    same_stem = Counter((path.with_suffix(""), inside) for path, inside in sources.values())
+    page_counts = Counter(frame.file for frame in manifest)
+    # Path of each file, and path inside it: "" but for HDF5 files.
+    sources = {file: (Path(path), inside) for file in page_counts for path, inside in (split_inner_path(file),)}
+    stem_counts = Counter((path.with_suffix(""), inside) for path, inside in sources.values())
     names = []
     for frame in manifest:
         path, inside = sources[frame.file]
-        stem = path.name.replace(".", "_") if same_stem[path.with_suffix(""), inside] > 1 else path.stem
-        stem += inside.replace("/", "_") + (f"_p{frame.page}" if pages[frame.file] > 1 else "")
+        stem = path.name.replace(".", "_") if stem_counts[path.with_suffix(""), inside] > 1 else path.stem
+        stem += inside.replace("/", "_") + (f"_p{frame.page}" if page_counts[frame.file] > 1 else "")
         names.append(path.with_name(f"{stem}.tif").as_posix())
     return names
 
 
 def _describe(dataset: Dataset, frame: Frame, calibration: Calibration, sha256: str) -> dict[str, Any]:
-    """Return the description of a corrected file; `sha256` is that of its source."""
+    """Return the description of a corrected file, which is written as JSON; `sha256` is the digest of its source."""
     maps = calibration.maps
     return {
         "made_by": f"spotcheck correct {spotcheck.__version__}",
@@ -174,6 +186,7 @@ def _describe(dataset: Dataset, frame: Frame, calibration: Calibration, sha256: 
         "pages": PAGES,
         "nan": "bad or clipped",
         "sensor": {key: value for key, value in asdict(calibration.sensor).items() if np.isfinite(value)},
+        # Effects whose action the correction inverts.
         "turned_round": {
             applied.effect.name: {"form": applied.variant.value}
             | {name: value for name, value in applied.parameters.items() if np.isfinite(value)}
@@ -185,7 +198,7 @@ def _describe(dataset: Dataset, frame: Frame, calibration: Calibration, sha256: 
 
 
 def _write_tiff(path: Path, frame: CorrectedFrame, description: dict[str, Any]) -> None:
-    """Write a TIFF of two pages atomically; equal frames give equal bytes."""
+    """Write the two pages of a frame as a TIFF with 32-bit floats, atomically; equal frames give equal bytes."""
     with write_atomically(path) as scratch, tifffile.TiffWriter(scratch) as tiff:
         for page, text in ((frame.electrons, json.dumps(description)), (frame.variance, PAGES[1])):
             tiff.write(page.astype(np.float32), compression="zlib", photometric="minisblack", description=text,

@@ -3,6 +3,10 @@
 The correction inverts the model of the sensor step by step: subtract black level and pixel offset, invert the detected
 effects on well and response, divide by the gain, subtract the dark current, and divide by the relative gain of the
 pixel. Bad and clipped pixels become NaN.
+
+An effect is a deviation of the sensor from a linear one that the verdict detected. Light is counted in DN: it is the
+signal above the black level of a linear sensor without full well. The well limits the charge of a pixel. The converter
+stands for everything behind it: response and range of the readings.
 """
 
 from collections.abc import Sequence
@@ -17,21 +21,24 @@ from spotcheck.model.stage import Stage
 from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 from spotcheck.sensor.pixel_maps import PixelMaps
 
-# Points of the response curve, and its largest light in units of full scale.
+# Points of the response curve, and its largest light in units of the largest reading.
 CURVE_POINTS, MAX_LIGHT = 8192, 1.5
-# A signal is clipped if the slope of the response curve is below the first number, or if it is closer to full well than
-# this many standard deviations of the read noise.
-MIN_SLOPE, WELL_MARGIN = 0.5, 3.0
+# A signal is clipped where the slope of the response curve [1] is smaller.
+MIN_SLOPE = 0.5
+# A signal is clipped if it is closer to the full well than this many standard deviations of the read noise.
+WELL_MARGIN = 3.0
+# Largest reading [DN] of a sensor without a full scale: that of 16-bit files.
+DEFAULT_FULL_SCALE_DN = 65535.0
 
 
 @dataclass(frozen=True)
 class ResponseCurve:
-    """Signal of the sensor as a function of light."""
+    """Signal of the sensor as a function of light, up to where the slope falls below `MIN_SLOPE`."""
 
-    light: np.ndarray  # signal of a linear sensor without full well [DN], shape (points,)
-    signal: np.ndarray  # signal above black [DN], shape (points,)
-    slope: np.ndarray  # derivative of the signal by the light, shape (points,)
-    converter_slope: np.ndarray  # its factor behind the well, shape (points,)
+    light: np.ndarray  # light [DN], shape (points,), ascending from 0
+    signal: np.ndarray  # mean reading above the black level [DN], shape (points,)
+    slope: np.ndarray  # derivative of the signal by the light [1], shape (points,)
+    converter_slope: np.ndarray  # derivative of the signal by the charge as light [1], shape (points,)
     clipped: float  # smallest signal that counts as clipped [DN]
 
 
@@ -47,29 +54,33 @@ class CorrectedFrame:
 def compute_response_curve(sensor: SensorModel, effects: Sequence[AppliedEffect]) -> ResponseCurve:
     """Return the response curve of a sensor with full well and detected effects on well and response."""
     gain = sensor.gain_dn_per_e
-    full_scale = sensor.full_scale_dn if np.isfinite(sensor.full_scale_dn) else 65535.0
+    full_scale = sensor.full_scale_dn if np.isfinite(sensor.full_scale_dn) else DEFAULT_FULL_SCALE_DN
     light = np.linspace(0.0, MAX_LIGHT * full_scale, CURVE_POINTS)
-    # The full well of the data sheet is a limit below, and no part of the curve.
+    # The full well of the data sheet is one of the limits below, and no part of the curve.
     without_well = replace(sensor, full_well_e=np.inf)
+    # Only the stages of the sensor count, so the baseline, which describes the spot, is arbitrary.
     model = ForwardModel(Baseline(0.0, "free", False, 1.0), without_well, None, tuple(effects))
     distribution = model.distribution()
-    charge = distribution.charge_signal(light / gain)
+    charge_dn = distribution.charge_signal(light / gain)
     if distribution.charge_levels:
-        charge = sum(share * np.minimum(charge, level) for share, level in distribution.charge_levels)
-    signal = distribution.converter_signal(charge) - sensor.black_level_dn
-    well_slope, slope = np.gradient(charge, light), np.gradient(signal, light)
+        # Mean over pixels whose charge stops at different levels.
+        charge_dn = sum(share * np.minimum(charge_dn, level) for share, level in distribution.charge_levels)
+    signal = distribution.converter_signal(charge_dn) - sensor.black_level_dn
+    well_slope, slope = np.gradient(charge_dn, light), np.gradient(signal, light)
     margin = WELL_MARGIN * float(np.sqrt((gain * sensor.read_noise_e) ** 2 + ROUNDING_VARIANCE))
+    # Smallest signals that count as clipped, for each reason [DN].
     limits = [sensor.full_scale_dn - sensor.black_level_dn]
-    # Index of the first point that is too flat; 0 if there is none.
-    flat = int(np.argmax(slope < MIN_SLOPE))
-    if slope[flat] < MIN_SLOPE:
+    # The first point that is too flat; `argmax` gives 0 if there is none.
+    first_flat = int(np.argmax(slope < MIN_SLOPE))
+    if slope[first_flat] < MIN_SLOPE:
         has_well = any(Stage.WELL in applied.effect.stages for applied in effects)
-        limits.append(float(signal[flat]) - (margin if has_well else 0.0))
+        limits.append(float(signal[first_flat]) - (margin if has_well else 0.0))
     if np.isfinite(sensor.full_well_e):
         limits.append(float(np.interp(gain * sensor.full_well_e, light, signal)) - margin)
-    part = slice(flat or CURVE_POINTS)
-    converter_slope = slope[part] / np.maximum(well_slope[part], 1e-12)
-    return ResponseCurve(light[part], signal[part], slope[part], converter_slope, min(limits))
+    usable = slice(first_flat or CURVE_POINTS)
+    # Chain rule: the slopes of well and converter multiply.
+    converter_slope = slope[usable] / np.maximum(well_slope[usable], 1e-12)
+    return ResponseCurve(light[usable], signal[usable], slope[usable], converter_slope, min(limits))
 
 
 def correct_frame(
@@ -81,8 +92,9 @@ def correct_frame(
 ) -> CorrectedFrame:
     """Return a frame in electrons of the light.
 
-    The variance is that of shot noise, read noise, rounding and the errors of the maps (EMVA 1288 linear model), where
-    the reading replaces its mean. It excludes the errors of gain and black level, which all pixels share.
+    The variance contains shot noise, read noise, rounding and the errors of the maps (EMVA 1288 linear model). The shot
+    noise is taken from the reading instead of its mean. Errors of gain and black level are excluded, as all pixels
+    share them.
 
     Parameters
     ----------
@@ -93,7 +105,7 @@ def correct_frame(
     curve : ResponseCurve
         Response of the same sensor.
     maps : PixelMaps, optional
-        Offset [DN] and relative gain of each pixel; without them all pixels are alike.
+        Offset [DN] and relative gain [1] of each pixel; without them all pixels are alike.
     exposure_s : float, optional
         Exposure time [s]; without it no dark current is subtracted.
     """
@@ -105,10 +117,10 @@ def correct_frame(
     # Noise below black is extrapolated linearly.
     light = np.where(signal < curve.signal[0], (signal - curve.signal[0]) / curve.slope[0], light)
     slope, converter_slope = (np.interp(light, curve.light, values) for values in (curve.slope, curve.converter_slope))
-    charge = light / gain
-    electrons = (charge - sensor.dark_current_e_per_s * (exposure_s or 0.0)) / maps.gain
+    charge_e = light / gain
+    electrons = (charge_e - sensor.dark_current_e_per_s * (exposure_s or 0.0)) / maps.gain
     # Read noise is added behind the well; rounding and offsets are added behind the converter.
-    variance = np.maximum(charge, 0.0) + (sensor.read_noise_e * converter_slope / slope) ** 2
+    variance = np.maximum(charge_e, 0.0) + (sensor.read_noise_e * converter_slope / slope) ** 2
     variance += (ROUNDING_VARIANCE + maps.offset_stderr_dn**2) / (gain * slope) ** 2
     variance = variance / maps.gain**2 + electrons**2 * maps.gain_stderr**2
     invalid = clipped | np.isnan(electrons)

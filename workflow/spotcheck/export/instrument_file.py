@@ -1,7 +1,8 @@
 """Write the instrument file of `spotcheck adopt`, and format the table that it prints.
 
 The file describes the instrument and not the dataset: it has no name, conditions or crop. Each learned value has a
-comment with its error, its source and the value of the data sheet.
+comment with its error, its source and the value of the data sheet. A key is "section.name", such as
+sensor.gain_dn_per_e. The data sheet is what the dataset's own instrument.yaml states.
 """
 
 import json
@@ -17,15 +18,17 @@ import numpy as np
 import spotcheck
 from spotcheck.dataset.instrument import SECTIONS, BadPixels, Instrument
 from spotcheck.errors import InputError
-from spotcheck.export.learned_values import UnusedResult, format_number
+from spotcheck.export.learned_values import UnusedResult
 from spotcheck.export.value_choice import Choice
 from spotcheck.io import provenance, store
 from spotcheck.io.number_text import quantity_text
 from spotcheck.io.schema import read_schema
 
-# Significant digits of a learned value and of its error, more than are known of any of them.
-DIGITS, DIGITS_OF_ERROR = 6, 3
-# Files that values come from.
+# Significant digits of a learned value and of its error, more than results determine.
+DIGITS, ERROR_DIGITS = 6, 3
+# Digits of the SHA-256 of a source that are written.
+DIGEST_DIGITS = 16
+# Files of a results folder that values come from.
 SOURCES = ("frames.nc", "transfer.nc", "sensor.nc", "fits.nc", "verdict.json", "light.nc")
 
 
@@ -53,18 +56,18 @@ def write_instrument_file(
         If a file already exists.
     """
     adopted = {choice.learned.key: choice for choice in choices if choice.is_adopted}
-    light = path.with_name(f"{path.stem}-light.nc")
+    light_path = path.with_name(f"{path.stem}-light.nc")
     has_light = "light.profile" in adopted
-    for file in (path, *([light] if has_light else [])):
+    for file in (path, *([light_path] if has_light else [])):
         if file.exists():
             raise InputError(f"{file}: is already there; name a new file, nothing is overwritten")
     path.parent.mkdir(parents=True, exist_ok=True)
     if has_light:
-        with store.write_with_sidecar(light) as scratch:
+        with store.write_with_sidecar(light_path) as scratch:
             shutil.copyfile(adopted["light.profile"].learned.value, scratch)
     lines = [*_format_head(results)]
     for section in SECTIONS:
-        if rows := list(_format_section(path, section, adopted, instrument, light.name)):
+        if rows := list(_format_section(path, section, adopted, instrument, light_path.name)):
             lines += [f"{section}:", *(f"  {row}" for row in rows)]
     rejected = [
         f"{choice.learned.key}: learned {format_value(choice)}, {choice.learned.source}: {choice.reason}"
@@ -78,19 +81,33 @@ def write_instrument_file(
 
 
 def _format_head(results: Path) -> Iterator[str]:
-    """Yield the comment at the top of the file, with the digests of its sources."""
+    """Yield the lines of the comment at the top of the file, with the first digits of the digest of each source."""
     yield f"# What the data sheet of {results.name} states, and what was learned from its frames: written by"
     yield f"# `spotcheck adopt`, version {spotcheck.__version__}. A dataset names this file by `based_on:` in its"
     yield "# instrument.yaml, or has it as its instrument.yaml."
     for name in SOURCES:
         if (results / name).is_file():
-            yield f"# {name}: SHA-256 {provenance.file_digest(results / name)[:16]}"
+            yield f"# {name}: SHA-256 {provenance.file_digest(results / name)[:DIGEST_DIGITS]}"
 
 
 def _format_section(
     path: Path, section: str, adopted: Mapping[str, Choice], instrument: Instrument, light_name: str
 ) -> Iterator[str]:
-    """Yield the lines of a section, in the order of the schema."""
+    """Yield the lines of a section without its header, in the order of the schema; none if nothing is known.
+
+    Parameters
+    ----------
+    path : Path
+        File to write, to which paths of other files become relative.
+    section : str
+        Name of the section.
+    adopted : mapping of str to Choice
+        Decisions to adopt a value, by key. Bad pixels are adopted as a whole, by the name of their section.
+    instrument : Instrument
+        Data sheet, for keys that have no adopted value.
+    light_name : str
+        Name of the file with the light shape, which lies beside `path`.
+    """
     if section in adopted:
         learned = adopted[section].learned
         yield f"# {learned.source}"
@@ -105,13 +122,13 @@ def _format_section(
         elif key.endswith("_stderr") and name.removesuffix("_stderr") in adopted:
             stderr = adopted[name.removesuffix("_stderr")].learned.stderr
             if np.isfinite(stderr):
-                yield f"{key}: {stderr:.{DIGITS_OF_ERROR}g}"
+                yield f"{key}: {stderr:.{ERROR_DIGITS}g}"
         elif name in instrument.given_keys:
             yield f"{key}: {_format_yaml(key, getattr(getattr(instrument, section), key), path)}"
 
 
 def _format_yaml(key: str, value: Any, path: Path) -> str:
-    """Return a value as YAML; paths of files are relative to the folder of the new file."""
+    """Return the value of a key as YAML; absolute paths become relative to the folder of the new file `path`."""
     if key in ("profile", "mask") and Path(value).is_absolute():
         value = os.path.relpath(value, path.parent.resolve())
     if isinstance(value, float) and np.isfinite(value):
@@ -120,25 +137,25 @@ def _format_yaml(key: str, value: Any, path: Path) -> str:
 
 
 def _explain(choice: Choice) -> str:
-    """Return why a value was adopted, and the value of the data sheet."""
+    """Return why a value was adopted, and the value of the data sheet if it states one."""
     if choice.stated is None:
         return choice.reason
     return f"{choice.reason}, which said {quantity_text(float(choice.stated), choice.stated_stderr)}"
 
 
 def format_value(choice: Choice) -> str:
-    """Return a learned value with its error and unit as text."""
+    """Return a learned value as text: a number with error and unit, counts of bad pixels, or "a shape" for a file."""
     value = choice.learned.value
     if isinstance(value, BadPixels):
         counts = {name: len(getattr(value, name)) for name in ("columns", "rows", "pixels")}
         return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     if isinstance(value, Path):
         return "a shape"
-    return format_number(float(value), choice.learned.stderr, choice.learned.unit)
+    return quantity_text(float(value), choice.learned.stderr, choice.learned.unit)
 
 
 def format_table(choices: Sequence[Choice], unused: Sequence[UnusedResult]) -> str:
-    """Return a table of all learned values and unused results, with the decision on each and its reason."""
+    """Return a text table of all learned values and unused results, with the decision on each and its reason."""
     rows = [("key", "sheet", "learned", "", "why", "origin")]
     for choice in choices:
         learned = choice.learned

@@ -2,6 +2,11 @@
 
 Sensor parameters come from transfer.nc, sensor.nc and verdict.json, the light shape from light.nc, and bad pixels from
 the fits. Detected effects set keys through `Effect.instrument_keys`.
+
+A key is "section.name" of instrument.yaml, such as sensor.gain_dn_per_e. The data sheet is what the dataset's own
+instrument.yaml states. An effect is a deviation from the baseline model that the verdict detected; `form` names its
+variant. `levels` of verdict.json, which only datasets of flats and darks have, holds the gain fitted together with the
+effects.
 """
 
 import json
@@ -14,14 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spotcheck.characterization.sensor_choice import (
-    EMVA_NAMES,
-    FLATS,
-    ONLY_FROM_SHEET,
-    QUANTITIES,
-    SPOTS,
-    read_sensor_model,
-)
+from spotcheck.characterization.sensor_choice import EMVA_NAMES, FLATS, ONLY_FROM_SHEET, SPOTS, read_sensor_model
 from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.crops.full_scale import FROM_FRAMES
 from spotcheck.dataset.instrument import BadPixels, Instrument
@@ -36,9 +34,9 @@ from spotcheck.sensor import SensorModel
 
 # Step of the numerical derivative of a key by a parameter of an effect, in standard errors of the parameter.
 DERIVATIVE_STEP = 1e-3
-# Parameters in electrons that are proportional to 1/K, as they are measured in DN.
+# Sensor parameters in electrons, which are proportional to 1/gain as they are measured in DN.
 IN_ELECTRONS = ("read_noise_e", "dark_current_e_per_s")
-# Parameters that photon transfer derives from the light under the assumption of a linear response.
+# Sensor parameters that photon transfer derives from the light; they are wrong if the response is not linear.
 OF_LINEAR_RESPONSE = ("quantum_efficiency",)
 
 
@@ -46,25 +44,27 @@ OF_LINEAR_RESPONSE = ("quantum_efficiency",)
 class LearnedValue:
     """Value of a key of instrument.yaml that follows from results."""
 
-    key: str  # section and name, such as sensor.gain_dn_per_e
+    key: str  # "section.name" such as sensor.gain_dn_per_e, or "bad_pixels"
     value: Any  # number, `BadPixels`, or path of the light shape
-    stderr: float  # standard error; NaN if it is unknown
+    stderr: float  # standard error in the unit of the value; NaN if it is unknown
     unit: str  # "1" or "" if it has none
     source: str  # method and file, in words
-    overrules: bool = False  # whether it was found in contradiction to the data sheet
+    overrules: bool = False  # whether it replaces a stated value whatever the standard errors
     is_from_spots: bool = False  # whether spot frames alone give it
 
 
 class UnusedResult(NamedTuple):
     """Result that no key of instrument.yaml can hold."""
 
-    name: str  # effect, key or "light"
+    name: str  # name of the effect, key, "gain" or "light"
     text: str  # its numbers, in words
     reason: str  # why no key holds it
 
 
 def collect_learned_values(results: Path, instrument: Instrument) -> tuple[list[LearnedValue], list[UnusedResult]]:
     """Return the learned value of each key from its most accurate source, and the results that no key can hold.
+
+    Keys without a learned value are left out.
 
     Parameters
     ----------
@@ -74,20 +74,21 @@ def collect_learned_values(results: Path, instrument: Instrument) -> tuple[list[
         Data sheet of the dataset; its bad pixels are kept.
     """
     verdict, sensor = read_verdict(results), read_sensor(results)
-    # Later sources are more accurate.
+    # Later sources are more accurate and replace earlier ones.
     sources = (*_read_full_scale(results), *_read_sensor_parameters(results), *_read_revised_sheet(verdict))
     values = {value.key: value for value in sources}
     from_effects, unused = _convert_effects(verdict, _update_sensor(sensor, values, verdict))
     values |= {value.key: value for value in from_effects}
+    # The gain of flats was fitted together with the effects: it is valid only in a file that holds all of them.
     if verdict.get("levels") and (from_effects or unused):
-        gain, stderr = (_to_float(verdict["levels"]["gain_dn_per_e"][part]) for part in ("value", "stderr"))
+        gain, stderr = (_to_float(verdict["levels"]["gain_dn_per_e"][name]) for name in ("value", "stderr"))
         if unused:
-            reason = f"it holds beside {' and '.join(result.name for result in unused)}, and no key holds that"
-            unused.append(UnusedResult("gain", format_number(gain, stderr, "DN/e-"), reason))
+            reason = f"it is valid only with {' and '.join(result.name for result in unused)}, which no key holds"
+            unused.append(UnusedResult("gain", quantity_text(gain, stderr, "DN/e-"), reason))
         else:
             values |= {value.key: value for value in _replace_gain(values, gain, stderr)}
-            keys = [f"sensor.{name}" for name in OF_LINEAR_RESPONSE]
-            unused += [_reject_linear(values.pop(key)) for key in keys if key in values]
+            linear_keys = [f"sensor.{name}" for name in OF_LINEAR_RESPONSE]
+            unused += [_reject_linear(values.pop(key)) for key in linear_keys if key in values]
     for result in (_read_light(results, verdict), _collect_bad_pixels(results, instrument, sensor)):
         if isinstance(result, LearnedValue):
             values[result.key] = result
@@ -103,7 +104,7 @@ def read_verdict(results: Path) -> dict[str, Any]:
 
 
 def read_sensor(results: Path) -> SensorModel | None:
-    """Return the sensor of sensor.nc; None if there is no such file."""
+    """Return the sensor of sensor.nc; None if there is no such file, or if its gain or read noise is unknown."""
     if not (results / "sensor.nc").is_file():
         return None
     with store.read(results / "sensor.nc") as ds:
@@ -111,23 +112,26 @@ def read_sensor(results: Path) -> SensorModel | None:
 
 
 def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
-    """Yield the full scale if clipped frames show it."""
+    """Yield the full scale [DN] if clipped frames show it; nothing if it comes from elsewhere."""
     if (results / "frames.nc").is_file():
         with store.read(results / "frames.nc") as table:
-            reading, source = int(table["full_scale"]), str(table["full_scale"].attrs["source"])
+            full_scale, source = int(table["full_scale"]), str(table["full_scale"].attrs["source"])
         if source.startswith(FROM_FRAMES):
-            yield LearnedValue("sensor.full_scale_dn", reading, np.nan, "DN", f"{source} (frames.nc)")
+            yield LearnedValue("sensor.full_scale_dn", full_scale, np.nan, "DN", f"{source} (frames.nc)")
 
 
 def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
-    """Yield the sensor parameters from spots, then those from flats and darks, which are more accurate."""
+    """Yield the sensor parameters from spots, then those from flats and darks, which are more accurate.
+
+    Both are in sensor.nc; transfer.nc has those of flats and darks alone and is read without it.
+    """
     names = [name for name in EMVA_NAMES if name not in ONLY_FROM_SHEET]
     estimates, file = [], "sensor.nc"
     if (results / "sensor.nc").is_file():
         with store.read(results / "sensor.nc") as ds:
             for source in (SPOTS, FLATS):
                 for name in names:
-                    value, stderr = (float(ds[f"{name}_{part}"].sel(source=source)) for part in ("by", "by_stderr"))
+                    value, stderr = (float(ds[f"{name}_{column}"].sel(source=source)) for column in ("by", "by_stderr"))
                     estimates.append((name, value, stderr, source))
     elif (results / "transfer.nc").is_file():
         file = "transfer.nc"
@@ -139,12 +143,12 @@ def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
     for name, value, stderr, source in estimates:
         if np.isfinite(value):
             # Noise can make the estimate of a dark current negative.
-            value, unit, words = max(value, 0.0), QUANTITIES[name][0], f"{source} ({file})"
-            yield LearnedValue(f"sensor.{name}", value, stderr, unit, words, is_from_spots=source == SPOTS)
+            key, value, words = f"sensor.{name}", max(value, 0.0), f"{source} ({file})"
+            yield LearnedValue(key, value, stderr, _read_unit(key), words, is_from_spots=source == SPOTS)
 
 
 def _read_revised_sheet(verdict: Mapping[str, Any]) -> Iterator[LearnedValue]:
-    """Yield the numbers of the data sheet that the verdict's fit of all frames has revised."""
+    """Yield the sensor parameters that the verdict fitted to all frames together, with the data sheet as a prior."""
     source = "data sheet and all frames together (verdict.json)"
     for entry in verdict.get("sheet") or ():
         key, stderr = f"sensor.{entry['name']}", _to_float(entry["stderr"])
@@ -154,12 +158,15 @@ def _read_revised_sheet(verdict: Mapping[str, Any]) -> Iterator[LearnedValue]:
 def _update_sensor(
     sensor: SensorModel | None, values: Mapping[str, LearnedValue], verdict: Mapping[str, Any]
 ) -> SensorModel | None:
-    """Return the sensor with all learned values; None if its gain is unknown."""
+    """Return the sensor of sensor.nc with all learned values in place of its own.
+
+    Without sensor.nc (None) it starts from the gain of `levels` in verdict.json; None if that is missing too.
+    """
     if sensor is None:
         gain = (verdict.get("levels") or {}).get("gain_dn_per_e", {}).get("value")
         if gain is None:
             return None
-        sensor = SensorModel(gain, 0.0)
+        sensor = SensorModel(gain_dn_per_e=gain, read_noise_e=0.0)
     names = [field.name for field in fields(SensorModel) if f"sensor.{field.name}" in values]
     return replace(sensor, **{name: values[f"sensor.{name}"].value for name in names})
 
@@ -167,15 +174,20 @@ def _update_sensor(
 def _convert_effects(
     verdict: Mapping[str, Any], sensor: SensorModel | None
 ) -> tuple[list[LearnedValue], list[UnusedResult]]:
-    """Return the keys that the detected effects set, and the effects without a key."""
+    """Return the values of keys that the detected effects set, and the effects that set none.
+
+    An effect sets no key if rivals explain the frames as well, or if the sensor is unknown (None).
+    """
     learned, unused = list[LearnedValue](), list[UnusedResult]()
     for entry in verdict.get("effects", ()):
         effect = vocabulary().get(entry["name"])
+        # An effect without stages is a learned light shape, which `_read_light` reads.
         if effect is None or not effect.stages:
             continue
+        # The first candidate is the effect itself; the others explain the frames as well.
         parameters, rivals, keys = entry["parameters"], entry["candidates"][1:], []
         if sensor is not None and not rivals:
-            # The verdict may lack a constant of the effect's variant; no key then holds the effect.
+            # `apply` refuses an effect if the verdict lacks the value of a parameter: no key is set then.
             with suppress(ValueError):
                 values = {name: _to_float(parameter["value"]) for name, parameter in parameters.items()}
                 errors = {name: _to_float(parameter["stderr"], 0.0) for name, parameter in parameters.items()}
@@ -183,7 +195,7 @@ def _convert_effects(
         learned += keys
         if not keys:
             stated = {name: parameter for name, parameter in parameters.items() if parameter["value"] is not None}
-            numbers = ", ".join(f"{name} {_format_parameter(parameter)}" for name, parameter in stated.items())
+            numbers = ", ".join(f"{name} {quantity_text(**parameter)}" for name, parameter in stated.items())
             text = f"{entry['form']}: {numbers}" if entry["form"] else numbers
             reason = f"it may as well be {' or '.join(rivals)}" if rivals else "no key of an instrument file holds it"
             unused.append(UnusedResult(entry["name"], text, reason))
@@ -191,12 +203,18 @@ def _convert_effects(
 
 
 def _derive_keys(applied: AppliedEffect, errors: Mapping[str, float], sensor: SensorModel) -> Iterator[LearnedValue]:
-    """Yield the keys that an effect sets, with standard errors propagated from those of its parameters."""
+    """Yield the values of keys that an effect sets, with standard errors propagated from its parameters to first order.
+
+    `errors` are the standard errors of the parameters by name; parameters count as uncorrelated.
+    """
+    # The effect with one parameter changed at a time.
     varied = [
         applied.with_value(name, applied.parameters[name] + DERIVATIVE_STEP * error) for name, error in errors.items()
     ]
     for key, value in applied.instrument_keys(sensor).items():
+        # Derivative by each parameter, times its standard error.
         changes = [(other.instrument_keys(sensor).get(key, np.nan) - value) / DERIVATIVE_STEP for other in varied]
+        # A key that does not depend on the parameters has no known error.
         stderr = float(np.hypot.reduce(changes)) or np.nan
         # Full scale is an integer.
         value = round(value) if key == "sensor.full_scale_dn" else value
@@ -205,7 +223,10 @@ def _derive_keys(applied: AppliedEffect, errors: Mapping[str, float], sensor: Se
 
 
 def _replace_gain(values: Mapping[str, LearnedValue], gain: float, stderr: float) -> Iterator[LearnedValue]:
-    """Yield the gain of flats [DN/e-] fitted together with the detected effects, and quantities in electrons by it."""
+    """Yield the gain of flats [DN/e-] that was fitted together with the effects, and quantities in electrons by it.
+
+    Nothing if no gain was learned before, which would be replaced.
+    """
     previous = values.get("sensor.gain_dn_per_e")
     if previous is None:
         return
@@ -219,32 +240,37 @@ def _replace_gain(values: Mapping[str, LearnedValue], gain: float, stderr: float
 
 
 def _reject_linear(quantity: LearnedValue) -> UnusedResult:
-    """Return a quantity that is wrong as the response is not linear."""
+    """Return as unused a quantity that photon transfer derived from a linear response, which an effect contradicts."""
     reason = "it assumes a linear response; run flats with the new instrument file to measure it"
-    return UnusedResult(quantity.key, format_number(quantity.value, quantity.stderr, quantity.unit), reason)
+    return UnusedResult(quantity.key, quantity_text(quantity.value, quantity.stderr, quantity.unit), reason)
 
 
 def _read_unit(key: str) -> str:
-    """Return the unit of a key, which is in brackets in its description in the schema."""
+    """Return the unit of a key "section.name", which its description in the schema has in brackets; "1" without."""
     section, _, name = key.partition(".")
     description = read_schema("instrument")["properties"][section]["properties"][name]["description"]
-    unit = re.search(r"\[(.+?)\]", description)
-    return unit[1] if unit else "1"
+    match = re.search(r"\[(.+?)\]", description)
+    return match[1] if match else "1"
 
 
 def _read_light(results: Path, verdict: Mapping[str, Any]) -> LearnedValue | UnusedResult | None:
-    """Return the file of the learned light shape; None if the verdict has none."""
+    """Return the file of the learned light shape; unused if there is one for each pose, None if there is none."""
     if not verdict.get("light"):
         return None
     count = len(read_lights(results / LIGHT))
-    words = verdict["light"]["words"]
+    description = verdict["light"]["words"]
     if count > 1:
-        return UnusedResult("light", words, f"it differs from pose to pose ({count} shapes), and an instrument has one")
-    return LearnedValue("light.profile", results / LIGHT, np.nan, "", f"{words} (light.nc)", overrules=True)
+        return UnusedResult(
+            "light", description, f"it differs from pose to pose ({count} shapes), and an instrument has one"
+        )
+    return LearnedValue("light.profile", results / LIGHT, np.nan, "", f"{description} (light.nc)", overrules=True)
 
 
 def _collect_bad_pixels(results: Path, instrument: Instrument, sensor: SensorModel | None) -> LearnedValue | None:
-    """Return the declared bad pixels and those that many fits left out; None if the fits show none."""
+    """Return the declared bad pixels together with those that many fits left out.
+
+    None if fits left out none, or without a sensor or one of the files.
+    """
     if sensor is None or not all((results / name).is_file() for name in ("fits.nc", "crops.nc")):
         return None
     with store.read(results / "fits.nc") as fits, store.read(results / "crops.nc") as crops:
@@ -252,25 +278,13 @@ def _collect_bad_pixels(results: Path, instrument: Instrument, sensor: SensorMod
     if bad == BadPixels():
         return None
     declared = instrument.bad_pixels
-    merged = BadPixels(
-        declared.mask,
-        tuple(sorted({*declared.columns, *bad.columns})),
-        tuple(sorted({*declared.rows, *bad.rows})),
-        tuple(sorted({*declared.pixels, *bad.pixels})),
+    names = ("columns", "rows", "pixels")
+    merged: dict[str, Any] = {name: tuple(sorted({*getattr(declared, name), *getattr(bad, name)})) for name in names}
+    return LearnedValue(
+        "bad_pixels", replace(declared, **merged), np.nan, "", f"left out of {count} fits (fits.nc)", overrules=True
     )
-    return LearnedValue("bad_pixels", merged, np.nan, "", f"left out of {count} fits (fits.nc)", overrules=True)
-
-
-def _format_parameter(parameter: Mapping[str, Any]) -> str:
-    """Return a parameter of an effect in verdict.json as text."""
-    return format_number(float(parameter["value"]), _to_float(parameter["stderr"]), parameter["unit"])
-
-
-def format_number(value: float, stderr: float, unit: str) -> str:
-    """Return a number with its error and unit as text; the unit "1" is omitted."""
-    return quantity_text(value, stderr, unit)
 
 
 def _to_float(value: float | None, missing: float = np.nan) -> float:
-    """Return a number of verdict.json, where a missing one is None."""
+    """Return a number of verdict.json as a float, or `missing` if it is None."""
     return missing if value is None else float(value)

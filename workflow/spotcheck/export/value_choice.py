@@ -1,8 +1,9 @@
 """Choose between the learned value of a key and that of the data sheet.
 
-A learned value is adopted if the data sheet does not state the key, if the results contradict the sheet, or if the
-standard error of the learned value is smaller. A value from spots alone never replaces a stated one, as texture of the
-material is similar to noise.
+A key is "section.name" of instrument.yaml. The data sheet is what the dataset's own instrument.yaml states. A learned
+value is adopted if the data sheet does not state the key, if the results contradict the sheet, or if the standard error
+of the learned value is smaller. A value from spots alone never replaces a stated one, since the texture of the material
+looks like noise.
 """
 
 from collections.abc import Sequence
@@ -20,9 +21,9 @@ from spotcheck.io.schema import find_violation
 class Choice:
     """Decision on one learned value."""
 
-    learned: LearnedValue
+    learned: LearnedValue  # value that the results give
     stated: float | None  # value of the data sheet; None if it has none
-    stated_stderr: float  # its standard error; 0 if it has none
+    stated_stderr: float  # standard error of `stated`, in its unit; 0 if the sheet gives none
     is_adopted: bool  # whether the learned value is written
     reason: str  # why it is adopted or not, in words
 
@@ -33,7 +34,7 @@ def choose_values(learned: Sequence[LearnedValue], instrument: Instrument) -> li
     Parameters
     ----------
     learned : sequence of LearnedValue
-        At most one for each key.
+        Learned values, at most one for each key.
     instrument : Instrument
         Data sheet of the dataset.
     """
@@ -43,20 +44,20 @@ def choose_values(learned: Sequence[LearnedValue], instrument: Instrument) -> li
 
 
 def _choose(learned: LearnedValue, instrument: Instrument) -> Choice:
-    """Return the decision on a value: files and bad pixels are always adopted, numbers if they are valid and better."""
+    """Return the decision on a value: files and bad pixels are adopted always, numbers if they are valid and better."""
     section, _, name = learned.key.partition(".")
     if not name or not isinstance(learned.value, int | float):
         return Choice(learned, None, 0.0, True, "learned beside what the sheet states")
     sheet = getattr(instrument, section)
     stated = getattr(sheet, name) if learned.key in instrument.given_keys else None
     stated_stderr = float(getattr(sheet, f"{name}_stderr", 0.0)) if stated is not None else 0.0
-    breach = find_violation({section: {name: learned.value}}, "instrument")
-    is_adopted, reason = (False, breach) if breach else _compare(learned, learned.value, stated, stated_stderr)
+    violation = find_violation({section: {name: learned.value}}, "instrument")
+    is_adopted, reason = (False, violation) if violation else _compare(learned, stated, stated_stderr)
     return Choice(learned, stated, stated_stderr, is_adopted, reason)
 
 
-def _compare(learned: LearnedValue, value: float, stated: float | None, stated_stderr: float) -> tuple[bool, str]:
-    """Return whether a learned number is adopted, and why."""
+def _compare(learned: LearnedValue, stated: float | None, stated_stderr: float) -> tuple[bool, str]:
+    """Return whether a learned number replaces the stated one (None if there is none), and why."""
     if stated is None:
         return True, "the sheet does not say"
     if learned.overrules:
@@ -65,7 +66,8 @@ def _compare(learned: LearnedValue, value: float, stated: float | None, stated_s
         return False, "spots alone do not overrule a sheet"
     if not np.isfinite(learned.stderr):
         return False, "its error is not known"
-    difference = abs(value - stated) / np.hypot(learned.stderr, stated_stderr)
+    # In standard errors of the difference.
+    difference = abs(learned.value - stated) / np.hypot(learned.stderr, stated_stderr)
     if difference > CLEAR_ERRORS:
         return True, f"contradicts the sheet by {difference:.1f} errors"
     if learned.stderr < stated_stderr:

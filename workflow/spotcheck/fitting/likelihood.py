@@ -129,7 +129,7 @@ def _sum_frames(
 
         def spot(p1, p2, peak, t=frame.exposure_s):
             """Peak [DN] and 1/σ_g² [1/px²] of this frame, as pixels sample it."""
-            amplitude, sigma = baseline.sampled(*WidthLaw(p1, p2, peak).spot_at(baseline, t))
+            amplitude, sigma = baseline.effective_gaussian(*WidthLaw(p1, p2, peak).spot_at(baseline, t))
             return np.array([amplitude, sigma**-2])
 
         amplitude, curvature = spot(*law)

@@ -3,7 +3,7 @@
 `PER_IMAGE` lists the metrics of a single crop. Each is computed for measured and simulated frames, stored in metrics.nc
 with its mean and standard deviation over repeats, and drawn in the report.
 
-Images are arrays [rows, columns] in DN; NaN pixels are ignored.
+Images are arrays [rows, columns] in DN, with their black level; NaN pixels are ignored.
 """
 
 from collections.abc import Callable
@@ -16,24 +16,26 @@ from skimage.metrics import peak_signal_noise_ratio
 # Largest value of the 16-bit container [DN], to which the paper scales PSNR. The sensor fills 10 bits of it, so that
 # PSNR is 36.1 dB larger than with the range of the sensor.
 CONTAINER_RANGE = 65535.0
-# Peak pixels deviate from the maximum by at most the first fraction of it; plateau pixels exceed the second
+# Peak pixels lie within the first fraction of the maximum below it; plateau pixels exceed the second fraction of it
 # (Section 6.2).
 PEAK_WITHIN = 0.02
 PLATEAU_ABOVE = 0.5
+# Largest share of undefined pixels [1] that rounding alone gives a shifted pixel.
+ROUNDING_ERROR = 1e-9
 
 
 def largest_reading(image: np.ndarray) -> float:
-    """Return the largest finite pixel of an image [DN]."""
+    """Return the largest pixel of an image [DN]."""
     return float(np.nanmax(image))
 
 
 def pixel_sum(image: np.ndarray) -> float:
-    """Return the sum of all finite pixels of an image [DN]."""
+    """Return the sum of all pixels of an image [DN]."""
     return float(np.nansum(image, dtype=np.float64))
 
 
 def speckle_contrast(image: np.ndarray) -> float:
-    """Return C_s, the standard deviation over the mean of all finite pixels (Eq. 2); NaN for an image without light."""
+    """Return C_s, the population standard deviation of all pixels divided by their mean (Eq. 2); NaN without light."""
     mean = float(np.nanmean(image, dtype=np.float64))
     return float(np.nanstd(image, dtype=np.float64)) / mean if mean > 0 else np.nan
 
@@ -41,23 +43,27 @@ def speckle_contrast(image: np.ndarray) -> float:
 def mean_of_frames(frames: np.ndarray) -> float:
     """Return µ_y [DN], the mean over all pixels of several frames [frame, rows, columns] (Eq. 17).
 
-    The paper prints the factor 1/(KMN + 1); the mean needs 1/(KMN).
+    The paper prints the factor 1/(KMN + 1) for K frames of M × N pixels; a mean has 1/(KMN). A NaN pixel makes the
+    result NaN, as these are whole frames, which have none.
     """
     return float(np.mean(frames, dtype=np.float64))
 
 
 def mean_maximum(maxima: np.ndarray) -> float:
-    """Return µ_y,max [DN], the mean over frames of the maximum of each frame (Eq. 18)."""
+    """Return µ_y,max [DN], the mean of the maxima of several frames [frame] in DN (Eq. 18)."""
     return float(np.nanmean(maxima))
 
 
 def mean_sum(sums: np.ndarray) -> float:
-    """Return µ_y,total [DN], the mean over frames of the pixel sum of each frame (Eq. 19)."""
+    """Return µ_y,total [DN], the mean of the pixel sums of several frames [frame] in DN (Eq. 19)."""
     return float(np.nanmean(sums))
 
 
 def peak_ratio(image: np.ndarray) -> float:
-    """Return the number of pixels within 2 % of the maximum over that of pixels above half of it (Section 6.2)."""
+    """Return the ratio [1] of two counts of pixels: within 2 % of the maximum, and above half of it (Section 6.2).
+
+    NaN for an image without light.
+    """
     maximum = np.nanmax(image)
     if not maximum > 0:
         return np.nan
@@ -65,7 +71,9 @@ def peak_ratio(image: np.ndarray) -> float:
 
 
 def psnr(reference: np.ndarray, image: np.ndarray, data_range: float) -> float:
-    """Return the peak signal-to-noise ratio [dB] for a data range [DN], over the pixels that are finite in both images.
+    """Return the peak signal-to-noise ratio [dB] of two images of one shape, over the pixels that are finite in both.
+
+    It is 10 log10(`data_range`² / mean squared difference), with the range in DN.
 
     Equal images give infinity, images without a common pixel NaN.
     """
@@ -73,27 +81,32 @@ def psnr(reference: np.ndarray, image: np.ndarray, data_range: float) -> float:
     if not common.any():
         return np.nan
     expected, actual = reference[common].astype(float), image[common].astype(float)
+    # The mean squared error is 0, by which scikit-image would divide.
     if np.array_equal(expected, actual):
         return np.inf
     return float(peak_signal_noise_ratio(expected, actual, data_range=data_range))
 
 
-def shift_image(image: np.ndarray, rows: float, columns: float) -> np.ndarray:
-    """Return the image shifted by fractions of pixels (cubic interpolation); NaN where it would need pixels outside."""
-    gaps = ~np.isfinite(image)
+def shift_image(image: np.ndarray, row_shift: float, column_shift: float) -> np.ndarray:
+    """Return an image moved by two shifts [px] towards larger rows and columns, by cubic interpolation.
+
+    Pixels are NaN where the moved image needs pixels beyond its edge, in a NaN gap or next to one.
+    """
+    gaps, shift = ~np.isfinite(image), (row_shift, column_shift)
     # Gaps are filled with the nearest pixel first: a step to 0 would make the splines ring.
     nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
-    moved = ndimage.shift(image[tuple(nearest)].astype(float), (rows, columns), order=3, mode="nearest")
+    moved = ndimage.shift(image[tuple(nearest)].astype(float), shift, order=3, mode="nearest")
+    # Pixels further from a gap keep their value: it depends little on a gap that is filled with the nearest pixel.
     near_gap = ndimage.binary_dilation(gaps) if gaps.any() else gaps
-    outside = ndimage.shift(near_gap.astype(float), (rows, columns), order=1, mode="constant", cval=1.0)
-    return np.where(outside > 1e-9, np.nan, moved)
+    undefined_share = ndimage.shift(near_gap.astype(float), shift, order=1, mode="constant", cval=1.0)
+    return np.where(undefined_share > ROUNDING_ERROR, np.nan, moved)
 
 
 class Metric(NamedTuple):
     """A metric of one crop."""
 
     name: str  # variable of metrics.nc
-    units: str
+    units: str  # unit of the values
     long_name: str  # meaning, as axis label and netCDF attribute
     function: Callable[[np.ndarray], float]  # of a crop [y, x] in DN, NaN beyond the frame
 

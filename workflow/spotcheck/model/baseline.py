@@ -1,6 +1,8 @@
 """The baseline: the paper's model before any effect is added, as the dataset contract states it.
 
-Without a learned shape its functions accept complex parameters, so that derivatives are complex steps through them.
+The width of the spot is σ_g = p_b + M σ_la/s_px with the beam propagation p_b = p1 ln(t/1 s) + p2 (Eqs. 7 and 8). Its
+light is the declared shape, a circular Gaussian that a top hat may cut, plus a learned shape if there is one. Without a
+learned shape all functions accept complex parameters, so that derivatives can be taken by complex step.
 """
 
 from dataclasses import dataclass, replace
@@ -11,33 +13,34 @@ from spotcheck.dataset.instrument import Instrument
 from spotcheck.model import optics, propagation, spot
 from spotcheck.model.light_shape import LightShape, read_light
 
-# A step of the derivative by complex step: its square vanishes beside 1 in double precision, so the result is exact.
+# Step of derivatives by complex step. Its square vanishes beside 1 in double precision, so the result is exact.
 STEP = 1e-30
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """What the instrument fixes."""
+    """The part of the model that the instrument file fixes."""
 
     laser_px: float  # M σ_la/s_px, the laser's own width on the sensor [px]
-    photon_budget: str  # law of the peak: "spot_area", "linear", or "free" for none
-    top_hat: bool  # whether the light is cut at exp(−1/4) of its peak
+    photon_budget: str  # law of the peak: "spot_area" or "linear" (`peak_law`), "free" for none
+    top_hat: bool  # whether the declared shape is cut at exp(−1/4) of its peak
     longest_s: float  # longest exposure of the dataset [s]
-    learned: LightShape | None = None  # learned shape of the light beside the declared one
-    pixel_integration: bool = False  # whether a pixel reads the mean of the light over it, not the light at its centre
+    learned: LightShape | None = None  # learned shape, which is added to the declared one; None for none
+    pixel_integration: bool = False  # whether a pixel reads the mean of the light over its area, not that at its centre
 
     def propagation(self, exposure_s, p1, p2):
-        """Return p_b [px] (Eq. 8)."""
+        """Return the beam propagation p_b [px] at an exposure [s], with p1 and p2 in px (Eq. 8)."""
         return propagation.beam_propagation(exposure_s, p1, p2)
 
     def sigma(self, exposure_s, p1, p2):
-        """Return σ_g [px] (Eqs. 7–8)."""
+        """Return the width σ_g of the spot [px] at an exposure [s], with p1 and p2 in px (Eqs. 7–8)."""
         return propagation.spot_sigma(self.propagation(exposure_s, p1, p2), self.laser_px)
 
     def peak_law(self, exposure_s, propagation_px):
-        """Return what the peak is proportional to, from p_b [px].
+        """Return a factor to which the peak is proportional, from the exposure t [s] and p_b [px].
 
-        `spot_area`: (p_b/σ_g)², what Eq. 28 with the ϱ_s of Eq. 13 leaves of the exposure. `linear`: t/σ_g².
+        It is (p_b/σ_g)² [1] for the budget "spot_area", as Eqs. 13 and 28 together leave it: ϱ_s cancels t. For
+        "linear" it is t/σ_g² [s/px²]: light proportional to the exposure, spread over the area of the spot.
         """
         sigma = propagation.spot_sigma(propagation_px, self.laser_px)
         if self.photon_budget == "spot_area":
@@ -45,17 +48,23 @@ class Baseline:
         return exposure_s / sigma**2
 
     def relative_peak(self, exposure_s, p1, p2):
-        """Return the peak of the Gaussian as a fraction of that at the longest exposure."""
-        here, longest = (self.peak_law(t, self.propagation(t, p1, p2)) for t in (exposure_s, self.longest_s))
-        return here / longest
+        """Return the peak of the Gaussian at an exposure [s] divided by that at the longest exposure [1]."""
+        factor, longest_factor = (self.peak_law(t, self.propagation(t, p1, p2)) for t in (exposure_s, self.longest_s))
+        return factor / longest_factor
 
     def spot(self, dx, dy, peak_dn, sigma_px):
-        """Return the light [DN] of a spot at displacements from its centre [px], sampled there."""
-        light = spot.circular_gaussian(dx, dy, peak_dn, 0.0, 0.0, sigma_px)
-        return self.finish(light, dx, dy, peak_dn, sigma_px)
+        """Return the light [DN] of a spot at displacements dx, dy from its centre [px].
 
-    def finish(self, light, dx, dy, peak_dn, sigma_px):
-        """Return light [DN] of a profile with top hat and learned shape."""
+        `peak_dn` is the peak of the Gaussian before the top hat [DN], `sigma_px` its width σ_g [px].
+        """
+        light = spot.circular_gaussian(dx, dy, peak_dn, 0.0, 0.0, sigma_px)
+        return self.add_top_hat_and_shape(light, dx, dy, peak_dn, sigma_px)
+
+    def add_top_hat_and_shape(self, light, dx, dy, peak_dn, sigma_px):
+        """Return the light [DN] of a profile after the top hat has cut it and the learned shape is added.
+
+        `light` is the profile without both [DN] at displacements dx, dy [px], and `peak_dn` its peak.
+        """
         if self.top_hat:
             light = spot.top_hat(light, peak_dn)
         if self.learned is None:
@@ -63,17 +72,18 @@ class Baseline:
         return light + peak_dn * self.learned(dx / sigma_px, dy / sigma_px)
 
     def declared_light(self, x, y, peak_dn, x0, y0, sigma_px):
-        """Return what pixels at x, y [px] receive [DN] of a spot of the declared shape."""
+        """Return the light [DN] that pixels at x, y [px] receive of a spot of the declared shape at x0, y0 [px]."""
         declared = replace(self, learned=None)
         if not self.pixel_integration:
             return declared.spot(x - x0, y - y0, peak_dn, sigma_px)
-        return spot.over_pixel(lambda dx, dy: declared.spot(x - dx - x0, y - dy - y0, peak_dn, sigma_px))
+        return spot.average_over_pixel(lambda dx, dy: declared.spot(x - dx - x0, y - dy - y0, peak_dn, sigma_px))
 
-    def sampled(self, peak_dn, sigma_px):
-        """Return peak and σ_g [px] of the Gaussian that, at pixel centres, is what pixels read of a spot of these.
+    def effective_gaussian(self, peak_dn, sigma_px):
+        """Return peak [DN] and width [px] of the Gaussian whose values at pixel centres are the readings of a spot.
 
-        The same where light is sampled. Else it is wider by the variance of a pixel and lower by as much, which misses
-        2e-3/σ⁴ of the peak. Without a top hat.
+        They are the peak and σ_g of the spot itself if light is sampled at pixel centres. If pixels average over their
+        area, the variance of a pixel is added to σ_g² and the sum of the light is kept. This approximation has an error
+        of 2e-3/σ_g⁴ of the peak. The top hat is ignored.
         """
         if not self.pixel_integration:
             return peak_dn, sigma_px
@@ -81,34 +91,34 @@ class Baseline:
         return peak_dn * sigma_px * sigma_px / variance, variance**0.5
 
     def plateau(self, peak_dn):
-        """Return the highest light [DN] of a spot whose Gaussian has a peak [DN]."""
+        """Return the highest light [DN] of a spot whose Gaussian has a peak [DN]: the level of the top hat, if any."""
         return spot.top_hat_level(peak_dn) if self.top_hat else peak_dn
 
 
 def of_instrument(instrument: Instrument, exposures_s) -> Baseline:
-    """Return the baseline of an instrument; without optics, laser or pixel pitch the laser's own width is 0 px.
+    """Return the baseline of an instrument file, for a dataset with these exposures [s], in any order.
 
-    Raises `InputError` if the file of the light's profile cannot be read.
+    Without optics, laser or pixel pitch the laser's own width is 0 px. Raises `InputError` if the file of the learned
+    shape, `light.profile`, cannot be read.
     """
-    lens, sigma = instrument.optics, instrument.laser_sigma_m
+    lens, laser_sigma_m = instrument.optics, instrument.laser_sigma_m
     laser_px = 0.0
-    if lens.focal_length_m and lens.working_distance_m and sigma and instrument.sensor.pixel_pitch_m:
-        scale = optics.magnification(lens.focal_length_m, lens.working_distance_m)
-        laser_px = propagation.laser_sigma_px(scale, sigma, instrument.sensor.pixel_pitch_m)
-    # Without exposures no law links the frames, whatever the instrument file says.
+    if lens.focal_length_m and lens.working_distance_m and laser_sigma_m and instrument.sensor.pixel_pitch_m:
+        magnification = optics.magnification(lens.focal_length_m, lens.working_distance_m)
+        laser_px = propagation.laser_sigma_px(magnification, laser_sigma_m, instrument.sensor.pixel_pitch_m)
+    # Without exposures no law of the exposure links the frames, whatever the instrument file says.
     budget = instrument.model.photon_budget if len(exposures_s) else "free"
     profile = instrument.light.profile
     learned = None if profile is None else read_light(profile)
-    longest = max(exposures_s, default=1.0)
-    return Baseline(laser_px, budget, instrument.model.top_hat, longest, learned, lens.pixel_integration)
+    longest_s = max(exposures_s, default=1.0)
+    return Baseline(laser_px, budget, instrument.model.top_hat, longest_s, learned, lens.pixel_integration)
 
 
 def jacobian(function, parameters) -> np.ndarray:
-    """Return the derivatives [parameter, ...] of `function(*parameters)` by complex step, exact to rounding."""
-    parameters = np.asarray(parameters, dtype=complex)
-    columns = []
-    for k in range(len(parameters)):
-        shifted = parameters.copy()
-        shifted[k] += 1j * STEP
-        columns.append(np.imag(function(*shifted)) / STEP)
-    return np.array(columns)
+    """Return the derivatives [parameter, ...] of `function(*parameters)` by complex step, exact to rounding.
+
+    The function must accept complex numbers; `...` is the shape of its result.
+    """
+    # Row k has a step in parameter k.
+    stepped = np.asarray(parameters, dtype=complex) + 1j * STEP * np.eye(len(parameters))
+    return np.array([np.imag(function(*row)) / STEP for row in stepped])

@@ -1,4 +1,7 @@
-"""What the forward model needs to know of a frame."""
+"""The inputs and intermediate results of the forward model for one frame: pixels, conditions, width and peak.
+
+The exposure law gives peak and width of a spot as functions of the exposure; effects are deviations from this model.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +18,8 @@ class PixelGrid:
     y: np.ndarray  # rows of the pixels [px], such as [row, 1]
     sensor_columns: int  # columns of the sensor's frame
     sensor_rows: int  # rows of the sensor's frame
-    row_share: np.ndarray | float = 1.0  # rows of the sensor that each row of the grid stands for, in sums over columns
+    # Number of rows of the sensor that each row of the grid stands for, in sums along columns; broadcasts with y.
+    row_share: np.ndarray | float = 1.0
 
     @property
     def centre_x(self) -> float:
@@ -29,7 +33,7 @@ class PixelGrid:
 
 
 def crop_grid(columns: range, rows: range, sensor_columns: int, sensor_rows: int) -> PixelGrid:
-    """Return the grid of a rectangular part of the sensor, with x [1, column] and y [row, 1]."""
+    """Return the grid of a rectangular part of the sensor, given by ranges of its columns and rows."""
     x, y = np.arange(columns.start, columns.stop, dtype=float), np.arange(rows.start, rows.stop, dtype=float)
     return PixelGrid(x[None, :], y[:, None], sensor_columns, sensor_rows)
 
@@ -40,34 +44,34 @@ PerFrame = Any
 
 @dataclass(frozen=True)
 class FrameConditions:
-    """Conditions of one frame, or of several: where the spot lies and under which it was taken."""
+    """Conditions of one frame, or of several: the place of the spot, and how the frame was taken."""
 
     pixels: PixelGrid  # where the model is evaluated
     x0: PerFrame  # column of the spot's centre [px]
     y0: PerFrame  # row of the spot's centre [px]
     exposure_s: PerFrame  # nominal exposure [s]
-    longest_s: float  # longest exposure of the dataset [s], at which the peak of the law is given
-    reference_s: float  # reference exposure [s], at which the spread law leaves the width unchanged
-    angle: PerFrame = 0.0  # angle of the fibres [rad]
+    longest_s: float  # longest exposure of the dataset [s], at which the exposure law states the peak
+    reference_s: float  # exposure [s] at which the effect spread_law leaves the width unchanged
+    angle: PerFrame = 0.0  # angle of the fibres of the sample [rad]
     order: PerFrame = 0.5  # place in the order of acquisition, from 0 to 1
-    peak_dn: PerFrame = np.nan  # peak of the spot [DN] where no law gives it
-    sigma_px: PerFrame = np.nan  # width σ_g of the spot [px] where no law gives it
+    peak_dn: PerFrame = np.nan  # peak of the spot [DN]; NaN, unused, if an exposure law gives it
+    sigma_px: PerFrame = np.nan  # width σ_g of the spot [px]; NaN, unused, if an exposure law gives it
 
 
 @dataclass(frozen=True)
 class WidthLaw:
-    """Width of the spot over the exposure: σ_g = (p_b(t) + M σ_la/s_px) · factor.
+    """Width of the spot over the exposure t: σ_g = (p_b(t) + M σ_la/s_px) · factor, where M σ_la/s_px is the laser's.
 
-    Without a law of the exposure only `factor` is used, with the width of each frame.
+    Without an exposure law each frame has its own width, which only `factor` changes.
     """
 
-    propagation_px: Callable[[float], float]  # p_b [px] as a function of the exposure [s]
+    propagation_px: Callable[[float], float]  # beam propagation p_b [px] as a function of the exposure [s]
     factor: float = 1.0  # factor on σ_g [1]
 
 
 @dataclass(frozen=True)
 class SpotState:
-    """The spot of a frame behind the stages exposure, width and brightness."""
+    """Peak and width of the spot of a frame, after the stages exposure, width and brightness."""
 
     peak_dn: float  # peak of the Gaussian before the top hat [DN]
     sigma_px: float  # width σ_g [px]

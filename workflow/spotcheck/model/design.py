@@ -1,5 +1,10 @@
-"""Simulate the frames of a design, and write them as a dataset that all stages accept."""
+"""Simulate the frames of a design, and write them as a dataset that all stages of the workflow accept.
 
+A design is a dataset folder whose manifest and instrument file describe frames and camera; its images are not read. The
+baseline is the paper's model without effects.
+"""
+
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +20,7 @@ from spotcheck.model.simulation import CANVAS, Destination, simulate_extended
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import check_sensor
 
-# File of the mean light and the mean reading of every crop.
+# Name of the file with the mean light and the mean reading of every crop.
 EXPECTED = "expected.nc"
 
 
@@ -33,8 +38,8 @@ def simulate_dataset(
     """Simulate random frames of a design and write them as a dataset folder.
 
     With p1, p2 and a peak, each spot is a round Gaussian whose width at an exposure t is p1 ln(t / 1 s) + p2, plus the
-    width of the laser if instrument.yaml gives laser and optics. Its peak follows from the exposure. With a model.yaml
-    the file gives spots and effects. Equal seeds give equal frames.
+    width of the laser if instrument.yaml gives laser and optics. Its peak follows from the exposure. With a model.yaml,
+    spots and effects are those of the file. Equal seeds give equal frames.
 
     Parameters
     ----------
@@ -68,26 +73,32 @@ def simulate_dataset(
     >>> spotcheck.read_image(drawn, drawn.spots[0]).shape
     (96, 96)
     """
-    measured, out = load(design), Path(folder)
-    if (out / "manifest.csv").exists():
-        raise InputError(f"{out}: holds a dataset; name another folder, or remove this one first")
-    law = [p1_px, p2_px, peak_dn]
-    if model is None:
-        if None in law:
-            raise InputError("simulate_dataset: p1_px, p2_px or peak_dn is missing; give all three, or a model.yaml")
-        numbers = [float(value) for value in law if value is not None]
-        name, extended = "simulate_dataset", _build_baseline_model(measured, ExposureLaw(*numbers))
-    else:
-        if law != [None] * 3:
-            raise InputError("simulate_dataset: a model has p1_px, p2_px and peak_dn of its own; give it or these")
-        name, extended = Path(model).name, read_model(Path(model))
-    camera = read_data_sheet(measured.instrument) if sensor is None else check_sensor(sensor)
+    dataset, new_folder = load(design), Path(folder)
+    if (new_folder / "manifest.csv").exists():
+        raise InputError(f"{new_folder}: holds a dataset; name another folder, or remove this one first")
+    name, extended = _choose_model(dataset, [p1_px, p2_px, peak_dn], model)
+    camera = read_data_sheet(dataset.instrument) if sensor is None else check_sensor(sensor)
     if not np.isfinite(camera.full_scale_dn):
         raise InputError("sensor: full_scale_dn is infinite; give the largest reading, such as 1023 for 10 bit")
     inputs = [] if model is None else [model]
-    destination = Destination(out, out / EXPECTED, seed, provenance.code_digest(__name__), inputs)
-    simulate_extended(measured, extended, camera, destination, name)
-    return load(out)
+    destination = Destination(new_folder, new_folder / EXPECTED, seed, provenance.code_digest(__name__), inputs)
+    simulate_extended(dataset, extended, camera, destination, name)
+    return load(new_folder)
+
+
+def _choose_model(design: Dataset, law: list[float | None], model: str | Path | None) -> tuple[str, ExtendedModel]:
+    """Return a name for messages and the model to simulate: that of a model.yaml, or the baseline with an exposure law.
+
+    `law` is p1 [px], p2 [px] and peak [DN]. Raises `InputError` unless either all three or `model` are given.
+    """
+    if model is not None:
+        if law != [None] * 3:
+            raise InputError("simulate_dataset: a model has p1_px, p2_px and peak_dn of its own; give it or these")
+        return Path(model).name, read_model(Path(model))
+    if None in law:
+        raise InputError("simulate_dataset: p1_px, p2_px or peak_dn is missing; give all three, or a model.yaml")
+    exposure_law = ExposureLaw(*(float(value) for value in law if value is not None))
+    return "simulate_dataset", _build_baseline_model(design, exposure_law)
 
 
 def read_data_sheet(instrument: Instrument) -> SensorModel:
@@ -96,31 +107,30 @@ def read_data_sheet(instrument: Instrument) -> SensorModel:
     for key in ("gain_dn_per_e", "read_noise_e", "bit_depth"):
         if getattr(sheet, key) is None:
             raise InputError(f"instrument.yaml: key sensor.{key} is missing; give it, or a sensor")
-    assert sheet.gain_dn_per_e is not None and sheet.read_noise_e is not None and sheet.bit_depth is not None
-    return SensorModel(
-        sheet.gain_dn_per_e,
-        sheet.read_noise_e,
-        sheet.dark_current_e_per_s,
-        np.inf if sheet.full_well_e is None else sheet.full_well_e,
-        sheet.black_level_dn,
-        sheet.full_scale_dn or 2.0**sheet.bit_depth - 1,
-        sheet.quantum_efficiency,
-        sheet.response_bend,
-    )
+    assert sheet.bit_depth is not None
+    # Both have the same names of parameters.
+    numbers = {field.name: getattr(sheet, field.name) for field in fields(SensorModel)}
+    numbers["full_well_e"] = np.inf if sheet.full_well_e is None else sheet.full_well_e
+    numbers["full_scale_dn"] = sheet.full_scale_dn or 2.0**sheet.bit_depth - 1
+    return SensorModel(**numbers)
 
 
 def _build_baseline_model(design: Dataset, law: ExposureLaw) -> ExtendedModel:
-    """Return the paper's model without effects, with every spot in the middle of a frame larger than its crop."""
+    """Return the baseline of a design as a model without effects or known spots, for frames larger than a crop.
+
+    Spots without a known place are simulated in the middle of the frame. Raises `InputError` if the design has no
+    exposure law, or if the law gives a peak or a width that is not above 0.
+    """
     baseline = of_instrument(design.instrument, design.exposures)
     if baseline.photon_budget == "free":
         raise InputError(
             "simulate_dataset: p1_px, p2_px and peak_dn are a law in exposure, and the design has no exposures or"
             " the photon budget free; give a model.yaml with a peak and a width for every spot"
         )
-    widths = [float(baseline.sigma(t, law.p1, law.p2)) for t in design.exposures]
-    if not (law.peak_dn > 0 and min(widths) > 0):
+    least_px = min(float(baseline.sigma(t, law.p1, law.p2)) for t in design.exposures)
+    if not (law.peak_dn > 0 and least_px > 0):
         raise InputError(
-            f"simulate_dataset: peak_dn is {law.peak_dn:g} and the least width {min(widths):g} px; both must be above 0"
+            f"simulate_dataset: peak_dn is {law.peak_dn:g} and the least width {least_px:g} px; both must be above 0"
         )
     side = CANVAS * design.instrument.crop_px
-    return ExtendedModel(law, baseline.longest_s, baseline.longest_s, side, side, (), {})
+    return ExtendedModel(law, baseline.longest_s, baseline.longest_s, rows=side, columns=side, effects=(), spots={})

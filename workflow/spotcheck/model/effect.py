@@ -1,7 +1,9 @@
 """The records of an effect: name, parameters, and for each variant the functions that act at stages of the chain.
 
-One file holds one effect. What other code needs to know about an effect is an attribute of `Effect`; nothing depends
-on its name or on the text of a variant.
+An effect is a deviation from the baseline model. A variant is one of several formulas for it, which files call `form`.
+A stage is one link of the chain from laser to reading (`Stage`), and a step is a function at a stage. One file holds
+one effect. All that other code must know about an effect is an attribute of `Effect`: nothing depends on its name or on
+the text of a variant.
 """
 
 import inspect
@@ -18,7 +20,7 @@ from spotcheck.sensor import SensorModel
 
 
 class Need(Enum):
-    """Conditions that a design must vary for an effect to show, in words."""
+    """Requirements on the frames of a dataset for an effect to be measurable, in words."""
 
     EXPOSURES = "several exposures"
     THREE_EXPOSURES = "three exposures"
@@ -29,14 +31,16 @@ class Need(Enum):
     LAW = "a law of the light in exposure"
 
 
-# Properties of the spot that an effect may be a law of.
+# Properties of the spot whose change from frame to frame an effect may describe by a law (`Effect.law_of`).
 PROPERTIES = ("brightness", "width")
-# Starting values [deg] of a direction after which half a turn changes nothing.
+# Nodes of Gauss–Hermite quadratures, which are exact for polynomials up to degree 9.
+HERMITE_NODES = 5
+# Starting values [deg] for the direction of something that looks the same after half a turn, such as an ellipse.
 DIRECTIONS = (0.0, 45.0, 90.0, 135.0)
 
 
 class Scope(Enum):
-    """Which frames share a random number or field."""
+    """The frames that share a drawn number or field: none, those of a site, or all of the sensor."""
 
     FRAME = "frame"
     SITE = "site"
@@ -44,13 +48,13 @@ class Scope(Enum):
 
 
 class Only(Enum):
-    """The variant of an effect that has one."""
+    """The only variant of an effect; files leave its text out."""
 
     ONLY = ""
 
 
 class Pedestal(Enum):
-    """Variants of a pedestal: light, with shot noise, or electronics, without."""
+    """Variants of a pedestal: of light, with shot noise, or of the electronics, without."""
 
     LIGHT = "light"
     ELECTRONIC = "electronic"
@@ -67,41 +71,42 @@ class EffectScales:
     shortest_s: float  # shortest exposure [s]
     read_noise_e: float  # stated read noise [e-]
     gain_dn_per_e: float  # gain K [DN/e-]
-    width_exponent: float  # power of the exposure that comes nearest to p1 ln t + p2
+    width_exponent: float  # exponent of the power of the exposure t that is nearest to the width p1 ln t + p2
     longest_s: float  # longest exposure [s]
-    waves: tuple[tuple[float, float], ...] = ()  # stripes in residuals: period [px] and direction [deg]
-    copies: tuple[tuple[float, float], ...] = ()  # copies of the spot in residuals: dx, dy [px]
+    waves: tuple[tuple[float, float], ...] = ()  # stripes found in residuals: (period [px], direction [deg])
+    copies: tuple[tuple[float, float], ...] = ()  # copies of the spot found in residuals: (dx, dy) [px]
 
 
+# A number in the unit of a parameter, or a function that derives it from the scales of a dataset.
 Bound = float | Callable[[EffectScales], float]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect."""
+    """A parameter of an effect, with its unit and limits."""
 
-    name: str  # name, which the functions take it by
-    unit: str  # unit, 1 for none
-    low: Bound = -np.inf  # lowest value, a number or a function of the scales; a direction has no bounds
-    high: Bound = np.inf  # highest value
-    negligible: Bound = 0.0  # distance from where the effect vanishes below which a user would call it nothing
-    is_variant_specific: bool = False  # whether it is a constant of the variant: fitted, and reported as part of it
+    name: str  # name by which functions take it
+    unit: str  # unit; "1" for none
+    low: Bound = -np.inf  # lowest value; −∞ for a direction, which has no bounds
+    high: Bound = np.inf  # highest value; ∞ for a direction
+    negligible: Bound = 0.0  # distance from `Effect.vanishes_at` that a user would call zero
+    is_variant_specific: bool = False  # whether only some variants have it; it is then reported as part of the variant
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
     """A function at a stage. It takes the arguments of the stage and, by name, parameters of the effect."""
 
-    stage: Stage  # where it acts
-    function: Callable[..., Any]  # arguments and result are those of `Stage`
-    # Derivatives of the result by parameters, by name; functions with the same arguments. For stages in which the light
-    # is proportional to the result (brightness) or contains it as a sum (pedestal).
+    stage: Stage  # stage at which it acts
+    function: Callable[..., Any]  # arguments and result are those of the stage
+    # Parameter → function of the same arguments that returns the derivative of the result by it. Only for stages where
+    # the light is proportional to the result (brightness) or contains it as a term (pedestal).
     derivatives: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
-    # Parameter [DN] that readings follow in whole steps only, since rounding comes behind it; "" if none.
+    # Parameter [DN] on which readings depend in steps of 1 DN, since they are rounded afterwards; "" if none.
     rounded: str = ""
 
     def keyword_names(self) -> tuple[str, ...]:
-        """Return the names of the parameters that it takes."""
+        """Return the names of the arguments that its functions take by name."""
         return keyword_names_of(self.function)
 
 
@@ -109,16 +114,16 @@ class Step:
 class RandomStep:
     """A function at a stage that takes a random number or field as its last argument before the parameters."""
 
-    stage: Stage  # where it acts
-    function: Callable[..., Any]  # arguments are those of `Stage`, then what was drawn
-    scope: Scope  # which frames share what is drawn
-    # (rng, shape [rows, columns] of the frame, parameters by name) → random number or field
+    stage: Stage  # stage at which it acts
+    function: Callable[..., Any]  # arguments are those of the stage, then the drawn number or field
+    scope: Scope  # frames that share a draw
+    # (rng, shape (rows, columns) of the frame, parameters by name) → a number, or a field that broadcasts with frames
     draw: Callable[..., Any]
-    # (parameters by name) → quadrature values [node] and weights [node] of the draw in one pixel; weights sum to 1
+    # (parameters by name) → values [node] and weights [node]; their weighted sums are means over the draw in a pixel
     quadrature: Callable[..., tuple[np.ndarray, np.ndarray]]
 
     def keyword_names(self) -> tuple[str, ...]:
-        """Return the names of the parameters that it takes."""
+        """Return the names of the arguments that its functions take by name."""
         return keyword_names_of(self.function, self.draw, self.quadrature)
 
 
@@ -129,24 +134,25 @@ class Effect:
     Parameters
     ----------
     name : a word of small letters, digits and underscores.
-    sentence : what a person is told, from a small letter on and without a full stop.
-    parameters : the strength first.
-    variants : for each variant (a member of an enum, whose value is its text in files) its steps.
-    starts : starting values of all parameters for a fit, one or more, from the scales of a dataset.
-    reference : where the formula comes from.
+    sentence : what the effect does, for users; it starts with a small letter and has no full stop.
+    parameters : parameters of all variants; the first is the strength, the size of the effect.
+    variants : variant → its steps; a variant is a member of an enum, whose value is its text in files.
+    starts : function from the scales of a dataset to one or more tuples of starting values of all parameters.
+    reference : source of the formula.
     number : place in the vocabulary, from 1; 0 for the next free one. Random draws depend on it.
     vanishes_at : value of the strength without effect; infinity for a clip, NaN if it depends on the dataset.
-    noun : what the strength is the size of, as in "no clip below 930 DN"; by default the name of the parameter.
-    is_share : whether the strength is a part of something, which is written in per cent.
+    noun : quantity whose size is the strength, as in "no clip below 930 DN"; by default the name of the parameter.
+    is_share : whether the strength is a share of something, which is written in per cent.
     is_static_shape : whether it changes the shape of the light in the same way in every frame.
-    law_of : property of the spot for which it is a law across frames, "brightness" or "width"; "" for none.
-    acts_on_noise : whether it changes the noise and hardly the mean, so that scatter tells it.
-    needs : what a design must vary for it to show.
+    law_of : property of the spot whose change from frame to frame it describes, "brightness" or "width"; "" for none.
+    acts_on_noise : whether it changes the noise and hardly the mean, so that it is found in the scatter of readings.
+    needs : what the frames of a dataset must have for it to be measurable.
     special_cases : effects that are special cases of it, by name or by the property that they are a law of.
-    replaces : parameters of the baseline that lose their meaning.
-    hidden_in_flats : why levels of flats and darks cannot show it; "" where they can.
-    instrument_keys : from a sensor, the variant and the parameters by name: values of the keys of instrument.yaml with
-        which the baseline does what the effect does; {} for none. None if no variant has any.
+    replaces : parameters of the exposure law (p1, p2, peak_dn) that have no meaning beside it.
+    hidden_in_flats : reason why flats and darks at several light levels cannot show it; "" if they can.
+    instrument_keys : function of a sensor, the variant and the parameters by name. It returns the keys of
+        instrument.yaml, with values, that make the baseline do the same as the effect; {} if there are none. None if
+        no variant has such keys.
     """
 
     name: str
@@ -175,26 +181,26 @@ class Effect:
         return tuple(stage for stage in Stage if stage in used)
 
     def parameters_of(self, variant: Enum) -> list[Parameter]:
-        """Return the parameters that a variant has: of the constants of variants, those that its functions take."""
+        """Return the parameters that a variant has: general ones, and variant-specific ones that its functions take."""
         used = {name for step in self.variants[variant] for name in step.keyword_names()}
         return [p for p in self.parameters if not p.is_variant_specific or p.name in used]
 
     def variant_named(self, text: str | None) -> Enum | None:
-        """Return the variant of a text in files; None if there is none."""
+        """Return the variant whose text in files is `text`; None if there is none."""
         return next((variant for variant in self.variants if variant.value == text), None)
 
     def apply(self, values: Mapping[str, float], form: str | None = None) -> "AppliedEffect":
-        """Return the effect with values of all parameters that its variant has.
+        """Return the effect with a variant and the values of all parameters that the variant has.
 
         Parameters
         ----------
         values : values by the names of parameters, each in its unit.
-        form : text of the variant in files; None if there is only one, or for the one without a text.
+        form : text of the variant in files; None for the only variant, or for the one whose text is empty.
 
         Raises
         ------
         ValueError
-            If there is no such variant, or if its parameters are others; the text says what would be right.
+            If there is no such variant, or if it has other parameters; the message says what would be right.
         """
         forms = [variant.value for variant in self.variants]
         variant = self.variant_named(forms[0] if form is None and len(forms) == 1 else form or "")
@@ -214,7 +220,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect in a model, as `Effect.apply` makes it."""
+    """An effect in a model: with its variant and the values of its parameters (`Effect.apply`)."""
 
     effect: Effect
     variant: Enum  # one of its variants
@@ -222,85 +228,92 @@ class AppliedEffect:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Values by name."""
+        """Values of all parameters by name; NaN for those that the variant does not have."""
         return {parameter.name: value for parameter, value in zip(self.effect.parameters, self.values, strict=True)}
 
     def with_value(self, name: str, value: float) -> "AppliedEffect":
-        """Return the effect with another value of one parameter."""
+        """Return the effect with one parameter set to a new value."""
         return replace(self, values=tuple((self.parameters | {name: value}).values()))
 
     def steps_at(self, stage: Stage) -> Iterator["AppliedStep"]:
-        """Return the steps of the variant at a stage."""
+        """Return the steps of the variant that act at a stage, in their order."""
         return (AppliedStep(step, self) for step in self.effect.variants[self.variant] if step.stage is stage)
 
     def instrument_keys(self, sensor: SensorModel) -> Mapping[str, float]:
-        """Return the values of keys of instrument.yaml with which a sensor does what the effect does; {} for none."""
-        keys_of = self.effect.instrument_keys
-        return {} if keys_of is None else keys_of(sensor, self.variant, **self.parameters)
+        """Return keys of instrument.yaml, with values, that make a sensor act as the effect does; {} if none can."""
+        function = self.effect.instrument_keys
+        return {} if function is None else function(sensor, self.variant, **self.parameters)
 
 
 @dataclass(frozen=True)
 class AppliedStep:
     """A step with the parameters of its effect: a function of the arguments of its stage.
 
-    Steps that compare equal do the same, so that tables can be kept for them.
+    Steps that compare equal return the same, so that cached tables can be reused for them.
     """
 
-    step: Step | RandomStep  # which step
-    applied: AppliedEffect  # the effect that it belongs to
+    step: Step | RandomStep  # the step without parameters
+    applied: AppliedEffect  # the effect to which it belongs
     full_scale_dn: float = np.inf  # largest reading [DN], for functions that take it by name
 
     def __call__(self, *arguments: Any) -> Any:
+        """Return the result of the step's function for the arguments of its stage."""
         return self.call(self.step.function, *arguments)
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a function of the step with the parameters that it names."""
+        """Return the result of one of the step's functions, such as a derivative or a draw.
+
+        `arguments` are passed by position. Keyword-only arguments of the function get the parameters of the effect with
+        the same names, NaN for those that the variant does not have, or `full_scale_dn`.
+        """
         values = self.applied.parameters | {"full_scale_dn": self.full_scale_dn}
         return function(*arguments, **{name: values[name] for name in keyword_names_of(function)})
 
     @property
-    def random(self) -> RandomStep | None:
-        """The step if it takes a random number or field, else None."""
+    def random_step(self) -> RandomStep | None:
+        """The step if it takes a drawn number or field, else None."""
         return self.step if isinstance(self.step, RandomStep) else None
 
-    def average(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return values and weights that average over what a random step draws."""
-        assert self.random is not None
-        return self.call(self.random.quadrature)
+    def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return values [node] and weights [node] whose weighted sums are means over the draw of a random step."""
+        assert self.random_step is not None
+        return self.call(self.random_step.quadrature)
 
 
 @cache
 def keyword_names_of(*functions: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the names of the parameters of an effect that functions take: their keyword-only arguments."""
+    """Return the keyword-only arguments of functions: parameters of an effect, or `full_scale_dn`."""
     return tuple(name for function in functions for name in inspect.getfullargspec(function).kwonlyargs)
 
 
 def multiply(frame, value, factor):
-    """Return a value, such as a peak or a light [DN], times what was drawn: for random steps."""
+    """Return a value, such as a peak or a light [DN], times the drawn `factor` [1]: a function of random steps."""
     return value * factor
 
 
 def normal_draws(name: str, transform: Callable[..., Any] = np.asarray, size: Callable[..., Any] = lambda shape: ()):
-    """Return `draw` and `quadrature` of a random step whose values are a function of normal numbers.
+    """Return the functions `draw` and `quadrature` of a random step that draws transformed normal numbers.
 
     Parameters
     ----------
     name : str
-        Parameter that is the standard deviation of the normal numbers; their mean is 0.
+        Parameter of the effect that is the standard deviation of the normal numbers; their mean is 0.
     transform : function
-        Makes values of normal numbers; by default the numbers themselves.
+        Function from normal numbers to drawn values; by default the numbers themselves.
     size : function
-        Size of what is drawn, from the shape [rows, columns] of the frame; by default one number.
+        Function from the shape (rows, columns) of the frame to the shape of a draw; by default one number.
     """
 
     def draw(rng, shape, **parameters):
+        """Return a draw for a frame of a shape (rows, columns)."""
         return transform(parameters[name] * rng.standard_normal(size(shape)))
 
     def quadrature(**parameters):
-        # Gauss–Hermite: exact for polynomials of degree 9.
-        nodes, weights = np.polynomial.hermite_e.hermegauss(5)
+        """Return the transformed nodes of Gauss and Hermite and their weights [node]."""
+        nodes, weights = np.polynomial.hermite_e.hermegauss(HERMITE_NODES)
         return transform(parameters[name] * nodes), weights / weights.sum()
 
+    # `keyword_names_of` reads the name of the parameter from the signature.
     signature = inspect.Signature([inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY)])
     draw.__signature__ = quadrature.__signature__ = signature  # type: ignore[attr-defined]
     return draw, quadrature

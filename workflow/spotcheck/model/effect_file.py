@@ -1,4 +1,8 @@
-"""An effect from a file outside the library, checked as a whole before anything runs with it."""
+"""Read an effect from a Python file of the user, and check it as a whole before anything runs with it.
+
+An effect is a deviation from the baseline model; a variant is one of several formulas for it. A step is a function that
+acts at a stage of the chain from laser to reading; a random step also takes a number or field that is drawn.
+"""
 
 import inspect
 import re
@@ -23,33 +27,43 @@ from spotcheck.model.forward import LAW_PARAMETERS, ForwardModel, RandomStreams
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import SensorModel
 
-# Scales of a spot as the paper has it, and the camera on which an effect is tried, with frames of so many pixels.
-EXAMPLE = EffectScales(18.0, 640.0, 1023.0, 240.0, 1e-4, 13.0, 0.11, 0.17, 9e-4)
+# Scales of a spot as the paper has it, for which bounds and starting values are evaluated.
+EXAMPLE = EffectScales(
+    sigma_px=18.0, peak_dn=640.0, full_scale_dn=1023.0, crop_px=240.0, shortest_s=1e-4, read_noise_e=13.0,
+    gain_dn_per_e=0.11, width_exponent=0.17, longest_s=9e-4,
+)  # fmt: skip
+# Camera and frame size with which the effect is simulated.
 SENSOR = SensorModel(0.11, 13.0, black_level_dn=12.0, full_scale_dn=1023.0)
-ROWS, COLUMNS = 10, 12
+ROWS, COLUMNS = 10, 12  # [px]
 GRID = crop_grid(range(COLUMNS), range(ROWS), COLUMNS, ROWS)
-# A small spot, and the same with another exposure, another angle and another place in the order of acquisition.
+# A small spot, and the same at another exposure and angle and another place in the order of acquisition.
 FRAME = FrameConditions(GRID, 5.3, 4.6, 1e-4, 2e-4, 2e-4, angle=0.0, order=0.0, peak_dn=640.0, sigma_px=3.0)
 FRAMES = (FRAME, replace(FRAME, exposure_s=2e-4, angle=np.pi / 2, order=1.0))
 # The model without an effect.
 PLAIN = ForwardModel(Baseline(0.0, "free", False, 2e-4), SENSOR)
-# Stages whose functions are called without anything drawn.
+# Stages at which random steps are not supported.
 NEVER_RANDOM = (Stage.BLUR, Stage.ADDED_LIGHT, Stage.SMEAR, Stage.READ_NOISE, Stage.RESPONSE, Stage.DIGITAL)
-# Random numbers of one step, and how far their mean and deviation may be from those of its quadrature [deviations].
-DRAWS, MEAN_OFF, DEVIATION_OFF = 1000, 0.25, 0.3
+# Number of draws of a random step, and how far their mean and standard deviation may be from those of its quadrature,
+# both in standard deviations of the quadrature.
+DRAWS, MAX_MEAN_ERROR, MAX_DEVIATION_ERROR = 1000, 0.25, 0.3
+# Signals [full scale] at which functions of the sensor must not decrease, and the decrease that counts as rounding.
+SIGNAL_RANGE, SIGNALS, DECREASE_TOLERANCE = (-0.1, 3.0), 2000, 1e-9
+# Largest change of readings [full scale] by an effect at the strength where it vanishes.
+VANISHED_TOLERANCE = 1e-6
 
 
 def read_effect(path: Path) -> tuple[Effect, str]:
-    """Return the effect that a Python file defines as `EFFECT`, and the file's SHA-256 in hex.
+    """Return the effect that a Python file defines as `EFFECT`, and the SHA-256 of the file in hex.
 
-    Raises `InputError` if there is no file, if it cannot be run, and if it defines no usable effect.
+    Raises `InputError`, with the line of the file if possible, if there is no file, if it cannot be run, or if it
+    defines no usable effect.
     """
     if not path.is_file():
         raise InputError(f"{path}: is no file; name a Python file that defines EFFECT")
     try:
         with _explain_errors("", "it must be Python that can be run without an error"):
             digest = file_digest(path)
-            # No bytecode is kept beside the user's file.
+            # `run_path` writes no bytecode next to the user's file.
             effect: Any = runpy.run_path(str(path)).get("EFFECT")
         with _explain_errors("EFFECT: ", "its attributes must be as spotcheck.model.effect.Effect says"):
             _check_attributes(effect)
@@ -58,16 +72,17 @@ def read_effect(path: Path) -> tuple[Effect, str]:
                 for variant in effect.variants:
                     _check_use(AppliedEffect(effect, variant, start))
     except InputError as fault:
+        # The last line of the user's file in the traceback, or the line of a syntax error.
         cause = fault.__cause__
-        frames = traceback.extract_tb(cause.__traceback__ if cause else None)
-        lines = [frame.lineno for frame in frames if frame.filename == str(path)] or [getattr(cause, "lineno", None)]
+        calls = traceback.extract_tb(cause.__traceback__ if cause else None)
+        lines = [call.lineno for call in calls if call.filename == str(path)] or [getattr(cause, "lineno", None)]
         raise InputError(f"{path} line {lines[-1]}: {fault}" if lines[-1] else f"{path}: {fault}") from None
     return effect, digest
 
 
 @contextmanager
 def _explain_errors(what: str, remedy: str) -> Iterator[None]:
-    """Turn an error of the user's code into an `InputError` that says what raised it and what would be right."""
+    """Turn an error of the user's code into an `InputError`: `what` raised it, the error, and `remedy`."""
     try:
         yield
     except InputError:
@@ -78,15 +93,16 @@ def _explain_errors(what: str, remedy: str) -> Iterator[None]:
         raise InputError(f"{what}{text}; {remedy}") from error
 
 
-# Checks raise `InputError`, without the path, for the first fault: what is wrong, and what would be right.
+# The checks below raise `InputError` for the first fault. The message says what is wrong and what would be right; the
+# path is added by `read_effect`.
 
 
 def _check_attributes(effect: Any) -> None:
-    """Check what the attributes of an effect are, but for variants, bounds and starts."""
+    """Check types and values of the attributes of an effect, except variants, bounds and starting values."""
     if not isinstance(effect, Effect):
         what = "defines no EFFECT" if effect is None else f"EFFECT is of type {type(effect).__name__}"
         raise InputError(f"{what}; it must say EFFECT = Effect(name=…, …) with spotcheck.model.effect.Effect")
-    # A verdict speaks of `all` effects in the place of a name.
+    # In a verdict the name "all" stands for all effects.
     if not isinstance(effect.name, str) or not re.fullmatch(r"(?!all$)[a-z][a-z0-9_]*", effect.name):
         raise InputError(f"name is {effect.name!r}; it must be a word of small letters, digits and _, and not all")
     if not isinstance(effect.sentence, str) or not re.search(r"[^.\s]$", effect.sentence):
@@ -96,9 +112,10 @@ def _check_attributes(effect: Any) -> None:
     if effect.law_of not in ("", *PROPERTIES):
         raise InputError(f"law_of is {effect.law_of!r}; it must be one of {', '.join(PROPERTIES)}, or left out")
     for attribute in ("parameters", "needs", "replaces", "special_cases"):
-        values, (kind, _) = getattr(effect, attribute), get_args(get_type_hints(Effect)[attribute])
-        if not isinstance(values, tuple) or not all(isinstance(value, kind) for value in values):
-            raise InputError(f"{attribute} is {values!r}; it must be a tuple of {kind.__name__}: (…,)")
+        # The type hint is tuple[type of the elements, ...].
+        values, (element_type, _) = getattr(effect, attribute), get_args(get_type_hints(Effect)[attribute])
+        if not isinstance(values, tuple) or not all(isinstance(value, element_type) for value in values):
+            raise InputError(f"{attribute} is {values!r}; it must be a tuple of {element_type.__name__}: (…,)")
     if not set(effect.replaces) <= set(LAW_PARAMETERS):
         raise InputError(f"replaces is {effect.replaces}; it must hold words out of {', '.join(LAW_PARAMETERS)}")
     names = [parameter.name for parameter in effect.parameters]
@@ -112,7 +129,7 @@ def _check_attributes(effect: Any) -> None:
 
 
 def _check_variants(effect: Effect) -> None:
-    """Check the steps of each variant, and the arguments of their functions."""
+    """Check the steps of each variant, their stages, and the arguments of their functions."""
     names = [parameter.name for parameter in effect.parameters]
     if not isinstance(effect.variants, dict) or not effect.variants:
         raise InputError("variants must be a dict from members of an Enum to tuples of Step or RandomStep")
@@ -129,13 +146,14 @@ def _check_variants(effect: Effect) -> None:
                 raise InputError(f"a RandomStep cannot act {where}; make it a Step, or take another stage")
             arguments = [*step.stage.value.arguments.split(", "), *(["drawn"] if is_random else [])]
             with _explain_errors(f"function {where}: ", f"it must be f({', '.join([*arguments, '*', *names])})"):
+                # `bind` raises TypeError if the function cannot be called like this.
                 inspect.signature(step.function).bind(*arguments, **dict.fromkeys(keyword_names_of(step.function)))
             if unknown := sorted({*step.keyword_names()} - {*names, "full_scale_dn"}):
                 raise InputError(f"a function {where} takes {unknown[0]}, which is no parameter; name it in parameters")
 
 
 def _check_starts(effect: Effect) -> list[tuple[float, ...]]:
-    """Check bounds and starting values, and return the latter."""
+    """Check bounds and starting values of the parameters; return one tuple of values for each start."""
     names = [parameter.name for parameter in effect.parameters]
     with _explain_errors("parameters: bounds raise ", "they must be numbers or functions of the EffectScales"):
         low, high = effect.bounds(EXAMPLE).T
@@ -154,7 +172,7 @@ def _check_starts(effect: Effect) -> list[tuple[float, ...]]:
 
 
 def _check_use(applied: AppliedEffect) -> None:
-    """Check keys of instrument.yaml, draws, and readings of a small frame."""
+    """Check that an effect with values sets valid keys of instrument.yaml and gives usable readings and draws."""
     effect, values = applied.effect, ", ".join(f"{name} = {value:g}" for name, value in applied.parameters.items())
     sections = read_schema("instrument")["properties"].items()
     with _explain_errors("instrument_keys raises ", "it must be f(sensor, variant, *, …) and give sensor.key"):
@@ -164,35 +182,36 @@ def _check_use(applied: AppliedEffect) -> None:
     remedy = f"at {values} it must return finite numbers that broadcast over rows and columns"
     with _explain_errors("function raises ", remedy):
         model = replace(PLAIN, effects=(applied,))
-        signal, distribution = np.linspace(-0.1, 3.0, 2000) * SENSOR.full_scale_dn, model.distribution()
+        signal, distribution = np.linspace(*SIGNAL_RANGE, SIGNALS) * SENSOR.full_scale_dn, model.distribution()
         for transfer in (*distribution.charge, *distribution.response, *distribution.digital):
-            if np.any(np.diff(transfer(signal)) < -1e-9 * SENSOR.full_scale_dn):
+            if np.any(np.diff(transfer(signal)) < -DECREASE_TOLERANCE * SENSOR.full_scale_dn):
                 raise InputError(f"function returns less for a larger signal at {values}; it must never decrease there")
         readings = [model.sample(FRAME, RandomStreams(1, 0, 0))]
-        readings += [part for frame in FRAMES for part in model.expected(frame)]
-        if not all(np.shape(part) == (ROWS, COLUMNS) and np.isfinite(part).all() for part in readings):
+        readings += [moment for frame in FRAMES for moment in model.expected(frame)]
+        if not all(np.shape(image) == (ROWS, COLUMNS) and np.isfinite(image).all() for image in readings):
             raise InputError(f"function makes readings that are not finite or not one for each pixel; {remedy}")
         for stage in effect.stages:
             _check_draws(applied, stage)
+        # An effect with special cases turns into one of them at this strength instead of vanishing.
         if np.isfinite(effect.vanishes_at) and not effect.special_cases:
             model = replace(PLAIN, effects=(applied.with_value(effect.parameters[0].name, effect.vanishes_at),))
             change = model.expected(FRAME).mean - PLAIN.expected(FRAME).mean
-            if np.max(np.abs(change)) > 1e-6 * SENSOR.full_scale_dn:
+            if np.max(np.abs(change)) > VANISHED_TOLERANCE * SENSOR.full_scale_dn:
                 raise InputError(f"vanishes_at is {effect.vanishes_at:g}, but it still changes readings there")
 
 
 def _check_draws(applied: AppliedEffect, stage: Stage) -> None:
-    """Check that what the random steps at a stage draw agrees with the quadratures that stand for it."""
+    """Check that draws of the random steps at a stage have the mean and standard deviation of their quadratures."""
     for step in applied.steps_at(stage):
-        if step.random:
+        if step.random_step:
             rng, drawn = np.random.default_rng(1), np.empty(0)
             while drawn.size < DRAWS:
-                drawn = np.append(drawn, step.call(step.random.draw, rng, (ROWS, COLUMNS)))
-            values, weights = step.average()
+                drawn = np.append(drawn, step.call(step.random_step.draw, rng, (ROWS, COLUMNS)))
+            values, weights = step.quadrature()
             mean = float(weights @ values)
             deviation, total = float(np.sqrt(weights @ (values - mean) ** 2)), np.sum(weights)
-            is_off = abs(drawn.mean() - mean) > MEAN_OFF * deviation
-            is_off |= abs(drawn.std() - deviation) > DEVIATION_OFF * deviation
+            is_off = abs(drawn.mean() - mean) > MAX_MEAN_ERROR * deviation
+            is_off |= abs(drawn.std() - deviation) > MAX_DEVIATION_ERROR * deviation
             if is_off or not np.isclose(total, 1.0):
                 raise InputError(
                     f"draw at the stage {stage.title} has the mean {drawn.mean():.3g} and the deviation"

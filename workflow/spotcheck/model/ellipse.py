@@ -3,13 +3,23 @@
 import numpy as np
 
 
-def make_round(dx, dy, ratio, axis):
-    """Return displacements [px] shortened along `axis` [rad] and lengthened across it: those of a round spot.
+def make_round(dx, dy, ratio, axis_rad):
+    """Map displacements from the centre of an elliptical spot to those of a round spot of equal area.
 
-    The area stays the same: the axes have the ratio long/short = `ratio`. The matrix is symmetric, so that two
-    ellipses one behind the other keep their directions, and dx and dy that each vary along one axis make single sums.
+    A round spot has at the returned (dx, dy) the light that the ellipse has at the given ones.
+
+    Parameters
+    ----------
+    dx, dy : arrays that broadcast, such as [1, column] and [row, 1]
+        Displacements to the right and down [px].
+    ratio : float
+        Long axis divided by short axis [1]. Lengths along the long axis are divided by √`ratio`, those across it are
+        multiplied by √`ratio`.
+    axis_rad : float or array that broadcasts
+        Direction of the long axis [rad], from +x towards +y.
     """
-    root, cos, sin = np.sqrt(ratio), np.cos(axis), np.sin(axis)
+    # The matrix is symmetric, hence no rotation: a second ellipse may follow with its own direction.
+    root, cos, sin = np.sqrt(ratio), np.cos(axis_rad), np.sin(axis_rad)
     xx = cos * cos / root + sin * sin * root
     yy = sin * sin / root + cos * cos * root
     xy = cos * sin * (1 / root - root)

@@ -1,12 +1,14 @@
-"""The forward model: what a frame reads, on average, by how much it scatters, and at random.
+"""The forward model: mean and variance of the readings of a frame, their derivatives, and random frames.
 
-`expected`, `jacobian` and `sample` go through the same stages in the same order: `light` up to the pixels,
-`sensor_input` and `distribution` those of the sensor, which become one `ReadingDistribution`.
+An effect has steps: functions that act at stages of the chain from laser to reading. A random step also takes a number
+or field that is drawn; `drawn` holds these draws by step. `expected`, `jacobian` and `sample` go through the same
+stages in the same order: `light` up to the gains of pixels, then `sensor_input` and `distribution`, which make one
+`ReadingDistribution` of the stages of the sensor.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial, reduce
+from functools import lru_cache, reduce
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -19,78 +21,89 @@ from spotcheck.model.light import NOTHING_DRAWN, Drawn, ExposureLaw, Light, Ligh
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments, ReadingTable, SensorModel
 
-# Random steps at these stages act on the reading of each pixel through a table of its own.
+# Random steps at these stages are averaged in the tables of readings, as each pixel has a draw of its own.
 TABULATED = (Stage.SPECKLE_FIELD, Stage.WELL)
 # Stages whose parameters are differentiated through new tables, all others through the slopes of one table.
 SENSOR_STAGES = tuple(Stage)[tuple(Stage).index(Stage.PIXEL_GAIN) :]
-# Brightest grain that tables of granular light are made for [mean]; the table behind it is constant beyond.
+# Light of the brightest grain for which tables of granular light are made, over the mean light [1]. Readings of
+# brighter grains count as those of this one.
 BRIGHTEST_GRAIN = 16.0
-# Digits [DN] to which pedestals are even beside grains: those of single pixels differ by rounding.
+# Decimals of a pedestal [DN] to which pixels must agree for it to count as even: rounding differs between pixels.
 EVEN_DIGITS = 9
-# Relative step of central differences in parameters of the light and of the sensor; the latter is larger, since tables
-# are interpolated.
+# Relative steps of central differences: for parameters of the light, and for those of the sensor, where interpolated
+# tables need a larger step.
 LIGHT_STEP, SENSOR_STEP = 1e-5, 1e-3
-# Dark noise [DN] that hides the rounding: the mean reading is then a straight line in an offset to 1e-4 DN.
+# Least dark noise [DN] with which rounding is negligible: the mean reading is linear in an offset to 1e-4 DN.
 HIDDEN_ROUNDING = 0.7
-# Distance of readings from the ends of the converter [standard deviations] at which these change nothing.
+# Distance [standard deviations] of readings from the ends of the converter from which on these have no influence.
 FAR_FROM_ENDS = 4.5
-# Parameters of the law.
+# Distance of the tables between which offsets of pixels are interpolated: this part of the noise in the dark, and at
+# least so much [DN].
+OFFSET_STEP, LEAST_OFFSET_STEP_DN = 1 / 4, 1e-3
+# Nodes of the cubic through four neighbouring tables: an offset lies between nodes 0 and 1.
+CUBIC_NODES = (-1, 0, 1, 2)
+# Least variance of readings of granular light, over that without offsets: a guard of the sum of two corrections.
+LEAST_VARIANCE_SHARE = 0.1
+# Least scale of the step in a parameter of an effect, in its unit, and of the law or the frame.
+LEAST_EFFECT_SCALE, LEAST_LAW_SCALE = 1e-3, 1.0
+# Parameters of the exposure law, `ExposureLaw`.
 LAW_PARAMETERS = ("p1", "p2", "peak_dn")
 
 
 class ExpectedReading(NamedTuple):
-    """Mean and variance of the readings of a frame over everything that is random."""
+    """Mean and variance of each reading of a frame over everything that is random."""
 
-    mean: np.ndarray  # [row, column, DN]
-    variance: np.ndarray  # [row, column, DN²]
+    mean: np.ndarray  # [row, column] in DN
+    variance: np.ndarray  # [row, column] in DN²
 
 
 @dataclass(frozen=True)
 class SensorInput:
-    """Input of the sensor in a frame, and the distribution of its readings."""
+    """Input of the sensor in a frame, and the distribution of readings as a function of the light."""
 
-    distribution: ReadingDistribution  # of a reading given its light
-    light: Light  # light of the frame [DN]
-    smear_e: np.ndarray | float  # electrons that are added behind the Poisson draw [e-]
-    offset_dn: np.ndarray | float  # what is added beside the black level [DN]
+    distribution: ReadingDistribution  # distribution of a reading given its light
+    light: Light  # light of the frame [DN]; its pedestal contains the dark electrons
+    smear_e: np.ndarray | float  # electrons without shot noise that are added to each pixel [e-]
+    offset_dn: np.ndarray | float  # offset of each pixel in addition to the black level [DN]; 0.0 if all are equal
 
 
 @dataclass(frozen=True)
 class RandomStreams:
-    """Random numbers of a frame: each belongs to a frame, a site or the sensor, and to one effect.
+    """Random numbers of a frame, each for one effect and for a frame, a site or the sensor.
 
-    A frame is the same whatever the order or number of cores, and another effect leaves the draws of all others as they
-    were.
+    A frame does not depend on the order of simulation or the number of cores. Adding an effect leaves the draws of all
+    others unchanged.
     """
 
     seed: int  # seed of all random numbers
-    frame: int  # number of the frame
-    site: int  # number of its site
+    frame: int  # number of the frame, from 0
+    site: int  # number of its site, from 0
 
     def readings(self) -> np.random.Generator:
-        """Return the generator of the frame's own noise."""
+        """Return the generator for the noise of the readings of this frame."""
         return _generator(self.seed, self.frame)
 
     def key(self, scope: Scope) -> int:
-        """Return the number of the frame or site; there is one sensor."""
+        """Return the number that identifies the frame, site or sensor of this frame; it is 0 for the one sensor."""
         return {Scope.FRAME: self.frame, Scope.SITE: self.site, Scope.SENSOR: 0}[scope]
 
 
 @dataclass(frozen=True)
 class ForwardModel(LightStages):
-    """A baseline, effects, and the camera that sees them.
+    """The model of frames: a baseline, an exposure law, effects and the camera.
 
     Parameters
     ----------
     baseline : Baseline
-        The instrument's part of the model, with the light's learned shape.
+        The part of the model that the instrument fixes, with the learned light shape.
     sensor : SensorModel
         The camera.
     law : ExposureLaw or None
-        Law of peak and width; without one each frame has its own (`FrameConditions.peak_dn`, `sigma_px`).
+        Law of peak and width over the exposure; without it each frame has its own (`FrameConditions.peak_dn`,
+        `sigma_px`).
     effects : tuple of AppliedEffect
-        Effects on top of the baseline, in any order: stages are in their order, and at a stage effects are in that of
-        their numbers.
+        Effects in addition to the baseline. Their order is irrelevant: stages act in their order, and effects at a
+        stage in the order of their numbers.
     """
 
     baseline: Baseline
@@ -99,42 +112,44 @@ class ForwardModel(LightStages):
     effects: tuple[AppliedEffect, ...] = ()
 
     def expected(self, frame: FrameConditions) -> ExpectedReading:
-        """Return mean and variance of every reading of a frame.
+        """Return mean and variance of every reading of a frame over all random numbers.
 
-        Both are over everything that is random, so that they are those of frames that `sample` draws with other seeds.
+        They are those of frames that `sample` draws with different seeds.
         """
-        parts = [(weight, self.moments(self.sensor_input(frame, drawn), drawn)) for weight, drawn in self._averages()]
-        mean = sum(weight * moments.mean for weight, moments in parts)
-        variance = sum(weight * (moments.variance + (moments.mean - mean) ** 2) for weight, moments in parts)
+        # A mixture over the draws of random steps; the law of total variance gives its variance.
+        nodes = self._quadrature_nodes()
+        mixture = [(weight, self.moments(self.sensor_input(frame, drawn), drawn)) for weight, drawn in nodes]
+        mean = sum(weight * moments.mean for weight, moments in mixture)
+        variance = sum(weight * (moments.variance + (moments.mean - mean) ** 2) for weight, moments in mixture)
         return ExpectedReading(np.asarray(mean), np.asarray(variance))
 
     def sample(self, frame: FrameConditions, streams: RandomStreams) -> np.ndarray:
         """Return one random frame [row, column] in DN (uint16)."""
         pixels = frame.pixels
         shape = (np.size(pixels.y), np.size(pixels.x))
-        drawn, levels = {}, np.inf
-        for step, random in self._random_steps():
-            drawn[step] = _draw(step, shape, streams.seed, streams.key(random.scope))
-            if random.stage is Stage.WELL:
-                levels = np.minimum(levels, drawn[step])
-        at = self.sensor_input(frame, drawn)
-        # The levels of all pixels are drawn.
-        distribution = replace(at.distribution, charge_levels=())
-        light = np.broadcast_to(at.light.total, shape)
+        drawn, levels_dn = {}, np.inf
+        for step, random_step in self._random_steps():
+            drawn[step] = _draw(step, shape, streams.seed, streams.key(random_step.scope))
+            if random_step.stage is Stage.WELL:
+                levels_dn = np.minimum(levels_dn, drawn[step])
+        inputs = self.sensor_input(frame, drawn)
+        # The level of each pixel is drawn, so the distribution of levels is dropped.
+        distribution = replace(inputs.distribution, charge_levels=())
+        light = np.broadcast_to(inputs.light.total, shape)
         return distribution.sample(
-            light, streams.readings(), smear_e=at.smear_e, charge_level=levels, offset_dn=at.offset_dn
+            light, streams.readings(), smear_e=inputs.smear_e, charge_level=levels_dn, offset_dn=inputs.offset_dn
         )
 
     def jacobian(self, frame: FrameConditions, parameters: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of mean and variance [parameter, row, column] by parameters.
+        """Return the derivatives of mean and variance [parameter, row, column] by parameters of the model.
 
         Parameters
         ----------
         frame : FrameConditions
             The frame.
         parameters : sequence of str
-            "x0", "y0" and, without a law, "peak_dn", "sigma_px" of the frame; "p1", "p2", "peak_dn" of the law;
-            "effect.parameter" of an effect.
+            "x0" and "y0" of the frame, and without a law its "peak_dn" and "sigma_px"; "p1", "p2" and "peak_dn" of the
+            law; "NAME.PARAMETER" of an effect.
 
         Raises
         ------
@@ -143,12 +158,13 @@ class ForwardModel(LightStages):
 
         Notes
         -----
-        A parameter of the light moves mean and variance by the slopes of their table times the derivative of the light.
-        The latter is in closed form where a step registers it, else a central difference through the light's stages.
-        With a random step, or one at charge or smear, all parameters are differences through the whole model. Else
-        those of effects at the exposure and from the gains of pixels on are.
+        The derivative by a parameter of the light is the slope of mean or variance by the light, which their table
+        gives, times the derivative of the light. The latter is in closed form if a step has one, else a central
+        difference through the stages of the light. Central differences through the whole model replace this for effects
+        at the exposure and from the gains of pixels on, and for all parameters if the model has a random step or a step
+        at charge or smear.
         """
-        pairs = [self._derivatives(frame, name) for name in parameters]
+        pairs = [self._differentiate(frame, name) for name in parameters]
         return np.array([mean for mean, _ in pairs]), np.array([variance for _, variance in pairs])
 
     # Stages of the sensor.
@@ -156,194 +172,241 @@ class ForwardModel(LightStages):
     def sensor_input(
         self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN, light: Light | None = None
     ) -> SensorInput:
-        """Return what the sensor gets in a frame; `light` is that of the frame if it is known already."""
+        """Return the input of the sensor in a frame; `light` is the light of the frame if it is already computed."""
         light, sensor = light or self.light(frame, drawn), self.sensor
         mean_e = light.total / sensor.gain_dn_per_e + sensor.dark_current_e_per_s * self.true_exposure(frame, drawn)
         charge_e = self.apply_stage(Stage.CHARGE, drawn, frame, mean_e)
-        # Dark electrons count as a pedestal, so that frames of all exposures share one distribution.
+        # Dark electrons are part of the pedestal, so that frames of all exposures share one distribution.
         light = replace(light, pedestal=sensor.gain_dn_per_e * charge_e - light.spot)
         smear_e = sum((step(frame, charge_e) for step in self.steps_at(Stage.SMEAR)), 0.0)
         offset_dn: Any = self.apply_stage(Stage.BLACK_LEVEL, drawn, frame, 0.0)
         offset_dn = self.apply_stage(Stage.ROW_NOISE_AND_HOT_PIXELS, drawn, frame, offset_dn)
+        # An offset that all pixels share is part of the black level.
         if np.ndim(offset_dn) == 0:
             sensor = replace(sensor, black_level_dn=sensor.black_level_dn + float(offset_dn))
             offset_dn = 0.0
         return SensorInput(replace(self, sensor=sensor).distribution(), light, smear_e, offset_dn)
 
     def distribution(self) -> ReadingDistribution:
-        """Return the distribution of a reading given its light and dark signal, with the effects on the sensor's
-        stages."""
+        """Return the distribution of a reading as a function of the light, with effects at the stages of the sensor.
+
+        The light contains the dark signal, which `sensor_input` adds; so the dark current is 0 here.
+        """
         sensor = replace(self.sensor, dark_current_e_per_s=0.0)
+        # Functions at these stages do not take a frame.
         variance = self.apply_stage(Stage.READ_NOISE, NOTHING_DRAWN, None, sensor.read_noise_e**2)
-        well = self.steps_at(Stage.WELL)
-        response = self.steps_at(Stage.RESPONSE)
-        levels = [zip(*reversed(step.average()), strict=True) for step in well if step.random]
+        well, response = self.steps_at(Stage.WELL), self.steps_at(Stage.RESPONSE)
+        # Pairs (weight, level [DN]) of each random step at the well. Only one effect of the library has such a step.
+        levels = [zip(*reversed(step.quadrature()), strict=True) for step in well if step.random_step]
         return ReadingDistribution(
             replace(sensor, read_noise_e=float(np.sqrt(variance))),
-            charge=tuple(step for step in well if not step.random),
+            charge=tuple(step for step in well if not step.random_step),
             charge_levels=tuple(levels[0]) if levels else (),
             response=tuple(replace(step, full_scale_dn=sensor.full_scale_dn) for step in response),
             digital=tuple(self.steps_at(Stage.DIGITAL)),
         )
 
-    def moments(self, at: SensorInput, drawn: Drawn = NOTHING_DRAWN) -> ReadingMoments:
-        """Return mean and variance of readings and their slopes by the light; grains and levels are averaged over."""
-        light, distribution, total = at.light, at.distribution, at.light.total
-        plain = partial(moments_with_offsets, distribution, smear_e=at.smear_e, offset_dn=at.offset_dn)
-        grains = [step for step in self.steps_at(Stage.SPECKLE_FIELD) if step.random and step not in drawn]
+    def moments(self, inputs: SensorInput, drawn: Drawn = NOTHING_DRAWN) -> ReadingMoments:
+        """Return mean and variance of the readings of a frame and their slopes by the light, each [row, column].
+
+        They are averaged over random steps at the speckle field and at the well that are not in `drawn`.
+        """
+        light, distribution = inputs.light, inputs.distribution
+        grains = [step for step in self.steps_at(Stage.SPECKLE_FIELD) if step.random_step and step not in drawn]
         if not grains:
-            return plain(total)
-        # ASSUME: uneven pedestals, gains of pixels and smear are small beside the light that clips, so that their
-        # changes of the moments add to those of the grains.
-        even = round(float(np.mean(light.pedestal)), EVEN_DIGITS)
+            return moments_with_offsets(distribution, light.total, inputs.smear_e, inputs.offset_dn)
+        # ASSUME: uneven pedestals, gains and offsets of pixels, and smear are small beside the light that clips, so
+        # that the changes of the moments by them and by grains add up.
+        even_pedestal = round(float(np.mean(light.pedestal)), EVEN_DIGITS)
         highest = float(np.max(light.spot))
         table = distribution.tabulate(BRIGHTEST_GRAIN * highest)
-        # Rounded, so that frames share tables.
+        # Rounded up to a power of two, so that frames share tables.
         highest = 2.0 ** np.ceil(np.log2(max(highest, 1.0)))
-        granular = _granular_table(table, tuple(grains), even, highest).moments(light.spot)
-        is_even = np.max(np.abs(light.pedestal - even)) < 10.0**-EVEN_DIGITS
-        if is_even and np.all(at.smear_e == 0) and np.all(at.offset_dn == 0):
+        granular = _granular_table(table, tuple(grains), even_pedestal, highest).moments(light.spot)
+        is_even = np.max(np.abs(light.pedestal - even_pedestal)) < 10.0**-EVEN_DIGITS
+        if is_even and np.all(inputs.smear_e == 0) and np.all(inputs.offset_dn == 0):
             return granular
-        alone = np.array(moments_with_offsets(distribution, light.spot + even))
-        mean, variance, *slopes = np.array(granular) + np.array(plain(total)) - alone
-        return ReadingMoments(mean, np.maximum(variance, 0.1 * granular.variance), *slopes)
+        smooth = np.array(moments_with_offsets(distribution, light.total, inputs.smear_e, inputs.offset_dn))
+        smooth_even = np.array(moments_with_offsets(distribution, light.spot + even_pedestal))
+        mean, variance, *slopes = np.array(granular) + smooth - smooth_even
+        return ReadingMoments(mean, np.maximum(variance, LEAST_VARIANCE_SHARE * granular.variance), *slopes)
 
-    # What is random.
+    # Random steps.
 
     def _random_steps(self) -> Iterator[tuple[AppliedStep, RandomStep]]:
+        """Yield the random steps of all effects, with and without parameters, in the order of the stages."""
         for stage in Stage:
-            yield from ((step, step.random) for step in self.steps_at(stage) if step.random)
+            yield from ((step, step.random_step) for step in self.steps_at(stage) if step.random_step)
 
-    def _averages(self) -> Iterator[tuple[float, Drawn]]:
-        """Yield what random steps draw and with which weight; grains and levels are left to their tables."""
-        steps = [step for step, random in self._random_steps() if random.stage not in TABULATED]
-        quadratures = [list(zip(*step.average(), strict=True)) for step in steps]
+    def _quadrature_nodes(self) -> Iterator[tuple[float, Drawn]]:
+        """Yield weights and draws whose weighted sums are means over random steps, except those at `TABULATED`.
+
+        Without random steps there is one node, without draws and with weight 1.
+        """
+        steps = [step for step, random_step in self._random_steps() if random_step.stage not in TABULATED]
+        quadratures = [list(zip(*step.quadrature(), strict=True)) for step in steps]
         for nodes in product(*quadratures):
             weight = float(np.prod([node_weight for _, node_weight in nodes]))
             yield weight, {step: value for step, (value, _) in zip(steps, nodes, strict=True)}
 
     # Derivatives.
 
-    def _derivatives(self, frame: FrameConditions, name: str) -> tuple[np.ndarray, np.ndarray]:
-        effect = name.rpartition(".")[0]
-        stages = {step.stage for applied in self.effects if applied.effect.name == effect
+    def _differentiate(self, frame: FrameConditions, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of mean and variance [row, column] by one parameter; see `jacobian`."""
+        effect_name = name.rpartition(".")[0]
+        stages = {step.stage for applied in self.effects if applied.effect.name == effect_name
                   for step in applied.effect.variants[applied.variant]}  # fmt: skip
-        # Charge and smear of a pixel follow the light of others.
+        # Charge and smear of a pixel depend on the light of other pixels.
         mixing = [step for stage in (Stage.CHARGE, Stage.SMEAR) for step in self.steps_at(stage)]
         if mixing or any(self._random_steps()) or stages & {Stage.EXPOSURE, *SENSOR_STAGES}:
-            return tuple(self._difference(frame, name, SENSOR_STEP, lambda model, at: np.array(model.expected(at))))
-        slope = self._registered_slope(frame, name)
+            return tuple(
+                self._central_difference(frame, name, SENSOR_STEP, lambda model, frame: np.array(model.expected(frame)))
+            )
+        slope = self._closed_form_slope(frame, name)
         if slope is None:
-            slope = self._difference(frame, name, LIGHT_STEP, lambda model, at: model.light(at).total)
+            slope = self._central_difference(frame, name, LIGHT_STEP, lambda model, frame: model.light(frame).total)
         moments = self.moments(self.sensor_input(frame))
         return moments.mean_slope * slope, moments.variance_slope * slope
 
-    def _registered_slope(self, frame: FrameConditions, name: str) -> np.ndarray | None:
-        """Return the derivative of the light [DN] in closed form; None if no step registers one."""
-        effect, _, parameter = name.rpartition(".")
+    def _closed_form_slope(self, frame: FrameConditions, name: str) -> np.ndarray | None:
+        """Return the derivative of the light [DN] by a parameter in closed form; None if no step has one."""
+        effect_name, _, parameter = name.rpartition(".")
         for stage in (Stage.BRIGHTNESS, Stage.PEDESTAL):
             steps = self.steps_at(stage)
             for step in steps:
                 derivatives = step.step.derivatives if isinstance(step.step, Step) else {}
-                if step.applied.effect.name != effect or parameter not in derivatives:
+                if step.applied.effect.name != effect_name or parameter not in derivatives:
                     continue
                 if stage is Stage.PEDESTAL:
+                    # The pedestal is a sum, so the derivative does not depend on the other terms, such as 0 here.
                     slope = step.call(derivatives[parameter], frame, 0.0) * np.ones_like(self.light(frame).total)
                     return self.apply_stage(Stage.PIXEL_GAIN, NOTHING_DRAWN, frame, slope)
+                # The light is proportional to the peak, which other steps at the brightness would change again.
                 if len(steps) == 1:
-                    without = replace(self, effects=tuple(a for a in self.effects if a is not step.applied))
-                    slope = step.call(derivatives[parameter], frame, without.spot(frame).peak_dn)
+                    others = tuple(effect for effect in self.effects if effect is not step.applied)
+                    peak_without = replace(self, effects=others).spot(frame).peak_dn
+                    slope = step.call(derivatives[parameter], frame, peak_without)
                     return self.light(frame).spot * slope / self.spot(frame).peak_dn
         return None
 
-    def _difference(self, frame: FrameConditions, name: str, relative: float, function: Callable) -> np.ndarray:
-        """Return the central difference of a function of model and frame in a parameter."""
-        effect, _, parameter = name.rpartition(".")
-        applied = {applied.effect.name: applied for applied in self.effects}[effect] if effect else None
+    def _central_difference(
+        self, frame: FrameConditions, name: str, relative_step: float, function: Callable[..., np.ndarray]
+    ) -> np.ndarray:
+        """Return the derivative of `function(model, frame)` by one parameter as a central difference.
+
+        `relative_step` is the step over the scale on which readings change with the parameter.
+        """
+        effect_name, _, parameter = name.rpartition(".")
+        applied = {applied.effect.name: applied for applied in self.effects}[effect_name] if effect_name else None
         in_law = self.law is not None and name in LAW_PARAMETERS
         value = (applied.parameters if applied else vars(self.law if in_law else frame))[parameter]
         if np.isnan(value):
+            # Neither the variant of the effect nor the frame has the parameter.
             raise KeyError(name)
 
-        def moved(value: float) -> np.ndarray:
+        def evaluate(value: float) -> np.ndarray:
+            """Return the function at another value of the parameter."""
             change: dict[str, Any] = {name: value}
             if applied:
-                other = applied.with_value(parameter, value)
-                return function(replace(self, effects=tuple(other if a is applied else a for a in self.effects)), frame)
+                changed = applied.with_value(parameter, value)
+                effects = tuple(changed if effect is applied else effect for effect in self.effects)
+                return function(replace(self, effects=effects), frame)
             if self.law is not None and in_law:
                 return function(replace(self, law=replace(self.law, **change)), frame)
             return function(self, replace(frame, **change))
 
-        # Scale on which readings change.
-        scale = max(abs(value), 1e-3 if applied else 1.0)
+        scale = max(abs(value), LEAST_EFFECT_SCALE if applied else LEAST_LAW_SCALE)
         if name in ("x0", "y0"):
             scale = self.spot(frame).sigma_px
         elif applied and {p.name: p.unit for p in applied.effect.parameters}[parameter] == "s":
             scale = frame.exposure_s
-        step = relative * scale
-        return (moved(value + step) - moved(value - step)) / (2 * step)
+        step = relative_step * scale
+        return (evaluate(value + step) - evaluate(value - step)) / (2 * step)
 
 
 def moments_with_offsets(
     distribution: ReadingDistribution, light: np.ndarray, smear_e=0.0, offset_dn=0.0
 ) -> ReadingMoments:
-    """Return mean and variance of readings whose pixels have offsets [DN] beside the black level.
+    """Return mean and variance of readings and their slopes, each in the shape of the light.
 
-    Far from both ends of the converter, and with noise that hides the rounding, an offset adds to the mean. Else tables
-    for offsets a quarter of the dark noise apart are interpolated by cubics, since rounding and black clipping depend
-    on where a signal lies between whole numbers.
+    Parameters
+    ----------
+    distribution : ReadingDistribution
+        Distribution of a reading of a pixel without offset.
+    light : array [row, column]
+        Light of each pixel [DN].
+    smear_e : float or array that broadcasts
+        Electrons without shot noise that are added to each pixel [e-].
+    offset_dn : float or array that broadcasts
+        Offset of each pixel in addition to the black level [DN]. A number is ignored, as it is part of the black level.
+
+    Notes
+    -----
+    Far from both ends of the converter, and with noise that makes rounding negligible, an offset adds to the mean. Else
+    tables for equidistant offsets are interpolated by cubics, since rounding and black clipping depend on where a
+    signal lies between whole numbers.
     """
     highest = float(np.max(light)) + distribution.sensor.gain_dn_per_e * float(np.max(smear_e))
     if np.ndim(offset_dn) == 0:
         return distribution.tabulate(highest).moments(light, smear_e)
     if not distribution.digital and distribution.noise_dn > HIDDEN_ROUNDING:
-        alone = distribution.tabulate(highest).moments(light, smear_e)
-        mean, spread = alone.mean + offset_dn, FAR_FROM_ENDS * np.sqrt(np.maximum(alone.variance, 0.0))
-        if np.min(mean - spread) > 0 and np.max(mean + spread) < distribution.sensor.full_scale_dn:
-            return alone._replace(mean=mean)
+        without = distribution.tabulate(highest).moments(light, smear_e)
+        mean, margin = without.mean + offset_dn, FAR_FROM_ENDS * np.sqrt(np.maximum(without.variance, 0.0))
+        if np.min(mean - margin) > 0 and np.max(mean + margin) < distribution.sensor.full_scale_dn:
+            return without._replace(mean=mean)
     offset_dn = np.broadcast_to(offset_dn, np.shape(light))
-    step = max(np.sqrt(distribution.noise_dn**2 + ROUNDING_VARIANCE) / 4, 1e-3)
-    place = offset_dn / step
-    low = np.floor(place).astype(int)
-    fraction = place - low
-    parts = [np.zeros(np.shape(light)) for _ in range(4)]
-    black = distribution.sensor.black_level_dn
-    for node in range(int(low.min()) - 1, int(low.max()) + 3):
+    step = max(np.sqrt(distribution.noise_dn**2 + ROUNDING_VARIANCE) * OFFSET_STEP, LEAST_OFFSET_STEP_DN)
+    # Offset of each pixel in steps: its whole number of steps, and the rest.
+    steps = offset_dn / step
+    low = np.floor(steps).astype(int)
+    fraction = steps - low
+    sums = [np.zeros(np.shape(light)) for _ in ReadingMoments._fields]
+    black_level = distribution.sensor.black_level_dn
+    # Each table contributes to the pixels for which it is one of the four nodes.
+    for node in range(int(low.min()) + CUBIC_NODES[0], int(low.max()) + CUBIC_NODES[-1] + 1):
         distance = node - low
-        is_near = (distance >= -1) & (distance <= 2)
-        shifted = replace(distribution, sensor=replace(distribution.sensor, black_level_dn=black + node * step))
+        is_near = (distance >= CUBIC_NODES[0]) & (distance <= CUBIC_NODES[-1])
+        shifted = replace(distribution, sensor=replace(distribution.sensor, black_level_dn=black_level + node * step))
         smear = np.broadcast_to(smear_e, np.shape(light))[is_near]
         moments = shifted.tabulate(highest).moments(light[is_near], smear)
         weight = _lagrange(fraction[is_near], distance[is_near])
-        for part, values in zip(parts, moments, strict=True):
-            part[is_near] += weight * values
-    return ReadingMoments(*parts)
+        for total, values in zip(sums, moments, strict=True):
+            total[is_near] += weight * values
+    return ReadingMoments(*sums)
 
 
 def _lagrange(fraction: np.ndarray, node: np.ndarray) -> np.ndarray:
-    """Return the weight of a node −1 … 2 in the cubic through four nodes, `fraction` beyond node 0."""
-    others = [np.where(node == k, 1.0, (fraction - k) / np.where(node == k, 1, node - k)) for k in (-1, 0, 1, 2)]
-    return reduce(np.multiply, others)
+    """Return the weight [pixel] of a node in the cubic through `CUBIC_NODES`, at the place `fraction` beyond node 0."""
+    factors = [np.where(node == k, 1.0, (fraction - k) / np.where(node == k, 1, node - k)) for k in CUBIC_NODES]
+    return reduce(np.multiply, factors)
 
 
 @lru_cache(maxsize=16)
 def _granular_table(
     table: ReadingTable, grains: tuple[AppliedStep, ...], pedestal_dn: float, light_max: float
 ) -> ReadingTable:
+    """Return the table of readings whose light, up to `light_max` [DN], is multiplied by random grains.
+
+    The light of the pedestal [DN] has no grains.
+    """
     for step in grains:
-        table = table.with_random_factor(*step.average(), pedestal_dn, light_max)
+        table = table.with_random_factor(*step.quadrature(), pedestal_dn, light_max)
     return table
 
 
 @lru_cache(maxsize=4)
 def _draw(step: AppliedStep, shape: tuple[int, int], seed: int, key: int) -> Any:
-    """Draw a number or field; kept for the next frames: those of a site follow each other, and there is one sensor."""
-    assert step.random is not None
-    # Each step of an effect has a generator of its own; the first keeps the shorter key.
-    number = step.applied.effect.variants[step.applied.variant].index(step.step)
-    spawned = (step.applied.effect.number, key) if number == 0 else (step.applied.effect.number, key, number)
-    return step.call(step.random.draw, _generator(seed, *spawned), shape)
+    """Return the drawn number or field [row, column] of a random step, for a frame of `shape` (rows, columns).
+
+    `key` is the number of the frame, site or sensor. Draws are cached, as frames of a site follow each other.
+    """
+    assert step.random_step is not None
+    # Each step of an effect has a generator of its own. The key of the first step ends without its index.
+    index = step.applied.effect.variants[step.applied.variant].index(step.step)
+    spawn_key = (step.applied.effect.number, key, index) if index else (step.applied.effect.number, key)
+    return step.call(step.random_step.draw, _generator(seed, *spawn_key), shape)
 
 
 def _generator(seed: int, *key: int) -> np.random.Generator:
+    """Return a random generator that is independent of those with another seed or key."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=key)))

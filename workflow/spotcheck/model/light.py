@@ -1,7 +1,8 @@
-"""The light of a frame: stages from the exposure to the gains of pixels, walked in their order.
+"""The light of a frame: the stages of the forward model from the exposure to the gains of pixels, in their order.
 
-`drawn` gives what the random steps of effects have drawn, by step. Steps without a draw are skipped. That gives the
-mean light only if their factor has the mean 1 and later stages are linear.
+An effect has steps: functions that act at stages. A random step also takes a number or field that is drawn. `drawn`
+holds these draws by step; random steps without a draw are skipped. The result is then the mean light only if their
+factor has the mean 1 and later stages are linear.
 """
 
 from collections.abc import Iterator, Mapping
@@ -17,68 +18,74 @@ from spotcheck.model.effect import AppliedEffect, AppliedStep
 from spotcheck.model.spot import PIXEL
 from spotcheck.model.stage import Stage
 
-# Number or field that each random step has drawn.
+# Random step → the number or field [row, column] that was drawn for it.
 Drawn = Mapping[AppliedStep, Any]
 NOTHING_DRAWN: Drawn = MappingProxyType({})
 
 
 @dataclass(frozen=True)
 class ExposureLaw:
-    """Parameters of the baseline's law of the exposure."""
+    """Parameters of the exposure law: the baseline's width p_b = p1 ln(t/1 s) + p2 and peak at an exposure t."""
 
-    p1: float  # rise of p_b with ln(t / 1 s) [px]
+    p1: float  # rise of the beam propagation p_b with ln(t/1 s) [px]
     p2: float  # p_b at 1 s [px]
     peak_dn: float  # peak of the spot at the longest exposure [DN]
 
 
 @dataclass(frozen=True)
 class Light:
-    """Light of a frame [DN] behind the gains of pixels; each part broadcasts with the pixels."""
+    """Light of a frame [DN] after the gains of pixels; both parts broadcast with the pixels [row, column]."""
 
-    spot: np.ndarray  # light of the spot and what belongs to it, without pedestals
-    pedestal: np.ndarray | float  # light of pedestals
+    spot: np.ndarray  # light of the spot, with halo, ghosts and modulation, without pedestals
+    pedestal: np.ndarray | float  # light of pedestals, which lie under the spot
 
     @property
     def total(self) -> np.ndarray:
-        """Light that pixels convert [DN]."""
+        """Sum of both parts [DN], the light that pixels convert to electrons."""
         return self.spot + self.pedestal
 
 
 class LightStages:
-    """The stages up to the pixels, as methods of a model with a baseline, a law and effects.
+    """The stages up to the gains of pixels, as methods of a model with a baseline, an exposure law and effects.
 
-    `drawn` holds the number or field of each random step that was drawn; the others leave the light as it is.
+    `drawn` is described in the module docstring.
     """
 
-    baseline: Baseline
-    law: ExposureLaw | None
-    effects: tuple[AppliedEffect, ...]
+    baseline: Baseline  # the part of the model that the instrument fixes
+    law: ExposureLaw | None  # exposure law; None: each frame has its own peak and width
+    effects: tuple[AppliedEffect, ...]  # effects with the values of their parameters
 
     def steps_at(self, stage: Stage) -> list[AppliedStep]:
-        """Return the steps of all effects at a stage: random ones first, which act on the sensor's coordinates, then
-        the others, in the order of the effects' numbers."""
+        """Return the steps of all effects at a stage, random ones first, each in the order of the effects' numbers.
+
+        Random steps come first because their draws refer to the coordinates of the sensor.
+        """
         steps = [step for applied in self.effects for step in applied.steps_at(stage)]
-        return sorted(steps, key=lambda step: (step.random is None, step.applied.effect.number))
+        return sorted(steps, key=lambda step: (step.random_step is None, step.applied.effect.number))
 
     def apply_stage(self, stage: Stage, drawn: Drawn, frame: FrameConditions | None, *value: Any) -> Any:
-        """Return what the steps of all effects at a stage make of a value, or of a pair of values."""
+        """Apply the steps of all effects at a stage one after another, and return the result.
+
+        `value` is the first step's argument, or a pair of arguments such as dx and dy; the result has the same form.
+        `frame` is None at stages whose functions do not take a frame.
+        """
         result: Any = value if len(value) > 1 else value[0]
         for step in self.steps_at(stage):
             arguments = result if isinstance(result, tuple) else (result,)
             if frame is not None:
                 arguments = (frame, *arguments)
-            if step.random is None:
+            if step.random_step is None:
                 result = step(*arguments)
             elif step in drawn:
                 result = step(*arguments, drawn[step])
         return result
 
     def true_exposure(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> float:
-        """Return the true exposure [s], which the law of the exposure, dark current and motion follow."""
+        """Return the true exposure of a frame [s], on which exposure law, dark current and motion blur depend."""
         return self.apply_stage(Stage.EXPOSURE, drawn, frame, frame.exposure_s)
 
     def spot(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> SpotState:
-        """Return peak and width of a frame's spot; without a law those of the frame's conditions."""
+        """Return peak and width of the spot of a frame: by the exposure law, else from the frame's conditions."""
         baseline, law = self.baseline, self.law
         if law is None:
             width = self.apply_stage(Stage.WIDTH, drawn, frame, WidthLaw(lambda exposure_s: frame.sigma_px))
@@ -87,46 +94,55 @@ class LightStages:
             width = WidthLaw(lambda exposure_s: baseline.propagation(exposure_s, law.p1, law.p2))
             width = self.apply_stage(Stage.WIDTH, drawn, frame, width)
             exposure_s = self.true_exposure(frame, drawn)
-            propagation = width.propagation_px(exposure_s)
-            longest = baseline.peak_law(frame.longest_s, width.propagation_px(frame.longest_s))
-            peak = law.peak_dn * baseline.peak_law(exposure_s, propagation) / longest
-            sigma = (propagation + baseline.laser_px) * width.factor
+            propagation_px = width.propagation_px(exposure_s)
+            longest_factor = baseline.peak_law(frame.longest_s, width.propagation_px(frame.longest_s))
+            peak = law.peak_dn * baseline.peak_law(exposure_s, propagation_px) / longest_factor
+            sigma = (propagation_px + baseline.laser_px) * width.factor
         return SpotState(self.apply_stage(Stage.BRIGHTNESS, drawn, frame, peak), sigma)
 
     def copies(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Iterator[tuple[Any, Any, Any]]:
-        """Yield the copies of the sharp spot of which the light consists: displacements dx, dy [px] of the pixels from
-        the centre of a round spot, and the weight of the copy."""
-        exposed = replace(frame, exposure_s=self.true_exposure(frame, drawn))
-        path = np.array([[0.0], [0.0], [1.0]])
+        """Yield dx, dy and weight of each of the sharp spots whose weighted sum is the blurred spot.
+
+        dx, dy are the displacements [px] of the pixels from the centre of a round spot; they broadcast with the pixels.
+        """
+        true_frame = replace(frame, exposure_s=self.true_exposure(frame, drawn))
+        # Displacements [px] of the copies and their weights [3, copy].
+        shifts = np.array([[0.0], [0.0], [1.0]])
         for step in self.steps_at(Stage.BLUR):
-            path = convolve_paths(path, step(exposed))
+            shifts = convolve_shifts(shifts, step(true_frame))
         if self.baseline.pixel_integration:
-            path = convolve_paths(path, np.transpose(PIXEL))
-        for shift_x, shift_y, weight in np.moveaxis(path, 0, 1):
+            shifts = convolve_shifts(shifts, np.transpose(PIXEL))
+        for shift_x, shift_y, weight in np.moveaxis(shifts, 0, 1):
             dx, dy = frame.pixels.x - frame.x0 - shift_x, frame.pixels.y - frame.y0 - shift_y
             yield *self.apply_stage(Stage.COORDINATES, drawn, frame, dx, dy), weight
 
     def light(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Light:
-        """Return the light of a frame [DN]."""
+        """Return the light of a frame [DN] after the gains of pixels."""
         spot = self.spot(frame, drawn)
-        total = sum(weight * self._sharp(frame, spot, dx, dy, drawn) for dx, dy, weight in self.copies(frame, drawn))
+        light = sum(
+            weight * self._sharp_light(frame, spot, dx, dy, drawn) for dx, dy, weight in self.copies(frame, drawn)
+        )
         for step in self.steps_at(Stage.ADDED_LIGHT):
-            total = step(frame, total, spot)
+            light = step(frame, light, spot)
         for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD):
-            total = self.apply_stage(stage, drawn, frame, total)
+            light = self.apply_stage(stage, drawn, frame, light)
         pedestal = self.apply_stage(Stage.PEDESTAL, drawn, frame, 0.0)
-        return Light(*(self.apply_stage(Stage.PIXEL_GAIN, drawn, frame, part) for part in (total, pedestal)))
+        return Light(*(self.apply_stage(Stage.PIXEL_GAIN, drawn, frame, part) for part in (light, pedestal)))
 
-    def _sharp(self, frame: FrameConditions, spot: SpotState, dx: Any, dy: Any, drawn: Drawn) -> np.ndarray:
-        """Return the light [DN] of the sharp spot at displacements [px]."""
+    def _sharp_light(self, frame: FrameConditions, spot: SpotState, dx: Any, dy: Any, drawn: Drawn) -> np.ndarray:
+        """Return the light [DN] of the spot without blur at displacements dx, dy from its centre [px]."""
         if not self.steps_at(Stage.PROFILE):
             return self.baseline.spot(dx, dy, spot.peak_dn, spot.sigma_px)
         half_square = (dx * dx + dy * dy) / (2 * spot.sigma_px**2)
         exponent = self.apply_stage(Stage.PROFILE, drawn, frame, half_square)
-        return self.baseline.finish(spot.peak_dn * np.exp(-exponent), dx, dy, spot.peak_dn, spot.sigma_px)
+        profile = spot.peak_dn * np.exp(-exponent)
+        return self.baseline.add_top_hat_and_shape(profile, dx, dy, spot.peak_dn, spot.sigma_px)
 
     def shape_response(self, frame: FrameConditions) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield places u, v [σ] in the shape for each copy of the spot, and the derivative of the light [DN] by it."""
+        """Yield for each copy of the spot the places u, v [σ] of the pixels in the light shape s, and ∂light/∂s [DN].
+
+        All broadcast with the pixels. Random steps count as absent.
+        """
         spot = self.spot(frame)
         factor = np.ones(np.broadcast_shapes(np.shape(frame.pixels.x), np.shape(frame.pixels.y)))
         for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD, Stage.PIXEL_GAIN):
@@ -135,13 +151,14 @@ class LightStages:
             yield dx / spot.sigma_px, dy / spot.sigma_px, weight * spot.peak_dn * factor
 
 
-def convolve_paths(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return every pair of displacements of two paths [3, point, …]: dx and dy add up, weights multiply.
+def convolve_shifts(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the convolution of two sets of shifts [3, copy, ...]: for every pair dx, dy are added, weights multiplied.
 
-    Further axes are those of frames, if paths differ between frames.
+    The first axis is dx [px], dy [px] and weight [1]. Further axes are those of frames, if their shifts
+    differ.
     """
     axes = max(first.ndim, second.ndim)
-    first, second = (path.reshape(path.shape + (1,) * (axes - path.ndim)) for path in (first, second))
+    first, second = (shifts.reshape(shifts.shape + (1,) * (axes - shifts.ndim)) for shifts in (first, second))
     first, second = first[:, :, None], second[:, None]
-    paths = np.concatenate([first[:2] + second[:2], first[2:] * second[2:]])
-    return paths.reshape(3, -1, *paths.shape[3:])
+    pairs = np.concatenate([first[:2] + second[:2], first[2:] * second[2:]])
+    return pairs.reshape(3, -1, *pairs.shape[3:])

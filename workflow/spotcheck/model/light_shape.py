@@ -1,8 +1,9 @@
-"""Learned shapes of the light beside the declared one, and light.nc, the file that holds them.
+"""Learned shapes of the light, and light.nc, the file that holds them.
 
-S(u, v) = B(u, v) + s(u, v) with u = (x − x₀)/σ, v = (y − y₀)/σ. B is the declared shape with peak 1. s is a tensor
-product of uniform cubic B-splines (de Boor, A Practical Guide to Splines, ch. IX), 0 beyond the last nodes; another one
-with nodes closer together may be added to it.
+The light of a spot is S(u, v) = B(u, v) + s(u, v) times its peak, with u = (x − x₀)/σ and v = (y − y₀)/σ. B is the
+declared shape with peak 1, such as a Gaussian. s is the learned shape, a tensor product of uniform cubic B-splines (de
+Boor, A Practical Guide to Splines, ch. IX), 0 beyond the last nodes. A second one with nodes closer together may be
+added to it.
 """
 
 import math
@@ -17,71 +18,78 @@ from spotcheck.sensor.codes import compiled
 
 # Name of the file beside model.yaml.
 LIGHT = "light.nc"
-# Cubic splines need as many nodes along an axis.
+# Cubic splines need at least this many nodes along an axis.
 FEWEST_NODES = 4
 
 
 @dataclass(frozen=True, eq=False)
 class LightShape:
-    """The light beside the declared shape."""
+    """A learned shape s(u, v), which is added to the declared shape."""
 
     step: float  # distance of the nodes [σ]
-    coefficients: np.ndarray  # of the splines [row, column], in peaks of the declared shape; the middle is the centre
-    finer: "LightShape | None" = None  # structure between the nodes, which is added; None for none
+    coefficients: np.ndarray  # of the splines [row, column], over the peak of B; the middle node is the centre
+    finer: "LightShape | None" = None  # shape with nodes closer together, which is added; None for none
 
     def __call__(self, u, v) -> np.ndarray:
         """Return s [1] at u, v [σ], arrays that broadcast."""
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
-        out = np.empty(u.size)
-        fill_spline(self.coefficients, 1 / self.step, np.ravel(u), np.ravel(v), out)
-        out = out.reshape(u.shape)
-        return out if self.finer is None else out + self.finer(u, v)
+        values = np.empty(u.size)
+        fill_spline(self.coefficients, 1 / self.step, np.ravel(u), np.ravel(v), values)
+        values = values.reshape(u.shape)
+        return values if self.finer is None else values + self.finer(u, v)
 
 
 @compiled
 def cubic_weights(fraction):
-    """Return the values of the cubic B-splines of four neighbouring nodes, `fraction` of a step beyond the second."""
-    rest = 1.0 - fraction
+    """Return the values of the cubic B-splines of nodes −1, 0, 1 and 2 at the place `fraction` beyond node 0.
+
+    `fraction` is in steps of the nodes, from 0 to 1; the four values sum to 1.
+    """
+    remainder = 1.0 - fraction
     return (
-        rest * rest * rest / 6,
+        remainder * remainder * remainder / 6,
         (3 * fraction * fraction * fraction - 6 * fraction * fraction + 4) / 6,
-        (3 * rest * rest * rest - 6 * rest * rest + 4) / 6,
+        (3 * remainder * remainder * remainder - 6 * remainder * remainder + 4) / 6,
         fraction * fraction * fraction / 6,
     )
 
 
 @compiled
-def fill_spline(coefficients, per_step, u, v, out):
-    """Fill the values of a spline at u, v [point]; coefficients [row, column] about the middle."""
+def fill_spline(coefficients, steps_per_sigma, u, v, values):
+    """Write the values [point] of a spline at u, v [point] in σ into `values`.
+
+    `coefficients` [row, column] is square with the centre in the middle; `steps_per_sigma` is 1/distance of its nodes.
+    """
     nodes = coefficients.shape[0]
     middle = (nodes - 1) / 2
     for k in range(u.size):
-        x, y = u[k] * per_step + middle, v[k] * per_step + middle
-        out[k] = 0.0
+        x, y = u[k] * steps_per_sigma + middle, v[k] * steps_per_sigma + middle
+        values[k] = 0.0
+        # The spline of a node is 0 from two steps on.
         if not (-2.0 < x < nodes + 1.0 and -2.0 < y < nodes + 1.0):
             continue
         column, row = math.floor(x), math.floor(y)
-        of_column, of_row = cubic_weights(x - column), cubic_weights(y - row)
-        # Inside all four neighbours exist; without bounds the compiler unrolls the sums.
+        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
+        # Away from the edge all four neighbours exist; the compiler unrolls the sums without their bounds.
         if 1 <= column < nodes - 2 and 1 <= row < nodes - 2:
             for q in range(4):
                 line = coefficients[row + q - 1]
-                out[k] += of_row[q] * (
-                    of_column[0] * line[column - 1]
-                    + of_column[1] * line[column]
-                    + of_column[2] * line[column + 1]
-                    + of_column[3] * line[column + 2]
+                values[k] += row_weights[q] * (
+                    column_weights[0] * line[column - 1]
+                    + column_weights[1] * line[column]
+                    + column_weights[2] * line[column + 1]
+                    + column_weights[3] * line[column + 2]
                 )
             continue
         for q in range(max(0, 1 - row), min(4, nodes + 1 - row)):
             total = 0.0
             for p in range(max(0, 1 - column), min(4, nodes + 1 - column)):
-                total += of_column[p] * coefficients[row + q - 1, column + p - 1]
-            out[k] += of_row[q] * total
+                total += column_weights[p] * coefficients[row + q - 1, column + p - 1]
+            values[k] += row_weights[q] * total
 
 
 def read_light(path: str | Path) -> LightShape:
-    """Return the one shape of a file. Raises `InputError` as `read_lights`, and if there is more than one."""
+    """Return the one shape of a light.nc. Raises `InputError` as `read_lights` does, and if there is more than one."""
     shapes = read_lights(path)
     if len(shapes) > 1:
         raise InputError(
@@ -92,12 +100,16 @@ def read_light(path: str | Path) -> LightShape:
 
 
 def read_lights(path: str | Path) -> tuple[LightShape, ...]:
-    """Return the shapes of a file. Raises `InputError` if it holds none, or none that can be used."""
+    """Return the shapes of a light.nc, one for each pose of the sample if frames do not share their light.
+
+    Raises `InputError` if there is no file, if it holds no shape, or if a shape cannot be used.
+    """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path.name}: is no file; name a light.nc, as a verdict writes it")
     try:
         with store.read(path) as ds:
+            # The finer layer first, if there is one: step [σ] and coefficients [shape, row, column].
             layers = [
                 (float(ds[step]), np.array(ds[name].values, float))
                 for step, name in (("fine_step", "fine_coefficients"), ("step", "coefficients"))
@@ -105,6 +117,7 @@ def read_lights(path: str | Path) -> tuple[LightShape, ...]:
             ]
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{path.name}: holds no shape of a light; name a light.nc, as a verdict writes it") from None
+    # Each layer takes the shapes of the finer one as its `finer`.
     shapes: list[LightShape | None] = [None] * len(np.atleast_1d(layers[-1][1]))
     for step, coefficients in layers:
         is_square = coefficients.ndim == 3 and coefficients.shape[1] == coefficients.shape[2] >= FEWEST_NODES

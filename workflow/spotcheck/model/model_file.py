@@ -1,7 +1,9 @@
-"""model.yaml: the extended model in one file, which `spotcheck simulate` runs as it is.
+"""Read model.yaml, which holds the extended model: `spotcheck simulate` runs it.
 
-It holds the numbers of the baseline, the effects that a verdict added, and where the spots lie. What the instrument
-fixes (photon budget, top hat, sensor) stays in instrument.yaml; learned shapes of the light are in light.nc beside it.
+The extended model is the baseline with the effects that a verdict added. The file holds the parameters of the exposure
+law, the effects, and the positions of the spots. Everything that the instrument fixes (photon budget, top hat, sensor)
+stays in instrument.yaml; learned shapes of the light are in light.nc in the same folder. With an exposure law, peak and
+width of a spot follow from the exposure; without it each spot has its own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,61 +23,62 @@ from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LIGHT, LightShape, read_lights
 from spotcheck.sensor import SensorModel
 
-# Rounding in the file may carry a value beyond a bound by this part of it.
-SLACK = 1e-6
+# Values in the file are rounded, so they may exceed a bound by this share of it.
+BOUND_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
 class Site:
-    """Keys that identify a spot. None: not recorded."""
+    """Keys that identify a spot. None: not recorded in the manifest."""
 
     angle_deg: float | None  # fibre angle [deg]
-    exposure_s: float | None  # exposure [s], only without a law: then every frame has a spot of its own
+    exposure_s: float | None  # exposure [s]; None with a law, where frames of all exposures share a spot
     repeat: int  # repeat of the condition
-    conditions: tuple[tuple[str, float | None], ...]  # declared conditions by name, sorted
+    conditions: tuple[tuple[str, float | None], ...]  # name and value of each declared condition, sorted by name
 
 
 @dataclass(frozen=True)
 class Spot:
-    """A spot of the model."""
+    """Position of a spot; without a law also its peak and width."""
 
     x_px: float  # column of the centre [px of the sensor]
     y_px: float  # row of the centre [px of the sensor]
-    peak_dn: float | None = None  # peak [DN], only without a law
-    sigma_px: float | None = None  # width σ_g [px], only without a law
-    light: int | None = None  # which of several learned shapes of the light it has, from 0; None: there is one at most
+    peak_dn: float | None = None  # peak [DN]; None with a law
+    sigma_px: float | None = None  # width σ_g [px]; None with a law
+    light: int | None = None  # index of its learned light shape; None if there is at most one
 
 
 @dataclass(frozen=True)
 class ExtendedModel:
-    """The extended model of a file."""
+    """The extended model, as model.yaml holds it."""
 
-    law: ExposureLaw | None  # law of the exposure; None: each spot has its own peak and width
+    law: ExposureLaw | None  # exposure law; None: each spot has its own peak and width
     longest_s: float  # exposure [s] at which the law's peak is given
-    reference_s: float  # exposure [s] at which the spread law leaves the width
+    reference_s: float  # exposure [s] at which the effect spread_law leaves the width unchanged
     rows: int  # rows of the sensor's frame
     columns: int  # columns of the sensor's frame
     effects: tuple[AppliedEffect, ...]  # effects in the order in which they were added
     spots: Mapping[Site, Spot]  # spots by site
-    lights: tuple[LightShape, ...] = ()  # learned shapes of the light; none: that of the instrument
+    lights: tuple[LightShape, ...] = ()  # learned shapes of the light; empty: the one of the instrument, if any
 
     def light_of(self, spot: Spot | None) -> LightShape | None:
-        """Return the learned shape of a spot's light, the first one for a spot that is unknown."""
+        """Return the learned light shape of a spot, the first one for an unknown spot (None); None without shapes."""
         return self.lights[(spot and spot.light) or 0] if self.lights else None
 
 
 def site_of(frame: Frame, conditions: Sequence[str], has_law: bool) -> Site:
-    """Return what identifies the spot of a frame of the manifest."""
-    values = tuple((name, parse_number(frame.extra[name])) for name in sorted(conditions))
-    return Site(frame.angle_deg, None if has_law else frame.exposure_s, frame.repeat or 0, values)
+    """Return the keys that identify the spot of a frame; `conditions` are the names of the declared conditions."""
+    named_values = tuple((name, parse_number(frame.extra[name])) for name in sorted(conditions))
+    return Site(frame.angle_deg, None if has_law else frame.exposure_s, frame.repeat or 0, named_values)
 
 
 def scales_of(
     model: ExtendedModel, baseline: Baseline, sensor: SensorModel, crop_px: int, exposures_s: Sequence[float]
 ) -> EffectScales:
-    """Return the scales from which bounds of effects derive, for a simulation at `exposures_s`."""
+    """Return the scales from which effects derive their bounds, for a simulation at `exposures_s` [s]."""
     law = model.law
     if law is not None:
+        # Slope of ln p_b over ln t at the reference exposure.
         exponent = law.p1 / baseline.propagation(model.reference_s, law.p1, law.p2)
         sigma, peak = baseline.sigma(model.longest_s, law.p1, law.p2), law.peak_dn
     else:
@@ -90,36 +93,36 @@ def scales_of(
 
 
 def check_bounds(model: ExtendedModel, scales: EffectScales, name: str) -> None:
-    """Raise `InputError` for the first value outside its bounds; `name` is the name of the file."""
+    """Raise `InputError` for the first parameter of an effect outside its bounds; `name` is the name of the file."""
     for applied in model.effects:
         bounds = applied.effect.bounds(scales)
         for parameter, value, (low, high) in zip(applied.effect.parameters, applied.values, bounds, strict=True):
-            if value < low - SLACK * abs(low) or value > high + SLACK * abs(high):
+            if value < low - BOUND_TOLERANCE * abs(low) or value > high + BOUND_TOLERANCE * abs(high):
                 unit = "" if parameter.unit == "1" else f" {parameter.unit}"
                 what = f"{name}: {parameter.name} of {applied.effect.name} is {value:g}{unit}"
                 raise InputError(f"{what}; it must be from {low:g} to {high:g}")
 
 
 def reason_without_model(path: Path) -> str:
-    """Return why a file holds no model; "" if it holds one."""
+    """Return why a model.yaml holds no model, as its key `why_not` says; "" if it holds one."""
     return str(read_keys(path).get("why_not", ""))
 
 
 def read_model(path: Path) -> ExtendedModel:
-    """Read the model of a file. Raises `InputError` for everything that is wrong except bounds (`check_bounds`)."""
+    """Return the model of a file. Raises `InputError` for all mistakes but values out of bounds (`check_bounds`)."""
     content = read_keys(path)
     if "why_not" in content:
         raise InputError(f"{path.name}: holds no model: {content['why_not']}")
-    if breach := find_violation(content, "model"):
-        raise InputError(f"{path.name}: {breach}")
-    law, spots = content.get("law"), _spots(path, content)
+    if violation := find_violation(content, "model"):
+        raise InputError(f"{path.name}: {violation}")
+    law, spots = content.get("law"), _read_spots(path, content)
     if law is None and not spots:
         raise InputError(f"{path.name}: has neither law nor spots; give p1_px, p2_px and peak_dn under `law:`")
-    effects = tuple(_applied(keys, f"{path.name}: effects.{k}") for k, keys in enumerate(content["effects"]))
+    effects = tuple(_apply_effect(keys, f"{path.name}: effects.{k}") for k, keys in enumerate(content["effects"]))
     names = [applied.effect.name for applied in effects]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"{path.name}: effect {twice[0]} stands twice; keep one of them")
-    lights = _lights(path, content.get("light"), effects)
+    if repeated := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"{path.name}: effect {repeated[0]} stands twice; keep one of them")
+    lights = _read_light_shapes(path, content.get("light"), effects)
     for k, spot in enumerate(spots.values()):
         if len(lights) > 1 and spot.light not in range(len(lights)):
             raise InputError(f"{path.name}: spots.{k}.light must say which of {len(lights)} lights it has, from 0 on")
@@ -129,7 +132,8 @@ def read_model(path: Path) -> ExtendedModel:
     return ExtendedModel(law, longest_s, reference_s, rows, columns, effects, spots, lights)
 
 
-def _spots(path: Path, content: Mapping[str, Any]) -> dict[Site, Spot]:
+def _read_spots(path: Path, content: Mapping[str, Any]) -> dict[Site, Spot]:
+    """Return the spots of a model.yaml by site; `content` is that of the file. Raises `InputError`."""
     spots = {}
     for k, keys in enumerate(content.get("spots", ())):
         conditions = tuple(sorted(keys.get("conditions", {}).items()))
@@ -145,8 +149,11 @@ def _spots(path: Path, content: Mapping[str, Any]) -> dict[Site, Spot]:
     return spots
 
 
-def _lights(path: Path, file: str | None, effects: Sequence[AppliedEffect]) -> tuple[LightShape, ...]:
-    """Return the learned shapes of a file, which an effect without steps stands for."""
+def _read_light_shapes(path: Path, file: str | None, effects: Sequence[AppliedEffect]) -> tuple[LightShape, ...]:
+    """Return the learned light shapes in a file beside model.yaml; none if `file` is None.
+
+    An effect without steps stands for them. Raises `InputError` if the model has only one of the two.
+    """
     learned = [applied.effect.name for applied in effects if not applied.effect.stages]
     if learned and file is None:
         raise InputError(f"{path.name}: key light is missing; {learned[0]} needs the file of its shape ({LIGHT})")
@@ -155,8 +162,8 @@ def _lights(path: Path, file: str | None, effects: Sequence[AppliedEffect]) -> t
     return () if file is None else read_lights(path.parent / file)
 
 
-def _applied(keys: Mapping[str, Any], where: str) -> AppliedEffect:
-    """Return the effect of an entry under `effects`; `where` is the name of the entry."""
+def _apply_effect(keys: Mapping[str, Any], where: str) -> AppliedEffect:
+    """Return the effect of an entry under `effects`; `where` names file and entry in messages. Raises `InputError`."""
     effect = vocabulary().get(keys["name"])
     if effect is None:
         raise InputError(f"{where}.name is {keys['name']}, which is no effect; known are {', '.join(vocabulary())}")

@@ -1,4 +1,9 @@
-"""Writers of model.yaml and light.nc, which `model_file` and `light_shape` read."""
+"""Write model.yaml and light.nc, which `model_file` and `light_shape` read.
+
+model.yaml holds the extended model: the exposure law, the effects with their parameters, and the spots, each identified
+by its site. light.nc holds learned light shapes s(u, v), which are added to the declared shape; u and v are places to
+the right of the spot's centre and below it, in widths σ_g of the spot.
+"""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,31 +19,32 @@ from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.light_shape import LIGHT, LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot
 
-# Points along each axis of the map of a light shape, which is there to be looked at: finer than a screen shows.
+# Points along each axis of the map of a light shape, which is for display only.
 POINTS = 201
 
 
 def model_text(model: ExtendedModel, dataset: str, status: str) -> str:
-    """Return the content of model.yaml; numbers have nine digits.
+    """Return the content of model.yaml; numbers have nine significant digits.
 
     Parameters
     ----------
     model : ExtendedModel
-        The model.
+        The extended model.
     dataset : str
-        Name of the dataset that the numbers come from.
+        Name of the dataset from which the model was fitted.
     status : str
-        Status of the verdict.
+        Status of the verdict on this dataset.
     """
     return "\n".join(_model_lines(model, dataset, status)) + "\n"
 
 
 def no_model_text(dataset: str, reason: str) -> str:
-    """Return the content of model.yaml of a dataset without a model; `reason` says why there is none."""
+    """Return the content of the model.yaml of a dataset for which there is no model, with the reason."""
     return f"schema: 1\ndataset: {_quote(dataset)}\nwhy_not: {_quote(reason)}\n"
 
 
 def _model_lines(model: ExtendedModel, dataset: str, status: str) -> Iterator[str]:
+    """Yield the lines of model.yaml; arguments as for `model_text`."""
     yield "# The baseline of instrument.yaml with what the verdict added: `spotcheck simulate --model` runs this file."
     yield "# Positions and lengths in px of the sensor, x to the right, y down; directions in deg from +x towards +y."
     yield "schema: 1"
@@ -58,10 +64,11 @@ def _model_lines(model: ExtendedModel, dataset: str, status: str) -> Iterator[st
         yield from _effect_lines(applied)
     yield "spots:" if model.spots else "spots: []"
     for site, spot in model.spots.items():
-        yield f"  - {{{', '.join(_spot_keys(site, spot))}}}"
+        yield f"  - {{{', '.join(_spot_entries(site, spot))}}}"
 
 
 def _effect_lines(applied: AppliedEffect) -> Iterator[str]:
+    """Yield the lines of an effect under the key `effects`."""
     effect = applied.effect
     yield f"  - name: {effect.name}  # {effect.sentence}"
     if applied.variant.value:
@@ -72,9 +79,9 @@ def _effect_lines(applied: AppliedEffect) -> Iterator[str]:
         yield f"      {parameter.name}: {applied.parameters[parameter.name]:.9g}{unit}"
 
 
-def _spot_keys(site: Site, spot: Spot) -> Iterator[str]:
-    """Yield the keys of a spot that are known."""
-    # Keys of a site identify it, so that they keep all digits.
+def _spot_entries(site: Site, spot: Spot) -> Iterator[str]:
+    """Yield the entries "key: value" of the line of a spot; unknown values (None) are left out."""
+    # The entries of a site identify it when the file is read, so they keep all digits.
     identity = {"angle_deg": site.angle_deg, "exposure_s": site.exposure_s, "repeat": site.repeat}
     yield from (f"{key}: {value!r}" for key, value in identity.items() if value is not None)
     conditions = ", ".join(f"{name}: {value!r}" for name, value in site.conditions if value is not None)
@@ -84,62 +91,63 @@ def _spot_keys(site: Site, spot: Spot) -> Iterator[str]:
 
 
 def _quote(text: str) -> str:
-    """Return a text as JSON has it, which is YAML as well."""
+    """Return a text as a JSON string, which is valid YAML."""
     return json.dumps(text, ensure_ascii=False)
 
 
 @dataclass(frozen=True)
 class LightFile:
-    """Path, provenance and note of light.nc."""
+    """Path, provenance and description of a light.nc."""
 
-    path: str | Path  # the file
-    dataset: str  # name of the dataset that the shape was learned from
-    code: str  # digest of the code
-    inputs: Sequence[str | Path] = ()  # files that it was made from
-    attributes: Mapping[str, Any] = field(default_factory=dict)  # what describes the light, such as `described`
+    path: str | Path  # file to write
+    dataset: str  # name of the dataset from which the shape was learned
+    code: str  # digest of the code that learned the shape
+    inputs: Sequence[str | Path] = ()  # files from which the shape was learned
+    # Attributes that describe the light, such as `described`.
+    attributes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def titles(self) -> dict[str, Any]:
-        """Attributes that every file has."""
+        """Attributes that every light.nc has, with or without a shape."""
         return {"title": f"The light's shape, learned from {self.dataset}", "dataset": self.dataset}
 
 
 def write_light(shapes: Sequence[LightShape], file: LightFile) -> None:
-    """Write learned light shapes, all with the same nodes: their coefficients, and maps of s(u, v)."""
-    first = shapes[0]
-    step, nodes_count = float(first.step), len(first.coefficients)
-    nodes = step * (np.arange(nodes_count) - (nodes_count - 1) / 2)
+    """Write learned light shapes: the coefficients of their splines, and maps of s(u, v) for display.
+
+    All shapes have the same nodes. A finer layer is written for all of them if any has one, with zeros for the others.
+    """
+    step, node_count = float(shapes[0].step), len(shapes[0].coefficients)
+    # Places of nodes and of points of the map, over σ_g.
+    nodes = step * (np.arange(node_count) - (node_count - 1) / 2)
     points = np.linspace(nodes[0], nodes[-1], POINTS)
     ds = xr.Dataset(attrs=file.titles | dict(file.attributes))
-    for name, values, text in (
-        ("node_v", nodes, "node below the spot's centre, over sigma_g"),
-        ("node_u", nodes, "node to the right of the spot's centre, over sigma_g"),
-        ("v", points, "place below the spot's centre, over sigma_g"),
-        ("u", points, "place to the right of the spot's centre, over sigma_g"),
-    ):
-        ds[name] = (name, values, {"units": "1", "long_name": text})
+
+    def add(name: str, dims: str | tuple[str, ...], values: Any, long_name: str) -> None:
+        """Add a variable without unit to the file."""
+        ds[name] = (dims, values, {"units": "1", "long_name": long_name})
+
+    add("node_v", "node_v", nodes, "node below the spot's centre, over sigma_g")
+    add("node_u", "node_u", nodes, "node to the right of the spot's centre, over sigma_g")
+    add("v", "v", points, "place below the spot's centre, over sigma_g")
+    add("u", "u", points, "place to the right of the spot's centre, over sigma_g")
     coefficients = np.array([shape.coefficients for shape in shapes])
     text = "coefficients of cubic B-splines of the light beside the declared shape, over that one's peak"
-    ds["coefficients"] = (("light", "node_v", "node_u"), coefficients, {"units": "1", "long_name": text})
-    ds["step"] = ((), step, {"units": "1", "long_name": "distance of nodes, over sigma_g"})
-    finer = [shape.finer for shape in shapes if shape.finer is not None]
-    if finer:
-        none = np.zeros_like(finer[0].coefficients)
-        structure = np.array([none if shape.finer is None else shape.finer.coefficients for shape in shapes])
+    add("coefficients", ("light", "node_v", "node_u"), coefficients, text)
+    add("step", (), step, "distance of nodes, over sigma_g")
+    finer_layers = [shape.finer for shape in shapes if shape.finer is not None]
+    if finer_layers:
+        zeros = np.zeros_like(finer_layers[0].coefficients)
+        fine_coefficients = np.array([zeros if shape.finer is None else shape.finer.coefficients for shape in shapes])
         text = "coefficients of cubic B-splines of structure between the nodes, which is added, over the same peak"
-        ds["fine_coefficients"] = (("light", "fine_v", "fine_u"), structure, {"units": "1", "long_name": text})
-        ds["fine_step"] = (
-            (),
-            float(finer[0].step),
-            {"units": "1", "long_name": "distance of nodes of that structure, over sigma_g"},
-        )
+        add("fine_coefficients", ("light", "fine_v", "fine_u"), fine_coefficients, text)
+        add("fine_step", (), float(finer_layers[0].step), "distance of nodes of that structure, over sigma_g")
     maps = np.array([shape(points[None, :], points[:, None]) for shape in shapes]).astype("f4")
-    text = "light beside the declared shape, over that one's peak"
-    ds["s"] = (("light", "v", "u"), maps, {"units": "1", "long_name": text})
+    add("s", ("light", "v", "u"), maps, "light beside the declared shape, over that one's peak")
     store.write(ds, file.path, code=file.code, inputs=file.inputs)
 
 
 def write_no_light(reason: str, file: LightFile) -> None:
-    """Write a file that says why there is no learned shape."""
+    """Write a light.nc without a shape; its attribute `skipped` holds the reason. `file.attributes` are not written."""
     ds = xr.Dataset(attrs=file.titles | {"skipped": reason})
     store.write(ds, file.path, code=file.code, inputs=file.inputs)

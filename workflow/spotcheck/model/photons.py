@@ -1,6 +1,7 @@
-"""From laser power to photons on the sensor: Eqs. 9–14 in SI units.
+"""Photon budget from the laser power to photons on the sensor: Eqs. 9–14 in SI units.
 
-The absolute level of the paper's chain does not close (see `spot.photon_distribution`); what follows the exposure does.
+The absolute level of the paper's chain is inconsistent (see `spot.photon_distribution`), but its dependence on the
+exposure is not. Arguments are numbers; those without a type may be arrays that broadcast.
 """
 
 import math
@@ -10,35 +11,43 @@ from scipy.constants import c, h
 
 
 def laser_irradiance(radius_m, power_w: float, beam_radius_m: float):
-    """E_la,Gaus [W/m²] at a distance from the axis, for a beam of 1/e² radius w (Eq. 9)."""
+    """Return the irradiance E_la,Gaus [W/m²] of a Gaussian beam at a distance `radius_m` from its axis (Eq. 9).
+
+    `beam_radius_m` is the 1/e² radius w.
+    """
     return peak_irradiance(power_w, beam_radius_m) * np.exp(-2 * np.square(radius_m) / beam_radius_m**2)
 
 
 def peak_irradiance(power_w: float, beam_radius_m: float) -> float:
-    """E_la,max [W/m²] on the axis (Eq. 11)."""
+    """Return the irradiance E_la,max [W/m²] on the axis of a Gaussian beam of 1/e² radius `beam_radius_m` (Eq. 11)."""
     return 2 * power_w / (math.pi * beam_radius_m**2)
 
 
 def beam_radius_of_fwhm(fwhm_m: float) -> float:
-    """w_FWHM [m], the 1/e² radius of a beam with a full width at half maximum (Eq. 11): √(2/ln 2)/2 · FWHM."""
+    """Return w_FWHM [m], the 1/e² radius √(2/ln 2)/2 · FWHM of a beam with a full width at half maximum (Eq. 11)."""
     return 0.5 * math.sqrt(2 / math.log(2)) * fwhm_m
 
 
 def sensor_irradiance(irradiance, reflectance: float, scattering, f_number: float, transmission: float):
-    """E_px [W/m²] behind material, aperture and filter: E_la ϱ_m ϱ_s ϱ_a ϱ_f with ϱ_a = 1/f_a² (second line of Eq.
-    12)."""
+    """Return E_px = E_la ϱ_m ϱ_s ϱ_a ϱ_f, the irradiance behind material, aperture and filter (Eq. 12, second line).
+
+    The factors are the reflectance ϱ_m [1] of the material, the scattering ϱ_s, ϱ_a = 1/f_a² of the aperture, and the
+    transmission ϱ_f [1] of the filter. With ϱ_s = 1 the result has the unit of `irradiance`, else it is multiplied by
+    the unit of ϱ_s.
+    """
     return irradiance * reflectance * scattering * transmission / f_number**2
 
 
 def pixel_photons(irradiance, exposure_s, pixel_area_m2: float, wavelength_m: float):
-    """µ_p [1], mean photons on a pixel under an irradiance E_px [W/m²] (Eq. 12)."""
+    """Return µ_p [1], the mean number of photons on a pixel under an irradiance E_px [W/m²] (Eq. 12)."""
     return pixel_area_m2 * irradiance * exposure_s * wavelength_m / (h * c)
 
 
 def scattering_factor(exposure_s, propagation):
-    """ϱ_s = p_b²/t (Eq. 13), in the square of p_b's unit per second: an auxiliary factor, not a physical one.
+    """Return ϱ_s = p_b²/t (Eq. 13) in the square of p_b's unit per second.
 
-    It divides the exposure out of the photon budget, which leaves the peak to follow (p_b/σ_g)².
+    This factor has no physical meaning. It cancels the exposure in the photon budget, so that the peak is proportional
+    to (p_b/σ_g)².
     """
     return np.square(propagation) / exposure_s
 
@@ -52,6 +61,7 @@ def total_photons(
     f_number: float,
     transmission: float,
 ):
-    """µ_p,total [1 with ϱ_s = 1], mean photons on the whole sensor (Eq. 14)."""
-    reduced = sensor_irradiance(power_w, reflectance, scattering, f_number, transmission)
-    return reduced * exposure_s * wavelength_m / (h * c)
+    """Return µ_p,total, the mean number of photons on the whole sensor, times the unit of ϱ_s (Eq. 14)."""
+    # The losses of a power are those of an irradiance.
+    power_on_sensor = sensor_irradiance(power_w, reflectance, scattering, f_number, transmission)
+    return power_on_sensor * exposure_s * wavelength_m / (h * c)

@@ -1,10 +1,13 @@
-"""How the spot widens with exposure (Eqs. 7, 8 and 21). Lengths in pixels of the sensor."""
+"""Width of the spot as a function of the exposure (Eqs. 7, 8 and 21). Lengths are in pixels of the sensor.
+
+Exposures, p_b and p1, p2 are numbers, or arrays that broadcast; p1 and p2 may be complex.
+"""
 
 import numpy as np
 
 
 def beam_propagation(exposure_s, p1, p2):
-    """Beam propagation parameter p_b [px] at an exposure [s] (Eq. 8): p1 ln(t / 1 s) + p2, both in px.
+    """Return the beam propagation p_b = p1 ln(t/1 s) + p2 [px] at an exposure t [s], with p1 and p2 in px (Eq. 8).
 
     The paper labels p1 and p2 as metres; only pixels give its widths, contrasts and bounds.
     """
@@ -13,13 +16,14 @@ def beam_propagation(exposure_s, p1, p2):
 
 
 def spot_sigma(propagation_px, laser_px):
-    """σ_g [px], the spot's standard deviation on the sensor (Eqs. 7 and 21).
+    """Return σ_g [px], the standard deviation of the spot on the sensor (Eqs. 7 and 21).
 
-    `laser_px` is M σ_la/s_px. Read in the image plane: Eq. 7 times M. Holds for either direction, or their mean.
+    It is p_b plus the laser's own width M σ_la/s_px (`laser_px`), along either axis or on average over both. Eq. 7 is
+    multiplied by M, as lengths are in the image plane.
     """
     return propagation_px + laser_px
 
 
 def laser_sigma_px(magnification: float, laser_sigma_m: float, pixel_pitch_m: float) -> float:
-    """M σ_la/s_px [px], the laser's own width as the sensor sees it (second term of Eq. 7 in the image plane)."""
+    """Return M σ_la/s_px [px], the laser's own width on the sensor (second term of Eq. 7 in the image plane)."""
     return magnification * laser_sigma_m / pixel_pitch_m

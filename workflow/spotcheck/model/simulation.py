@@ -1,7 +1,8 @@
-"""The simulate stage: a model as mean images and as a dataset folder of its own. The paper's model runs at the
-calibrated parameters, the extended one as its model.yaml says.
+"""The simulate stage: write a dataset folder of random frames and a file of mean images, both from a model.
 
-The folder keeps the dataset contract, so that simulated frames pass the same stages as measured ones.
+The paper's model, the baseline without effects, is simulated at its calibrated parameters. The extended model, which
+adds effects, is simulated as its model.yaml says. The folder keeps the dataset contract, so that simulated frames pass
+the same stages as measured ones.
 """
 
 import csv
@@ -32,17 +33,19 @@ STACK = "frames/simulated.tif"
 # Frames are larger than the crop by this factor, so that a crop at a maximum anywhere on the plateau stays inside.
 CANVAS = 2
 
-# Peak and width of the spot of every frame, by the frame's cell of the grid of the dataset.
+# Cell (indices on the grid of the dataset) of each frame → peak and width of its spot.
 SpotStates = Mapping[tuple[int, ...], SpotState]
-# Variables of a file of mean images by name.
+# Name → definition of each variable of the file of mean images.
 Variables = Mapping[str, store.Variable]
 
+# Variables for the paper's model.
 VARIABLES = {
     "mean_light": store.Variable(("y", "x"), "f4", "DN", "mean light of the simulated spot"),
     "amplitude": store.Variable((), "f8", "DN", "peak of the Gaussian before the top hat"),
     "sigma": store.Variable((), "f8", "pixel", "sigma_g, standard deviation of the Gaussian"),
 }
 
+# Variables for the extended model.
 EXTENDED_VARIABLES = VARIABLES | {
     "mean_light": store.Variable(("y", "x"), "f4", "DN", "mean light of the extended model; NaN beyond the frame"),
     "mean_reading": store.Variable(("y", "x"), "f4", "DN", "mean reading of the extended model; NaN beyond the frame"),
@@ -52,21 +55,24 @@ EXTENDED_VARIABLES = VARIABLES | {
 
 
 class SimulatedFrame(NamedTuple):
-    """A frame to simulate: its model and its conditions."""
+    """A frame to simulate: its model, its conditions, and peak and width of its spot."""
 
     model: ForwardModel  # model that the frame follows
     conditions: FrameConditions  # conditions at which the model is evaluated
     spot: SpotState  # peak and width for the file of mean images; the peak is NaN for a frame without a usable spot
 
     def values(self, side: int, variables: Variables) -> dict[str, Any]:
-        """Return the values of `variables` by name; images are crops [side, side] around the spot."""
+        """Return the values of `variables` for the file of mean images, by name.
+
+        Images are crops [side, side] in DN around the spot.
+        """
         model, frame, spot = self
         pixels, column, row = frame.pixels, round(frame.x0), round(frame.y0)
-        centre = spotfinding.Spot(row - int(pixels.y[0, 0]), column - int(pixels.x[0, 0]), True)
-        light = spotfinding.cut_crop(
-            np.broadcast_to(model.light(frame).total, (pixels.y.size, pixels.x.size)), centre, side
-        )
-        values: dict[str, Any] = {"mean_light": light, "amplitude": spot.peak_dn, "sigma": spot.sigma_px}
+        # Place of the spot on the simulated frame, which may be a window of the sensor.
+        centre = spotfinding.Spot(row - int(pixels.y[0, 0]), column - int(pixels.x[0, 0]), exists=True)
+        light = np.broadcast_to(model.light(frame).total, (pixels.y.size, pixels.x.size))
+        crop = spotfinding.cut_crop(light, centre, side)
+        values: dict[str, Any] = {"mean_light": crop, "amplitude": spot.peak_dn, "sigma": spot.sigma_px}
         if "mean_reading" in variables:
             reading = spotfinding.cut_crop(model.expected(frame).mean, centre, side)
             values |= {"mean_reading": reading, "left": column - side // 2, "top": row - side // 2}
@@ -75,18 +81,18 @@ class SimulatedFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class Destination:
-    """Files of a simulation: where they are, what they are made from, and how they are written."""
+    """Files of a simulation: their paths and provenance, and how they are written."""
 
     folder: Path  # dataset folder of the simulated frames
     path: Path  # file of mean images
     seed: int  # seed of all random numbers
-    code: str  # digest of the code
+    code: str  # digest of the code that simulates
     inputs: Sequence[str | Path]  # files that the simulation depends on
 
     def write_frames(
         self, dataset: Dataset, frames: Iterable[SimulatedFrame], variables: Variables, attributes: Mapping[str, Any]
     ) -> None:
-        """Draw the frames, one for each spot of the dataset; write their stack and the file of mean images.
+        """Draw the frames, one for each spot frame of the dataset; write their stack and the file of mean images.
 
         `variables` and `attributes` are those of the file of mean images. Equal frames and seeds give equal files.
         """
@@ -102,20 +108,20 @@ class Destination:
             tifffile.TiffWriter(scratch) as stack,
         ):
             for number, (frame, (cell, row)) in enumerate(zip(frames, dataset.cells(), strict=True)):
-                # A site is the same at all its exposures.
+                # Frames of a site at different exposures share its random numbers.
                 site = sites.setdefault(site_of(row, dataset.instrument.conditions, has_law=True), len(sites))
                 readings = frame.model.sample(frame.conditions, RandomStreams(self.seed, number, site))
                 stack.write(readings, compression="zlib", contiguous=False, metadata=None, software="")
                 writer.put(cell, frame.values(side, variables))
 
     def write_contract(self, dataset: Dataset, instrument: Mapping[str, Any]) -> None:
-        """Write manifest.csv with the measured design, and instrument.yaml with the keys that were simulated."""
+        """Write manifest.csv with the spot frames of the dataset, and instrument.yaml with the keys in `instrument`."""
         columns = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *dataset.instrument.conditions]
         table = io.StringIO()
         writer = csv.DictWriter(table, columns, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
-        for page, row in enumerate(dataset.spots):
-            writer.writerow({**vars(row), **row.extra, "file": STACK, "page": page})
+        for page, frame in enumerate(dataset.spots):
+            writer.writerow({**vars(frame), **frame.extra, "file": STACK, "page": page})
         store.write_text(self.folder / "manifest.csv", table.getvalue())
         content = {"name": f"{dataset.title} (simulated)", "crop_px": dataset.instrument.crop_px}
         keys = _without_missing({**content, "conditions": list(dataset.instrument.conditions), **instrument})
@@ -123,13 +129,13 @@ class Destination:
 
 
 def _without_missing(keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Return keys of instrument.yaml, and those of its sections, that are neither None nor infinite nor empty."""
+    """Return the keys of instrument.yaml and of its sections whose values are neither None nor infinite nor empty."""
     known = {key: _without_missing(value) if isinstance(value, dict) else value for key, value in keys.items()}
     return {key: value for key, value in known.items() if value not in (None, np.inf, [], {})}
 
 
 class NoiseFreeModel(ForwardModel):
-    """A forward model for a sensor whose gain or read noise is unknown: it reads the rounded mean light."""
+    """A forward model for a sensor whose gain or read noise is unknown: readings are the rounded mean light."""
 
     def sample(self, frame: FrameConditions, streams: RandomStreams) -> np.ndarray:
         """Return the frame [row, column] in DN (uint16); `streams` is not used."""
@@ -146,24 +152,38 @@ def simulate(
 ) -> None:
     """Simulate the paper's model: write the dataset folder, and the mean images [grid, y, x] around the spots.
 
-    Without a sensor model the frames are the rounded mean image and the attribute `noise` says so.
+    Parameters
+    ----------
+    dataset : Dataset
+        Measured dataset whose spot frames are simulated.
+    states : mapping of tuple of int to SpotState
+        Peak and width of the spot of each frame by cell; the peak is NaN for a frame without a usable spot.
+    sensor : SensorModel or None
+        The camera. Without it frames are the rounded mean image, which the attribute `noise` says.
+    full_scale : int
+        Largest reading [DN].
+    destination : Destination
+        Files to write.
+    attributes : mapping of str to str
+        Further attributes of the file of mean images.
     """
     # The paper's model has no learned light shape.
     baseline = replace(of_instrument(dataset.instrument, dataset.exposures), learned=None)
-    unknown = SensorModel(1.0, 0.0, full_scale_dn=full_scale)
-    model = ForwardModel(baseline, sensor) if sensor else NoiseFreeModel(baseline, unknown)
+    noise_free = SensorModel(gain_dn_per_e=1.0, read_noise_e=0.0, full_scale_dn=full_scale)
+    model = ForwardModel(baseline, sensor) if sensor else NoiseFreeModel(baseline, noise_free)
     attributes = {"noise": "drawn" if sensor else "none: gain or read noise of the sensor is unknown", **attributes}
     destination.write_frames(dataset, _baseline_frames(dataset, states, model), VARIABLES, attributes)
     destination.write_contract(dataset, {"sensor": {"bit_depth": full_scale.bit_length()}})
 
 
 def _baseline_frames(dataset: Dataset, states: SpotStates, model: ForwardModel) -> Iterator[SimulatedFrame]:
-    """Yield every frame with its spot in the middle of the canvas."""
+    """Yield every frame of the paper's model, with its spot in the middle of the canvas."""
     side = CANVAS * dataset.instrument.crop_px
     grid, middle = crop_grid(range(side), range(side), side, side), side // 2
     for cell, row in dataset.cells():
         # A frame without a usable spot is simulated as one without light.
         spot = states[cell] if np.isfinite(states[cell].peak_dn) else SpotState(0.0, 1.0)
+        # Without a law peak and width are given; the exposure counts for the dark current only.
         conditions = FrameConditions(grid, middle, middle, row.exposure_s or 0.0, 1.0, 1.0, **asdict(spot))
         yield SimulatedFrame(model, conditions, states[cell])
 
@@ -173,17 +193,17 @@ def simulate_extended(
 ) -> None:
     """Simulate the extended model: write the dataset folder, and the expected crop around each spot [grid, y, x].
 
-    Expected values are means over everything that is random. Frames are a window of the sensor that holds all spots
-    with a crop to every side, or the whole frame. `name` is the model file's; raises `InputError` for a model that does
-    not fit the instrument or the design.
+    Expected values are means over everything that is random. Frames are the window of the sensor that contains all
+    spots with a margin of one crop on every side, or the whole sensor if that is smaller. `name` is the name of the
+    model file, for messages. Raises `InputError` for a model that does not fit the instrument or the design.
     """
     if not dataset.exposures:
-        # As in the verdict: without exposures nobody knows what a dark current per second brings.
+        # As in the verdict: without exposures the dark signal is unknown.
         sensor = replace(sensor, dark_current_e_per_s=0.0)
     forward = ForwardModel(of_instrument(dataset.instrument, dataset.exposures), sensor, model.law, model.effects)
     check_model(dataset, model, forward.baseline, sensor, name)
     spots, side = _spots_of_frames(dataset, model), dataset.instrument.crop_px
-    # Positions stay the sensor's own: pedestals, fringes and smear refer to its whole frame.
+    # Positions remain those of the whole sensor, to which pedestals, fringes and smear refer.
     columns = _window([spot.x_px for spot in spots], side, model.columns)
     rows = _window([spot.y_px for spot in spots], side, model.rows)
     frames = _extended_frames(dataset, model, forward, spots, crop_grid(columns, rows, model.columns, model.rows), name)
@@ -196,7 +216,7 @@ def simulate_extended(
 
 
 def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sensor: SensorModel, name: str) -> None:
-    """Raise `InputError` for a model, of a file of that name, that does not fit the instrument or the design."""
+    """Raise `InputError` if a model does not fit the instrument or the design; `name` is the name of its file."""
     budget, crop = baseline.photon_budget, dataset.instrument.crop_px
     if not dataset.spots:
         raise InputError("manifest.csv: has no frame of kind spot; there is nothing to simulate")
@@ -208,9 +228,9 @@ def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sens
 
 
 def _spots_of_frames(dataset: Dataset, model: ExtendedModel) -> list[Spot]:
-    """Return the spot of every frame, in px of the sensor.
+    """Return the spot of every spot frame, in px of the sensor.
 
-    A site that the model does not know lies at the mean position of the others, without a peak of its own.
+    A spot that the model does not know is at the mean position of the others, and has no peak or width.
     """
     centres = [(spot.x_px, spot.y_px) for spot in model.spots.values()]
     unknown = Spot(*np.mean(centres or [((model.columns - 1) / 2, (model.rows - 1) / 2)], axis=0))
@@ -219,7 +239,7 @@ def _spots_of_frames(dataset: Dataset, model: ExtendedModel) -> list[Spot]:
 
 
 def _window(centres_px: Sequence[float], side: int, pixels: int) -> range:
-    """Return the pixels along one axis that hold a crop to every side of all centres; `pixels` is the sensor's size."""
+    """Return the pixels along one axis within `side` [px] of all centres; the sensor has `pixels` along it."""
     low = int(np.clip(np.floor(min(centres_px)) - side, 0, pixels - side))
     return range(low, int(np.clip(np.ceil(max(centres_px)) + side + 1, low + side, pixels)))
 
@@ -227,7 +247,10 @@ def _window(centres_px: Sequence[float], side: int, pixels: int) -> range:
 def _extended_frames(
     dataset: Dataset, extended: ExtendedModel, model: ForwardModel, spots: Sequence[Spot], grid: PixelGrid, name: str
 ) -> Iterator[SimulatedFrame]:
-    """Yield every frame at its spot; raises `InputError` for a peak or width that no spot has."""
+    """Yield every frame of the extended model; raises `InputError` for a negative peak or a width not above 0.
+
+    `spots` has the spot of each frame, `grid` the pixels to simulate; `name` is the name of the model file.
+    """
     last = len(spots) - 1
     for number, (row, spot) in enumerate(zip(dataset.spots, spots, strict=True)):
         conditions = FrameConditions(
@@ -241,7 +264,7 @@ def _extended_frames(
             reference_s=extended.reference_s,
             angle=float(np.deg2rad(row.angle_deg or 0.0)),
             order=number / last if dataset.instrument.order_known and last else 0.5,
-            # Without a law, a frame without a usable spot is simulated as one without light.
+            # Used only without a law; a frame without a usable spot is then simulated as one without light.
             peak_dn=float(spot.peak_dn or 0.0),
             sigma_px=float(spot.sigma_px or 1.0),
         )
@@ -255,7 +278,7 @@ def _extended_frames(
 
 
 def _simulated_instrument(dataset: Dataset, sensor: SensorModel) -> dict[str, Any]:
-    """Return the keys of instrument.yaml that the extended model ran with, so that its frames can be judged."""
+    """Return the keys of instrument.yaml with which the extended model was simulated, for later analysis."""
     instrument, full_scale = dataset.instrument, int(sensor.full_scale_dn)
     bit_depth = full_scale.bit_length()
     keys = {"pixel_pitch_m": instrument.sensor.pixel_pitch_m, "bit_depth": bit_depth} | asdict(sensor)

@@ -1,4 +1,7 @@
-"""The paper's numbers that follow from the inputs alone; M is rounded to 0.2 where the paper does so."""
+"""The paper's numbers that follow from the inputs alone.
+
+`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml.
+"""
 
 import math
 
@@ -6,136 +9,139 @@ from spotcheck.model import optics, spot
 from spotcheck.paper.results import Results
 from spotcheck.sensor import ROUNDING_VARIANCE
 
+# Magnification M [1] to the one digit that the paper prints and computes with in Section 3.1.2.
 PRINTED_MAGNIFICATION = 0.2
-FILAMENT_GAP_M = 5.2e-6  # Section 3.1.1
-PRINTED_SENSOR_WIDTH_MM = 22.528  # Section 3.1.1
+# Gap d_f between neighbouring filaments of the sample [m] (Section 3.1.1).
+FILAMENT_GAP_M = 5.2e-6
+# Width of the sensor as printed [mm] (Section 3.1.1).
+PRINTED_SENSOR_WIDTH_MM = 22.528
 
 
 def magnification(results: Results) -> float:
-    """Return M [1] (Eq. 1)."""
+    """Return the magnification M [1], image size over object size (Eq. 1)."""
     return optics.magnification(
         results.require_key("optics.focal_length_m"), results.require_key("optics.working_distance_m")
     )
 
 
+def _sensor_side_mm(results: Results, axis: str) -> float:
+    """Return the length of a side of the sensor [mm]; `axis` is "columns" or "rows", which frames.nc counts."""
+    return 1e3 * float(results.open_file("frames")[axis]) * results.require_key("sensor.pixel_pitch_m")
+
+
 def sensor_width(results: Results) -> float:
     """Return the width of the sensor [mm]."""
-    return 1e3 * float(results.open_file("frames")["columns"]) * results.require_key("sensor.pixel_pitch_m")
+    return _sensor_side_mm(results, "columns")
 
 
 def sensor_height(results: Results) -> float:
     """Return the height of the sensor [mm]."""
-    return 1e3 * float(results.open_file("frames")["rows"]) * results.require_key("sensor.pixel_pitch_m")
-
-
-def _field_mm(results: Results, side_mm: float) -> float:
-    """Return the field of view along a side of the sensor [mm]."""
-    return optics.field_of_view(
-        side_mm, results.require_key("optics.focal_length_m"), results.require_key("optics.working_distance_m")
-    )
+    return _sensor_side_mm(results, "rows")
 
 
 def field_height(results: Results) -> float:
-    """Return the field of view along the height [mm]."""
-    return _field_mm(results, sensor_height(results))
+    """Return the field of view on the sample along the height of the sensor [mm]."""
+    return sensor_height(results) / magnification(results)
 
 
 def field_width(results: Results) -> float:
-    """Return the field of view along the width [mm]."""
-    return _field_mm(results, sensor_width(results))
+    """Return the field of view on the sample along the width of the sensor [mm]."""
+    return sensor_width(results) / magnification(results)
 
 
 def _viewing_angle(results: Results, field_mm: float) -> float:
-    """Return the viewing angle of a field of view [degree]."""
+    """Return the full viewing angle [degree] of a field of view [mm] at the working distance."""
     distance_mm = 1e3 * results.require_key("optics.working_distance_m")
+    # Both lengths in mm: only their ratio counts.
     return math.degrees(optics.viewing_angle(field_mm, distance_mm))
 
 
 def viewing_angle_height(results: Results) -> float:
-    """Return the viewing angle along the height [degree]."""
+    """Return the full viewing angle along the height of the sensor [degree]."""
     return _viewing_angle(results, field_height(results))
 
 
 def viewing_angle_width(results: Results) -> float:
-    """Return the viewing angle along the width [degree]."""
+    """Return the full viewing angle along the width of the sensor [degree]."""
     return _viewing_angle(results, field_width(results))
 
 
 def _grain_um(results: Results, f_number: float) -> float:
-    """Return the speckle grain at an f-number [µm]."""
+    """Return the mean speckle grain on the sensor [µm] at an f-number [1], with M = 0.2 as printed."""
     return 1e6 * optics.speckle_grain(PRINTED_MAGNIFICATION, results.require_key("laser.wavelength_m"), f_number)
 
 
 def grain_per_f_number(results: Results) -> float:
-    """Return the speckle grain over the f-number [µm] (Eq. 3)."""
+    """Return the mean speckle grain on the sensor divided by the f-number [µm] (Eq. 3)."""
     return _grain_um(results, 1.0)
 
 
 def f_number_for_grain_of_one_pixel(results: Results) -> float:
-    """Return the f-number at which the grain is one pixel [1]."""
+    """Return the f-number [1] at which the mean speckle grain is as large as one pixel."""
     return 1e6 * results.require_key("sensor.pixel_pitch_m") / grain_per_f_number(results)
 
 
 def _f_number_for_depth(results: Results, depth_m: float) -> float:
-    """Return the f-number of a depth of focus with a blur of one pixel [1]."""
+    """Return the f-number [1] that gives a depth of focus [m] for a blur of one pixel, with M = 0.2 as printed."""
     return optics.f_number_for_depth(depth_m, results.require_key("sensor.pixel_pitch_m"), PRINTED_MAGNIFICATION)
 
 
 def f_number_for_shallow_depth(results: Results) -> float:
-    """Return the f-number of a depth of focus of 1.5 mm [1] (Eq. 4)."""
+    """Return the f-number [1] that gives a depth of focus of 1.5 mm for a blur of one pixel (Eq. 4)."""
     return _f_number_for_depth(results, 1.5e-3)
 
 
 def f_number_for_deep_depth(results: Results) -> float:
-    """Return the f-number of a depth of focus of 2 mm [1] (Eq. 4)."""
+    """Return the f-number [1] that gives a depth of focus of 2 mm for a blur of one pixel (Eq. 4)."""
     return _f_number_for_depth(results, 2e-3)
 
 
 def grain(results: Results) -> float:
-    """Return the speckle grain at the f-number of the set-up [µm] (Eq. 3)."""
+    """Return the mean speckle grain on the sensor [µm] at the f-number of the set-up (Eq. 3)."""
     return _grain_um(results, results.require_key("optics.f_number"))
 
 
 def grain_in_pixels(results: Results) -> float:
-    """Return the speckle grain [px]."""
+    """Return the mean speckle grain on the sensor at the f-number of the set-up [px]."""
     return 1e-6 * grain(results) / results.require_key("sensor.pixel_pitch_m")
 
 
 def contrast_increase(results: Results) -> float:
-    """Return the increase of the speckle contrast against a grain of one pixel [%] (Eq. 5, grains along one axis)."""
+    """Return by how much the speckle contrast exceeds that of a grain of one pixel [%] (Eq. 5)."""
+    # The paper counts speckle regions along one axis only; the pixel is 1/grain of a region wide.
     return 100 * (optics.contrast_of_regions(1 / grain_in_pixels(results)) - 1)
 
 
 def fraunhofer(results: Results) -> float:
-    """Return d_f²/(d_w λ) [1] (Eq. 6)."""
+    """Return the Fraunhofer number d_f²/(d_w λ) [1] of the gap d_f between filaments (Eq. 6)."""
     return optics.fraunhofer_number(
         FILAMENT_GAP_M, results.require_key("optics.working_distance_m"), results.require_key("laser.wavelength_m")
     )
 
 
 def rounding_variance(results: Results) -> float:
-    """Return the variance of the rounding [DN²]."""
+    """Return the variance of the error of rounding to whole DN [DN²]."""
     return ROUNDING_VARIANCE
 
 
 def top_hat_level(results: Results) -> float:
-    """Return the level of the plateau over that of the peak [1] (Eq. 40)."""
+    """Return the level of the plateau divided by the peak of the Gaussian that the top hat cuts [1] (Eq. 40)."""
     return float(spot.top_hat_level(1.0))
 
 
 def fill_factor(results: Results) -> float:
-    """Return the width of a pixel over the width of the sensor per pixel [%]."""
+    """Return the width of a pixel divided by the printed width of the sensor per column [%]."""
     pitch_mm = 1e3 * results.require_key("sensor.pixel_pitch_m")
     return 100 * pitch_mm / (PRINTED_SENSOR_WIDTH_MM / float(results.open_file("frames")["columns"]))
 
 
 def exposure_step(results: Results) -> float:
-    """Return the mean difference of neighbouring exposures [µs]."""
+    """Return the mean difference between neighbouring exposures [µs]."""
     return 1e6 * float(results.metrics["exposure"].diff("exposure").mean())
 
 
 def crop_side(results: Results) -> float:
-    """Return the side of the crops [px]."""
+    """Return the side of the square crops [px]."""
     return float(results.open_file("crops").sizes["x"])
 
 

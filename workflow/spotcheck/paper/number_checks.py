@@ -1,4 +1,8 @@
-"""Check each published number and statement of the paper against its counterpart from the results."""
+"""Check each published number and statement of the paper against our value, which is computed from the results.
+
+An entry is one number or statement in published.yaml: a dict with `id`, `printed`, `role`, `unit`, an accepted
+interval, and `because`, the reason for this interval. The virtual rig is the simulator that made the default dataset.
+"""
 
 import csv
 import io
@@ -8,34 +12,35 @@ from typing import NamedTuple
 from spotcheck.paper import bright_pixel, derived, measured, simulated, statements
 from spotcheck.paper.results import Results
 
-# Columns of paper_numbers.csv.
+# Columns of paper_numbers.csv. `holds` says whether the entry is met now. In an entry `holds` says whether it was met
+# at the last review, which is the column `expected`.
 COLUMNS = tuple("id role group section printed low high ours unit holds expected because remark".split())
-# Groups that are counted apart, and how the summary calls them.
+# Groups of entries that are counted separately → words of the summary.
 GROUPS = {
     "derived": "that follow from its inputs",
     "tuned": "that the settings of the virtual rig were searched to meet",
     "held_out": "held out of that search",
 }
-# Modules whose functions compute values, by the name of the function.
+# Modules whose functions, named by the `id` of an entry, compute our values.
 MODULES = (derived, simulated, measured, statements, bright_pixel)
 
 
 class NumberCheck(NamedTuple):
-    """Comparison of one number of the paper with its counterpart."""
+    """Comparison of one entry with our value."""
 
     entry: dict  # entry of published.yaml
-    value: float  # counterpart from the results, in the unit of the entry
+    value: float  # our value, in the unit of the entry
     low: float  # smallest accepted value
     high: float  # largest accepted value
 
     @property
     def is_met(self) -> bool:
-        """Whether the value lies in the accepted interval, ends included."""
+        """Whether the value is in the accepted interval, ends included; False for NaN."""
         return self.low <= self.value <= self.high
 
     @property
     def group(self) -> str:
-        """The key of `GROUPS`."""
+        """Group of the entry, a key of `GROUPS`."""
         if self.entry["role"] == "derived":
             return "derived"
         return "tuned" if self.entry.get("tuned", False) else "held_out"
@@ -47,32 +52,32 @@ class NumberCheck(NamedTuple):
 
 
 def accepted_interval(entry: dict) -> tuple[float, float]:
-    """Return the smallest and the largest accepted value of an entry."""
+    """Return the smallest and the largest accepted value of an entry, in its unit; infinite where it sets no limit."""
     if "value" in entry:
         return entry["value"] - entry["tolerance"], entry["value"] + entry["tolerance"]
     return entry.get("at_least", -float("inf")), entry.get("at_most", float("inf"))
 
 
 def check_numbers(entries: list[dict], results: Results) -> list[NumberCheck]:
-    """Return the check of each entry of published.yaml; its `id` names the function that computes its value."""
+    """Return the check of each entry; its `id` names the function of `MODULES` that computes our value."""
     functions = {name: value for module in MODULES for name, value in vars(module).items()}
     return [NumberCheck(entry, float(functions[entry["id"]](results)), *accepted_interval(entry)) for entry in entries]
 
 
 def read_other_seeds(path: Path) -> list[dict[str, int]]:
-    """Return the number of met entries of each group, one record for each seed of published_seeds.csv."""
+    """Return for each seed in published_seeds.csv a record: group → number of entries that are met."""
     with path.open(encoding="utf-8", newline="") as stream:
         return [{group: int(row[group]) for group in GROUPS} for row in csv.DictReader(stream)]
 
 
 def count_met(checks: list[NumberCheck]) -> dict[str, tuple[int, int]]:
-    """Return how many entries of each group are met, and how many there are."""
+    """Return for each group how many entries are met, and how many there are."""
     groups = {group: [check for check in checks if check.group == group] for group in GROUPS}
     return {group: (sum(check.is_met for check in members), len(members)) for group, members in groups.items()}
 
 
 def summarise_checks(checks: list[NumberCheck], other_seeds: list[dict[str, int]]) -> str:
-    """Return a Markdown text with the counts of `count_met` and the entries that are not met.
+    """Return Markdown paragraphs: the counts of `count_met`, those of other seeds, and the entries that are not met.
 
     Parameters
     ----------
@@ -80,21 +85,21 @@ def summarise_checks(checks: list[NumberCheck], other_seeds: list[dict[str, int]
     other_seeds : one record for each other seed of the rig, with the number of met entries of each group.
     """
     counts = count_met(checks)
-    parts = [f"{met} of {total} {GROUPS[group]}" for group, (met, total) in counts.items()]
-    text = f"Of the numbers and statements that the paper prints, {', '.join(parts[:-1])} and {parts[-1]} hold."
+    phrases = [f"{met} of {total} {GROUPS[group]}" for group, (met, total) in counts.items()]
+    text = f"Of the numbers and statements that the paper prints, {', '.join(phrases[:-1])} and {phrases[-1]} hold."
     if other_seeds:
-        ranges = [f"{_mean_and_range([seed[group] for seed in other_seeds])}" for group in ("tuned", "held_out")]
+        ranges = [_mean_and_range([seed[group] for seed in other_seeds]) for group in ("tuned", "held_out")]
         text += (
             f" With {len(other_seeds)} other seeds of the rig, which nothing was searched for, {ranges[0]} of the"
             f" {counts['tuned'][1]} tuned and {ranges[1]} of the {counts['held_out'][1]} held-out ones hold."
         )
-    failed = [
-        f"- {_name_of(check)} ({check.entry['section']}): printed {check.entry['printed']}; ours {check.value:.3g}"
+    failures = [
+        f"- {_format_id(check)} ({check.entry['section']}): printed {check.entry['printed']}; ours {check.value:.3g}"
         + (", tuned" if check.group == "tuned" else "")
         for check in checks
         if not check.is_met
     ]
-    return f"{text}\n\nNot met:\n\n" + ("\n".join(failed) or "Nothing.") + "\n"
+    return f"{text}\n\nNot met:\n\n" + ("\n".join(failures) or "Nothing.") + "\n"
 
 
 def _mean_and_range(counts: list[int]) -> str:
@@ -102,18 +107,18 @@ def _mean_and_range(counts: list[int]) -> str:
     return f"{sum(counts) / len(counts):.1f} ({min(counts)} to {max(counts)})"
 
 
-def _name_of(check: NumberCheck) -> str:
-    """Return the name of a number in words."""
+def _format_id(check: NumberCheck) -> str:
+    """Return the id of an entry in words, without underscores."""
     return check.entry["id"].replace("_", " ")
 
 
 def find_regressions(checks: list[NumberCheck]) -> list[NumberCheck]:
-    """Return the numbers that were met at the last review and no longer are."""
+    """Return the checks of entries that were met at the last review and no longer are."""
     return [check for check in checks if check.is_expected and not check.is_met]
 
 
 def format_csv(checks: list[NumberCheck]) -> str:
-    """Return all checks as CSV, one row per number."""
+    """Return all checks as CSV with the columns `COLUMNS`, one row per entry; missing keys of an entry are empty."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, COLUMNS, restval="", extrasaction="ignore", lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,7 @@
-"""Results of a dataset from which the paper's numbers are computed."""
+"""Results of a dataset from which the paper's numbers are computed.
+
+Metrics are variables of metrics.nc; NAME_mean and NAME_sd are mean and standard deviation over repeats.
+"""
 
 from functools import cached_property
 from pathlib import Path
@@ -11,12 +14,15 @@ from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.model.baseline import Baseline, of_instrument
 
-# The paper crops around the maximum.
+# Kind of crop that the paper uses: centred on the maximum of the frame, not on the centroid of the light.
 CENTRING = "maximum"
 
 
 def require_key(instrument: Instrument, key: str) -> float:
-    """Return a number of instrument.yaml, such as "optics.f_number". Raises `InputError` if it is missing."""
+    """Return the number of a key "section.name" of instrument.yaml, such as "optics.f_number", in the unit of the key.
+
+    Raises `InputError` if the key has no value.
+    """
     section, _, name = key.partition(".")
     value = getattr(getattr(instrument, section), name)
     if value is None:
@@ -25,15 +31,16 @@ def require_key(instrument: Instrument, key: str) -> float:
 
 
 class Results:
-    """Results folder of a dataset; files are opened when they are first needed.
+    """Results folder of a dataset, whose files are opened on demand.
 
     Attributes
     ----------
     dataset : Dataset
+        The dataset, with its instrument file.
     folder : Path
         Results folder of the dataset.
     opened : set of Path
-        Files that have been opened.
+        Files that have been opened, which are the inputs of the paper's numbers.
     """
 
     def __init__(self, dataset: Dataset, folder: Path):
@@ -42,31 +49,31 @@ class Results:
         self.opened: set[Path] = set()
 
     def open_file(self, name: str) -> xr.Dataset:
-        """Open a netCDF file of the folder by its name without suffix."""
+        """Open folder/`name`.nc, add it to `opened`, and return its content. Each call opens the file again."""
         path = self.folder / f"{name}.nc"
         self.opened.add(path)
         return store.read(path)
 
     def require_key(self, key: str) -> float:
-        """Return a number of instrument.yaml. Raises `InputError` if it is missing."""
+        """Return the number of a key of the dataset's instrument.yaml; see the function `require_key`."""
         return require_key(self.dataset.instrument, key)
 
     @cached_property
     def metrics(self) -> xr.Dataset:
-        """Metrics of measured and simulated crops around the maximum."""
+        """Metrics of crops around the maximum, with fits by least squares [source, angle, exposure, repeat]."""
         return self.open_file("metrics").sel(centring=CENTRING, fit="least_squares").load()
 
     @cached_property
     def measured(self) -> xr.Dataset:
-        """Metrics of the measured crops."""
+        """Metrics of the measured crops [angle, exposure, repeat]; averages over repeats [angle, exposure]."""
         return self.metrics.sel(source="measured")
 
     @cached_property
     def simulated(self) -> xr.Dataset:
-        """Metrics of the simulated crops, averaged over angles, which the model does not depend on."""
+        """Metrics of the simulated crops [exposure, repeat], averaged over angles, as the model ignores angles."""
         return self.metrics.sel(source="simulated").mean("angle")
 
     @cached_property
     def baseline(self) -> Baseline:
-        """Baseline model that the simulation used."""
+        """Baseline of the dataset: the paper's model without effects."""
         return of_instrument(self.dataset.instrument, self.metrics["exposure"].values)

@@ -1,4 +1,8 @@
-"""The paper's numbers of its simulation."""
+"""The paper's numbers of its simulation.
+
+`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml. Simulated
+values are means over repeats and angles. Exposures ascend. C_s is the speckle contrast.
+"""
 
 import numpy as np
 
@@ -6,61 +10,66 @@ from spotcheck.paper.results import Results
 
 
 def simulated_contrast_smallest(results: Results) -> float:
-    """Return the smallest C_s over exposures [1]."""
+    """Return the smallest C_s of an exposure [1]."""
     return float(results.simulated["speckle_contrast_mean"].min())
 
 
 def simulated_contrast_largest(results: Results) -> float:
-    """Return the largest C_s over exposures [1]."""
+    """Return the largest C_s of an exposure [1]."""
     return float(results.simulated["speckle_contrast_mean"].max())
 
 
 def _plateau_gap(results: Results) -> np.ndarray:
-    """Return |measured − simulated| mean maximum [angle, exposure] in DN."""
+    """Return the absolute difference of measured and simulated mean maximum of a crop [angle, exposure] in DN."""
     gap = results.measured["maximum_mean"] - results.simulated["maximum_mean"]
     return np.abs(gap.transpose("angle", "exposure").values)
 
 
 def plateau_gap_worst(results: Results) -> float:
-    """Return the largest difference of mean maxima [DN]."""
+    """Return the largest absolute difference of measured and simulated mean maximum [DN]."""
     return float(_plateau_gap(results).max())
 
 
 def plateau_gap_long(results: Results) -> float:
-    """Return the largest difference of mean maxima at the two longer exposures [DN]."""
+    """Return the largest absolute difference of measured and simulated mean maximum at the longer exposures [DN]."""
     return float(_plateau_gap(results)[:, 1:].max())
 
 
 def simulated_widths_closer(results: Results) -> float:
-    """Return 1 if the widths of the two longer exposures are closer than those of the two shorter."""
-    width = results.simulated["sigma_mean_mean"].values
-    return float(width[2] - width[1] < width[1] - width[0])
+    """Return 1 if the widths at the second and third exposure differ less than at the first and second, else 0."""
+    first_step, second_step = np.diff(results.simulated["sigma_mean_mean"].values)[:2]
+    return float(second_step < first_step)
 
 
-def _bound(results: Results, parameter: str) -> np.ndarray:
-    """Return the bounds of Fig. 13 by the paper's law (DN), over exposures between the extremes and over photons."""
+def _variance_bounds(results: Results, parameter: str) -> np.ndarray:
+    """Return the lower bounds on the variance of "peak" [1] or "sigma" [m²] that Fig. 13 shows [curve point].
+
+    They are those of the paper's law, which takes readings in DN for Poisson numbers. The first points are over the
+    exposure, within the exposures of the dataset; the others are over the number of photons.
+    """
     bounds = results.open_file("bounds").sel(law="dn")
     exposure = results.metrics["exposure"].values
     over_exposure = bounds[f"var_{parameter}_over_exposure"].sel(fine_exposure=slice(exposure.min(), exposure.max()))
     variance = np.concatenate([over_exposure.values, bounds[f"var_{parameter}_over_photons"].values])
+    # px² → m²
     return variance * float(bounds["pixel_pitch"]) ** 2 if parameter == "sigma" else variance
 
 
 def variance_peak_smallest(results: Results) -> float:
-    """Return the smallest bound on Var(µ_p,max) [1]."""
-    return float(_bound(results, "peak").min())
+    """Return the smallest lower bound on Var(µ_p,max), the variance of the peak [1]."""
+    return float(_variance_bounds(results, "peak").min())
 
 
 def variance_peak_largest(results: Results) -> float:
-    """Return the largest bound on Var(µ_p,max) [1]."""
-    return float(_bound(results, "peak").max())
+    """Return the largest lower bound on Var(µ_p,max), the variance of the peak [1]."""
+    return float(_variance_bounds(results, "peak").max())
 
 
 def variance_sigma_smallest(results: Results) -> float:
-    """Return the smallest bound on Var(σ_g) in the image plane [m²]."""
-    return float(_bound(results, "sigma").min())
+    """Return the smallest lower bound on Var(σ_g), the variance of the width in the image plane [m²]."""
+    return float(_variance_bounds(results, "sigma").min())
 
 
 def variance_sigma_largest(results: Results) -> float:
-    """Return the largest bound on Var(σ_g) in the image plane [m²]."""
-    return float(_bound(results, "sigma").max())
+    """Return the largest lower bound on Var(σ_g), the variance of the width in the image plane [m²]."""
+    return float(_variance_bounds(results, "sigma").max())

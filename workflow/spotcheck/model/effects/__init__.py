@@ -1,9 +1,9 @@
-"""The vocabulary of effects: every file in this folder is one, and a run may add files of its own and leave some out.
+"""The vocabulary of effects: the effects that a run knows. Each other module of this folder defines one.
 
-The vocabulary is chosen once for a process, by the command line, and not handed down: it belongs to the run as the
-library's code does. Every stage of a run must know the same effects, a name that a file holds must mean one thing
-wherever it is read, and processes that a stage starts are given the choice, from which they load it anew (functions of
-a file cannot be sent to them).
+An effect is a deviation of the frames from the baseline model. A run may add effects from files of the user and leave
+some out. This choice is a global state of the process, which the command line sets once, so that every function of a
+run knows the same effects by the same names. Processes that a stage starts are given the choice and load the effects
+again, as functions of a file cannot be sent to another process.
 """
 
 import importlib
@@ -20,15 +20,16 @@ from spotcheck.model.effect_file import read_effect
 
 
 class Choice(NamedTuple):
-    """Files that each add an effect, and the names of all effects that stay (none: all) or of those that go."""
+    """Choice of a vocabulary; at most one of `only` and `without` is given."""
 
-    files: tuple[str, ...] = ()
-    only: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()  # paths of Python files, each of which adds an effect
+    only: tuple[str, ...] = ()  # names of the effects that are kept; empty: all
+    without: tuple[str, ...] = ()  # names of the effects that are left out
 
 
-# The vocabulary as this folder has it.
+# The choice of exactly the effects of this folder.
 LIBRARY = Choice()
+# The choice of this process, which `choose` sets.
 _choice = LIBRARY
 
 
@@ -50,26 +51,28 @@ def vocabulary() -> Mapping[str, Effect]:
 
 
 def choose(choice: Choice = LIBRARY) -> None:
-    """Set the vocabulary of this process, by default that of this folder.
+    """Set the vocabulary of this process, by default to the effects of this folder.
 
-    Raises `InputError` for a file that holds no usable effect, a name or number that is taken, a name that no effect
-    has, and a choice that leaves nothing.
+    Raises `InputError`, and keeps the vocabulary, for a file without a usable effect, a name or number that is already
+    used, a name or special case that is no effect, both `only` and `without`, and a choice that leaves no effect.
     """
     global _choice
+    # Files may have changed since they were last read.
     _gather.cache_clear()
+    # Raises before the choice is set.
     _gather(choice)
     _choice = choice
 
 
 def chosen() -> Choice:
-    """Return the choice of this process, for processes that it starts."""
+    """Return the choice of this process, which processes that it starts must be given."""
     return _choice
 
 
 def record() -> dict[str, Any]:
-    """Return the difference of the run's vocabulary from that of this folder, for files; {} if there is none.
+    """Return how the vocabulary of this run differs from this folder, as files of results record it; {} if it does not.
 
-    `own` holds name, file and digest of the effects from files, `left_out` the names of effects that were left out.
+    The key `own` lists name, file and digest of each effect from a file, `left_out` the names of effects left out.
     """
     difference = _gather(_choice)[1]
     return difference if any(difference.values()) else {}
@@ -77,7 +80,10 @@ def record() -> dict[str, Any]:
 
 @cache
 def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
-    """Return the effects of a choice by name, in the order of their numbers, and the keys of `record`."""
+    """Return the effects of a choice by name, in the order of their numbers, and the keys of `record`.
+
+    Raises `InputError` as `choose` does.
+    """
     effects, added = dict(built_in()), []
     for file in choice.files:
         effect, digest = read_effect(Path(file))
@@ -86,6 +92,7 @@ def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
             raise InputError(f"{file}: its effect is called {effect.name}, as another is; give it a name of its own")
         if other := numbers.get(effect.number):
             raise InputError(f"{file}: number {effect.number} is that of {other}; leave it out for the next free one")
+        # 0 stands for the next free number.
         effects[effect.name] = replace(effect, number=effect.number or max(numbers) + 1)
         added.append({"name": effect.name, "file": Path(file).name, "sha256": digest})
     known = f"known effects: {', '.join(effects)}"
@@ -101,5 +108,5 @@ def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
     if not kept_names:
         raise InputError("vocabulary: without names every effect; leave at least one")
     kept = _sort_by_number(effects[name] for name in kept_names)
-    added = [keys for keys in added if keys["name"] in kept]
-    return kept, {"own": added, "left_out": [name for name in effects if name not in kept]}
+    kept_files = [keys for keys in added if keys["name"] in kept]
+    return kept, {"own": kept_files, "left_out": [name for name in effects if name not in kept]}

@@ -1,12 +1,12 @@
-"""Angle reflectance: the brightness follows the fibre angle."""
+"""Angle reflectance: the brightness of the spot depends on the fibre angle γ."""
 
 import numpy as np
 
 from spotcheck.model.effect import DIRECTIONS, Effect, Need, Only, Parameter, Stage, Step
 
 
-def follow_angle(frame, peak_dn, *, d, gamma0):
-    """Return the peak [DN] times 1 + d cos 2(γ − γ0); γ0 in deg."""
+def modulate_by_angle(frame, peak_dn, *, d, gamma0):
+    """Return the peak [DN] times 1 + d cos 2(γ − γ0), with the depth d [1] and the angle γ0 of the maximum [deg]."""
     return peak_dn * (1 + d * np.cos(2 * (frame.angle - np.deg2rad(gamma0))))
 
 
@@ -17,7 +17,7 @@ EFFECT = Effect(
     noun="change of brightness with the fibre angle",
     is_share=True,
     parameters=(Parameter("d", "1", 0.0, 0.95, negligible=0.005), Parameter("gamma0", "deg")),
-    variants={Only.ONLY: (Step(Stage.BRIGHTNESS, follow_angle),)},
+    variants={Only.ONLY: (Step(Stage.BRIGHTNESS, modulate_by_angle),)},
     starts=lambda scales: [(0.02, gamma0) for gamma0 in DIRECTIONS],
     law_of="brightness",
     needs=(Need.ANGLES, Need.LAW),

@@ -6,11 +6,14 @@ from spotcheck.model.effect import Effect, Parameter, Pedestal, Stage, Step
 
 
 def add_slope(frame, pedestal_dn, *, slope, level, direction):
-    """Return what is there plus `level` [DN] at the frame's centre and `slope` [DN per 100 px] uphill towards
-    `direction` [deg from +x towards +y]; what is added is never below 0."""
-    angle, pixels = np.deg2rad(direction), frame.pixels
-    along = (pixels.x - pixels.centre_x) * np.cos(angle) + (pixels.y - pixels.centre_y) * np.sin(angle)
-    return pedestal_dn + np.maximum(level + slope * along / 100, 0.0)
+    """Return the pedestals so far [DN] plus one that rises linearly across the frame.
+
+    It is `level` [DN] at the centre of the sensor and rises by `slope` [DN per 100 px] towards `direction` [deg from +x
+    towards +y]. Where it would be negative it is 0.
+    """
+    angle_rad, pixels = np.deg2rad(direction), frame.pixels
+    distance_px = (pixels.x - pixels.centre_x) * np.cos(angle_rad) + (pixels.y - pixels.centre_y) * np.sin(angle_rad)
+    return pedestal_dn + np.maximum(level + slope * distance_px / 100, 0.0)
 
 
 EFFECT = Effect(

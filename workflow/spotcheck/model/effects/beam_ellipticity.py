@@ -1,4 +1,4 @@
-"""Beam ellipticity: an ellipse fixed to the camera."""
+"""Beam ellipticity: the spot is an ellipse whose direction is fixed to the camera."""
 
 import numpy as np
 
@@ -7,7 +7,10 @@ from spotcheck.model.ellipse import make_round
 
 
 def stretch(frame, dx, dy, *, ratio, direction):
-    """Return displacements at which the ellipse is round: long axis at `direction` [deg], `ratio` = long/short."""
+    """Return the displacements [px] on a round spot that correspond to dx, dy on the ellipse.
+
+    `ratio` is the long over the short axis [1], `direction` that of the long axis [deg from +x towards +y].
+    """
     return make_round(dx, dy, ratio, np.deg2rad(direction))
 
 

@@ -1,4 +1,4 @@
-"""Beam profile: the light has another shape than the declared one, which is learned from frames (`light_shape`)."""
+"""Beam profile: the light does not have the declared shape; another one is learned from the frames (`light_shape`)."""
 
 from spotcheck.model.effect import Effect, Only, Parameter
 
@@ -11,8 +11,9 @@ EFFECT = Effect(
     is_share=True,
     # Share of the light that lies elsewhere than declared, and the azimuthal order that has most of it.
     parameters=(Parameter("power", "1", 0.0, 1.0, negligible=0.005), Parameter("order", "1", 0.0, 8.0)),
-    # The baseline holds the learned shape.
+    # No step: the learned shape is part of the baseline.
     variants={Only.ONLY: ()},
+    # A learned shape has no starting values.
     starts=lambda scales: [],
     is_static_shape=True,
 )

@@ -1,4 +1,4 @@
-"""Black clipping: the converter's zero lies above true black, or a dead zone reads 0."""
+"""Black clipping: the zero of the converter lies above true black, or all signals below a threshold read 0."""
 
 from enum import Enum
 
@@ -8,26 +8,29 @@ from spotcheck.model.effect import Effect, Parameter, Stage, Step
 
 
 class Variant(Enum):
-    """How the faint end is lost."""
+    """The way in which faint signals are lost."""
 
     SUBTRACTED = "subtracted"
     DEAD_ZONE = "dead zone"
 
 
 def subtract(signal_dn, *, threshold):
-    """Return the signal [DN] less the threshold; what falls below 0 reads 0."""
+    """Return the signal [DN] minus `threshold` [DN]; readings are later limited to 0."""
     return signal_dn - threshold
 
 
 def cut_dead_zone(signal_dn, *, threshold):
-    """Return the signal [DN], 0 below the threshold."""
+    """Return the signal [DN], replaced by 0 where it is below `threshold` [DN]."""
     return np.where(signal_dn < threshold, 0.0, signal_dn)
 
 
-def lower_black_level(sensor, variant, *, threshold):
-    """Return the black level that is left, if it is not below 0; no key describes a dead zone."""
-    left = sensor.black_level_dn - threshold
-    return {"sensor.black_level_dn": left} if variant is Variant.SUBTRACTED and left >= 0 else {}
+def find_instrument_keys(sensor, variant, *, threshold):
+    """Return the key of instrument.yaml that does the same: a black level lower by `threshold` [DN].
+
+    {} for a dead zone, which no key describes, and for a black level below 0.
+    """
+    level_dn = sensor.black_level_dn - threshold
+    return {"sensor.black_level_dn": level_dn} if variant is Variant.SUBTRACTED and level_dn >= 0 else {}
 
 
 EFFECT = Effect(
@@ -42,5 +45,5 @@ EFFECT = Effect(
     },
     starts=lambda scales: [(1.0,), (4.0,), (0.6,), (0.03 * scales.peak_dn,)],
     hidden_in_flats="",
-    instrument_keys=lower_black_level,
+    instrument_keys=find_instrument_keys,
 )

@@ -1,15 +1,18 @@
-"""Dark offset: a uniform pedestal, of ambient light or of the black level."""
+"""Dark offset: a uniform pedestal of ambient light, or a higher black level."""
 
 from spotcheck.model.effect import Effect, Parameter, Pedestal, Stage, Step
 
 
 def add_level(frame, pedestal_dn, *, level):
-    """Return what is there plus `level` [DN]."""
+    """Return the pedestals so far [DN] plus `level` [DN]."""
     return pedestal_dn + level
 
 
-def raise_black_level(sensor, variant, *, level):
-    """Return the black level that an electronic pedestal makes; light is no number of the sensor."""
+def find_instrument_keys(sensor, variant, *, level):
+    """Return the key of instrument.yaml that does the same: a black level higher by `level` [DN].
+
+    {} for a pedestal of light, which no key describes.
+    """
     return {"sensor.black_level_dn": sensor.black_level_dn + level} if variant is Pedestal.ELECTRONIC else {}
 
 
@@ -25,5 +28,5 @@ EFFECT = Effect(
     },
     starts=lambda scales: [(1.0,)],
     hidden_in_flats="",
-    instrument_keys=raise_black_level,
+    instrument_keys=find_instrument_keys,
 )

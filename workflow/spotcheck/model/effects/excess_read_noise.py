@@ -1,10 +1,10 @@
-"""Excess read noise: more signal-independent white noise than stated."""
+"""Excess read noise: the white noise that does not depend on the signal is larger than stated."""
 
 from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
 def replace_noise(variance_e2, *, total):
-    """Return the variance [e-²] of `total` [e- rms], which replaces the stated noise."""
+    """Return the variance [e-²] of a read noise `total` [e- rms], which replaces the stated one."""
     return total * total
 
 
@@ -19,7 +19,7 @@ def highest_noise(scales):
 
 
 def negligible_excess(scales):
-    """Return the excess over the stated read noise [e- rms] that a user would call nothing."""
+    """Return the excess over the stated read noise [e- rms] that a user would call zero."""
     return 0.03 * scales.read_noise_e
 
 
@@ -31,6 +31,7 @@ EFFECT = Effect(
     parameters=(Parameter("total", "e-", lowest_noise, highest_noise, negligible=negligible_excess),),
     variants={Only.ONLY: (Step(Stage.READ_NOISE, replace_noise),)},
     starts=lambda scales: [(1.05 * scales.read_noise_e + 0.1,)],
+    # It vanishes at the stated read noise, which depends on the dataset.
     vanishes_at=float("nan"),
     acts_on_noise=True,
     hidden_in_flats="the noise of the darks is the measured one",

@@ -1,4 +1,4 @@
-"""Fibre anisotropy: an ellipse whose long axis turns with the fibre angle."""
+"""Fibre anisotropy: the spot is an ellipse whose long axis turns with the fibre angle."""
 
 from enum import Enum
 
@@ -9,19 +9,23 @@ from spotcheck.model.ellipse import make_round
 
 
 class Variant(Enum):
-    """Sense in which the fibre angle turns in the image, which nobody knows beforehand."""
+    """Sense in which the long axis turns in the image if the fibre angle increases, which is not recorded."""
 
     SAME_SENSE = "same sense"
     OPPOSITE_SENSE = "opposite sense"
 
 
 def stretch_along(frame, dx, dy, *, ratio, zero):
-    """Return displacements at which the ellipse is round: long axis at angle + `zero` [deg], `ratio` = long/short."""
+    """Return the displacements [px] on a round spot that correspond to dx, dy on the ellipse.
+
+    `ratio` is the long over the short axis [1]. The direction of the long axis is the fibre angle plus `zero` [deg from
+    +x towards +y].
+    """
     return make_round(dx, dy, ratio, frame.angle + np.deg2rad(zero))
 
 
 def stretch_against(frame, dx, dy, *, ratio, zero):
-    """As `stretch_along`, with the long axis at `zero` − angle."""
+    """Return as `stretch_along` displacements [px] on a round spot, with the direction `zero` minus the fibre angle."""
     return make_round(dx, dy, ratio, np.deg2rad(zero) - frame.angle)
 
 

@@ -1,10 +1,11 @@
-"""Fixed pattern: pixel gains or hot pixels, the same in every frame."""
+"""Fixed pattern: the gains of pixels differ, or pixels are hot, in the same way in every frame."""
 
 import numpy as np
 
 from spotcheck.model.effect import Effect, Only, Parameter, RandomStep, Scope, Stage, multiply, normal_draws
 
-# Gain [rows, columns] of each pixel, 1 on average; hot pixels are listed by the report, not drawn.
+# Draws the gain of each pixel [row, column]: normal with mean 1, never below 0. Hot pixels are not simulated; the
+# report lists those of the frames.
 GAINS = normal_draws("prnu", lambda deviation: np.maximum(1 + deviation, 0.0), size=tuple)
 
 EFFECT = Effect(

@@ -4,20 +4,24 @@ import numpy as np
 
 from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
+# Starting values: number of directions, distances in widths σ_g of the spot, and brightness over that of the spot.
+START_DIRECTIONS, START_RADII, START_FRACTION = 8, (1.2, 2.2, 3.4), 0.01
 
-def copy(frame, *, fraction, dx, dy):
-    """Return the spot itself, and a copy `fraction` as bright that is displaced by dx, dy [px]."""
+
+def add_copy(frame, *, fraction, dx, dy):
+    """Return dx, dy [px] and weights [3, copy] of the spot itself and of a copy displaced by `dx`, `dy` [px].
+
+    The copy has the share `fraction` [1] of the brightness of the spot.
+    """
     return np.array([[0.0, dx], [0.0, dy], [1.0, fraction]])
 
 
 def list_starts(scales):
-    """Return starting values at the copies in residuals, or without any at some distances and directions."""
-    angles = np.arange(8) * np.pi / 4
-    rings = [
-        (share * scales.sigma_px * np.cos(angles), share * scales.sigma_px * np.sin(angles))
-        for share in (1.2, 2.2, 3.4)
-    ]
-    return [(0.01, dx, dy) for dx, dy in scales.copies or np.concatenate(rings, axis=1).T.tolist()]
+    """Return starting values at the copies that residuals show; without these, on rings around the spot."""
+    angles_rad = np.arange(START_DIRECTIONS) * 2 * np.pi / START_DIRECTIONS
+    # dx and dy [px] of the starts on each ring.
+    rings = [radius * scales.sigma_px * np.array([np.cos(angles_rad), np.sin(angles_rad)]) for radius in START_RADII]
+    return [(START_FRACTION, dx, dy) for dx, dy in scales.copies or np.concatenate(rings, axis=1).T.tolist()]
 
 
 EFFECT = Effect(
@@ -31,7 +35,7 @@ EFFECT = Effect(
         Parameter("dx", "px", lambda scales: -1.5 * scales.crop_px, lambda scales: 1.5 * scales.crop_px),
         Parameter("dy", "px", lambda scales: -1.5 * scales.crop_px, lambda scales: 1.5 * scales.crop_px),
     ),
-    variants={Only.ONLY: (Step(Stage.BLUR, copy),)},
+    variants={Only.ONLY: (Step(Stage.BLUR, add_copy),)},
     starts=list_starts,
     is_static_shape=True,
 )

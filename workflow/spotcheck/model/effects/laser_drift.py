@@ -1,4 +1,4 @@
-"""Laser drift: the brightness runs steadily with the order of acquisition."""
+"""Laser drift: the brightness changes steadily with the order of acquisition."""
 
 from enum import Enum
 
@@ -6,26 +6,29 @@ import numpy as np
 
 from spotcheck.model.effect import Effect, Need, Parameter, Stage, Step
 
-# A rate nearer to 0 than this is that of a straight line.
-STRAIGHT = 1e-6
+# Rates nearer to 0 are replaced by this one: the drift is then linear, and 0/0 is avoided.
+LEAST_RATE = 1e-6
 
 
 class Variant(Enum):
-    """Course of the drift."""
+    """Course of the drift over the order of acquisition."""
 
     LINEAR = "linear"
     SETTLING = "settling"
 
 
 def drift_linearly(frame, peak_dn, *, total):
-    """Return the peak [DN] times 1 + total · place, with the place in the order of acquisition from 0 to 1."""
+    """Return the peak [DN] times 1 + `total` · place, where the place in the order of acquisition runs from 0 to 1."""
     return peak_dn * (1 + total * frame.order)
 
 
 def settle(frame, peak_dn, *, total, rate):
-    """Return the peak [DN] of a laser that warms up by 1 − exp(−rate · place), 1 + total at the end; a rate below 0
-    makes it grow by equal factors."""
-    rate = rate if abs(rate) > STRAIGHT else STRAIGHT
+    """Return the peak [DN] times 1 + `total` · (1 − exp(−`rate` · place))/(1 − exp(−`rate`)).
+
+    The place in the order of acquisition runs from 0 to 1. With `rate` > 0 the brightness settles; with `rate` < 0 the
+    drift accelerates exponentially.
+    """
+    rate = rate if abs(rate) > LEAST_RATE else LEAST_RATE
     return peak_dn * (1 + total * np.expm1(-rate * frame.order) / np.expm1(-rate))
 
 

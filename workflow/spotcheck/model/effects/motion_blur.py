@@ -4,27 +4,34 @@ import numpy as np
 
 from spotcheck.model.effect import DIRECTIONS, Effect, Only, Parameter, Stage, Step
 
-# Gauss–Legendre points of a path: three, and one more for each 3 px of it, at most 12. The edge of a plateau needs more
-# of them than a smooth spot.
-MOST_POINTS, FEWEST_POINTS, PX_PER_POINT = 12, 3, 3.0
+# Number of Gauss–Legendre points along the path: the fewest, one more for each 3 px of it, and the most. The edge of a
+# plateau needs more points than a smooth spot.
+FEWEST_POINTS, PX_PER_POINT, MOST_POINTS = 3, 3.0, 12
 
 
 def move(frame, *, speed, direction):
-    """Return displacements [px] along the path, centred on the spot, and weights; speed in px/s, direction in deg."""
-    angle, half = np.deg2rad(direction), speed * np.asarray(frame.exposure_s) / 2
-    count = int(min(FEWEST_POINTS + 2 * np.max(half) // PX_PER_POINT, MOST_POINTS))
-    nodes, weights = (values.reshape(-1, *(1,) * half.ndim) for values in np.polynomial.legendre.leggauss(count))
-    along = half * nodes
-    return np.stack([along * np.cos(angle), along * np.sin(angle), np.broadcast_to(weights / 2, along.shape)])
+    """Return dx, dy [px] and weights [3, point, ...] of points along the path of the spot during the exposure.
+
+    The path is centred on the place of the spot. `speed` is in px/s, `direction` in deg from +x towards +y. Further
+    axes are those of frames with different exposures.
+    """
+    # Half the length of the path.
+    angle_rad, half_px = np.deg2rad(direction), speed * np.asarray(frame.exposure_s) / 2
+    count = int(min(FEWEST_POINTS + 2 * np.max(half_px) // PX_PER_POINT, MOST_POINTS))
+    # The nodes lie in −1 … 1 and the weights sum to 2.
+    nodes, weights = (values.reshape(-1, *(1,) * half_px.ndim) for values in np.polynomial.legendre.leggauss(count))
+    path_px = half_px * nodes
+    weights = np.broadcast_to(weights / 2, path_px.shape)
+    return np.stack([path_px * np.cos(angle_rad), path_px * np.sin(angle_rad), weights])
 
 
 def highest_speed(scales):
-    """Return the highest speed [px/s]: 100 widths of the spot in the shortest exposure."""
+    """Return the highest speed [px/s], which moves the spot by 100 σ_g in the shortest exposure."""
     return 100 * scales.sigma_px / scales.shortest_s
 
 
 def negligible_speed(scales):
-    """Return the speed [px/s] that moves the spot by 0.15 of its width in the longest exposure."""
+    """Return the speed [px/s] that moves the spot by 0.15 σ_g in the longest exposure."""
     return 0.15 * scales.sigma_px / scales.longest_s
 
 

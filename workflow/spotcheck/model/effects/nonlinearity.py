@@ -1,11 +1,11 @@
-"""Non-linearity: the response bends below saturation."""
+"""Nonlinearity: the response of the sensor has a curvature below saturation."""
 
 from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 from spotcheck.sensor.response import apply_curvature
 
 
-def bend(signal_dn, *, q, full_scale_dn):
-    """Return y − q y²/full scale of a signal y [DN] without black level; q > 0 bends down."""
+def curve_response(signal_dn, *, q, full_scale_dn):
+    """Return y − `q` y²/full scale for a signal y [DN] without black level; with q > 0 [1] the response bends down."""
     return apply_curvature(signal_dn, q / full_scale_dn)
 
 
@@ -16,7 +16,7 @@ EFFECT = Effect(
     noun="bend of the response",
     is_share=True,
     parameters=(Parameter("q", "1", -0.6, 0.45, negligible=0.005),),
-    variants={Only.ONLY: (Step(Stage.RESPONSE, bend),)},
+    variants={Only.ONLY: (Step(Stage.RESPONSE, curve_response),)},
     starts=lambda scales: [(0.02,)],
     hidden_in_flats="",
     # To first order the curvature adds to that of the data sheet.

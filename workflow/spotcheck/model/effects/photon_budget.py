@@ -1,18 +1,18 @@
-"""Photon budget: the light grows with exposure by another law than the baseline's."""
+"""Photon budget: the peak depends on the exposure by another law than the baseline's."""
 
 import numpy as np
 
 from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
-def grow(frame, peak_dn, *, q):
-    """Return the peak [DN] times (t/t_max)^q."""
+def multiply_by_power(frame, peak_dn, *, q):
+    """Return the peak [DN] times (t/t_max)^`q`, with the nominal exposure t and the longest one of the dataset."""
     return peak_dn * np.exp(q * np.log(frame.exposure_s / frame.longest_s))
 
 
-def slope_of_power(frame, peak_dn, *, q):
-    """Return the derivative of `grow` by q [DN]."""
-    return grow(frame, peak_dn, q=q) * np.log(frame.exposure_s / frame.longest_s)
+def power_derivative(frame, peak_dn, *, q):
+    """Return the derivative of `multiply_by_power` by `q` [DN]."""
+    return multiply_by_power(frame, peak_dn, q=q) * np.log(frame.exposure_s / frame.longest_s)
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
     sentence="the light grows with exposure by another power than the model's",
     noun="excess power of the exposure in the light",
     parameters=(Parameter("q", "1", -2.0, 2.0, negligible=0.01),),
-    variants={Only.ONLY: (Step(Stage.BRIGHTNESS, grow, {"q": slope_of_power}),)},
+    variants={Only.ONLY: (Step(Stage.BRIGHTNESS, multiply_by_power, {"q": power_derivative}),)},
     starts=lambda scales: [(0.02,)],
     law_of="brightness",
     needs=(Need.EXPOSURES, Need.LAW),

@@ -4,16 +4,16 @@ from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Sc
 
 
 def shift_x(frame, dx, dy, offset):
-    """Return displacements from a centre that is moved by `offset` [px] to the right."""
+    """Return the displacements dx, dy [px] from a centre that is moved to the right by the drawn `offset` [px]."""
     return dx - offset, dy
 
 
 def shift_y(frame, dx, dy, offset):
-    """Return displacements from a centre that is moved by `offset` [px] down."""
+    """Return the displacements dx, dy [px] from a centre that is moved down by the drawn `offset` [px]."""
     return dx, dy - offset
 
 
-# Each draws the displacement of the centre in one frame [px].
+# Each step draws the displacement [px] of the centre of each frame along one axis, normal with the deviation `rms`.
 STEPS = tuple(RandomStep(Stage.COORDINATES, shift, Scope.FRAME, *normal_draws("rms")) for shift in (shift_x, shift_y))
 
 EFFECT = Effect(

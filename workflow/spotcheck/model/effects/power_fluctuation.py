@@ -1,10 +1,10 @@
-"""Power fluctuation: brightness scatters from frame to frame without order."""
+"""Power fluctuation: the brightness scatters from frame to frame at random."""
 
 import numpy as np
 
 from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Scope, Stage, multiply, normal_draws
 
-# Factor on the light of one frame: normal around 1, never below 0.
+# Draws the factor on the peak of one frame: normal with mean 1 and deviation `rms`, never below 0.
 FACTORS = normal_draws("rms", lambda deviation: np.maximum(1 + deviation, 0.0))
 
 EFFECT = Effect(
@@ -17,7 +17,7 @@ EFFECT = Effect(
     variants={Only.ONLY: (RandomStep(Stage.BRIGHTNESS, multiply, Scope.FRAME, *FACTORS),)},
     starts=lambda scales: [(0.02,)],
     needs=(Need.FRAMES, Need.LAW),
-    # A brightness of each frame's own fits any law of the brightness.
+    # Independent brightnesses of frames can follow any law of the brightness.
     special_cases=("brightness",),
     hidden_in_flats="the drift between frames of a level is part of the errors",
 )

@@ -1,4 +1,7 @@
-"""Saturation: the signal stops at a level, the full well's or the converter's."""
+"""Saturation: the signal is limited to a level, by the full well or by the converter.
+
+Signals and levels are in DN without black level.
+"""
 
 from enum import Enum
 
@@ -7,12 +10,14 @@ from scipy.special import ndtr
 
 from spotcheck.model.effect import Effect, Parameter, RandomStep, Scope, Stage, Step
 
-# Levels that stand for a scattering one, and how far they reach [standard deviations].
-LEVELS, LEVELS_REACH_TO = 61, 5.0
+# Quadrature over levels that scatter from pixel to pixel: number of nodes, and half their range [standard deviations].
+LEVEL_COUNT, HALF_RANGE = 61, 5.0
+# Signals [DN] up to which the limit is not applied, where its logarithm would be infinite.
+LEAST_SIGNAL_DN = 1e-9
 
 
 class Variant(Enum):
-    """The place and the shape of the stop: a well in front of the read noise, a converter behind it (with noise)."""
+    """Place and shape of the limit: a well in front of the read noise, or a converter behind it ("with noise")."""
 
     SHARP = "sharp"
     SOFT = "soft"
@@ -23,47 +28,56 @@ class Variant(Enum):
     POWER_WITH_NOISE = "power with noise"
 
 
-def stop(signal_dn, *, level):
-    """Return the signal [DN], which stops at `level` [DN without black level]."""
+def limit(signal_dn, *, level):
+    """Return the signal [DN], limited to `level` [DN]."""
     return np.minimum(signal_dn, level)
 
 
-def stop_at(signal_dn, level_dn):
-    """Return the signal [DN], which stops at the level of each pixel [DN]."""
+def limit_to_drawn_level(signal_dn, level_dn):
+    """Return the signal [DN], limited to the drawn level of each pixel [DN]."""
     return np.minimum(signal_dn, level_dn)
 
 
-def stop_softly(signal_dn, *, level, knee):
+def limit_softly(signal_dn, *, level, knee):
     """Return x − w ln[(1 + exp(x/w − 1/knee))/(1 + exp(−1/knee))] with w = level/ln(1 + exp(1/knee)).
 
-    It tends to the level, over a width of about `knee` times the level. Its slope at 0 is 1/(1 + exp(−1/knee)).
+    x is the signal [DN]. The result tends to `level` [DN] with a knee that is about `knee` [1] times the level wide.
+    Its slope at 0 is 1/(1 + exp(−1/knee)).
     """
     width = level / np.logaddexp(0.0, 1 / knee)
-    bent = np.logaddexp(0.0, signal_dn / width - 1 / knee) - np.log1p(np.exp(-1 / knee))
-    return np.where(signal_dn > 0, signal_dn - width * bent, signal_dn)
+    reduction = np.logaddexp(0.0, signal_dn / width - 1 / knee) - np.log1p(np.exp(-1 / knee))
+    # Negative signals, which are noise, stay as they are.
+    return np.where(signal_dn > 0, signal_dn - width * reduction, signal_dn)
 
 
-def stop_by_power(signal_dn, *, level, knee):
-    """Return (x^−m + level^−m)^(−1/m) with m = 1/knee."""
-    ratio = np.log(np.maximum(signal_dn, 1e-9) / level)
-    return np.where(signal_dn > 1e-9, level * np.exp(ratio - knee * np.logaddexp(0.0, ratio / knee)), signal_dn)
+def limit_by_power(signal_dn, *, level, knee):
+    """Return (x^−m + level^−m)^(−1/m) with m = 1/knee for a signal x [DN], which tends to `level` [DN]."""
+    log_ratio = np.log(np.maximum(signal_dn, LEAST_SIGNAL_DN) / level)
+    return np.where(
+        signal_dn > LEAST_SIGNAL_DN, level * np.exp(log_ratio - knee * np.logaddexp(0.0, log_ratio / knee)), signal_dn
+    )
 
 
 def draw_levels(rng, shape, *, level, scatter):
-    """Return the level [rows, columns] of each pixel [DN], normal with the relative deviation `scatter`."""
+    """Return the random level of each pixel [row, column] in DN: normal, with the relative deviation `scatter` [1]."""
     return level * np.maximum(1 + scatter * rng.standard_normal(shape), 0.0)
 
 
-def average_levels(*, level, scatter):
-    """Return levels [DN] and their shares: the cells of a uniform grid, which follows the kink from level to level."""
-    step = 2 * LEVELS_REACH_TO / (LEVELS - 1)
-    deviation = step * (np.arange(LEVELS) - (LEVELS - 1) / 2)
-    share = ndtr(deviation + step / 2) - ndtr(deviation - step / 2)
-    return level * np.maximum(1 + scatter * deviation, 0.0), share / share.sum()
+def make_level_quadrature(*, level, scatter):
+    """Return levels [node] in DN and weights [node], which sum to 1, of a normal level with deviation `scatter` [1]."""
+    # Nodes are the centres of the cells of a uniform grid, weights their probabilities. Limiting has a kink at the
+    # level, which the few nodes of a Gauss–Hermite quadrature would turn into visible steps.
+    step = 2 * HALF_RANGE / (LEVEL_COUNT - 1)
+    deviation = step * (np.arange(LEVEL_COUNT) - (LEVEL_COUNT - 1) / 2)
+    probability = ndtr(deviation + step / 2) - ndtr(deviation - step / 2)
+    return level * np.maximum(1 + scatter * deviation, 0.0), probability / probability.sum()
 
 
-def state_end(sensor, variant, *, level, knee, scatter):
-    """Return the full well, or the reading at which the converter stops; no key describes a knee or a scatter."""
+def find_instrument_keys(sensor, variant, *, level, knee, scatter):
+    """Return the key of instrument.yaml that does the same: full well [e-], or full scale [DN] of the converter.
+
+    {} for variants with `knee` or `scatter`, which no key describes.
+    """
     if variant is Variant.SHARP:
         return {"sensor.full_well_e": level / sensor.gain_dn_per_e}
     return {"sensor.full_scale_dn": sensor.black_level_dn + level} if variant is Variant.SHARP_WITH_NOISE else {}
@@ -80,17 +94,19 @@ EFFECT = Effect(
         Parameter("scatter", "1", 0.001, 0.3, is_variant_specific=True),
     ),
     variants={
-        Variant.SHARP: (Step(Stage.WELL, stop),),
-        Variant.SOFT: (Step(Stage.WELL, stop_softly),),
-        Variant.POWER: (Step(Stage.WELL, stop_by_power),),
-        Variant.SHARP_SCATTERED: (RandomStep(Stage.WELL, stop_at, Scope.SENSOR, draw_levels, average_levels),),
-        Variant.SHARP_WITH_NOISE: (Step(Stage.RESPONSE, stop, rounded="level"),),
-        Variant.SOFT_WITH_NOISE: (Step(Stage.RESPONSE, stop_softly),),
-        Variant.POWER_WITH_NOISE: (Step(Stage.RESPONSE, stop_by_power),),
+        Variant.SHARP: (Step(Stage.WELL, limit),),
+        Variant.SOFT: (Step(Stage.WELL, limit_softly),),
+        Variant.POWER: (Step(Stage.WELL, limit_by_power),),
+        Variant.SHARP_SCATTERED: (
+            RandomStep(Stage.WELL, limit_to_drawn_level, Scope.SENSOR, draw_levels, make_level_quadrature),
+        ),
+        Variant.SHARP_WITH_NOISE: (Step(Stage.RESPONSE, limit, rounded="level"),),
+        Variant.SOFT_WITH_NOISE: (Step(Stage.RESPONSE, limit_softly),),
+        Variant.POWER_WITH_NOISE: (Step(Stage.RESPONSE, limit_by_power),),
     },
-    # A clip behind all noise lies at the brightest reading; a fit from below it does not find it.
+    # A limit behind all noise lies at the brightest reading; a fit that starts below it does not find it.
     starts=lambda scales: [(share * scales.peak_dn, 0.03, 0.02) for share in (0.97, 1.0, 0.8, 0.5)],
     vanishes_at=np.inf,
     hidden_in_flats="",
-    instrument_keys=state_end,
+    instrument_keys=find_instrument_keys,
 )

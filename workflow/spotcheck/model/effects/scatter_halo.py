@@ -8,7 +8,7 @@ from spotcheck.model.effect import Effect, Parameter, Stage, Step
 
 
 class Variant(Enum):
-    """Profile of the halo."""
+    """Profile of the halo over the distance r from the centre of the spot."""
 
     EXPONENTIAL = "exponential"
     GAUSSIAN = "gaussian"
@@ -16,22 +16,25 @@ class Variant(Enum):
 
 
 def add_exponential(frame, light_dn, spot, *, fraction, radius):
-    """Return the light [DN] plus a halo exp(−r/radius) whose peak is `fraction` of the Gaussian's; radius in px."""
-    return light_dn + fraction * spot.peak_dn * np.exp(-np.sqrt(squared_radius(frame, radius)))
+    """Return the light [DN] plus a halo `fraction` · peak · exp(−r/`radius`), with the radius in px.
+
+    The peak [DN] is that of the Gaussian of the spot.
+    """
+    return light_dn + fraction * spot.peak_dn * np.exp(-np.sqrt(squared_distance(frame, radius)))
 
 
 def add_gaussian(frame, light_dn, spot, *, fraction, radius):
-    """Return the light [DN] plus a halo exp(−r²/(2 radius²)); see `add_exponential`."""
-    return light_dn + fraction * spot.peak_dn * np.exp(-squared_radius(frame, radius) / 2)
+    """Return the light [DN] plus a halo `fraction` · peak · exp(−r²/(2 `radius`²)); see `add_exponential`."""
+    return light_dn + fraction * spot.peak_dn * np.exp(-squared_distance(frame, radius) / 2)
 
 
 def add_power(frame, light_dn, spot, *, fraction, radius, tail):
-    """Return the light [DN] plus a halo (1 + r²/radius²)^(−tail); see `add_exponential`."""
-    return light_dn + fraction * spot.peak_dn * np.exp(-tail * np.log1p(squared_radius(frame, radius)))
+    """Return the light [DN] plus a halo `fraction` · peak · (1 + r²/`radius`²)^(−`tail`); see `add_exponential`."""
+    return light_dn + fraction * spot.peak_dn * np.exp(-tail * np.log1p(squared_distance(frame, radius)))
 
 
-def squared_radius(frame, radius):
-    """Return r²/radius² [1] from the spot's centre."""
+def squared_distance(frame, radius):
+    """Return r²/`radius`² [1] at each pixel, where r is the distance from the centre of the spot."""
     return ((frame.pixels.x - frame.x0) ** 2 + (frame.pixels.y - frame.y0) ** 2) / radius**2
 
 

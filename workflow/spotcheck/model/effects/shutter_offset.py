@@ -4,12 +4,12 @@ from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
 def add_offset(frame, exposure_s, *, offset):
-    """Return the exposure [s] plus `offset` [s]."""
+    """Return the true exposure [s]: the nominal one plus `offset` [s]."""
     return exposure_s + offset
 
 
 def times_shortest(factor):
-    """Return a function of the scales: `factor` times the shortest exposure [s]."""
+    """Return a function from the scales of a dataset to `factor` [1] times its shortest exposure [s]."""
     return lambda scales: factor * scales.shortest_s
 
 

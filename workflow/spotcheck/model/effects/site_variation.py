@@ -8,11 +8,11 @@ from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Sc
 
 
 def scale_width(frame, width, factor):
-    """Return the law of the width with σ_g times a factor."""
+    """Return the law of the width with σ_g multiplied by the drawn `factor` [1]."""
     return replace(width, factor=width.factor * factor)
 
 
-# Draws of each site: the factor on its width, then that on its brightness.
+# Draws for each site the factors on width and on brightness; their logarithms are normal with mean 0.
 STEPS = (
     RandomStep(Stage.WIDTH, scale_width, Scope.SITE, *normal_draws("width", np.exp)),
     RandomStep(Stage.BRIGHTNESS, multiply, Scope.SITE, *normal_draws("brightness", np.exp)),

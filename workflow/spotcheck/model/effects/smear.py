@@ -1,4 +1,4 @@
-"""Smear: light of each column spread evenly over its rows."""
+"""Smear: a share of the light of each column is added evenly to all its rows."""
 
 import numpy as np
 
@@ -6,9 +6,9 @@ from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
 def spread_columns(frame, mean_e, *, fraction):
-    """Return `fraction` of the electrons of each column, spread over all rows of the sensor [e-]."""
-    # ASSUME: the charge comes on top (it is not taken from the column), as frame-transfer read-out leaves it. Its own
-    # noise, that of a sum over a column, is small beside that of a pixel.
+    """Return the electrons [e-] that each pixel gains: `fraction` [1] of its column's sum, spread over all rows."""
+    # ASSUME: the charge is added and not taken from the column, as in frame-transfer read-out. Its noise, that of a sum
+    # over a column, is small compared with that of a pixel.
     column_sum = np.sum(mean_e * frame.pixels.row_share, axis=-2, keepdims=True)
     return fraction * column_sum / frame.pixels.sensor_rows
 

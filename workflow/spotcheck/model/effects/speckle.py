@@ -1,4 +1,4 @@
-"""Speckle: a granular field, the same at every exposure of a site, new at each site."""
+"""Speckle: a granular random field multiplies the light; frames of a site share it."""
 
 from enum import Enum
 
@@ -8,14 +8,16 @@ from scipy import ndimage
 from spotcheck.model.effect import Effect, Parameter, RandomStep, Scope, Stage, multiply
 from spotcheck.sensor.table import grain_quadrature, partial_grain_quadrature
 
-# More patterns than these make the field normal.
+# Largest number of independent speckle patterns that are summed; a sum of more is close to normal.
 MOST_PATTERNS = 12
+# Least standard deviation of a field by which it is divided.
+LEAST_DEVIATION = 1e-12
 
 
 class Grains(Enum):
-    """Variants: what a pixel receives follows a gamma distribution, or does so beside light that is in every pixel.
+    """Distribution of the light of a pixel: gamma, or gamma plus a constant floor.
 
-    A pixel that averages over part of a grain is seldom dark: the second comes nearer to it.
+    A pixel that averages over parts of several grains is seldom dark, which the floor describes better.
     """
 
     FULL = ""
@@ -23,23 +25,27 @@ class Grains(Enum):
 
 
 def draw_field(rng, shape, *, contrast, grain):
-    """Return a factor [rows, columns] of mean 1 and relative scatter `contrast`, correlated as exp(−d²/2 grain²)."""
+    """Return a random factor [row, column] with mean 1 and standard deviation `contrast` [1].
+
+    Its correlation over a distance d is exp(−d²/(2 `grain`²)), with the grain in px. `shape` is (rows, columns).
+    """
     if contrast <= 0:
         return np.ones(shape)
     total = np.zeros(shape)
     # ASSUME: intensities follow a gamma distribution, as sums of independent speckle patterns do.
     for _ in range(min(max(round(1 / contrast**2), 1), MOST_PATTERNS)):
-        # A field smoothed with s correlates as exp(−d²/4 s²), its intensity as the square of that: s is the grain.
-        # ASSUME: the grain [px] is the standard deviation of the correlation; contracts and books also call the full
-        # width so.
-        parts = [ndimage.gaussian_filter(rng.standard_normal(shape), grain, mode="wrap") for _ in range(2)]
-        total += sum(part**2 / np.mean(part**2) for part in parts) / 2
+        # Real and imaginary part of the field. Smoothed with s, it has the correlation exp(−d²/(4 s²)). Its intensity
+        # has the square of that, so s is the grain.
+        # ASSUME: the grain [px] is the standard deviation of the correlation; elsewhere it may be the full width.
+        amplitudes = [ndimage.gaussian_filter(rng.standard_normal(shape), grain, mode="wrap") for _ in range(2)]
+        total += sum(amplitude**2 / np.mean(amplitude**2) for amplitude in amplitudes) / 2
+    # Scaled to the contrast exactly, which a whole number of patterns gives only roughly.
     deviation = total / total.mean() - 1
-    return np.maximum(1 + deviation * contrast / max(deviation.std(), 1e-12), 0.0)
+    return np.maximum(1 + deviation * contrast / max(deviation.std(), LEAST_DEVIATION), 0.0)
 
 
 def draw_partial_field(rng, shape, *, contrast, grain, floor):
-    """Return a field as `draw_field` does, of which a part, the floor, is the same in all pixels."""
+    """Return a random factor as `draw_field` does, of which the share `floor` [1] is the same in all pixels."""
     return floor + (1 - floor) * draw_field(rng, shape, contrast=contrast / (1 - floor), grain=grain)
 
 

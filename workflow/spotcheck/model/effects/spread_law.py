@@ -1,4 +1,4 @@
-"""Spread law: the width follows a power of the exposure."""
+"""Spread law: the beam propagation p_b, the width of the spot without the laser's own, is a power of the exposure."""
 
 from dataclasses import replace
 
@@ -6,12 +6,13 @@ from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
 def follow_power(frame, width, *, exponent):
-    """Return the law p_b(t) = p_b(t_ref) (t/t_ref)^exponent in px.
+    """Return the law of the width with p_b(t) = p_b(t_ref) (t/t_ref)^`exponent` [px].
 
-    p1 loses its meaning: two numbers give the widths here as they do in the baseline.
+    Two numbers give all widths, as in the baseline: p_b at the reference exposure t_ref, which remains
+    p1 ln t_ref + p2, and `exponent` [1] in place of p1.
     """
-    at_reference = width.propagation_px(frame.reference_s)
-    return replace(width, propagation_px=lambda exposure_s: at_reference * (exposure_s / frame.reference_s) ** exponent)
+    reference_px = width.propagation_px(frame.reference_s)
+    return replace(width, propagation_px=lambda exposure_s: reference_px * (exposure_s / frame.reference_s) ** exponent)
 
 
 EFFECT = Effect(

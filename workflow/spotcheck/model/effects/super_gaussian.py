@@ -1,13 +1,17 @@
-"""Super-Gaussian: steeper or flatter flanks."""
+"""Super-Gaussian: the flanks of the spot are steeper or flatter than a Gaussian's."""
 
 import numpy as np
 
 from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
+# Least ρ²/2 [1] of which the logarithm is taken.
+LEAST_HALF_SQUARE = 1e-12
+
 
 def change_flanks(frame, half_square, *, n):
-    """Return the exponent (ρ²/2)^n of the profile, from ρ²/2."""
-    return np.exp(n * np.log(np.maximum(half_square, 1e-12)))
+    """Return E = (ρ²/2)^`n` [1] of the profile exp(−E), from `half_square` = ρ²/2; ρ is in widths σ_g."""
+    # The floor avoids ln 0 at the centre.
+    return np.exp(n * np.log(np.maximum(half_square, LEAST_HALF_SQUARE)))
 
 
 EFFECT = Effect(
