@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg, ndimage, optimize
 
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
-from spotcheck.discrepancy.evaluation import columns_of, evaluate, map_batches
+from spotcheck.discrepancy.evaluation import differentiate_readings, evaluate, map_batches
 from spotcheck.discrepancy.evidence import MANY_SITES
 from spotcheck.discrepancy.findings import LearnedLight
 from spotcheck.discrepancy.joint_fit import JointFit
@@ -229,7 +229,8 @@ def draw_by_sites(fit: JointFit, rng: np.random.Generator) -> np.ndarray:
         out = []
         for frame in range(part.start, part.stop):
             at = evaluate(model, fit.pixels, slice(frame, frame + 1), with_slopes=False)
-            out.append((ShapeSums(model, at).score(), [at.score(column) for column in columns_of(model, at)]))
+            scores = [at.score(column) for column in differentiate_readings(model, at)]
+            out.append((ShapeSums(model, at).score(), scores))
         return out
 
     frames = [frame for batch in map_batches(of_batch, fit.pixels) for frame in batch]

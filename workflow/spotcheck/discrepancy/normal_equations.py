@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import linalg
 
-from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, sum_batches
+from spotcheck.discrepancy.evaluation import Column, Evaluation, differentiate_readings, evaluate, sum_batches
 from spotcheck.discrepancy.frames import Pixels
 from spotcheck.discrepancy.shape_grid import BlockFactor
 from spotcheck.discrepancy.shape_sums import ShapeSums
@@ -138,7 +138,7 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
 
     def of_batch(part: slice) -> tuple[Any, ...]:
         at = evaluate(model, pixels, part)
-        columns = columns_of(model, at)
+        columns = differentiate_readings(model, at)
         information, gradient = np.zeros((size, size)), np.zeros(size)
         fill_equations(at, columns, part.start, frames, information, gradient)
         used = at.weight > 0
