@@ -52,8 +52,8 @@ NEIGHBOURS = (
 SIZE_BLOCK_PX, SIZE_BLOCK_SIGMA, SIZE_RADIUS = 8, 0.5, 4.0
 # Fewest sites whose scatter gives an error.
 FEWEST_SITES = 4
-# Constant of the mean squared distance of grains in a block, s²/6 for a block of side s.
-BLOCK_SPREAD = 1 / 6
+# Variance of the overlap of two blocks (a triangle) along an axis, in squared sides: it widens their correlation.
+OVERLAP_VARIANCE = 1 / 6
 
 
 @dataclass(frozen=True)
@@ -227,13 +227,10 @@ def measure_unexplained(images: ResidualImages, scatter: KnownScatter = NO_SCATT
         return Unexplained(0.0, np.inf, 0.0, np.nan, np.nan)
     mean = float(excess.sum() / blocks)
     site = np.unique(images.design.site, return_inverse=True)[1]
-    # A grain is the same in all frames of a site and lies in several blocks: these are so many further equal squares.
+    # Grains are the same in all frames of a site, and correlate blocks: number of further squares like each square.
     grain_px = max((np.nan_to_num(field.grain_px) for field in scatter.fields), default=0.0)
-    further_squares = np.bincount(site)[site] * max(1.0, np.pi * (grain_px**2 / side**2 + BLOCK_SPREAD)) - 1
-    variance = sum(
-        power.noise_variance + further * power.scatter_variance
-        for power, further in zip(powers, further_squares, strict=True)
-    )
+    further_squares = np.bincount(site)[site] * max(1.0, np.pi * (grain_px**2 / side**2 + OVERLAP_VARIANCE)) - 1
+    variance = sum(p.noise_variance + n * p.scatter_variance for p, n in zip(powers, further_squares, strict=True))
     field_slopes = np.sum([power.field_slopes for power in powers], axis=0)
     field_errors = np.array([np.nan_to_num(field.stderr) for field in scatter.fields])
     error = float(np.sqrt(variance + np.sum((field_slopes * field_errors) ** 2)) / blocks)
@@ -273,9 +270,8 @@ def _measure_blocks(images: ResidualImages, side: int, scatter: KnownScatter, fr
         of_coefficients = (w * far_powers) @ w.T
         return powers - 2 * far_powers * np.sum(u * w, axis=0) + np.sum(u * (of_coefficients @ u), 0)
 
-    squared_light, squared_slope = (
-        block_sums((values / root_weight) ** 2) for values in (standard.relative, standard.offset)
-    )
+    squared_light = block_sums((standard.relative / root_weight) ** 2)
+    squared_slope = block_sums((standard.offset / root_weight) ** 2)
     # Expected squares by a relative variance of 1 of each field, and by all known scatter [block, DN²].
     field_powers = []
     for field in scatter.fields:
