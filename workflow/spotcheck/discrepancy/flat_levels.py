@@ -34,7 +34,6 @@ LEAST_NOISE_E, LEAST_MEAN_ERROR, LEAST_DARK_ERRORS = 0.1, 1e-6, (0.01, 0.01)
 # Standard error of the black level, in parts of the dark noise: an effect that curves the response about 0 shifts the
 # mean dark reading by a part of the noise. Difference from the darks [standard errors] that needs no adjustment.
 BLACK_LEVEL_SHARE, NO_MISFIT = 0.1, 1e-3
-
 # Largest reading [DN] of a camera whose full scale is unknown (infinite).
 LARGEST_READING_DN = 65535.0
 # Least read noise [e-] in the match of a model to the darks, and least scale of its parameters.
