@@ -87,8 +87,8 @@ def list_starts(effects: Sequence[Effect], scales: EffectScales) -> list[Applied
                 continue
             has_parameter = [parameter in effect.parameters_of(variant) for parameter in effect.parameters]
             for values in effect.starts(scales):
-                values = np.clip(np.where(has_parameter, values, np.nan), low, high)
-                start = AppliedEffect(effect, variant, tuple(values))
+                clipped = np.clip(np.where(has_parameter, values, np.nan), low, high)
+                start = AppliedEffect(effect, variant, tuple(clipped))
                 unique.setdefault(repr((effect.name, variant, start.values)), start)
     return list(unique.values())
 
