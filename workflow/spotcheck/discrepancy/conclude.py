@@ -62,7 +62,7 @@ def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[st
         Sentences on the data that the verdict repeats.
     """
     progress.begin_step("measuring what is left and its limits", 0.85, 1.0)
-    prepared, fit = analysis.prepared, analysis.selected.fit
+    prepared, fit, validated = analysis.prepared, analysis.selected.fit, analysis.validated
     black_dn = prepared.setting.sensor.black_level_dn
     sums = sum_residuals(prepared.images)
     detection = test_residuals(prepared.images, black_dn, others=_further_tests(analysis), sums=sums)
@@ -86,9 +86,7 @@ def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[st
         law=measure_law_shift(analysis),
         unexplained=_unexplained(analysis, names, black_dn),
         gap=measure_gap(analysis),
-        metrics=compare_metrics(analysis.validated, prepared.unseen, analysis.named_scatter)
-        if analysis.validated
-        else (),
+        metrics=compare_metrics(validated, prepared.unseen, analysis.named_scatter) if validated else (),
         advice=advise(named, effects, present),
         not_assessed=list_not_assessed(effects, prepared.frames.design, baseline),
         remarks=tuple(remarks),
@@ -239,9 +237,8 @@ def _effects_of_mean(analysis: Analysis) -> Iterator[NamedEffect]:
     for applied in fit.model.forward.effects:
         name = applied.effect.name
         test = selected.tests[name]
-        values = _values(
-            applied, {parameter: errors.get((name, parameter), np.nan) for parameter in applied.parameters}
-        )
+        effect_errors = {parameter: errors.get((name, parameter), np.nan) for parameter in applied.parameters}
+        values = _values(applied, effect_errors)
         # Parameters that the mean image does not determine, such as the grain of a field, come from its scatter.
         intervals = scatter_by_name[name].intervals if name in scatter_by_name else {}
         for parameter in values.keys() & intervals.keys():

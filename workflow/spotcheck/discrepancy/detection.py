@@ -259,8 +259,7 @@ def _measure_blocks(images: ResidualImages, side: int, scatter: KnownScatter, fr
         blocks = cut.reshape(*values.shape[:-2], rows, side, columns, side).sum(axis=-1, dtype=float).sum(axis=-2)
         return blocks.reshape(*values.shape[:-2], rows * columns)
 
-    u = block_sums(standard.absorbed / root_weight)
-    w = block_sums(standard.absorbed * root_weight) / side**2
+    u, w = block_sums(standard.absorbed / root_weight), block_sums(standard.absorbed * root_weight) / side**2
 
     def subtract_fitted(powers: np.ndarray, far_powers: np.ndarray) -> np.ndarray:
         """Return expected squares of block sums [block, DN²] after the fit of the spot, from those before it.

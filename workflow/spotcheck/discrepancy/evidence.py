@@ -23,7 +23,7 @@ from spotcheck.discrepancy.evaluation import (
     rounded_parameter,
     subtract_absorbed,
 )
-from spotcheck.discrepancy.frames import Design, Pixels, thin_pixels
+from spotcheck.discrepancy.frames import Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.normal_equations import assemble, invert_information, solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
@@ -258,13 +258,11 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
     labels : sequence of functions
         Divisions of the pixels: each returns the cluster of each pixel.
     """
-    model, equations = fit.model, fit.equations
+    model, equations, information = fit.model, fit.equations, fit.equations.information
     others = np.setdiff1d(np.arange(equations.size), targets)
     # Steps of the unknowns that reproduce the column of each target best; 0 for the targets themselves.
     steps = np.zeros((equations.size, len(targets)))
-    steps[others] = solve_positive(
-        equations.information[np.ix_(others, others)], equations.information[np.ix_(others, targets)]
-    )
+    steps[others] = solve_positive(information[np.ix_(others, others)], information[np.ix_(others, targets)])
     coefficients = None
     if equations.shape is not None:
         cross = equations.shape.cross
@@ -280,8 +278,8 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
         for k, target in enumerate(targets):
             column = fitted_columns[target - SPOT_PARAMETERS * equations.frames]
             column = subtract_absorbed(evaluation, batch, column, steps[:, k], fitted_columns, light[k])
-            information = evaluation.information_per_pixel(column)
-            terms.append((evaluation.score_per_pixel(column), information, evaluation.field_share * information))
+            per_pixel = evaluation.information_per_pixel(column)
+            terms.append((evaluation.score_per_pixel(column), per_pixel, evaluation.field_share * per_pixel))
         divisions = []
         for label in labels:
             label_of_pixel = np.broadcast_to(label(model, evaluation, batch), is_used.shape)[is_used]
@@ -318,9 +316,8 @@ def label_cells(model: JointModel, evaluation: Evaluation, batch: slice) -> np.n
 
 def label_sites(model: JointModel, evaluation: Evaluation, batch: slice) -> np.ndarray:
     """Return the cluster of each pixel [frame, h, w]: site × sector, or block of a frame if sites are few."""
-    design: Design = model.design
-    if design.sites >= MANY_SITES:
-        return design.site[batch][:, None, None] * SECTORS + divide_spot(evaluation)[0]
+    if model.design.sites >= MANY_SITES:
+        return model.design.site[batch][:, None, None] * SECTORS + divide_spot(evaluation)[0]
     pixels = evaluation.conditions.pixels
     block = (pixels.y // BLOCK_PX) * ROW_FACTOR + pixels.x // BLOCK_PX
     return (np.arange(batch.start, batch.stop)[:, None, None] * FRAME_FACTOR + block).astype(np.int64)
